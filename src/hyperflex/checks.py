@@ -1,0 +1,117 @@
+"""Checks of arguments, shared by every module that takes them from a user (model, motion, recording, simulate, files).
+
+Each returns the value in the form that the package works with, or raises :class:`hyperflex.errors.InvalidInput`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.errors import InvalidInput
+
+Array = npt.NDArray[np.float64]
+Sign = Literal["any", "positive", "nonnegative"]
+
+_ALLOWED = {"any": "finite", "positive": "finite and > 0", "nonnegative": "finite and >= 0"}
+
+
+def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infinite: bool = False) -> float:
+    """Return `value` as a finite float of the wanted sign (``infinite=True`` lets +inf pass)."""
+    allowed = f"a number, {_ALLOWED[sign]}" + (" (or inf)" if infinite else "") + (f", in {unit}" if unit else "")
+    if isinstance(value, (str, bytes, bool)):
+        raise InvalidInput(f"{name} is not a number", got=value, allowed=allowed)
+    try:
+        result = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise InvalidInput(f"{name} is not a number", got=value, allowed=allowed) from None
+    if not np.isfinite(result) and not (infinite and result > 0.0):
+        raise InvalidInput(f"{name} is not finite", got=result, allowed=allowed)
+    if (sign == "positive" and result <= 0.0) or (sign == "nonnegative" and result < 0.0):
+        raise InvalidInput(f"{name} has the wrong sign", got=result, allowed=allowed)
+    return result
+
+
+def count(name: str, value: object, *, least: int = 1) -> int:
+    """Return `value` as an integer of at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise InvalidInput(f"{name} is not a usable count", got=value, allowed=f"a whole number >= {least}")
+    return int(value)
+
+
+def array(
+    name: str,
+    value: object,
+    shape: tuple[int, ...],
+    *,
+    sign: Sign = "any",
+    unit: str = "",
+    scalar: bool = False,
+    gaps: bool = False,
+) -> Array:
+    """Return `value` as a fresh read-only float64 array of the given shape.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Wanted shape; -1 leaves that axis free.
+    sign : {"any", "positive", "nonnegative"}
+        Sign that every element must have.
+    scalar : bool
+        Let a single number stand for all elements.
+    gaps : bool
+        Let NaN pass (a missing sample); infinities never do.
+
+    Raises
+    ------
+    InvalidInput
+        Naming the first bad element with its index.
+    """
+    want = "x".join("any" if k < 0 else str(k) for k in shape)
+    try:
+        result = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"{name} is not an array of numbers", got=value, allowed=f"numbers, shape {want}") from None
+    if scalar and result.ndim == 0 and -1 not in shape:
+        result = np.full(shape, result)
+    if result.ndim != len(shape) or any(w >= 0 and w != s for w, s in zip(shape, result.shape, strict=True)):
+        raise InvalidInput(f"{name} has the wrong shape", got=result.shape, allowed=f"shape {want}")
+    bad = np.isinf(result) if gaps else ~np.isfinite(result)
+    if sign == "positive":
+        bad |= result <= 0.0
+    elif sign == "nonnegative":
+        bad |= result < 0.0
+    if bad.any():
+        index = tuple(int(k) for k in np.argwhere(bad)[0])
+        allowed = _ALLOWED[sign] + (" (NaN marks a gap)" if gaps else "") + (f", in {unit}" if unit else "")
+        raise InvalidInput(f"{name}{list(index)} cannot be used", got=float(result[index]), allowed=allowed)
+    result.setflags(write=False)
+    return result
+
+
+def times(name: str, value: object, *, least: int = 1) -> Array:
+    """Return time stamps as a strictly increasing, finite array (T,), in seconds."""
+    t = array(name, value, (-1,), unit="s")
+    if t.size < least:
+        raise InvalidInput(f"{name} has too few samples", got=t.size, allowed=f"at least {least}")
+    steps = np.diff(t)
+    if (steps <= 0.0).any():
+        k = int(np.argmax(steps <= 0.0))
+        what = "repeats a time" if steps[k] == 0.0 else "goes back in time"
+        raise InvalidInput(
+            f"{name} {what} at sample {k + 1}",
+            got=[float(t[k]), float(t[k + 1])],
+            allowed="strictly increasing times in s",
+            fix="Sort the samples by time and drop repeated ones",
+        )
+    return t
+
+
+def choice(name: str, value: object, options: Sequence[str]) -> str:
+    """Return `value` if it is one of the named options."""
+    if not isinstance(value, str) or value not in options:
+        raise InvalidInput(f"{name} is not known", got=value, allowed=", ".join(map(repr, options)))
+    return value

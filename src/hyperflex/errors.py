@@ -1,0 +1,65 @@
+"""What hyperflex raises. Every message says what was wrong, the value got, what is allowed and what to do."""
+
+from __future__ import annotations
+
+
+class HyperflexError(Exception):
+    """Base class of everything that hyperflex raises on purpose."""
+
+
+class InvalidInput(HyperflexError, ValueError):
+    """An argument or the content of a file cannot be used.
+
+    Parameters
+    ----------
+    what : str
+        The thing that is wrong, as a sentence without a full stop ("rope mass is negative").
+    got : object, optional
+        The offending value, shown with ``repr`` (long ones are cut).
+    allowed : str, optional
+        What would have been accepted.
+    fix : str, optional
+        What the user can do about it.
+    """
+
+    def __init__(self, what: str, *, got: object = None, allowed: str = "", fix: str = "") -> None:
+        self.what, self.got, self.allowed, self.fix = what, got, allowed, fix
+        parts = [what if got is None else f"{what}: got {_short(got)}"]
+        if allowed:
+            parts.append(f"Allowed: {allowed}")
+        if fix:
+            parts.append(fix)
+        super().__init__(". ".join(part.rstrip(".") for part in parts) + ".")
+
+
+class FileProblem(HyperflexError, OSError):
+    """A file cannot be read or written (missing, truncated, no space left). What stood there before still stands."""
+
+
+class SimulationError(HyperflexError, RuntimeError):
+    """A rollout could not be finished within its tolerance.
+
+    Attributes
+    ----------
+    status : str
+        Name of the status code (see ``hyperflex.core.status``).
+    time : float
+        Simulated time at which it stopped, s.
+    """
+
+    def __init__(self, message: str, *, status: str, time: float) -> None:
+        self.status, self.time = status, time
+        super().__init__(message)
+
+
+class IdentificationError(HyperflexError, RuntimeError):
+    """A fit could not be made, or did not converge to anything that may be reported."""
+
+
+class MissingExtra(HyperflexError, ImportError):
+    """An optional package is needed; the message names the pip command."""
+
+
+def _short(value: object, limit: int = 120) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= limit else text[: limit - 3] + "..."
