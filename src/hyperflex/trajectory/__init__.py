@@ -1,0 +1,6 @@
+"""Trajectories: what a rollout leaves behind, and its NetCDF file."""
+
+from hyperflex.trajectory.netcdf import read_trajectory
+from hyperflex.trajectory.run import State, Trajectory, assemble
+
+__all__ = ["State", "Trajectory", "assemble", "read_trajectory"]

@@ -1,0 +1,279 @@
+"""What a rollout leaves behind: labelled arrays, energies, the set-up that made them and the state to go on from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Setup
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+FORMAT = "hyperflex trajectory 1"
+
+# field of Trajectory and variable of the dataset: (dimensions after time, units, long name)
+VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "q": (("link",), "rad", "absolute link angle, 0 = hanging, positive towards +x"),
+    "qd": (("link",), "rad/s", "link rate"),
+    "qdd": (("link",), "rad/s^2", "link acceleration"),
+    "base": (("axis",), "m", "position of the first joint"),
+    "base_velocity": (("axis",), "m/s", "velocity of the first joint"),
+    "arm_angle": ((), "rad", "angle of the arm (or of the wall that the rope hangs from)"),
+    "arm_rate": ((), "rad/s", "rate of the arm"),
+    "kinetic_energy": ((), "J", "kinetic energy"),
+    "potential_energy": ((), "J", "potential energy: gravity and joint stiffness"),
+    "dissipated_energy": ((), "J", "energy lost to friction since the start of the run"),
+    "motor_work": ((), "J", "work done by the motor and the moving base since the start of the run"),
+    "motor_torque": ((), "N m", "torque of the motor"),
+}
+_DERIVED: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "joints": (("joint", "axis"), "m", "positions of the joints, the tip last"),
+    "tip": (("axis",), "m", "position of the tip"),
+    "tip_velocity": (("axis",), "m/s", "velocity of the tip"),
+}
+OWN_ATTRIBUTES = ("format", "source", "hyperflex_version", "status", "message", "setup")
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that a run needs to go on as if it had not been stopped.
+
+    Attributes
+    ----------
+    t : float
+        Time, s.
+    q, qd : (n,) float64
+        Absolute link angles, rad, and rates, rad/s.
+    step : float
+        Size of the next integration step, s (0 where the integrator has yet to choose one).
+    work, dissipated : float
+        Motor work and friction loss since the start of the run, J.
+    checkpoint : dict of str to float or array
+        Whatever else the integrator keeps, by name; numbers and arrays survive a NetCDF file bit for bit.
+    """
+
+    t: float
+    q: Array
+    qd: Array
+    step: float = 0.0
+    work: float = 0.0
+    dissipated: float = 0.0
+    checkpoint: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory:
+    """A simulated motion (made by :func:`hyperflex.simulate`, or read by :func:`read_trajectory`).
+
+    Attributes
+    ----------
+    t : (T,) float64
+        Time, s.
+    q, qd, qdd : (T, n) float64
+        Absolute link angles, rad; rates, rad/s; accelerations, rad/s^2.
+    base, base_velocity : (T, 2) float64
+        Position, m, and velocity, m/s, of the first joint.
+    arm_angle, arm_rate : (T,) float64
+        The arm, rad and rad/s.
+    kinetic_energy, potential_energy : (T,) float64
+        Energies of the rope (and of an actuated arm), J.
+    dissipated_energy, motor_work : (T,) float64
+        Friction loss and work put in since the start of the run, J.
+    motor_torque : (T,) float64
+        Torque of the motor, N m.
+    setup : Setup
+        What was simulated.
+    state : State
+        Where the run ended; hand it to :func:`hyperflex.simulate` to go on.
+    status, message : str
+        ``"ok"``, or the name of the failure and what it says.
+    attrs : dict
+        Facts about the run (method, tolerance, ...): strings and numbers.
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+    base: Array
+    base_velocity: Array
+    arm_angle: Array
+    arm_rate: Array
+    kinetic_energy: Array
+    potential_energy: Array
+    dissipated_energy: Array
+    motor_work: Array
+    motor_torque: Array
+    setup: Setup
+    state: State
+    status: str = "ok"
+    message: str = ""
+    attrs: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        sizes = {"link": self.setup.rope.n_links, "axis": 2}
+        for name, (dims, *_) in {"t": ((), "", ""), **VARIABLES}.items():
+            view = np.asarray(getattr(self, name), dtype=np.float64).view()
+            shape = (self.t.size, *(sizes[dim] for dim in dims))
+            if view.shape != shape:
+                raise InvalidInput(f"trajectory {name} has the wrong shape", got=view.shape, allowed=f"shape {shape}")
+            view.setflags(write=False)
+            object.__setattr__(self, name, view)
+
+    def __repr__(self) -> str:
+        return (
+            f"Trajectory({self.q.shape[1]} links, {self.t.size} samples from {self.t[0]:g} to {self.t[-1]:g} s, "
+            f"status {self.status!r})"
+        )
+
+    @cached_property
+    def joints(self) -> Array:
+        """Joint positions (T, n+1, 2), m; the last one is the tip."""
+        lengths = self.setup.rope.length[:, None]
+        spans = lengths * np.stack([np.sin(self.q), -np.cos(self.q)], axis=-1)
+        result = np.concatenate([self.base[:, None, :], spans], axis=1)
+        return _read_only(np.cumsum(result, axis=1))
+
+    @property
+    def tip(self) -> Array:
+        """Tip position (T, 2), m."""
+        return self.joints[:, -1]
+
+    @cached_property
+    def tip_velocity(self) -> Array:
+        """Tip velocity (T, 2), m/s."""
+        speed = self.setup.rope.length * self.qd
+        rope = np.stack([(speed * np.cos(self.q)).sum(axis=1), (speed * np.sin(self.q)).sum(axis=1)], axis=-1)
+        return _read_only(self.base_velocity + rope)
+
+    @property
+    def energy_error(self) -> Array:
+        """Energy that appeared from nowhere (T,), J: E - E[0] - motor work + dissipation, zero in an exact run."""
+        energy = self.kinetic_energy + self.potential_energy
+        gained = self.motor_work - self.motor_work[0] - self.dissipated_energy + self.dissipated_energy[0]
+        return np.asarray(energy - energy[0] - gained)
+
+    @cached_property
+    def dataset(self) -> xr.Dataset:
+        """The whole run as an ``xarray.Dataset`` with units, long names and the set-up in its attributes."""
+        import xarray as xr
+
+        variables: dict[str, Any] = {
+            name: (("time", *dims), getattr(self, name), {"units": units, "long_name": long_name})
+            for name, (dims, units, long_name) in {**VARIABLES, **_DERIVED}.items()
+        }
+        coords = {
+            "time": ("time", self.t, {"units": "s", "long_name": "time"}),
+            "axis": ("axis", np.array(["x", "y"]), {"long_name": "x to the right, y upwards"}),
+        }
+        return xr.Dataset(variables, coords, attrs=self._global_attributes())
+
+    def _global_attributes(self) -> dict[str, Any]:
+        from hyperflex import __version__
+
+        own = {
+            "format": FORMAT,
+            "source": "simulated",
+            "hyperflex_version": __version__,
+            "status": self.status,
+            "message": self.message,
+            "setup": self.setup.dumps(),
+        }
+        return {**self.attrs, **own}
+
+    def to_netcdf(self, path: str | Path) -> None:
+        """Write the run, its set-up and its final state to a NetCDF file (whole, or not at all).
+
+        Parameters
+        ----------
+        path : str or Path
+            Usually ends in ``.nc``; an existing file is replaced only once the new one is complete.
+
+        Raises
+        ------
+        FileProblem
+            The folder cannot be written to or is full; nothing has changed then.
+        """
+        from hyperflex.trajectory.netcdf import write
+
+        write(path, self.dataset, self.state)
+
+
+def assemble(
+    *,
+    t: Array,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    base: Array,
+    base_velocity: Array,
+    arm_angle: Array,
+    arm_rate: Array,
+    kinetic: Array,
+    potential: Array,
+    dissipated: Array,
+    work: Array,
+    torque: Array,
+    setup: Setup,
+    state: State,
+    status: str = "ok",
+    message: str = "",
+    attrs: Mapping[str, Any] | None = None,
+) -> Trajectory:
+    """Put the arrays of a rollout together.
+
+    Parameters
+    ----------
+    t : (T,) float64
+        Time, s.
+    q, qd, qdd : (T, n) float64
+        Link angles, rad, rates and accelerations.
+    base, base_velocity : (T, 2) float64
+        First joint, m and m/s.
+    arm_angle, arm_rate, kinetic, potential, dissipated, work, torque : (T,) float64
+        See :class:`Trajectory`. They are taken over, not copied, and made read-only.
+    setup, state, status, message, attrs
+        See :class:`Trajectory`.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    InvalidInput
+        The shapes do not fit each other or the set-up.
+    """
+    return Trajectory(
+        t=t,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        base=base,
+        base_velocity=base_velocity,
+        arm_angle=arm_angle,
+        arm_rate=arm_rate,
+        kinetic_energy=kinetic,
+        potential_energy=potential,
+        dissipated_energy=dissipated,
+        motor_work=work,
+        motor_torque=torque,
+        setup=setup,
+        state=state,
+        status=status,
+        message=message,
+        attrs={key: value for key, value in (attrs or {}).items() if value is not None},
+    )
+
+
+def _read_only(value: Array) -> Array:
+    value.setflags(write=False)
+    return value

@@ -1,0 +1,191 @@
+"""Trajectory: kinematics, energies, and NetCDF files that are whole, lossless and refused when they are not ours."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.model import Arm, Rope, Setup
+from hyperflex.motion import swings
+from hyperflex.trajectory import State, Trajectory, assemble, read_trajectory
+
+SAMPLES, LINKS = 7, 3
+LENGTH = np.array([0.3, 0.2, 0.5])
+
+
+def made_up(seed: int = 1, **changes) -> Trajectory:
+    """Return a trajectory of smooth made-up angles whose velocities are their exact derivatives."""
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0.0, 0.6, SAMPLES)
+    phase = rng.uniform(0.0, 6.0, LINKS)
+    q, qd, qdd = (f(3.0 * t[:, None] + phase) * 3.0**k for k, f in enumerate((np.sin, np.cos, lambda x: -np.sin(x))))
+    base = np.stack([0.1 * t, -0.2 * t**2], axis=1)
+    rope = Rope.uniform(length=1.0, mass=0.3, n_links=LINKS, friction=1e-3).replace(length=LENGTH, com=LENGTH / 2)
+    setup = Setup(rope=rope, arm=Arm(length=0.1), motion=swings(), duration=0.6)
+    parts = {
+        "t": t,
+        "q": q,
+        "qd": qd,
+        "qdd": qdd,
+        "base": base,
+        "base_velocity": np.stack([np.full_like(t, 0.1), -0.4 * t], axis=1),
+        "arm_angle": t - 1.0,
+        "arm_rate": np.ones_like(t),
+        "kinetic": rng.uniform(size=SAMPLES),
+        "potential": rng.uniform(size=SAMPLES),
+        "dissipated": t**2,
+        "work": np.sin(t),
+        "torque": np.cos(t),
+        "setup": setup,
+        "state": State(
+            0.6, q[-1], qd[-1], 0.05, 0.5, 0.25, {"table": rng.uniform(size=(2, 3)), "order": 6, "err": 0.1}
+        ),
+        "attrs": {"method": "extrapolation", "tol": 1e-6, "nothing": None},
+    }
+    return assemble(**{**parts, **changes})
+
+
+def test_joints_follow_the_links_and_end_at_the_tip():
+    run = made_up()
+    assert run.joints.shape == (SAMPLES, LINKS + 1, 2)
+    np.testing.assert_array_equal(run.joints[:, 0], run.base)
+    # Link lengths come back from differences of coordinates of order 1: a few roundings of 2e-16.
+    np.testing.assert_allclose(
+        np.linalg.norm(np.diff(run.joints, axis=1), axis=2), np.tile(LENGTH, (SAMPLES, 1)), 1e-14
+    )
+    straight = made_up(q=np.zeros((SAMPLES, LINKS)))
+    np.testing.assert_allclose(straight.tip, straight.base - [0.0, 1.0], atol=1e-15)  # hanging: one metre below
+    sideways = made_up(q=np.full((SAMPLES, LINKS), np.pi / 2))
+    np.testing.assert_allclose(sideways.tip, sideways.base + [1.0, 0.0], atol=1e-15)  # towards +x
+
+
+def test_tip_velocity_is_the_derivative_of_the_tip():
+    fine = np.linspace(0.0, 0.6, 6001)
+    q, qd = np.sin(3.0 * fine[:, None] + np.arange(LINKS)), 3.0 * np.cos(3.0 * fine[:, None] + np.arange(LINKS))
+    zero = np.zeros_like(fine)
+    run = made_up(
+        t=fine,
+        q=q,
+        qd=qd,
+        qdd=q,
+        base=np.stack([0.1 * fine, -0.2 * fine**2], axis=1),
+        base_velocity=np.stack([np.full_like(fine, 0.1), -0.4 * fine], axis=1),
+        **dict.fromkeys(("arm_angle", "arm_rate", "kinetic", "potential", "dissipated", "work", "torque"), zero),
+    )
+    slope = np.gradient(run.tip, fine, axis=0)[1:-1]
+    # Central differences at 1e-4 s: h^2/6 times a third derivative of at most 3 * 27 m/s^3 is 1.4e-7 m/s.
+    np.testing.assert_allclose(run.tip_velocity[1:-1], slope, atol=3e-7)
+
+
+def test_energy_error_is_zero_when_the_books_balance():
+    t = np.linspace(0.0, 0.6, SAMPLES)
+    run = made_up(kinetic=1.0 + t, potential=2.0 - 3.0 * t, work=0.5 - t, dissipated=0.2 + t)
+    np.testing.assert_allclose(run.energy_error, 0.0, atol=1e-15)  # sums of numbers below 3: a few roundings
+    run = made_up(kinetic=1.0 + 2.0 * t, potential=2.0 - 3.0 * t, work=0.5 - t, dissipated=0.2 + t)
+    np.testing.assert_allclose(run.energy_error, t, atol=1e-15)
+
+
+def test_dataset_carries_units_and_the_setup():
+    dataset = made_up().dataset
+    assert set(dataset.dims) == {"time", "link", "joint", "axis"}
+    for name in dataset.data_vars:
+        assert dataset[name].attrs["units"], name
+        assert dataset[name].attrs["long_name"], name
+    assert dataset.attrs["source"] == "simulated"
+    assert dataset.attrs["tol"] == 1e-6
+    assert "nothing" not in dataset.attrs
+    assert Setup.loads(dataset.attrs["setup"]).arm.length == 0.1
+    assert dataset["tip"].sel(axis="y").shape == (SAMPLES,)
+
+
+def test_arrays_are_read_only():
+    run = made_up()
+    for name in ("q", "tip", "tip_velocity", "joints", "motor_torque"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(run, name)[0] = 0.0
+
+
+@pytest.mark.parametrize("name", ["q", "base", "base_velocity", "arm_angle", "torque"])
+def test_shapes_that_do_not_fit_are_refused(name):
+    with pytest.raises(InvalidInput, match="wrong shape"):
+        made_up(**{name: np.zeros((SAMPLES, LINKS + 1))})
+
+
+def test_netcdf_keeps_every_bit(tmp_path):
+    run = made_up()
+    path = tmp_path / "run.nc"
+    run.to_netcdf(path)
+    back = read_trajectory(path)
+    for name in ("t", "q", "qd", "qdd", "joints", "tip_velocity", "arm_angle", "energy_error", "motor_torque"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(run, name), err_msg=name)
+    assert (back.status, back.message) == (run.status, run.message)
+    assert back.attrs == run.attrs
+    assert back.setup.dumps() == run.setup.dumps()
+    for name in ("t", "step", "work", "dissipated"):
+        assert getattr(back.state, name) == getattr(run.state, name)
+    np.testing.assert_array_equal(back.state.q, run.state.q)
+    np.testing.assert_array_equal(back.state.qd, run.state.qd)
+    assert back.state.checkpoint.keys() == run.state.checkpoint.keys()
+    for name, value in run.state.checkpoint.items():
+        np.testing.assert_array_equal(back.state.checkpoint[name], value, err_msg=name)
+        assert type(back.state.checkpoint[name]) is type(value)
+
+
+def test_a_failed_run_keeps_its_status(tmp_path):
+    made_up(status="diverged", message="it blew up at 0.6 s").to_netcdf(tmp_path / "run.nc")
+    back = read_trajectory(tmp_path / "run.nc")
+    assert (back.status, back.message) == ("diverged", "it blew up at 0.6 s")
+
+
+def test_missing_empty_and_truncated_files_are_named(tmp_path):
+    path = tmp_path / "run.nc"
+    with pytest.raises(FileProblem, match=r"no file .*run\.nc"):
+        read_trajectory(path)
+    made_up().to_netcdf(path)
+    whole = path.read_bytes()
+    for size in (0, 100, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:size])
+        with pytest.raises(FileProblem, match="truncated"):
+            read_trajectory(path)
+    path.write_text("t,th1\n0,0\n")
+    with pytest.raises(FileProblem, match="of another kind"):
+        read_trajectory(path)
+
+
+def test_foreign_netcdf_is_refused(tmp_path):
+    import xarray as xr
+
+    path = tmp_path / "other.nc"
+    xr.Dataset({"q": ("time", [1.0])}).to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(InvalidInput, match="not a hyperflex trajectory"):
+        read_trajectory(path)
+    made_up().dataset.drop_vars("qd").to_netcdf(path, engine="h5netcdf")
+    with pytest.raises(FileProblem, match="cannot be read"):  # our attributes, but no state group
+        read_trajectory(path)
+
+
+def test_a_trajectory_without_a_variable_is_refused(tmp_path):
+    from hyperflex.trajectory.netcdf import write
+
+    run = made_up()
+    write(tmp_path / "run.nc", run.dataset.drop_vars(["qd", "base"]), run.state)
+    with pytest.raises(InvalidInput, match=r"lacks parts.*qd.*base"):
+        read_trajectory(tmp_path / "run.nc")
+
+
+def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
+    import xarray as xr
+
+    path = tmp_path / "run.nc"
+    made_up().to_netcdf(path)
+    before = path.read_bytes()
+
+    def interrupted(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(xr.Dataset, "to_netcdf", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        made_up(seed=2).to_netcdf(path)
+    assert path.read_bytes() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.nc"]
