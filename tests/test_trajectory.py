@@ -55,9 +55,11 @@ def test_joints_follow_the_links_and_end_at_the_tip():
         np.linalg.norm(np.diff(run.joints, axis=1), axis=2), np.tile(LENGTH, (SAMPLES, 1)), 1e-14
     )
     straight = made_up(q=np.zeros((SAMPLES, LINKS)))
-    np.testing.assert_allclose(straight.tip, straight.base - [0.0, 1.0], atol=1e-15)  # hanging: one metre below
+    np.testing.assert_allclose(
+        straight.tip, straight.base - np.array([0.0, 1.0]), atol=1e-15
+    )  # hanging: one metre below
     sideways = made_up(q=np.full((SAMPLES, LINKS), np.pi / 2))
-    np.testing.assert_allclose(sideways.tip, sideways.base + [1.0, 0.0], atol=1e-15)  # towards +x
+    np.testing.assert_allclose(sideways.tip, sideways.base + np.array([1.0, 0.0]), atol=1e-15)  # towards +x
 
 
 def test_tip_velocity_is_the_derivative_of_the_tip():

@@ -1,0 +1,180 @@
+"""The tip's pseudo-energy and spiral coordinates: how far a rope has been pumped up, and the phase of its swing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+
+
+@dataclass(frozen=True, eq=False)
+class Spiral:
+    """Polar coordinates of the tip's horizontal motion, (c dx/dt, x) = r (cos theta, sin theta).
+
+    Attributes
+    ----------
+    t : (T,) float64
+        Time, s.
+    x : (T,) float64
+        Horizontal tip position, m.
+    scaled_velocity : (T,) float64
+        c dx/dt, m.
+    r : (T,) float64
+        Radius, m: the amplitude that a harmonic swing of angular frequency 1/c would have.
+    theta : (T,) float64
+        Phase, rad, unwrapped; a harmonic swing at 1/c advances by exactly 1/c in a second.
+    c : float
+        Time constant, s.
+    """
+
+    t: Array
+    x: Array
+    scaled_velocity: Array
+    r: Array
+    theta: Array
+    c: float
+
+
+def spiral(t: object, x: object, velocity: object, c: float) -> Spiral:
+    """Turn the tip's horizontal motion into spiral coordinates.
+
+    Parameters
+    ----------
+    t : (T,) array_like
+        Time, s, strictly increasing, with several samples to a swing (the phase is unwrapped between neighbours).
+    x, velocity : (T,) array_like
+        Horizontal position, m, and velocity, m/s, of the tip.
+    c : float
+        Time constant sqrt(M/K), s, > 0: the square root of mass over pseudo-elastic coefficient.
+
+    Returns
+    -------
+    Spiral
+
+    Raises
+    ------
+    InvalidInput
+        Arrays of unequal length, values that are not finite, or a time constant that is not positive.
+
+    Notes
+    -----
+    Paper eqs. (10) and (11). The printed (10) reads sqrt((c x)^2 + x^2); the derivation from (9) gives
+    sqrt((c dx/dt)^2 + x^2), which is what stands here. The phase uses the two-argument arctangent, so that it keeps
+    its quadrant where (11) alone would jump.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 6.0, 601)
+    >>> swing = spiral(t, 0.5 * np.sin(t / 0.4), 0.5 / 0.4 * np.cos(t / 0.4), c=0.4)
+    >>> bool(np.allclose(swing.r, 0.5)), bool(np.allclose(swing.theta, t / 0.4))
+    (True, True)
+    """
+    times = checks.times("t", t)
+    place = checks.array("x", x, times.shape, unit="m")
+    scale = checks.number("c", c, sign="positive", unit="s")
+    scaled = scale * checks.array("velocity", velocity, times.shape, unit="m/s")
+    theta = np.unwrap(np.arctan2(place, scaled))
+    return Spiral(times, place, scaled, np.hypot(scaled, place), theta, scale)
+
+
+def pseudo_energy(x: Array, velocity: Array, mass: float, c: float) -> Array:
+    """Return the pseudo-energy E = M/2 (dx/dt)^2 + K/2 x^2 with K = M / c^2.
+
+    Parameters
+    ----------
+    x, velocity : (T,) float64
+        Horizontal position, m, and velocity, m/s, of the tip.
+    mass : float
+        Total mass M of the rope, kg, > 0.
+    c : float
+        Time constant sqrt(M/K), s, > 0.
+
+    Returns
+    -------
+    (T,) float64
+        E in J; r of :func:`spiral` is sqrt(2 E / K).
+
+    Notes
+    -----
+    Paper eq. (9). No energy of the rope itself: a measure of the tip's horizontal swing.
+    """
+    total = checks.number("mass", mass, sign="positive", unit="kg")
+    stiffness = total / checks.number("c", c, sign="positive", unit="s") ** 2
+    return np.asarray(0.5 * total * velocity**2 + 0.5 * stiffness * x**2)
+
+
+def driving_constant(t_move: float, t_rest: float) -> float:
+    """Return the time constant c = (t_move + t_rest) / pi of a swing in step with the arm, s.
+
+    The arm goes there and back in 2 (t_move + t_rest), so c is one over its angular frequency; the paper's 0.40 s
+    and 0.34 s are this figure for its success and (inferred) failure.
+    """
+    whole = checks.number("t_move", t_move, sign="positive", unit="s")
+    return (whole + checks.number("t_rest", t_rest, sign="nonnegative", unit="s")) / np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class PhasePortrait:
+    """The tip in the plane (x, c dx/dt), cut into the stretches in which the arm moves and rests.
+
+    Attributes
+    ----------
+    moving, resting : list of (k, 2) float64
+        Stretches of the path, points (x, c dx/dt), m. Neighbours share their end point.
+    starts, ends : (m, 2) float64
+        Where an arm motion starts and where it ends.
+    """
+
+    moving: list[Array]
+    resting: list[Array]
+    starts: Array
+    ends: Array
+
+
+def phase_portrait(tip: Spiral, intervals: Array) -> PhasePortrait:
+    """Cut the tip's path into stretches of arm motion and of rest.
+
+    Parameters
+    ----------
+    tip : Spiral
+        Its motion.
+    intervals : (m, 2) float64
+        Start and end of each arm motion, s, in order and without overlap. What lies outside the time of `tip`
+        is left out; a motion that is cut off by its end has no end point.
+
+    Returns
+    -------
+    PhasePortrait
+
+    Raises
+    ------
+    InvalidInput
+        Intervals that overlap or run backwards.
+    """
+    spans = checks.array("intervals", intervals, (-1, 2), unit="s")
+    if (np.diff(spans.ravel()) < 0.0).any():
+        raise InvalidInput(
+            "intervals overlap or run backwards", got=spans.tolist(), allowed="start <= end <= next start"
+        )
+    t = tip.t
+    inside = spans.ravel()[(spans.ravel() > t[0]) & (spans.ravel() < t[-1])]
+    knots = np.unique(np.concatenate([t, inside]))
+    path = np.stack([np.interp(knots, t, tip.x), np.interp(knots, t, tip.scaled_velocity)], axis=1)
+    cuts = np.unique(np.concatenate([[0], np.searchsorted(knots, inside), [knots.size - 1]]))
+    moving, resting = [], []
+    for first, last in pairwise(cuts):
+        middle = 0.5 * (knots[first] + knots[last])
+        moves = bool(((spans[:, 0] <= middle) & (middle <= spans[:, 1])).any())
+        (moving if moves else resting).append(path[first : last + 1])
+    return PhasePortrait(moving, resting, _points(spans[:, 0], knots, path), _points(spans[:, 1], knots, path))
+
+
+def _points(instants: Array, knots: Array, path: Array) -> Array:
+    """Return the path (k, 2) at those instants that lie within its time."""
+    within = instants[(instants >= knots[0]) & (instants <= knots[-1])]
+    return np.stack([np.interp(within, knots, path[:, axis]) for axis in (0, 1)], axis=1)

@@ -1,0 +1,82 @@
+"""Pseudo-energy, spiral coordinates and the phase portrait of the tip: paper eqs. (9)-(11)."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hyperflex.control.pseudo_energy import driving_constant, phase_portrait, pseudo_energy, spiral
+from hyperflex.errors import InvalidInput
+
+
+@given(st.floats(0.05, 5.0), st.floats(0.01, 3.0), st.floats(-3.0, 3.0))
+def test_a_harmonic_swing_has_constant_radius_and_a_straight_phase(c, amplitude, start):
+    t = np.linspace(0.0, 20.0 * c, 801)
+    swing = spiral(t, amplitude * np.sin(t / c + start), amplitude / c * np.cos(t / c + start), c)
+    np.testing.assert_allclose(swing.r, amplitude, rtol=1e-12)  # sin^2 + cos^2 = 1 up to rounding
+    # The phase passes through arctan2 of values rounded to 2e-16 and 6 turns of unwrapping.
+    np.testing.assert_allclose(swing.theta - swing.theta[0], t / c, atol=1e-11)
+
+
+@given(st.floats(0.05, 5.0), st.floats(0.01, 10.0), st.floats(-3.0, 3.0), st.floats(-9.0, 9.0))
+def test_radius_is_the_root_of_twice_the_energy_over_the_stiffness(c, mass, x, velocity):
+    place, speed = np.array([x]), np.array([velocity])
+    stiffness = mass / c**2
+    expected = np.sqrt(2.0 * pseudo_energy(place, speed, mass, c) / stiffness)
+    np.testing.assert_allclose(spiral([0.0], place, speed, c).r, expected, rtol=1e-12, atol=1e-150)
+
+
+def test_quadrants_of_the_phase():
+    # Moving right through the middle 0, standing on the right pi/2, moving left through the middle pi, and so on.
+    swing = spiral([0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 0.0, -1.0, 0.0], [1.0, 0.0, -1.0, 0.0, 1.0], 0.4)
+    np.testing.assert_allclose(swing.theta, np.arange(5) * np.pi / 2, atol=1e-15)
+
+
+def test_the_papers_two_constants_are_the_driving_period():
+    assert round(driving_constant(0.73, 0.53), 2) == 0.40
+    assert round(driving_constant(0.73, 0.34), 2) == 0.34
+
+
+def test_portrait_is_cut_at_the_instants_of_the_arm():
+    t = np.linspace(0.0, 10.0, 101)
+    swing = spiral(t, np.sin(t), np.cos(t), 1.0)
+    portrait = phase_portrait(swing, np.array([[0.0, 1.234], [3.0, 4.567], [9.0, 11.0]]))
+    assert [len(portrait.moving), len(portrait.resting)] == [3, 2]
+    chain = [portrait.moving[0], portrait.resting[0], portrait.moving[1], portrait.resting[1], portrait.moving[2]]
+    for before, after in pairwise(chain):
+        np.testing.assert_array_equal(before[-1], after[0])
+    # Linear interpolation at 0.1 s of a unit sine: off by at most 0.1^2/8.
+    np.testing.assert_allclose(portrait.starts, np.stack([np.sin([0, 3, 9]), np.cos([0, 3, 9])], axis=1), atol=1.3e-3)
+    ends = np.array([1.234, 4.567])  # the motion that outlasts the record has no end point
+    np.testing.assert_allclose(portrait.ends, np.stack([np.sin(ends), np.cos(ends)], axis=1), atol=1.3e-3)
+
+
+def test_a_portrait_without_arm_motion_is_all_rest():
+    t = np.linspace(0.0, 1.0, 11)
+    portrait = phase_portrait(spiral(t, np.sin(t), np.cos(t), 1.0), np.empty((0, 2)))
+    assert not portrait.moving
+    assert [len(portrait.resting), len(portrait.starts)] == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"c": 0.0}, "c has the wrong sign"),
+        ({"c": np.nan}, "c is not finite"),
+        ({"x": [0.0, np.nan]}, r"x\[1\] cannot be used"),
+        ({"velocity": [0.0]}, "velocity has the wrong shape"),
+        ({"t": [1.0, 0.0]}, "t goes back in time"),
+    ],
+)
+def test_bad_input_is_named(change, message):
+    with pytest.raises(InvalidInput, match=message):
+        spiral(**{"t": [0.0, 1.0], "x": [0.0, 0.1], "velocity": [0.0, 0.1], "c": 0.4, **change})
+
+
+def test_overlapping_intervals_are_refused():
+    with pytest.raises(InvalidInput, match="overlap"):
+        phase_portrait(spiral([0.0, 1.0], [0.0, 1.0], [1.0, 0.0], 0.4), np.array([[0.0, 0.6], [0.5, 0.9]]))
