@@ -1,0 +1,57 @@
+"""What every test shares: the real recordings, the hypothesis profiles, a Matplotlib without a screen."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import matplotlib
+import pytest
+from hypothesis import HealthCheck, settings
+
+WANT = "real recordings not found"
+
+matplotlib.use("Agg")
+
+# The first example compiles kernels, so a deadline would time the compiler; "ci" draws the same examples in each run.
+settings.register_profile("dev", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("ci", parent=settings.get_profile("dev"), derandomize=True, database=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "dev"))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--require-data",
+        action="store_true",
+        help="fail, rather than skip, where a test needs real recordings that are not there",
+    )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if "data_dir" in getattr(item, "fixturenames", ()):
+            item.add_marker("data")
+
+
+def recordings_folder(root: Path) -> Path:
+    """Return $HYPERFLEX_DATA if it is set, else shared/data beside the project."""
+    named = os.environ.get("HYPERFLEX_DATA")
+    return Path(named).expanduser() if named else root.parent / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def data_dir(pytestconfig: pytest.Config) -> Path:
+    """Folder of the real recordings; without it the test skips, or fails under --require-data."""
+    folder = recordings_folder(pytestconfig.rootpath)
+    if folder.is_dir():
+        return folder
+    reason = f"{WANT}: no folder {folder} (set HYPERFLEX_DATA to where they are)"
+    if pytestconfig.getoption("--require-data") or os.environ.get("HYPERFLEX_DATA"):
+        pytest.fail(reason, pytrace=False)
+    pytest.skip(reason)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    skipped = terminalreporter.stats.get("skipped", [])
+    count = sum(WANT in str(report.longrepr) for report in skipped)
+    terminalreporter.write_line(f"skipped for want of data: {count}")
