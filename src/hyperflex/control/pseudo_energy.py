@@ -166,7 +166,8 @@ def phase_portrait(tip: Spiral, intervals: Array) -> PhasePortrait:
     knots = np.unique(np.concatenate([t, inside]))
     path = np.stack([np.interp(knots, t, tip.x), np.interp(knots, t, tip.scaled_velocity)], axis=1)
     cuts = np.unique(np.concatenate([[0], np.searchsorted(knots, inside), [knots.size - 1]]))
-    moving, resting = [], []
+    moving: list[Array] = []
+    resting: list[Array] = []
     for first, last in pairwise(cuts):
         middle = 0.5 * (knots[first] + knots[last])
         moves = bool(((spans[:, 0] <= middle) & (middle <= spans[:, 1])).any())
