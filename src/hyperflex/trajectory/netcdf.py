@@ -22,7 +22,7 @@ _CHECKPOINT = "checkpoint_"
 
 def write(path: str | Path, run: xr.Dataset, state: State) -> None:
     """Write a run (the dataset of a trajectory) and its final state to `path`, whole or not at all."""
-    with files.atomic(path) as temporary:
+    with files.atomic_path(path) as temporary:
         _save(run, temporary, group=None)
         _save(_state_dataset(state), temporary, group=_STATE_GROUP)
 
