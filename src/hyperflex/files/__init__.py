@@ -1,0 +1,28 @@
+"""Whole-or-nothing writing, and reading of number tables (CSV) and settings (TOML): the ground floor, beside errors.
+
+A file is written under a temporary name in the same folder, forced to the disk and then renamed, so that whoever looks
+sees the earlier file or the complete new one, never a part: not after a full disk, a crash or Ctrl-C either.
+"""
+
+from __future__ import annotations
+
+from hyperflex.files._reading import read_bytes, read_text
+from hyperflex.files._tables import read_notes, read_table, write_table
+from hyperflex.files._toml import dumps_toml, loads_toml, read_toml, write_toml
+from hyperflex.files._writing import PathLike, atomic, atomic_path, write_text
+
+__all__ = [
+    "PathLike",
+    "atomic",
+    "atomic_path",
+    "dumps_toml",
+    "loads_toml",
+    "read_bytes",
+    "read_notes",
+    "read_table",
+    "read_text",
+    "read_toml",
+    "write_table",
+    "write_text",
+    "write_toml",
+]

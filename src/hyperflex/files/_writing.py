@@ -1,0 +1,137 @@
+"""Writing wholly or not at all: temporary name in the same folder, forced to the disk, then renamed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, Literal
+
+from hyperflex.errors import FileProblem, HyperflexError
+
+PathLike = str | os.PathLike[str]
+
+_NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_NO_SPACE_TEXT = re.compile(r"No space left|File too large|quota exceeded", re.IGNORECASE)
+
+
+@contextmanager
+def atomic_path(path: PathLike) -> Iterator[Path]:
+    """Give a temporary path beside `path` to write to; put it in place when the block ends well.
+
+    For libraries that open files by name. The temporary name keeps the suffix of `path`.
+
+    Parameters
+    ----------
+    path : path-like
+        Where the file shall stand in the end. A link is followed; the folder must exist.
+
+    Yields
+    ------
+    pathlib.Path
+        An empty file in the same folder. It is removed if the block raises anything, KeyboardInterrupt included.
+
+    Raises
+    ------
+    FileProblem
+        When the folder is missing, `path` is no regular file, the disk is full, or writing fails otherwise. The
+        message says whether an earlier file still stands.
+    """
+    target = _target(path)
+    part = target.with_name(f".{target.stem[:40]}.{secrets.token_hex(4)}.part{target.suffix}")
+    try:
+        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        yield part
+        _settle(part, target)
+    except HyperflexError:
+        raise
+    except OSError as error:
+        raise _write_problem(target, error) from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic(path: PathLike, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
+    """Open `path` for writing so that it changes wholly or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Where the file shall stand in the end.
+    mode : {"w", "wb"}
+        Text (UTF-8, line feeds) or bytes.
+
+    Yields
+    ------
+    file object
+        What is written to it appears at `path` when the block ends without an exception.
+
+    Raises
+    ------
+    FileProblem
+        As for :func:`atomic_path`.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> folder = pathlib.Path(tempfile.mkdtemp())
+    >>> with atomic(folder / "note.txt") as file:
+    ...     _ = file.write("hanging")
+    >>> (folder / "note.txt").read_text()
+    'hanging'
+    """
+    text = {"encoding": "utf-8", "newline": "\n"} if mode == "w" else {}
+    with atomic_path(path) as part, part.open(mode, **text) as file:  # type: ignore[call-overload]
+        yield file
+
+
+def write_text(path: PathLike, text: str) -> None:
+    """Write `text` (UTF-8) to `path`, wholly or not at all. Raises FileProblem as :func:`atomic_path` does."""
+    with atomic(path) as file:
+        file.write(text)
+
+
+def _target(path: PathLike) -> Path:
+    """Return the real path to write to, or say why it cannot be written."""
+    target = Path(os.path.realpath(path))
+    try:
+        kind = target.stat().st_mode
+    except FileNotFoundError:
+        kind = None
+    except OSError as error:
+        raise FileProblem(f"{target} cannot be reached: {error.strerror}.") from error
+    if kind is not None and stat.S_ISDIR(kind):
+        raise FileProblem(f"{target} is a folder, not a file. Add a file name.")
+    if kind is not None and not stat.S_ISREG(kind):
+        raise FileProblem(f"{target} is a device or pipe. Only regular files can be written; give another path.")
+    if not target.parent.is_dir():
+        raise FileProblem(f"The folder {target.parent} does not exist. Create it first, or give another path.")
+    return target
+
+
+def _settle(part: Path, target: Path) -> None:
+    """Force `part` to the disk and rename it to `target`, which keeps its permissions."""
+    descriptor = os.open(part, os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+    if target.exists():
+        part.chmod(stat.S_IMODE(target.stat().st_mode))
+    part.replace(target)
+
+
+def _write_problem(target: Path, error: OSError) -> FileProblem:
+    """Turn a system error into one that says what happened to the user's file."""
+    stands = "The earlier file still stands unchanged" if target.exists() else "Nothing was written"
+    if error.errno in _NO_SPACE or _NO_SPACE_TEXT.search(str(error)):
+        return FileProblem(f"{target} could not be written: no space left. {stands}. Free some space and try again.")
+    if isinstance(error, PermissionError):
+        return FileProblem(f"{target} could not be written: no permission. {stands}. Give a path you may write to.")
+    return FileProblem(f"{target} could not be written: {error}. {stands}.")

@@ -1,0 +1,266 @@
+"""files: whole-or-nothing writing, CSV tables, TOML."""
+
+from __future__ import annotations
+
+import errno
+import io
+import math
+import os
+import stat
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hyperflex import files
+from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
+
+
+def listing(folder: Path) -> set[str]:
+    return {entry.name for entry in folder.iterdir()}
+
+
+# ---- writing
+
+
+def test_atomic_writes_text_and_bytes(tmp_path: Path) -> None:
+    with files.atomic(tmp_path / "a.txt") as file:
+        file.write("güte\n")
+    with files.atomic(tmp_path / "b.bin", "wb") as file:
+        file.write(b"\x00\r\n")
+    assert (tmp_path / "a.txt").read_bytes() == "güte\n".encode()
+    assert (tmp_path / "b.bin").read_bytes() == b"\x00\r\n"
+    assert listing(tmp_path) == {"a.txt", "b.bin"}
+
+
+@pytest.mark.parametrize("raised", [KeyboardInterrupt, SystemExit, ValueError, MemoryError])
+@pytest.mark.parametrize("before", [None, "earlier"])
+def test_nothing_changes_when_the_block_raises(tmp_path: Path, raised: type[BaseException], before: str | None) -> None:
+    path = tmp_path / "out.txt"
+    if before:
+        path.write_text(before)
+
+    def spoil() -> None:
+        with files.atomic(path) as file:
+            file.write("half of it")
+            file.flush()
+            raise raised
+
+    with pytest.raises(raised):
+        spoil()
+    assert listing(tmp_path) == ({"out.txt"} if before else set())
+    assert not before or path.read_text() == before
+
+
+def test_nobody_sees_a_part_while_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "out.txt"
+    path.write_text("earlier")
+    with files.atomic(path) as file:
+        file.write("later")
+        file.flush()
+        assert path.read_text() == "earlier"
+    assert path.read_text() == "later"
+
+
+def test_permissions_and_links_stay(tmp_path: Path) -> None:
+    path, link = tmp_path / "out.txt", tmp_path / "link.txt"
+    path.write_text("earlier")
+    path.chmod(0o640)
+    link.symlink_to(path)
+    files.write_text(link, "later")
+    assert link.is_symlink()
+    assert path.read_text() == "later"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_a_new_file_gets_the_usual_permissions(tmp_path: Path) -> None:
+    (tmp_path / "plain").write_text("")
+    files.write_text(tmp_path / "ours", "")
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+class FullDisk(io.StringIO):
+    def write(self, text: str) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize(("before", "words"), [("earlier", "still stands"), (None, "Nothing was written")])
+def test_full_disk_says_what_became_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str | None, words: str
+) -> None:
+    path = tmp_path / "out.txt"
+    if before:
+        path.write_text(before)
+    monkeypatch.setattr(Path, "open", lambda *_, **__: FullDisk())
+    with pytest.raises(FileProblem, match=f"no space left.*{words}"):
+        files.write_text(path, "text")
+    monkeypatch.undo()
+    assert listing(tmp_path) == ({"out.txt"} if before else set())
+    assert not before or path.read_text() == before
+
+
+def test_a_failing_flush_to_the_disk_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fsync(_: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(FileProblem, match="Input/output error"):
+        files.write_text(tmp_path / "out.txt", "text")
+    assert listing(tmp_path) == set()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a file size limit")
+def test_a_real_limit_on_file_size_leaves_the_earlier_file(tmp_path: Path) -> None:
+    path = tmp_path / "out.txt"
+    path.write_text("earlier")
+    script = textwrap.dedent(f"""
+        import resource
+        from hyperflex import files
+        from hyperflex.errors import FileProblem
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+        try:
+            files.write_text({str(path)!r}, "x" * 100_000)
+        except FileProblem as error:
+            print(error)
+    """)
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "no space left" in run.stdout
+    assert "earlier file still stands" in run.stdout
+    assert path.read_text() == "earlier"
+    assert listing(tmp_path) == {"out.txt"}
+
+
+def test_targets_that_cannot_be_written_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FileProblem, match="is a folder"):
+        files.write_text(tmp_path, "")
+    with pytest.raises(FileProblem, match=r"does not exist\. Create it"):
+        files.write_text(tmp_path / "no" / "out.txt", "")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FileProblem, match="device or pipe"):
+        files.write_text(tmp_path / "pipe", "")
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+
+
+def test_other_errors_pass_through_unchanged(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="mass"), files.atomic(tmp_path / "out.txt"):
+        raise InvalidInput("mass is negative")
+
+
+# ---- tables
+
+
+def table(tmp_path: Path, text: str | bytes) -> Path:
+    path = tmp_path / "table.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", ""])
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
+def test_reads_a_table(tmp_path: Path, end: str, mark: bytes) -> None:
+    text = (end or "\n").join(["# unit: rad", 't, "th1"', "0.0,1e-3", "", "0.5,", "1.0,nan"]) + end
+    names, values = files.read_table(table(tmp_path, mark + text.encode()))
+    assert names == ["t", "th1"]
+    np.testing.assert_array_equal(values, [[0.0, 1e-3], [0.5, np.nan], [1.0, np.nan]])
+    assert files.read_notes(tmp_path / "table.csv") == {"unit": "rad"}
+
+
+BAD_TABLES = {
+    "empty": ("", FileProblem, "is empty"),
+    "blank": ("\n\n", InvalidInput, "holds no table"),
+    "header only": ("t,th1\n", InvalidInput, "no rows"),
+    "no header": ("0.0,1.0\n0.1,1.1\n", InvalidInput, "has no header"),
+    "unnamed": ("t,\n0.0,1.0\n", InvalidInput, "without a name"),
+    "repeated": ("t,th1,th1\n0.0,1.0,1.0\n", InvalidInput, "same name.*'th1'"),
+    "ragged": ("t,th1\n0.0\n0.1,1.1\n", InvalidInput, "line 2.*Mend"),
+    "cut in a row": ("t,th1,th2\n0.0,1.0,2.0\n0.1,1.", InvalidInput, "line 3.*cut off"),
+    "cut before a cell": ("t,th1\n0.0,1.0\n0.1,", InvalidInput, "line 3.*cut off"),
+    "word": ("t,th1\n0.0,1.0\n0.1,high\n", InvalidInput, "line 3, column 'th1'.*'high'"),
+    "semicolons": ("t;th1\n0,0;1,0\n", InvalidInput, "semicolons.*decimal commas"),
+    "tabs": ("t\tth1\n0.0\t1.0\n", InvalidInput, "tabs"),
+    "decimal comma": ("t,th1\n0,0,1,0\n", InvalidInput, "line 2.*decimal comma"),
+    "binary": (b"\x89HDF\r\n\x1a\n\x00\xff", FileProblem, "not a text table"),
+    "null bytes": (b"t,th1\n\x00,1\n", FileProblem, "binary"),
+    "utf-16": ("t,th1\n0,1\n".encode("utf-16"), FileProblem, "UTF-16"),
+}
+
+
+@pytest.mark.parametrize(("text", "error", "match"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
+def test_bad_tables_are_refused_with_their_place(
+    tmp_path: Path, text: str | bytes, error: type[HyperflexError], match: str
+) -> None:
+    with pytest.raises(error, match=match):
+        files.read_table(table(tmp_path, text))
+
+
+def test_missing_files_and_folders_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FileProblem, match=r"no table .*gone\.csv"):
+        files.read_table(tmp_path / "gone.csv")
+    with pytest.raises(FileProblem, match="is a folder"):
+        files.read_table(tmp_path)
+
+
+@given(st.lists(st.lists(st.floats(), min_size=2, max_size=2), min_size=1, max_size=5))
+def test_tables_come_back_bit_for_bit(tmp_path_factory: pytest.TempPathFactory, rows: list[list[float]]) -> None:
+    path = tmp_path_factory.mktemp("t") / "table.csv"
+    files.write_table(path, ["t", "x, y"], rows, notes={"unit": "m"})
+    names, values = files.read_table(path)
+    assert names == ["t", "x, y"]
+    np.testing.assert_array_equal(values, np.array(rows))  # equal, not close: repr of a float is exact
+    np.testing.assert_array_equal(np.signbit(values[values == 0.0]), np.signbit(np.array(rows)[values == 0.0]))
+
+
+def test_table_that_does_not_fit_its_names_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="any x 2"):
+        files.write_table(tmp_path / "t.csv", ["a", "b"], [[1.0, 2.0, 3.0]])
+    with pytest.raises(InvalidInput, match="same name"):
+        files.write_table(tmp_path / "t.csv", ["a", "a"], [[1.0, 2.0]])
+    assert listing(tmp_path) == set()
+
+
+# ---- TOML
+
+KEYS = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+VALUES = st.one_of(
+    st.booleans(),
+    st.integers(-(2**63), 2**63 - 1),
+    st.floats(allow_nan=False),
+    st.text(st.characters(exclude_categories=["Cs"]), max_size=8),
+    st.lists(st.floats(allow_nan=False), max_size=4),
+)
+TABLES = st.recursive(
+    st.dictionaries(KEYS, VALUES, max_size=4), lambda inner: st.dictionaries(KEYS, VALUES | inner, max_size=4)
+)
+
+
+@given(TABLES)
+def test_toml_comes_back_equal(content: dict[str, object]) -> None:
+    assert files.loads_toml(files.dumps_toml(content)) == content  # floats equal, not close: repr is exact
+
+
+def test_toml_takes_numpy_and_odd_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "rope.toml"
+    files.write_toml(path, {"rope": {"mass": np.array([0.1, 1e-16]), "n": np.int64(3), "limit": math.inf}})
+    assert files.read_toml(path) == {"rope": {"mass": [0.1, 1e-16], "n": 3, "limit": math.inf}}
+
+
+def test_toml_refuses_what_it_cannot_hold(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match=r"rope\.mass cannot be written"):
+        files.write_toml(tmp_path / "a.toml", {"rope": {"mass": None}})
+    assert listing(tmp_path) == set()
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "match"),
+    [("", FileProblem, "empty"), ("mass = \n", InvalidInput, "line 1"), ("[rope\n", InvalidInput, "rope.toml")],
+)
+def test_bad_toml_is_refused(tmp_path: Path, text: str, error: type[HyperflexError], match: str) -> None:
+    path = tmp_path / "rope.toml"
+    path.write_text(text)
+    with pytest.raises(error, match=match):
+        files.read_toml(path)
