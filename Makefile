@@ -1,0 +1,50 @@
+# Each target sets up .venv by itself, from constraints.txt; Python 3.11 or newer and make are all that must be there.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+WORKERS ?= 2
+BIN := .venv/bin
+INSTALLED := .venv/.installed
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+.PHONY: help demo test lint docs bench clean
+.DEFAULT_GOAL := help
+
+help: ## this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s%s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@echo "  PYTHON=python3.12 picks the interpreter, WORKERS=4 the processes of the tests,"
+	@echo "  REQUIRE_DATA=1 makes tests fail where real recordings are missing."
+
+demo: $(INSTALLED) ## recording -> identified rope -> cast: a folder of figures, an animation and a report
+	$(BIN)/hyperflex demo
+
+test: $(INSTALLED) ## kernels once without the compiler, then the whole suite
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q tests/core
+	$(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(if $(filter 1,$(REQUIRE_DATA)),--require-data)
+
+lint: $(INSTALLED) ## ruff, mypy, import-linter
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache --no-logo
+
+docs: $(INSTALLED) ## the documentation, into site/
+	$(BIN)/mkdocs build --strict --quiet
+	@echo "Open site/index.html"
+
+bench: $(INSTALLED) ## speed and accuracy, beside MuJoCo in the same run
+	$(BIN)/python benchmarks/run.py
+
+clean: ## remove what the other targets made, except .venv
+	rm -rf site build dist demo-output .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find src tests docs benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" && $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "No Python 3.11 or newer found. Install one, or name it: make PYTHON=/path/to/python3 ..." >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+		{ echo "This Python has no venv module (on Debian and Ubuntu: apt install python3-venv)." >&2; exit 1; }
+	@echo "Setting up .venv with the pinned packages: about a minute, once."
+	@test -x $(BIN)/pip || $(PYTHON) -m venv .venv
+	@$(PIP) hatchling editables
+	@$(PIP) --no-build-isolation --editable '.[dev]'
+	@touch $@
