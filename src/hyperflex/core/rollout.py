@@ -1,0 +1,222 @@
+"""The run loop: error control, restarts at switches, output between steps, a mark to go on from."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.core import lanes as ln
+from hyperflex.core import status
+from hyperflex.core.chain import Array, accelerations, energies, sincos
+from hyperflex.core.drive import base_state, segment
+from hyperflex.core.jit import kernel
+from hyperflex.core.steppers import extrapolate, rates, runge_kutta
+
+
+class Limits(NamedTuple):
+    """What bounds a run."""
+
+    stop: float  # s, run until here
+    tol: float  # m, local error allowed in the position of any joint
+    lever: Array  # (n,) m, how far a link's angle moves mass: the larger of its length and its radius of gyration
+    fixed: float  # s, fixed Runge-Kutta step; 0.0: extrapolation with error control
+    budget: int  # steps of one call, so that callers can show progress and be interrupted
+
+
+class Progress(NamedTuple):
+    """Where a run is; all arrays are changed in place."""
+
+    y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
+    mark: Array  # (2 n + 2,) the state before the step that was cut short to end at `stop`
+    clock: Array  # (7,) see the names below
+
+
+T, STEP, MARK_T, MARK_STEP, INDEX, TAKEN, REJECTED = range(7)
+LARGEST_STEP = 0.25  # s
+SMALLEST_STEP = 1e-10  # s
+
+
+def _hermite(derivatives: int) -> Array:
+    """Coefficients (basis, power) of the Hermite basis on -1, 0, 1 with the given derivatives (0..k) at each node."""
+    count = 3 * (derivatives + 1)
+    rows = [
+        [math.perm(power, d) * node ** (power - d) if power >= d else 0.0 for power in range(count)]
+        for d in range(derivatives + 1)
+        for node in (-1.0, 0.0, 1.0)
+    ]
+    return np.linalg.inv(np.array(rows)).T.copy()
+
+
+_ANGLES = _hermite(2)  # (9, 9): value, first and second derivative at three nodes
+_SUMS = _hermite(1)  # (6, 6): value and first derivative
+
+
+@kernel
+def error_norm(chain, limits, y, error, step):  # type: ignore[no-untyped-def]
+    """Largest error of any joint's position, and of its velocity times the step, in units of the tolerance."""
+    n = chain.length.size
+    x = vx = z = vz = worst = 0.0
+    for i in range(n):
+        sin, cos = sincos(y[i])
+        a = limits.lever[i] * error[i]
+        b = limits.lever[i] * error[n + i] * step
+        x += cos * a
+        z += sin * a
+        vx += cos * b
+        vz += sin * b
+        worst = max(worst, x * x + z * z, vx * vx + vz * vz)
+        if not (worst < np.inf):
+            return np.inf
+    return math.sqrt(worst) / limits.tol
+
+
+@kernel
+def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
+    """State at theta in -1..1 within a step from its values ys (3, 2 n + 2) and derivatives dys at -1, 0, 1.
+
+    Angles follow the polynomial of degree 8 through angles, rates and accelerations; rates are its derivative; work
+    and dissipation follow one of degree 5. The error is far below that of the step itself (docs/models.md).
+    """
+    n = (ys.shape[1] - 2) // 2
+    half = 0.5 * step
+    value = np.zeros(9)
+    slope = np.zeros(9)
+    for b in range(9):
+        for k in range(9):
+            value[b] += _ANGLES[b, k] * theta**k
+            if k > 0:
+                slope[b] += _ANGLES[b, k] * k * theta ** (k - 1)
+    for i in range(n):
+        q = w = 0.0
+        for k in range(3):
+            rate = half * ys[k, n + i]
+            bend = half * half * dys[k, n + i]
+            q += value[k] * ys[k, i] + value[3 + k] * rate + value[6 + k] * bend
+            w += slope[k] * ys[k, i] + slope[3 + k] * rate + slope[6 + k] * bend
+        out[i] = q
+        out[n + i] = w / half
+    for i in range(2 * n, 2 * n + 2):
+        total = 0.0
+        for b in range(6):
+            node = b % 3
+            weight = 0.0
+            for k in range(6):
+                weight += _SUMS[b, k] * theta**k
+            total += weight * (ys[node, i] if b < 3 else half * dys[node, i])
+        out[i] = total
+
+
+@kernel
+def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no-untyped-def]
+    """Run until ``limits.stop`` or until the budget is spent; O(n) a step.
+
+    Parameters
+    ----------
+    chain, drive, table, limits, progress : Chain, Drive, Scheme, Limits, Progress
+    t_out : (m,) increasing times, s, at which to write the state
+    y_out : (m, 2 n + 2) out; row k is written once the run has passed t_out[k]
+
+    Returns
+    -------
+    int : OK, RUNNING (call again), STEP_TOO_SMALL or NOT_FINITE; `progress` tells how far it came.
+    """
+    n = chain.length.size
+    y, mark, clock = progress.y, progress.mark, progress.clock
+    out = np.empty(2 * n + 2)
+    error = np.zeros(2 * n + 2)
+    ys = np.empty((3, 2 * n + 2))
+    dys = np.empty((3, 2 * n + 2))
+    stage = np.empty((3, 2 * n + 2))
+    work = np.empty((n, 8))
+    base = np.zeros((ln.LANES, 9))
+    lanes = np.zeros((n + 2) * ln.ROW)
+    ln.load(chain, lanes)
+    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= clock[T]:
+        y_out[int(clock[INDEX])] = y
+        clock[INDEX] += 1
+    part = segment(drive, clock[T])
+    marked = False
+    for _ in range(limits.budget):
+        t = clock[T]
+        if t >= limits.stop:
+            break
+        if t >= part.end:
+            part = segment(drive, t)
+        end = min(part.end, limits.stop)
+        wanted = limits.fixed if limits.fixed > 0.0 else min(clock[STEP], LARGEST_STEP)
+        cut = t + wanted * (1.0 + 1e-9) >= end
+        step = end - t if cut else wanted
+        if cut and limits.stop < part.end and not marked:
+            marked = True
+            mark[:] = y
+            clock[MARK_T] = t
+            clock[MARK_STEP] = clock[STEP]
+        if limits.fixed > 0.0:
+            runge_kutta(chain, drive, part, t, step, y, out, stage, work)
+            size = 0.0 if np.abs(out[: 2 * n]).max() < np.inf else np.inf
+        else:
+            extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base)
+            size = error_norm(chain, limits, out, error, step)
+        clock[TAKEN] += 1
+        if not (size <= 1.0):
+            clock[REJECTED] += 1
+            shrink = 0.2 if not (size < np.inf) else max(0.2, 0.9 * size ** (-1.0 / table.order))
+            clock[STEP] = step * shrink
+            if limits.fixed > 0.0:
+                return status.NOT_FINITE
+            if clock[STEP] < SMALLEST_STEP:
+                return status.STEP_TOO_SMALL
+            continue
+        t_new = end if cut else t + step
+        if clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < t_new:
+            ys[0], ys[2] = y, out
+            if limits.fixed > 0.0:
+                runge_kutta(chain, drive, part, t, 0.5 * step, y, ys[1], stage, work)
+            else:
+                extrapolate(chain, drive, part, table, t, 0.5 * step, y, ys[1], error, lanes, base)
+            for k in range(3):
+                rates(chain, drive, part, t + 0.5 * k * step, ys[k], dys[k], work)
+            while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < t_new:
+                index = int(clock[INDEX])
+                interpolate(2.0 * (t_out[index] - t) / step - 1.0, step, ys, dys, y_out[index])
+                clock[INDEX] += 1
+        y[:] = out
+        clock[T] = t_new
+        while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= t_new:
+            y_out[int(clock[INDEX])] = y
+            clock[INDEX] += 1
+        if limits.fixed == 0.0:
+            grown = step * min(3.0, 0.9 * max(size, 1e-12) ** (-1.0 / table.order))
+            clock[STEP] = max(grown, clock[STEP]) if cut else grown
+    if clock[T] < limits.stop:
+        return status.RUNNING
+    if not marked:
+        mark[:] = y
+        clock[MARK_T] = clock[T]
+        clock[MARK_STEP] = clock[STEP]
+    return status.OK
+
+
+@kernel
+def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-untyped-def]
+    """What a run looks like at given states: accelerations, base motion, energies, motor torque.
+
+    Parameters
+    ----------
+    t : (m,) times, s; y : (m, 2 n + 2) states
+    qdd : (m, n) out, rad/s^2
+    base_out : (m, 9) out, motion of the first joint (``drive.base_state``)
+    scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m
+    """
+    n = chain.length.size
+    work = np.empty((n, 8))
+    for k in range(t.size):
+        base = base_out[k]
+        torque = base_state(drive, segment(drive, t[k]), t[k], base)
+        q, w = y[k, :n], y[k, n : 2 * n]
+        fx, fy, moment = accelerations(chain, q, w, base[:7], torque, 0.0, qdd[k], work)
+        kinetic, potential = energies(chain, q, w, (base[7], base[8], base[5], base[6], base[4], base[3]))
+        scalars[k, 0], scalars[k, 1] = kinetic, potential
+        scalars[k, 2], scalars[k, 3], scalars[k, 4] = fx, fy, moment + torque

@@ -1,0 +1,30 @@
+"""Status codes of rollouts, each with a name and advice for the user."""
+
+from __future__ import annotations
+
+from typing import Final
+
+OK: Final = 0
+RUNNING: Final = 1  # the step budget of one call is spent; call again
+STEP_TOO_SMALL: Final = 2
+NOT_FINITE: Final = 3
+ENERGY: Final = 4
+
+NAMES: Final = {
+    OK: "ok",
+    RUNNING: "running",
+    STEP_TOO_SMALL: "step too small",
+    NOT_FINITE: "not finite",
+    ENERGY: "energy not balanced",
+}
+
+ADVICE: Final = {
+    OK: "",
+    RUNNING: "",
+    STEP_TOO_SMALL: "the tolerance cannot be met. Loosen tol, add joint friction, or look for links whose "
+    "mass and inertia are nearly zero beside their neighbours'",
+    NOT_FINITE: "the motion left the range of numbers. Check q0, qd0 and the motion for wild values; with "
+    "method='rk4' take a smaller step",
+    ENERGY: "the energy of the rope changed by more than the motor and friction explain, so the result cannot be "
+    "trusted. Tighten tol; with method='rk4' take a smaller step",
+}

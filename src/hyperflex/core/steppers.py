@@ -1,0 +1,118 @@
+"""One step of each integrator. The state y (2 n + 2,) holds angles, rates, work put in and energy dissipated."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.core import lanes as ln
+from hyperflex.core.chain import accelerations, friction_power
+from hyperflex.core.drive import base_state
+from hyperflex.core.jit import kernel
+
+
+class Scheme(NamedTuple):
+    """Extrapolated linearly implicit Euler of fixed order p: column j takes j substeps, j = 1..p, packed into lanes."""
+
+    order: int
+    column: npt.NDArray[np.int64]  # (rounds, LANES) column that a lane works on in a round, 0: idle
+    best: npt.NDArray[np.float64]  # (p + 1,) weights of the columns in the result of order p
+    other: npt.NDArray[np.float64]  # (p + 1,) in the result of order p - 1 beside it, for the error estimate
+
+
+def scheme(order: int) -> Scheme:
+    """Build the table of the given order (2..7; seven fills four lanes without a gap)."""
+    best, other = np.zeros(order + 1), np.zeros(order + 1)
+    for j in range(1, order + 1):
+        best[j] = math.prod(j / (j - k) for k in range(1, order + 1) if k != j)
+        if j > 1:
+            other[j] = math.prod(j / (j - k) for k in range(2, order + 1) if k != j)
+    column = np.zeros((order, ln.LANES), dtype=np.int64)
+    for lane in range(ln.LANES):  # lane 0: column p; then p - j with j, which together take p substeps as well
+        long = order - lane
+        short = order - long
+        if long >= short and long > 0:
+            column[:long, lane] = long
+            if 0 < short < long:
+                column[long:, lane] = short
+    return Scheme(order, column, best, other)
+
+
+@kernel
+def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):  # type: ignore[no-untyped-def]
+    """Take one extrapolated step from y at time t; O(p^2 n / LANES).
+
+    Parameters
+    ----------
+    chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
+    y, out, error : (2 n + 2,) state, new state (out), its difference to the result of one order less (out)
+    lanes : ((n + 2) ROW,), loaded with the chain's parameters
+    base : (LANES, 9) scratch
+    """
+    n = chain.length.size
+    has_dry = False
+    for i in range(n):
+        has_dry = has_dry or chain.dry[i] != 0.0
+    out[:] = 0.0
+    error[:] = 0.0
+    done = np.zeros(ln.LANES, dtype=np.int64)
+    rounds = table.column.shape[0]
+    for k in range(rounds):
+        for j in range(ln.LANES):
+            col = table.column[k, j]
+            if col > 0 and (k == 0 or table.column[k - 1, j] != col):  # a column begins
+                for i in range(n):
+                    lanes[(i + 1) * ln.ROW + ln.Q + j] = y[i]
+                    lanes[(i + 1) * ln.ROW + ln.W + j] = y[n + i]
+                lanes[ln.WORK + j] = y[2 * n]
+                lanes[ln.DISSIPATED + j] = y[2 * n + 1]
+                done[j] = 0
+            h = step / col if col > 0 else 0.0
+            lanes[(n + 1) * ln.ROW + ln.STEP + j] = h
+            lanes[ln.EXTERNAL + j] = base_state(drive, part, t + done[j] * h, base[j])
+            done[j] += 1
+        ln.euler(chain, lanes, base, has_dry)
+        for j in range(ln.LANES):
+            col = table.column[k, j]
+            if col > 0 and (k == rounds - 1 or table.column[k + 1, j] != col):  # a column is complete
+                best = table.best[col]
+                gap = best - table.other[col]
+                for i in range(n):
+                    out[i] += best * lanes[(i + 1) * ln.ROW + ln.Q + j]
+                    out[n + i] += best * lanes[(i + 1) * ln.ROW + ln.W + j]
+                    error[i] += gap * lanes[(i + 1) * ln.ROW + ln.Q + j]
+                    error[n + i] += gap * lanes[(i + 1) * ln.ROW + ln.W + j]
+                out[2 * n] += best * lanes[ln.WORK + j]
+                out[2 * n + 1] += best * lanes[ln.DISSIPATED + j]
+                error[2 * n] += gap * lanes[ln.WORK + j]
+                error[2 * n + 1] += gap * lanes[ln.DISSIPATED + j]
+
+
+@kernel
+def rates(chain, drive, part, t, y, dy, work):  # type: ignore[no-untyped-def]
+    """Exact time derivative of the state, written to dy (2 n + 2,); `work` is (n, 8) scratch."""
+    n = chain.length.size
+    base = np.empty(9)
+    torque = base_state(drive, part, t, base)
+    w = y[n : 2 * n]
+    fx, fy, moment = accelerations(chain, y[:n], w, base[:7], torque, 0.0, dy[n : 2 * n], work)
+    dy[:n] = w
+    dy[2 * n] = fx * base[5] + fy * base[6] + moment * base[3] + torque * w[0]
+    dy[2 * n + 1] = friction_power(chain, w, base[3])
+
+
+@kernel
+def runge_kutta(chain, drive, part, t, step, y, out, stage, work):  # type: ignore[no-untyped-def]
+    """Take one classical fourth-order Runge-Kutta step; `stage` is (3, 2 n + 2) scratch, `work` (n, 8)."""
+    point, slope, total = stage[0], stage[1], stage[2]
+    rates(chain, drive, part, t, y, slope, work)
+    total[:] = slope
+    for k in range(3):
+        part_step = step if k == 2 else 0.5 * step
+        point[:] = y + part_step * slope
+        rates(chain, drive, part, t + part_step, point, slope, work)
+        total += slope if k == 2 else 2.0 * slope
+    out[:] = y + (step / 6.0) * total
