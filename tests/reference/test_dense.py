@@ -1,0 +1,94 @@
+"""The dense reference against Lagrange's equations and against what can be worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.reference import dense
+from tests.reference.cases import random_links, random_state
+from tests.reference.lagrange import friction_force, residual
+
+# Rounding of some hundred operations on terms that cancel: 1e-16 * 1e3, with a margin of ten.
+ROUNDING = 1e-12
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 6])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_dense_accelerations_satisfy_lagranges_equations(n: int, seed: int) -> None:
+    links, state = random_links(n, seed), random_state(n, seed)
+    answer = dense.accelerations(links, *state, torque=0.02)
+    left, force = residual(links, state.q, state.w, np.asarray(answer.alpha, float), state.base)
+    forces = friction_force(links, state.w, state.base[3])
+    forces[0] += 0.02
+    scale = np.abs(dense.mass_matrix(links, state.q)).max() * np.abs(answer.alpha).max()
+    np.testing.assert_allclose(left, forces, rtol=0, atol=float(ROUNDING * scale))
+    np.testing.assert_allclose(force, np.asarray(answer.force, float), rtol=0, atol=ROUNDING * np.abs(force).max())
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_printed_friction_acts_on_the_outer_link_only(n: int) -> None:
+    links, state = random_links(n, 3, reaction=0.0), random_state(n, 3)
+    answer = dense.accelerations(links, *state)
+    left, _ = residual(links, state.q, state.w, np.asarray(answer.alpha, float), state.base)
+    slip = np.diff(state.w, prepend=state.base[3])
+    printed = -links.viscous * slip - links.dry * np.tanh(slip / links.dry_rate)
+    scale = np.abs(dense.mass_matrix(links, state.q)).max() * np.abs(answer.alpha).max()
+    np.testing.assert_allclose(left, printed, rtol=0, atol=float(ROUNDING * scale))
+
+
+@pytest.mark.parametrize("n", [1, 3])
+@pytest.mark.parametrize("reaction", [0.0, 1.0])
+def test_the_implicit_answer_is_the_explicit_one_under_the_torques_at_the_end_of_the_step(
+    n: int, reaction: float
+) -> None:
+    """Viscous friction and springs are linear, so the implicit joints are exact: feed the end state to the torques."""
+    h = 0.01
+    links, state = random_links(n, 5, reaction=reaction)._replace(dry=np.zeros(n)), random_state(n, 5)
+    implicit = dense.accelerations(links, *state, h=h)
+    alpha = np.asarray(implicit.alpha, float)
+    w_end = state.w + h * alpha
+    parent_rate = state.base[3] + h * state.base[2]
+    end = dense.joints(links, state.q + h * w_end, w_end, (state.base[4] + h * parent_rate, parent_rate))
+    forces = end.friction_work @ end.friction + end.spring_work @ end.spring
+    left, _ = residual(links, state.q, state.w, alpha, state.base)
+    # `residual` holds the springs at the start of the step; take them out there and put them in at the end.
+    start = dense.joints(links, state.q, state.w, (state.base[4], state.base[3]))
+    left = left + start.spring_work @ start.spring
+    scale = np.abs(forces).max() + np.abs(left).max()
+    np.testing.assert_allclose(left, forces, rtol=0, atol=ROUNDING * scale)
+    assert float(implicit.torque) == pytest.approx(reaction * end.friction[0] + end.spring[0], abs=ROUNDING * scale)
+
+
+def test_the_slope_of_dry_friction_is_its_derivative() -> None:
+    h, n = 1e-3, 3
+    links, state = random_links(n, 8)._replace(dry_rate=3.0), random_state(n, 8)
+    parent = (state.base[4], state.base[3])
+    # Central difference with a relative step of 1e-5: truncation 1e-10, rounding 1e-11 of the slope.
+    eps = 1e-5
+    for i in range(n):
+        kick = np.zeros(n)
+        kick[i:] = eps  # turns the relative rate of joint i alone
+        up = dense.joints(links, state.q, state.w + kick, parent).friction[i]
+        down = dense.joints(links, state.q, state.w - kick, parent).friction[i]
+        slope = dense.joints(links, state.q, state.w, parent, h).friction_slope[i]
+        assert slope == pytest.approx(-h * (up - down) / (2 * eps), rel=1e-8)
+
+
+def test_one_link_is_the_textbook_pendulum() -> None:
+    links = random_links(1, 2, joints=False)._replace(gx=0.0)
+    q = np.array([0.7])
+    alpha = dense.accelerations(links, q, np.array([1.3]), np.zeros(7)).alpha
+    mass, length, com, tip = links.mass[0], links.length[0], links.com[0], links.tip_mass
+    about_pivot = links.inertia[0] + mass * com**2 + tip * length**2
+    assert float(alpha[0]) == pytest.approx(-9.81 * (mass * com + tip * length) * np.sin(0.7) / about_pivot, rel=1e-14)
+
+
+def test_refined_solve_keeps_the_digits_of_an_ill_conditioned_matrix() -> None:
+    if np.finfo(np.longdouble).eps > 1e-18:
+        pytest.skip("this platform's long double is a double")
+    links, state = random_links(200, 1), random_state(200, 1)
+    matrix = dense.mass_matrix(links, state.q, np.longdouble)
+    wanted = np.asarray(np.random.default_rng(0).normal(size=200), np.longdouble)
+    # Long double carries 1e-19; times a condition number of some 1e7 that leaves 1e-12 to spare for the 1e-10 tests.
+    assert np.abs(dense.solve(matrix, matrix @ wanted) - wanted).max() < 1e-11
