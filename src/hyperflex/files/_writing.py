@@ -52,6 +52,10 @@ def atomic_path(path: PathLike) -> Iterator[Path]:
         raise
     except OSError as error:
         raise _write_problem(target, error) from error
+    except RuntimeError as error:  # HDF5 reports a full disk like this when it closes a file
+        if not _NO_SPACE_TEXT.search(str(error)):
+            raise
+        raise _write_problem(target, error) from error
     finally:
         part.unlink(missing_ok=True)
 
@@ -127,10 +131,10 @@ def _settle(part: Path, target: Path) -> None:
     part.replace(target)
 
 
-def _write_problem(target: Path, error: OSError) -> FileProblem:
+def _write_problem(target: Path, error: OSError | RuntimeError) -> FileProblem:
     """Turn a system error into one that says what happened to the user's file."""
     stands = "The earlier file still stands unchanged" if target.exists() else "Nothing was written"
-    if error.errno in _NO_SPACE or _NO_SPACE_TEXT.search(str(error)):
+    if getattr(error, "errno", None) in _NO_SPACE or _NO_SPACE_TEXT.search(str(error)):
         return FileProblem(f"{target} could not be written: no space left. {stands}. Free some space and try again.")
     if isinstance(error, PermissionError):
         return FileProblem(f"{target} could not be written: no permission. {stands}. Give a path you may write to.")

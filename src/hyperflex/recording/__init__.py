@@ -1,0 +1,8 @@
+"""Measured data: link angles or marker positions with their times, gaps and noise, and readers for common files."""
+
+from __future__ import annotations
+
+from hyperflex.recording._read import read_recording
+from hyperflex.recording._recording import Recording
+
+__all__ = ["Recording", "read_recording"]
