@@ -1,0 +1,56 @@
+"""The paper's experiments as functions: set-ups, data of the figures, claims."""
+
+from hyperflex.paper.casting import (
+    DURATION,
+    OUTCOMES,
+    READINGS,
+    T_MOVE,
+    T_REST,
+    TIME_CONSTANT,
+    Cast,
+    Outcome,
+    Reading,
+    cable,
+    cast,
+    casting_arm,
+    run,
+)
+from hyperflex.paper.claims import (
+    Claim,
+    claims,
+    reach_table,
+    rise_phases,
+    steady_step_phase,
+    straight_phase,
+    success_over_failure,
+)
+from hyperflex.paper.figures import Table, casts, fig9, fig10, fig11, fig12
+
+__all__ = [
+    "DURATION",
+    "OUTCOMES",
+    "READINGS",
+    "TIME_CONSTANT",
+    "T_MOVE",
+    "T_REST",
+    "Cast",
+    "Claim",
+    "Outcome",
+    "Reading",
+    "Table",
+    "cable",
+    "cast",
+    "casting_arm",
+    "casts",
+    "claims",
+    "fig9",
+    "fig10",
+    "fig11",
+    "fig12",
+    "reach_table",
+    "rise_phases",
+    "run",
+    "steady_step_phase",
+    "straight_phase",
+    "success_over_failure",
+]

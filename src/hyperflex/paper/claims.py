@@ -1,0 +1,135 @@
+"""The paper's claims on casting (section IV), each measured against a threshold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.paper.casting import READINGS, Cast, Reading, cast
+
+WINDOW = 2.0  # s
+REACH_RATIO = 1.6
+STRAIGHTNESS = 0.995
+SETTLED = 2.0  # s, from when on theta(t) is fitted
+CONCENTRATION = 0.9
+NEARLY_FULL = 0.9  # share of the greatest r up to which the rope counts as being pumped up
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a claim demands and what was measured.
+
+    Attributes
+    ----------
+    name : str
+        "C2", "C3", "C4".
+    statement : str
+        The claim in words.
+    reading : Reading
+        The reading it was measured in.
+    measured : float
+        The measured value.
+    threshold : float
+        The least value at which the claim holds.
+    note : str
+        What else the measurement shows.
+    """
+
+    name: str
+    statement: str
+    reading: Reading
+    measured: float
+    threshold: float
+    note: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the measured value reaches the threshold."""
+        return self.measured >= self.threshold
+
+
+def reach_table(subject: Cast) -> Array:
+    """Return the greatest ``|x|`` of the tip in each 2 s from the start on, m."""
+    starts = np.arange(0.0, subject.t[-1] - 0.5 * WINDOW, WINDOW)
+    return np.array([subject.reach(start, start + WINDOW) for start in starts])
+
+
+def success_over_failure(reading: Reading) -> Claim:
+    """C2: a rest of 0.53 s pumps the rope up, 0.34 s does not.
+
+    Measured: the greatest ``|x|`` of the tip in 10-14 s, success over failure. Notes how far the failure's reach has
+    fallen from its peak ("steps decreasing" in Fig. 11).
+    """
+    success, failure = cast(reading, "success"), cast(reading, "failure")
+    ratio = success.reach(10.0, 14.0) / failure.reach(10.0, 14.0)
+    peaks = reach_table(failure)
+    note = (
+        f"{success.reach(10.0, 14.0):.2f} m against {failure.reach(10.0, 14.0):.2f} m; "
+        f"the failure peaks at {peaks.max():.2f} m and ends at {peaks[-1]:.2f} m"
+    )
+    return Claim(
+        "C2", "t_c = 0.53 s succeeds, 0.34 s fails: ratio of reach in 10-14 s", reading, ratio, REACH_RATIO, note
+    )
+
+
+def straight_phase(reading: Reading) -> Claim:
+    """C3: theta(t) of (11) is a straight line for the success; R^2 of the linear fit from 2 s on."""
+    swing = cast(reading, "success").spiral
+    late = swing.t >= SETTLED
+    slope, offset = np.polyfit(swing.t[late], swing.theta[late], 1)
+    residual = swing.theta[late] - (slope * swing.t[late] + offset)
+    straightness = 1.0 - residual.var() / swing.theta[late].var()
+    note = f"slope {slope:.3f} rad/s, 1/c = {1.0 / swing.c:.3f} rad/s; rms off the line {residual.std():.2f} rad"
+    return Claim("C3", "theta(t) is straight from 2 s on: R^2", reading, float(straightness), STRAIGHTNESS, note)
+
+
+def steady_step_phase(reading: Reading) -> Claim:
+    """C4: r rises step-wise, at the same phase of the arm's half cycle each time.
+
+    Measured: the mean resultant length of the phases (0 to 1 over a half cycle) at which dr/dt is greatest, over the
+    half cycles that begin before r has reached 90 % of its greatest value. Where the tip cracks like a whip r shows a
+    spike of a few milliseconds; that value is therefore taken from the running median of r over one half cycle, while
+    the rise itself is taken from r as it is.
+    """
+    subject = cast(reading, "success")
+    phases = rise_phases(subject)
+    mean = np.exp(2j * np.pi * phases).mean()
+    centre = float(np.angle(mean) / (2.0 * np.pi) % 1.0)
+    doing = "rests" if centre * subject.period > subject.intervals[0, 1] else "moves"
+    note = f"mean phase {centre:.2f} of the half cycle, when the arm {doing}; by half cycle: " + ", ".join(
+        f"{phase:.2f}" for phase in phases
+    )
+    return Claim(
+        "C4",
+        "r rises fastest at one phase of the arm's half cycle: concentration",
+        reading,
+        float(abs(mean)),
+        CONCENTRATION,
+        note,
+    )
+
+
+def rise_phases(subject: Cast) -> Array:
+    """Return the phase in [0, 1) at which r rises fastest in each half cycle until the rope is nearly pumped up."""
+    from scipy.ndimage import median_filter
+
+    t, r, period = subject.t, subject.spiral.r, subject.period
+    level = median_filter(r, size=2 * round(0.5 * period / (t[1] - t[0])) + 1, mode="nearest")
+    full = t[np.argmax(level >= NEARLY_FULL * level.max())]
+    rise = np.gradient(r, t)
+    phases = []
+    for start in np.arange(0.0, full, period):
+        within = np.flatnonzero((t >= start) & (t < start + period))
+        phases.append((t[within[np.argmax(rise[within])]] - start) / period)
+    return np.array(phases)
+
+
+def claims() -> list[Claim]:
+    """Measure C2, C3 and C4 in the four readings."""
+    return [
+        measure(reading)
+        for measure in (success_over_failure, straight_phase, steady_step_phase)
+        for reading in READINGS
+    ]

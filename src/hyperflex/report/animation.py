@@ -1,0 +1,190 @@
+"""Animations of a run: arm, rope and the tip's trail as a GIF, drawn with Pillow."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperflex import checks, files
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+Progress = Callable[[int, int], None]
+
+_NIGHT, _PALE, _WHITE = (12, 19, 34), (170, 182, 200), (255, 255, 255)
+_ROPE, _TRAIL, _GRID = (242, 212, 121), (79, 195, 192), (28, 38, 58)
+_FINE = 2  # drawn this much larger, then shrunk: smooth edges
+_COLOURS = 64
+_GHOSTS = 5
+
+
+@dataclass(frozen=True)
+class _View:
+    """Where metres lie on the canvas: origin (pixels of x = y = 0) and scale (pixels per metre)."""
+
+    width: int
+    height: int
+    origin: tuple[float, float]
+    scale: float
+
+    def pixels(self, points: Array) -> list[tuple[float, float]]:
+        x = self.origin[0] + self.scale * points[:, 0]
+        y = self.origin[1] - self.scale * points[:, 1]
+        return list(zip(x.tolist(), y.tolist(), strict=True))
+
+
+def animate(
+    run: Trajectory,
+    path: str | Path,
+    *,
+    start: float | None = None,
+    end: float | None = None,
+    frame_rate: int = 25,
+    speed: float = 1.0,
+    width: int = 640,
+    trail: float = 0.8,
+    title: str = "",
+    progress: Progress | None = None,
+) -> None:
+    """Write an animated GIF of a run, whole or not at all.
+
+    Parameters
+    ----------
+    run : Trajectory
+        What to show. A frame shows the sample next to its time, so samples should lie closer than frames.
+    path : str or Path
+        Where to write; must end in ``.gif``.
+    start, end : float, optional
+        Simulated time to show, s; the whole run by default.
+    frame_rate : {10, 20, 25, 50}
+        Frames per second; GIF counts in hundredths of a second.
+    speed : float
+        Simulated seconds per second of the film, > 0.
+    width : int
+        Of the picture, pixels; the height follows from the rope's reach.
+    trail : float
+        How long the tip's path stays visible, s.
+    title : str
+        Written in the upper left corner, above the time.
+    progress : callable, optional
+        Called with (frames done, frames in all).
+
+    Raises
+    ------
+    InvalidInput
+        Another suffix, frame rate, speed or span than allowed.
+    FileProblem
+        The file cannot be written.
+    """
+    if Path(path).suffix.lower() != ".gif":
+        raise InvalidInput("animation has an unknown kind of file", got=str(path), allowed="a name ending in .gif")
+    if frame_rate not in (10, 20, 25, 50):
+        raise InvalidInput(
+            "frame_rate does not fit a GIF", got=frame_rate, allowed="10, 20, 25 or 50 frames per second"
+        )
+    pace = checks.number("speed", speed, sign="positive") / frame_rate
+    first = run.t[0] if start is None else checks.number("start", start, unit="s")
+    last = run.t[-1] if end is None else checks.number("end", end, unit="s")
+    if not run.t[0] <= first < last <= run.t[-1]:
+        raise InvalidInput("span is not in the run", got=[first, last], allowed=f"{run.t[0]:g} to {run.t[-1]:g} s")
+    times = np.arange(first, last + 0.5 * pace, pace)
+    content = _gif(
+        _frames(run, times, _view(run, checks.count("width", width, least=64)), trail, title, progress), frame_rate
+    )
+    with files.atomic(path, "wb") as file:
+        file.write(content)
+
+
+def _gif(frames: Iterator[Image.Image], frame_rate: int) -> bytes:
+    from PIL import Image
+
+    first = next(frames)
+    palette = first.quantize(_COLOURS, method=Image.Quantize.MEDIANCUT)
+
+    def rest() -> Iterator[Image.Image]:
+        for frame in frames:
+            yield frame.quantize(palette=palette, dither=Image.Dither.NONE)
+
+    buffer = io.BytesIO()
+    head = first.quantize(palette=palette, dither=Image.Dither.NONE)
+    head.save(
+        buffer, format="GIF", save_all=True, append_images=rest(), duration=1000 // frame_rate, loop=0, optimize=False
+    )
+    return buffer.getvalue()
+
+
+def _view(run: Trajectory, width: int) -> _View:
+    """Fit everything that the rope and the arm reach into the canvas."""
+    points = run.joints.reshape(-1, 2)
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.06 * float((high - low).max())
+    low, high = low - margin, high + margin
+    high[1] += margin
+    scale = _FINE * width / (high[0] - low[0])
+    height = round((high[1] - low[1]) * scale / _FINE / 2) * 2
+    return _View(_FINE * width, _FINE * height, (float(-low[0] * scale), float(high[1] * scale)), float(scale))
+
+
+def _frames(
+    run: Trajectory, times: Array, view: _View, trail: float, title: str, progress: Progress | None
+) -> Iterator[Image.Image]:
+    from PIL import Image, ImageDraw, ImageFont
+
+    step = times[1] - times[0]
+    fonts = (ImageFont.load_default(14 * _FINE), ImageFont.load_default(12 * _FINE))
+    for number, time in enumerate(times):
+        image = Image.new("RGB", (view.width, view.height), _NIGHT)
+        draw = ImageDraw.Draw(image)
+        _draw_scene(draw, run, time, view, trail, step)
+        corner = 14 * _FINE
+        draw.text((corner, corner), title, fill=_WHITE, font=fonts[0])
+        draw.text((corner, corner + 20 * _FINE), f"t = {time:5.2f} s", fill=_PALE, font=fonts[1])
+        yield image.resize((view.width // _FINE, view.height // _FINE), Image.Resampling.BOX)
+        if progress is not None:
+            progress(number + 1, times.size)
+
+
+def _draw_scene(draw: Any, run: Trajectory, time: float, view: _View, trail: float, step: float) -> None:
+    def sample(instant: float) -> int:
+        return int(np.clip(np.searchsorted(run.t, instant), 0, run.t.size - 1))
+
+    now = sample(time)
+    origin = view.pixels(np.zeros((1, 2)))[0]
+    draw.line([(0, origin[1]), (view.width, origin[1])], fill=_GRID, width=_FINE)
+    draw.line([(origin[0], 0), (origin[0], view.height)], fill=_GRID, width=_FINE)
+    for ghost in range(_GHOSTS, 0, -1):
+        shape = view.pixels(run.joints[sample(max(time - ghost * step, run.t[0]))])
+        draw.line(shape, fill=_blend(_ROPE, 0.30 * (1.0 - ghost / (_GHOSTS + 1))), width=_FINE, joint="curve")
+    past = np.linspace(max(time - trail, run.t[0]), time, 80)
+    path = view.pixels(run.tip[[sample(instant) for instant in past]])
+    for k in range(len(path) - 1):
+        draw.line(path[k : k + 2], fill=_blend(_TRAIL, 0.15 + 0.75 * k / len(path)), width=2 * _FINE)
+    rope = view.pixels(run.joints[now])
+    draw.line(rope, fill=_ROPE, width=3 * _FINE, joint="curve")
+    _dot(draw, rope[-1], 4 * _FINE, _WHITE)
+    if run.setup.arm is not None:
+        turn = np.array([np.sin(run.arm_angle[now]), -np.cos(run.arm_angle[now])])
+        pivot = view.pixels((run.base[now] - run.setup.arm.length * turn)[None])[0]
+        draw.line([pivot, rope[0]], fill=_WHITE, width=5 * _FINE)
+        _dot(draw, pivot, 5 * _FINE, _WHITE)
+    else:
+        _dot(draw, rope[0], 4 * _FINE, _PALE)
+
+
+def _dot(draw: Any, centre: tuple[float, float], radius: float, colour: tuple[int, int, int]) -> None:
+    x, y = centre
+    draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=colour)
+
+
+def _blend(colour: tuple[int, int, int], part: float) -> tuple[int, int, int]:
+    """Mix `part` of a colour with the background."""
+    return tuple(round(part * c + (1.0 - part) * b) for c, b in zip(colour, _NIGHT, strict=True))  # type: ignore[return-value]

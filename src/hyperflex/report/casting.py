@@ -1,0 +1,138 @@
+"""Pictures of the paper's Figs. 9 to 12 from the casts of :mod:`hyperflex.paper`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperflex.paper import OUTCOMES, READINGS, T_REST, TIME_CONSTANT, Cast, Outcome, Reading
+from hyperflex.report.style import BLUE, GREY, INK, OUTCOME_COLOUR, look, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Casts = Mapping[tuple[Reading, Outcome], Cast]
+
+_DASH: dict[Outcome, Any] = {"success": "-", "failure": (0, (4.0, 1.6))}
+_NAME: dict[Outcome, str] = {
+    "success": f"success (rest {T_REST['success']:.2f} s)",
+    "failure": f"failure, inferred (rest {T_REST['failure']:.2f} s)",
+}
+_R_TOP = 3.0  # m, whip spikes of r are cut off here so that its steps can be seen
+
+
+def fig9(casts: Casts) -> Figure:
+    """Arm angle of success and failure, through the bottom and over the top."""
+    with look():
+        figure = new_figure(8.0, 3.6)
+        axes = figure.subplots(2, 1, sharex=True)
+        ways = (("under", "through the bottom"), ("over", "over the top"))
+        for axis, (path, title) in zip(axes, ways, strict=True):
+            reading = next(each for each in READINGS if each.path == path)
+            for outcome in reversed(OUTCOMES):
+                cast = casts[reading, outcome]
+                _line(axis, cast, np.degrees(cast.arm_angle), outcome)
+            axis.set_title(title)
+            axis.set_ylabel("arm, degrees")
+            axis.set_yticks([-90, 0, 90] if path == "under" else [-270, -180, -90])
+        _finish(figure, axes, "Actuation pattern (Fig. 9)")
+    return figure
+
+
+def fig10(casts: Casts) -> Figure:
+    """Tip position of success and failure in each reading."""
+    with look():
+        figure = new_figure(10.0, 8.4)
+        axes = figure.subplots(len(READINGS), 2, sharex=True, sharey="col")
+        for row, reading in zip(axes, READINGS, strict=True):
+            for axis, index, name in zip(row, (0, 1), ("x", "y"), strict=True):
+                for outcome in reversed(OUTCOMES):
+                    cast = casts[reading, outcome]
+                    _line(axis, cast, cast.tip[:, index], outcome)
+                axis.set_ylabel(f"tip {name}, m")
+            row[0].set_title(reading.title)
+        _finish(figure, axes, "Tip position, simulated (Fig. 10)")
+    return figure
+
+
+def fig11(casts: Casts) -> Figure:
+    """Spiral coordinates r and theta in each reading, with the arm of the success."""
+    with look():
+        figure = new_figure(10.0, 8.4)
+        axes = figure.subplots(len(READINGS), 2, sharex=True)
+        for row, reading in zip(axes, READINGS, strict=True):
+            success = casts[reading, "success"]
+            for start, end in success.intervals:
+                label = "the successful arm moves" if start == 0.0 else None
+                row[0].axvspan(start, min(end, success.t[-1]), color=BLUE, alpha=0.08, lw=0, label=label)
+            for outcome in reversed(OUTCOMES):
+                cast = casts[reading, outcome]
+                _line(row[0], cast, cast.spiral.r, outcome)
+                _line(row[1], cast, cast.spiral.theta, outcome)
+            swing = (success.arm_angle - success.arm_angle.min()) / np.ptp(success.arm_angle)
+            row[0].plot(success.t, 0.35 * swing - 0.45, color=GREY, lw=0.8)
+            row[0].set(ylim=(-0.55, _R_TOP), ylabel="r, m", title=reading.title)
+            row[1].set(ylabel="theta, rad")
+        _finish(figure, axes, "Spiral coordinates of the tip, simulated (Fig. 11)")
+    return figure
+
+
+def fig12(casts: Casts) -> Figure:
+    """Phase portraits, thick while the arm moves, thin while it rests; circles at its starts, crosses at its ends."""
+    with look():
+        figure = new_figure(11.0, 5.9)
+        axes = figure.subplots(len(OUTCOMES), len(READINGS), sharex="row", sharey="row")
+        for row, outcome in zip(axes, OUTCOMES, strict=True):
+            for axis, reading in zip(row, READINGS, strict=True):
+                _portrait(axis, casts[reading, outcome], OUTCOME_COLOUR[outcome])
+                axis.set_xlabel("x, m")
+            row[0].set_ylabel(f"{outcome}: c dx/dt, m   (c = {TIME_CONSTANT[outcome]:.2f} s)")
+        for axis, reading in zip(axes[0], READINGS, strict=True):
+            axis.set_title(reading.title.replace(", ", ",\n"), fontsize=8.5)
+        figure.suptitle(
+            "Phase portrait of the tip, simulated (Fig. 12). Thick: the arm moves; thin: it rests; "
+            "circle: start; cross: end of a motion",
+            x=0.01,
+            ha="left",
+            fontsize=9.5,
+            color=INK,
+        )
+    return figure
+
+
+def _portrait(axis: Any, cast: Cast, colour: str) -> None:
+    from matplotlib.collections import LineCollection
+
+    limit = 3.0
+    angle = np.linspace(0.0, 2.0 * np.pi, 181)
+    for radius in np.arange(0.5, 3.1, 0.5):
+        axis.plot(radius * np.cos(angle), radius * np.sin(angle), color="#dfe3e9", lw=0.7, zorder=0)
+    portrait = cast.portrait
+    axis.add_collection(LineCollection(portrait.resting, colors=colour, linewidths=0.6, alpha=0.8))
+    axis.add_collection(LineCollection(portrait.moving, colors=colour, linewidths=1.9, alpha=0.75))
+    axis.plot(*portrait.starts.T, "o", ms=4.0, mfc="white", mec=INK, mew=0.9)
+    axis.plot(*portrait.ends.T, "x", ms=4.5, mec=INK, mew=1.1)
+    axis.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
+    axis.grid(False)
+
+
+def _line(axis: Any, cast: Cast, values: Any, outcome: Outcome) -> None:
+    axis.plot(cast.t, values, color=OUTCOME_COLOUR[outcome], ls=_DASH[outcome], label=_NAME[outcome], lw=1.3)
+    axis.set_xlim(cast.t[0], cast.t[-1])
+
+
+def _finish(figure: Figure, axes: Any, title: str) -> None:
+    for axis in np.atleast_2d(axes)[-1] if np.ndim(axes) == 2 else [axes[-1]]:
+        axis.set_xlabel("time, s")
+    handles, labels = np.ravel(axes)[0].get_legend_handles_labels()
+    order = sorted(range(len(labels)), key=lambda k: (labels[k] not in _NAME.values(), labels[k] != _NAME["success"]))
+    figure.legend(
+        [handles[k] for k in order],
+        [labels[k] for k in order],
+        loc="outside upper right",
+        ncols=len(order),
+        fontsize=8.5,
+    )
+    figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK)
