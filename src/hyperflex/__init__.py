@@ -1,1 +1,55 @@
-"""hyperflex."""
+"""hyperflex: robots that use a rope as an arm. Identify it, simulate it, cast it.
+
+Public names are loaded on first use, so that ``import hyperflex`` stays quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hyperflex.identify import Identification, identify
+    from hyperflex.model import Arm, Rope, Setup
+    from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
+    from hyperflex.recording import Recording, read_recording
+    from hyperflex.simulation import simulate
+    from hyperflex.trajectory import State, Trajectory, read_trajectory
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Arm": "model",
+    "Identification": "identify",
+    "Motion": "motion",
+    "Recording": "recording",
+    "Rope": "model",
+    "Setup": "model",
+    "State": "trajectory",
+    "Trajectory": "trajectory",
+    "hold": "motion",
+    "identify": "identify",
+    "move": "motion",
+    "moving_point": "motion",
+    "read_motion": "motion",
+    "read_recording": "recording",
+    "read_trajectory": "trajectory",
+    "sampled": "motion",
+    "simulate": "simulation",
+    "swings": "motion",
+    "torque_profile": "motion",
+}
+
+__all__ = [*sorted(_HOMES), "__version__"]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'hyperflex' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"hyperflex.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -17,13 +17,14 @@ class Drive(NamedTuple):
     """Piecewise polynomials of arm angle (rad), pivot x, y (m) and torque (N m).
 
     Piece j holds from breaks[j] to breaks[j + 1] with coefficients coef[j] (4 channels, 6 ascending powers of the time
-    since breaks[j]); before the first break and, without a period, after the last one the end values stand still.
+    since breaks[j]). After the last break the pieces from `loop` on repeat for ever; where `loop` is negative, and before
+    the first break, the end values stand still.
     """
 
     breaks: npt.NDArray[np.float64]  # (k + 1,), s
     coef: npt.NDArray[np.float64]  # (k, 4, 6)
     switch: npt.NDArray[np.bool_]  # (k + 1,) where acceleration or torque jumps: integration restarts there
-    period: float  # s, inf: not repeated
+    loop: int  # first piece of those that repeat, -1: none
     arm_length: float  # m, from the pivot to the first joint
     torque_limit: float  # N m
 
@@ -46,26 +47,28 @@ def segment(drive, t):  # type: ignore[no-untyped-def]
     if t < breaks[0]:
         return Segment(-np.inf, breaks[0], 0.0, 0, -1)
     offset = 0.0
-    if drive.period < np.inf:
-        cycle = np.floor((t - breaks[0]) / drive.period)
-        offset = cycle * drive.period
-        # a switch that another cycle's arithmetic puts at t belongs to the right
-        if offset + drive.period + breaks[0] <= t:
-            offset = (cycle + 1.0) * drive.period
-    elif t >= breaks[k]:
-        return Segment(breaks[k], np.inf, 0.0, k, k - 1)
-    j = 0
+    begin = 0
+    if t >= breaks[k]:
+        if drive.loop < 0:
+            return Segment(breaks[k], np.inf, 0.0, k, k - 1)
+        begin = drive.loop
+        period = breaks[k] - breaks[begin]
+        cycle = np.floor((t - breaks[begin]) / period)
+        if cycle * period + breaks[k] <= t:  # the division rounded down at the very end of a cycle
+            cycle += 1.0
+        offset = cycle * period
+    j = begin
     while j < k - 1 and offset + breaks[j + 1] <= t:
         j += 1
     first = j
-    while first > 0 and not drive.switch[first]:
+    while first > begin and not drive.switch[first]:
         first -= 1
     last = j
     while last < k - 1 and not drive.switch[last + 1]:
         last += 1
     end = offset + breaks[last + 1]
-    if last == k - 1 and drive.period < np.inf:
-        end = (np.floor(offset / drive.period + 0.5) + 1.0) * drive.period + breaks[0]
+    if last == k - 1 and drive.loop < 0 and not drive.switch[k]:  # it comes to rest without a jump
+        end = np.inf
     return Segment(offset + breaks[first], end, offset, first, last)
 
 
@@ -85,19 +88,21 @@ def base_state(drive, part, t, base):  # type: ignore[no-untyped-def]
     Writes ``base`` (9,): acceleration x, y (m/s^2); alpha, rate, angle of the arm (rad/s^2, rad/s, rad); velocity x, y
     (m/s); position x, y (m). Returns the motor torque, N m.
     """
-    if part.last >= part.first:
+    k = drive.breaks.size - 1
+    still = part.last < part.first or (drive.loop < 0 and t > drive.breaks[k])
+    if still:  # before the first break or after the last one
+        j = 0 if part.first == 0 and part.last < 0 else k - 1
+        s = 0.0 if part.first == 0 and part.last < 0 else drive.breaks[k] - drive.breaks[k - 1]
+    else:
         j = part.first
         while j < part.last and part.offset + drive.breaks[j + 1] <= t:
             j += 1
         s = t - (part.offset + drive.breaks[j])
-    else:  # standing still, before the first break or after the last one
-        j = min(part.first, drive.breaks.size - 2)
-        s = 0.0 if part.first == 0 else drive.breaks[j + 1] - drive.breaks[j]
     angle, rate, alpha = polynomial(drive.coef[j, ANGLE], s)
     x, vx, ax = polynomial(drive.coef[j, X], s)
     y, vy, ay = polynomial(drive.coef[j, Y], s)
     torque, _, _ = polynomial(drive.coef[j, TORQUE], s)
-    if part.last < part.first:
+    if still:
         rate = alpha = vx = ax = vy = ay = torque = 0.0
     sin, cos = sincos(angle)
     length = drive.arm_length

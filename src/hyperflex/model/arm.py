@@ -1,0 +1,105 @@
+"""The arm that the motor turns, and its place in the chain where a torque drives it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.core.chain import Chain
+from hyperflex.errors import InvalidInput
+from hyperflex.model.rope import Rope
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A rigid arm on the motor's shaft; the rope hangs from its tip.
+
+    With a prescribed motion only `length` and `pivot` matter; inertia and friction matter where a torque drives it.
+
+    Parameters
+    ----------
+    length : float
+        From the shaft to the rope's first joint, m.
+    inertia : float
+        Moment of inertia of arm and rotor about the arm's centre of mass, kg m^2.
+    mass, com : float
+        Mass, kg, and distance of its centre from the shaft, m.
+    friction, dry_friction : float
+        Viscous, N m s/rad, and Coulomb friction, N m, of the shaft.
+    torque_limit : float
+        Greatest torque of the motor, N m.
+    pivot : (float, float)
+        Place of the shaft, m.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite or has the wrong sign.
+    """
+
+    length: float = 0.105
+    inertia: float = 0.0
+    mass: float = 0.0
+    com: float = 0.0
+    friction: float = 0.0
+    dry_friction: float = 0.0
+    torque_limit: float = math.inf
+    pivot: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for name, unit in (
+            ("length", "m"),
+            ("inertia", "kg m^2"),
+            ("mass", "kg"),
+            ("friction", "N m s/rad"),
+            ("dry_friction", "N m"),
+        ):
+            value = checks.number(f"arm {name}", getattr(self, name), sign="nonnegative", unit=unit)
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "com", checks.number("arm com", self.com, unit="m"))
+        limit = checks.number("arm torque_limit", self.torque_limit, sign="positive", unit="N m", infinite=True)
+        object.__setattr__(self, "torque_limit", limit)
+        x, y = checks.array("arm pivot", self.pivot, (2,), unit="m")
+        object.__setattr__(self, "pivot", (float(x), float(y)))
+
+    def table(self) -> dict[str, Any]:
+        """Return the ``[arm]`` table of a TOML file."""
+        return {**asdict(self), "pivot": list(self.pivot)}
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> Arm:
+        """Build an arm from an ``[arm]`` table."""
+        names = [f.name for f in fields(cls)]
+        if set(table) - set(names):
+            raise InvalidInput("arm table does not fit", got=sorted(table), allowed=", ".join(names))
+        return cls(**table)
+
+    def chain(self, rope: Rope) -> Chain:
+        """Return arm and rope as one chain of n + 1 links, for a torque-driven arm.
+
+        Raises
+        ------
+        InvalidInput
+            If the arm has neither length nor inertia.
+        """
+        if self.length <= 0.0 or self.inertia + self.mass * self.com**2 < 0.0:
+            raise InvalidInput("a torque-driven arm needs a length", got=self.length, allowed="length > 0, in m")
+
+        def joined(own: float, links: checks.Array) -> checks.Array:
+            return np.concatenate([[own], links])
+
+        return rope.chain()._replace(
+            length=joined(self.length, rope.length),
+            mass=joined(self.mass, rope.mass),
+            com=joined(self.com, rope.com),
+            inertia=joined(self.inertia, rope.inertia),
+            viscous=joined(self.friction, rope.friction),
+            dry=joined(self.dry_friction, rope.dry_friction),
+            stiffness=joined(0.0, rope.stiffness),
+            rest=joined(0.0, rope.rest_angle),
+        )

@@ -1,0 +1,298 @@
+"""The rope: a planar chain of rigid links with per-link properties."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks, files
+from hyperflex.checks import Array
+from hyperflex.core.chain import Chain
+from hyperflex.errors import InvalidInput
+
+GRAVITY = (0.0, -9.81)  # m/s^2
+FRICTION_MODELS = ("relative", "printed")
+
+# per-link fields: (sign, unit)
+_LINK_FIELDS: dict[str, tuple[checks.Sign, str]] = {
+    "length": ("positive", "m"),
+    "mass": ("nonnegative", "kg"),
+    "com": ("any", "m"),
+    "inertia": ("nonnegative", "kg m^2"),
+    "friction": ("nonnegative", "N m s/rad"),
+    "dry_friction": ("nonnegative", "N m"),
+    "stiffness": ("nonnegative", "N m/rad"),
+    "rest_angle": ("any", "rad"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Rope:
+    """A rope as a chain of n rigid links; also a tapered whip, or a real pendulum.
+
+    Joint i joins link i - 1 to link i; joint 0 joins the rope to the arm (or to the wall). All arrays are (n,); a
+    single number stands for all links.
+
+    Parameters
+    ----------
+    length : (n,) array_like
+        Link lengths, joint to joint, m. At least one of `length` and `mass` must be an array, to tell n.
+    mass : (n,) array_like
+        Link masses, kg.
+    com : (n,) array_like, optional
+        Distance of each centre of mass from the motor-side joint, m; by default half the length.
+    inertia : (n,) array_like, optional
+        About the centre of mass, kg m^2; by default the cylinder's m (3 r^2 + l^2) / 12.
+    friction : (n,) array_like
+        Viscous friction of the joints (eta), N m s/rad.
+    dry_friction : (n,) array_like
+        Coulomb friction of the joints, N m, smoothed as tanh(rate / dry_rate).
+    stiffness, rest_angle : (n,) array_like
+        Joint stiffness, N m/rad, and the relative angle at which it is at rest, rad.
+    tip_mass : float
+        Point mass at the far end of the last link, kg.
+    gravity : (2,) array_like
+        Gravity, x to the right and y upwards, m/s^2.
+    friction_model : {"relative", "printed"}
+        Whether joint friction acts on both links of a joint (physical), or on the outer one only, as the paper's
+        equation (4) prints it.
+    radius : float
+        Radius of the rope, m, for the default inertia, contact and drawing; 0 is allowed.
+    dry_rate : float
+        Rate below which dry friction falls off to zero, rad/s. A joint that should stick creeps at about this rate
+        times the part of the friction torque that loads it.
+    name : str
+        For reports.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite, has the wrong sign or the wrong shape, or a link has neither mass nor inertia.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> whip = hf.Rope(length=[0.1, 0.1, 0.1], mass=[0.03, 0.02, 0.01], friction=1e-4)
+    >>> whip.n_links
+    3
+    """
+
+    length: Array
+    mass: Array
+    com: Array = None  # type: ignore[assignment]
+    inertia: Array = None  # type: ignore[assignment]
+    friction: Array = 0.0  # type: ignore[assignment]
+    dry_friction: Array = 0.0  # type: ignore[assignment]
+    stiffness: Array = 0.0  # type: ignore[assignment]
+    rest_angle: Array = 0.0  # type: ignore[assignment]
+    tip_mass: float = 0.0
+    gravity: Array = GRAVITY  # type: ignore[assignment]
+    friction_model: Literal["relative", "printed"] = "relative"
+    radius: float = 0.0
+    dry_rate: float = 1e-3
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        sizes = {np.size(getattr(self, name)) for name in _LINK_FIELDS if np.ndim(getattr(self, name)) == 1}
+        if len(sizes) != 1 or 0 in sizes:
+            raise InvalidInput(
+                "rope arrays do not tell one number of links",
+                got={name: np.shape(getattr(self, name)) for name in ("length", "mass")},
+                allowed="arrays (n,) of one length n >= 1, and single numbers",
+            )
+        n = sizes.pop()
+        checked: dict[str, Any] = {"radius": checks.number("radius", self.radius, sign="nonnegative", unit="m")}
+
+        def per_link(name: str, value: Any) -> None:
+            sign, unit = _LINK_FIELDS[name]
+            checked[name] = checks.array(f"rope {name}", value, (n,), sign=sign, unit=unit, scalar=True)
+
+        per_link("length", self.length)
+        per_link("mass", self.mass)
+        length, mass = checked["length"], checked["mass"]
+        per_link("com", 0.5 * length if self.com is None else self.com)
+        cylinder = mass * (3.0 * checked["radius"] ** 2 + length**2) / 12.0
+        per_link("inertia", cylinder if self.inertia is None else self.inertia)
+        for name in ("friction", "dry_friction", "stiffness", "rest_angle"):
+            per_link(name, getattr(self, name))
+        checked["tip_mass"] = checks.number("tip_mass", self.tip_mass, sign="nonnegative", unit="kg")
+        checked["gravity"] = checks.array("gravity", self.gravity, (2,), unit="m/s^2")
+        checked["dry_rate"] = checks.number("dry_rate", self.dry_rate, sign="positive", unit="rad/s")
+        checks.choice("friction_model", self.friction_model, FRICTION_MODELS)
+        empty = checked["inertia"] + mass * checked["com"] ** 2 <= 0.0
+        if checked["tip_mass"] > 0.0:
+            empty[-1] = False
+        if empty.any():
+            raise InvalidInput(
+                f"link {int(np.argmax(empty))} has no inertia about its joint",
+                got=0.0,
+                allowed="a mass away from the joint, or an inertia > 0, for every link",
+            )
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def uniform(
+        cls,
+        length: float,
+        mass: float,
+        n_links: int,
+        radius: float = 0.0,
+        inertia: float | None = None,
+        friction: float = 0.0,
+        **others: Any,
+    ) -> Rope:
+        """Cut a uniform cable into equal links.
+
+        Parameters
+        ----------
+        length, mass : float
+            Of the whole cable, m and kg.
+        n_links : int
+            Number of links, at least 1.
+        radius : float
+            Of the cable, m; may be 0.
+        inertia : float, optional
+            Of one link about its centre of mass, kg m^2; by default the cylinder's.
+        friction : float
+            Viscous friction of each joint, N m s/rad.
+        **others
+            Any other field of :class:`Rope`, for instance ``friction_model="printed"``.
+
+        Raises
+        ------
+        InvalidInput
+            As :class:`Rope` does.
+
+        Examples
+        --------
+        The paper's cable:
+
+        >>> import hyperflex as hf
+        >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+        >>> f"{cable.inertia[0]:.3e}"
+        '3.372e-07'
+        """
+        n = checks.count("n_links", n_links)
+        total = checks.number("length", length, sign="positive", unit="m")
+        weight = checks.number("mass", mass, sign="nonnegative", unit="kg")
+        link_mass = np.full(n, weight / n)
+        unknown = set(others) - {f.name for f in fields(cls)}
+        if unknown:
+            raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(cls))
+        return cls(
+            np.full(n, total / n), link_mass, radius=radius, inertia=inertia, friction=friction, **others  # type: ignore[arg-type]
+        )
+
+    @property
+    def n_links(self) -> int:
+        """Number of links."""
+        return int(self.length.size)
+
+    @property
+    def total_length(self) -> float:
+        """Length of the straight rope, m."""
+        return float(self.length.sum())
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of all links and of the tip mass, kg."""
+        return float(self.mass.sum() + self.tip_mass)
+
+    @property
+    def hanging_angle(self) -> float:
+        """Link angle at which the rope hangs along gravity, rad (0 without gravity)."""
+        gx, gy = self.gravity
+        return float(np.arctan2(gx, -gy)) if (gx or gy) else 0.0
+
+    def replace(self, **changes: Any) -> Rope:
+        """Return a rope with some fields changed; com and inertia stay as they are unless named."""
+        unknown = set(changes) - {f.name for f in fields(self)}
+        if unknown:
+            raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(type(self)))
+        return replace(self, **changes)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all properties are equal, bit for bit."""
+        return isinstance(other, Rope) and all(
+            np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def chain(self) -> Chain:
+        """Return the arrays as the kernels take them."""
+        return Chain(
+            self.length,
+            self.mass,
+            self.com,
+            self.inertia,
+            self.friction,
+            self.dry_friction,
+            self.stiffness,
+            self.rest_angle,
+            self.tip_mass,
+            float(self.gravity[0]),
+            float(self.gravity[1]),
+            1.0 if self.friction_model == "relative" else 0.0,
+            self.dry_rate,
+        )
+
+    def table(self) -> dict[str, Any]:
+        """Return the ``[rope]`` table of a TOML file; equal entries are written once."""
+        content: dict[str, Any] = {"name": self.name, "n_links": self.n_links}
+        for name in _LINK_FIELDS:
+            value = getattr(self, name)
+            content[name] = float(value[0]) if (value == value[0]).all() else value.tolist()
+        content["tip_mass"] = self.tip_mass
+        content["gravity"] = self.gravity.tolist()
+        content["friction_model"] = self.friction_model
+        content["radius"] = self.radius
+        content["dry_rate"] = self.dry_rate
+        return content
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> Rope:
+        """Build a rope from a ``[rope]`` table: per-link values, or ``total_length``, ``total_mass`` and ``n_links``."""
+        content = dict(table)
+        n = checks.count("rope n_links", content.pop("n_links", None))
+        for total, each in (("total_length", "length"), ("total_mass", "mass")):
+            if total in content:
+                if each in content:
+                    raise InvalidInput(f"both {total} and {each} are given", got=content[total], allowed="one of them")
+                content[each] = checks.number(f"rope {total}", content.pop(total), sign="nonnegative") / n
+        unknown = set(content) - {f.name for f in fields(cls)}
+        if unknown or not {"length", "mass"} <= set(content):
+            raise InvalidInput("rope table does not fit", got=sorted(content), allowed="length, mass; " + _names(cls))
+        for name in _LINK_FIELDS:
+            if name in content and np.ndim(content[name]) == 0:
+                sign, unit = _LINK_FIELDS[name]
+                content[name] = np.full(n, checks.number(f"rope {name}", content[name], sign=sign, unit=unit))
+        return cls(**content)
+
+    def to_toml(self, path: str | Path) -> None:
+        """Write the rope to a TOML file, wholly or not at all."""
+        files.write_toml(path, {"rope": self.table()})
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Rope:
+        """Read a rope from the ``[rope]`` table of a TOML file.
+
+        Raises
+        ------
+        FileProblem, InvalidInput
+            If the file cannot be read, has no such table, or the table does not describe a rope.
+        """
+        content = files.read_toml(path)
+        if not isinstance(content.get("rope"), Mapping):
+            raise InvalidInput(f"{path} has no [rope] table", got=sorted(content), allowed="a table named rope")
+        return cls.from_table(content["rope"])
+
+
+def _names(cls: type) -> str:
+    return ", ".join(f.name for f in fields(cls))

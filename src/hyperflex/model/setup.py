@@ -1,0 +1,182 @@
+"""A whole simulation set-up, in TOML and out, and what the kernels need of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hyperflex import checks, files
+from hyperflex.checks import Array
+from hyperflex.core.chain import Chain
+from hyperflex.core.drive import TORQUE, Drive, X, Y
+from hyperflex.errors import InvalidInput
+from hyperflex.model.arm import Arm
+from hyperflex.model.rope import Rope
+from hyperflex.motion import Motion, from_spec, hold, to_spec
+
+METHODS = ("extrapolation", "rk4")
+DEFAULT_TOL = 1e-5  # m
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What :func:`hyperflex.simulate` runs.
+
+    Parameters
+    ----------
+    rope : Rope
+    motion : Motion, optional
+        Prescribed motion of the arm (or of the point that the rope hangs from); by default everything stands still.
+    arm : Arm, optional
+        None: the rope hangs from a fixed or moving point.
+    torque : Motion, optional
+        Torque on the arm; then the arm moves as it must, and `motion` may only move the pivot.
+    duration : float
+        Simulated time, s.
+    q0, qd0 : (n,) array_like, optional
+        Angles, rad, and rates, rad/s, at the start; by default the rope hangs at rest.
+    arm_angle0, arm_rate0 : float
+        Start of a torque-driven arm, rad and rad/s.
+    tol : float
+        Error that a step may make in the position of any joint, m.
+    method : {"extrapolation", "rk4"}
+    step : float, optional
+        Step of ``"rk4"``, s.
+
+    Raises
+    ------
+    InvalidInput
+        If values do not fit each other.
+    """
+
+    rope: Rope
+    motion: Motion | None = None
+    arm: Arm | None = None
+    torque: Motion | None = None
+    duration: float = 10.0
+    q0: Array | None = None
+    qd0: Array | None = None
+    arm_angle0: float = 0.0
+    arm_rate0: float = 0.0
+    tol: float = DEFAULT_TOL
+    method: str = "extrapolation"
+    step: float | None = None
+
+    def __post_init__(self) -> None:
+        n = self.rope.n_links
+        values: dict[str, Any] = {
+            "duration": checks.number("duration", self.duration, sign="positive", unit="s"),
+            "tol": checks.number("tol", self.tol, sign="positive", unit="m"),
+            "method": checks.choice("method", self.method, METHODS),
+            "arm_angle0": checks.number("arm_angle0", self.arm_angle0, unit="rad"),
+            "arm_rate0": checks.number("arm_rate0", self.arm_rate0, unit="rad/s"),
+        }
+        if (self.method == "rk4") != (self.step is not None):
+            raise InvalidInput("step belongs to method='rk4'", got=self.step, allowed="a step in s with rk4 alone")
+        if self.step is not None:
+            values["step"] = checks.number("step", self.step, sign="positive", unit="s")
+        for name, unit in (("q0", "rad"), ("qd0", "rad/s")):
+            if getattr(self, name) is not None:
+                values[name] = checks.array(name, getattr(self, name), (n,), unit=unit)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        self._check_drive()
+
+    def _check_drive(self) -> None:
+        turning = self.motion is not None and bool((self.motion.coef[:, 0] != 0.0).any())
+        if self.motion is not None and bool((self.motion.coef[:, TORQUE] != 0.0).any()):
+            raise InvalidInput("motion holds a torque", allowed="torque=... for a torque")
+        if self.arm is None and turning:
+            raise InvalidInput("motion turns an arm, but there is none", fix="Give arm=Arm(length=...)")
+        if self.torque is not None:
+            if self.arm is None:
+                raise InvalidInput("a torque needs an arm to act on", fix="Give arm=Arm(length=..., inertia=...)")
+            if turning:
+                raise InvalidInput("the arm cannot both follow a motion and be driven by a torque")
+            if self.torque.coef[:, :TORQUE].any():
+                raise InvalidInput("torque moves the arm or the pivot", allowed="a torque_profile(t, torque)")
+
+    @property
+    def torque_driven(self) -> bool:
+        """Whether the arm is moved by a torque, not by a prescribed motion."""
+        return self.torque is not None
+
+    def start(self) -> tuple[Array, Array]:
+        """Return angles and rates (n,) at the start; with a torque-driven arm (n + 1,), the arm first."""
+        n = self.rope.n_links
+        q = np.full(n, self.rope.hanging_angle) if self.q0 is None else self.q0
+        qd = np.zeros(n) if self.qd0 is None else self.qd0
+        if not self.torque_driven:
+            return q, qd
+        return np.append(self.arm_angle0, q), np.append(self.arm_rate0, qd)
+
+    def chain(self) -> Chain:
+        """Return the chain that the kernels integrate."""
+        return self.arm.chain(self.rope) if self.torque_driven and self.arm else self.rope.chain()
+
+    def drive(self) -> Drive:
+        """Return what moves the chain, as the kernels take it."""
+        source = self.torque or self.motion or hold(0.0)
+        coef = source.coef
+        if self.arm is not None and any(self.arm.pivot):
+            coef = coef.copy()
+            coef[:, X, 0] += self.arm.pivot[0]
+            coef[:, Y, 0] += self.arm.pivot[1]
+        prescribed = 0.0 if self.arm is None or self.torque_driven else self.arm.length
+        limit = math.inf if self.arm is None else self.arm.torque_limit
+        return Drive(source.breaks, coef, source.switch, source.loop, prescribed, limit)
+
+    def dumps(self) -> str:
+        """Return the set-up as TOML text, from which :meth:`loads` builds an equal one."""
+        content: dict[str, Any] = {"duration": self.duration, "tol": self.tol, "method": self.method}
+        if self.step is not None:
+            content["step"] = self.step
+        for name in ("q0", "qd0"):
+            value = getattr(self, name)
+            if value is not None:
+                content[name] = value.tolist()
+        content |= {"arm_angle0": self.arm_angle0, "arm_rate0": self.arm_rate0, "rope": self.rope.table()}
+        if self.arm is not None:
+            content["arm"] = self.arm.table()
+        for name, motion in (("motion", self.motion), ("torque", self.torque)):
+            if motion is not None:
+                content[name] = to_spec(motion)
+        return files.dumps_toml(content)
+
+    @classmethod
+    def loads(cls, text: str, name: str = "the set-up") -> Setup:
+        """Build a set-up from TOML text; `name` stands for it in messages."""
+        content = files.loads_toml(text, name)
+        names = {f.name for f in fields(cls)}
+        if set(content) - names or "rope" not in content:
+            raise InvalidInput(f"{name} does not fit", got=sorted(content), allowed="rope; " + ", ".join(sorted(names)))
+        for table in ("rope", "arm", "motion", "torque"):
+            if table in content and not isinstance(content[table], Mapping):
+                raise InvalidInput(f"{table} of {name} is not a table", got=content[table], allowed=f"[{table}]")
+        content["rope"] = Rope.from_table(content["rope"])
+        if "arm" in content:
+            content["arm"] = Arm.from_table(content["arm"])
+        for motion in ("motion", "torque"):
+            if motion in content:
+                content[motion] = from_spec(content[motion])
+        return cls(**content)
+
+    def to_toml(self, path: str | Path) -> None:
+        """Write the set-up to a TOML file, wholly or not at all."""
+        files.write_text(path, self.dumps())
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Setup:
+        """Read a set-up from a TOML file; motion files named in it are looked for beside it.
+
+        Raises
+        ------
+        FileProblem, InvalidInput
+            If the file cannot be read or does not describe a set-up.
+        """
+        return cls.loads(files.read_text(path), str(path))

@@ -1,0 +1,226 @@
+"""A motion: arm angle, pivot position and motor torque as piecewise polynomials of time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core.drive import ANGLE, TORQUE, X, Y
+from hyperflex.errors import InvalidInput
+
+CHANNELS = 4  # arm angle, pivot x, pivot y, torque
+POWERS = 6  # coefficients of a piece: up to the fifth power, which minimum jerk needs
+_MEET = 1e-9  # rad or m: how far two motions may be apart where one hands over to the other
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What drives the rope: arm angle (rad), pivot position (m) and motor torque (N m) as functions of time.
+
+    Build one with :func:`hold`, :func:`move`, :func:`swings`, :func:`sampled`, :func:`moving_point` or
+    :func:`torque_profile`; join two with :meth:`then`. Before its first break a motion stands still, and so it does
+    after its last one unless it repeats.
+
+    Parameters
+    ----------
+    breaks : (k + 1,) array
+        Times at which the pieces begin and end, s.
+    coef : (k, 4, 6) array
+        Coefficients of the pieces for angle, x, y and torque, ascending powers of the time since the piece began.
+    switch : (k + 1,) array of bool
+        Whether the acceleration (or torque) jumps at a break; the integration restarts there.
+    loop : int
+        The pieces from this one on repeat for ever after the last break; -1 if none do.
+    spec : mapping
+        How the motion was made, as it stands in a TOML file; empty for a motion joined from others.
+
+    Raises
+    ------
+    InvalidInput
+        If shapes do not fit, a number is not finite, or the breaks do not increase.
+    """
+
+    breaks: Array
+    coef: Array
+    switch: npt.NDArray[np.bool_]
+    loop: int = -1
+    spec: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        breaks = checks.times("motion breaks", self.breaks, least=2)
+        coef = checks.array("motion coefficients", self.coef, (breaks.size - 1, CHANNELS, POWERS))
+        switch = np.array(self.switch, dtype=np.bool_)
+        if switch.shape != breaks.shape:
+            raise InvalidInput("motion switch has the wrong shape", got=switch.shape, allowed=f"shape {breaks.shape}")
+        loop = checks.count("motion loop", self.loop, least=-1)
+        if loop >= breaks.size - 1:
+            raise InvalidInput("motion loop is beyond the last piece", got=loop, allowed=f"-1 to {breaks.size - 2}")
+        switch.setflags(write=False)
+        for name, value in (("breaks", breaks), ("coef", coef), ("switch", switch), ("loop", loop)):
+            object.__setattr__(self, name, value)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether two motions are the same function of time, piece by piece and bit for bit."""
+        return (
+            isinstance(other, Motion)
+            and self.loop == other.loop
+            and np.array_equal(self.breaks, other.breaks)
+            and np.array_equal(self.coef, other.coef)
+            and np.array_equal(self.switch, other.switch)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def period(self) -> float:
+        """Time after which the motion repeats, s; inf if it does not."""
+        return math.inf if self.loop < 0 else float(self.breaks[-1] - self.breaks[self.loop])
+
+    def angle(self, t: npt.ArrayLike) -> Array:
+        """Arm angle at times t (T,), rad."""
+        return self._evaluate(t, ANGLE, 0)
+
+    def rate(self, t: npt.ArrayLike) -> Array:
+        """Arm rate at times t (T,), rad/s."""
+        return self._evaluate(t, ANGLE, 1)
+
+    def acceleration(self, t: npt.ArrayLike) -> Array:
+        """Angular acceleration of the arm at times t (T,), rad/s^2; at a switch, that of the later piece."""
+        return self._evaluate(t, ANGLE, 2)
+
+    def point(self, t: npt.ArrayLike) -> Array:
+        """Displacement of the pivot at times t (T,): (T, 2), m."""
+        return np.stack([self._evaluate(t, X, 0), self._evaluate(t, Y, 0)], axis=-1)
+
+    def torque(self, t: npt.ArrayLike) -> Array:
+        """Motor torque at times t (T,), N m."""
+        return self._evaluate(t, TORQUE, 0)
+
+    def _evaluate(self, t: npt.ArrayLike, channel: int, derivative: int) -> Array:
+        time = np.asarray(t, dtype=np.float64)
+        start, end = self.breaks[0], self.breaks[-1]
+        after = time >= end
+        if self.loop >= 0:
+            anchor = self.breaks[self.loop]
+            wrapped = np.where(after, anchor + np.mod(time - anchor, self.period), time)
+        else:
+            wrapped = np.minimum(time, end)
+        wrapped = np.maximum(wrapped, start)
+        piece = np.clip(np.searchsorted(self.breaks, wrapped, side="right") - 1, 0, self.breaks.size - 2)
+        local = wrapped - self.breaks[piece]
+        value = np.zeros_like(time)
+        for power in range(POWERS - 1, derivative - 1, -1):
+            value = value * local + math.perm(power, derivative) * self.coef[piece, channel, power]
+        still = (time < start) | (after & (self.loop < 0))
+        return np.where(still & (derivative > 0 or channel == TORQUE), 0.0, value)
+
+    def switches(self, start: float, end: float) -> Array:
+        """Instants in start..end (s) at which the acceleration or torque jumps, increasing, (m,)."""
+        breaks, _, switch = self._unrolled(end)
+        found = breaks[switch]
+        return found[(found >= start) & (found <= end)]
+
+    def shifted(self, delay: float) -> Motion:
+        """Return the same motion, `delay` seconds later."""
+        delay = checks.number("delay", delay, unit="s")
+        spec = {**self.spec, "delay": self.spec.get("delay", 0.0) + delay} if self.spec else {}
+        return Motion(self.breaks + delay, self.coef, self.switch, self.loop, spec)
+
+    def then(self, other: Motion, at: float) -> Motion:
+        """Return this motion until time `at` (s) and `other`, on its own time axis, from there on.
+
+        The integration restarts at `at`; a jump of the arm angle or of the pivot is refused.
+        """
+        at = checks.number("time of the change", at, unit="s")
+        for name, one, two in (
+            ("arm angle", self.angle(at), other.angle(at)),
+            ("pivot x", self.point(at)[..., 0], other.point(at)[..., 0]),
+            ("pivot y", self.point(at)[..., 1], other.point(at)[..., 1]),
+        ):
+            if abs(float(one) - float(two)) > _MEET:
+                raise InvalidInput(
+                    f"{name} jumps at t = {at:g} s",
+                    got=[float(one), float(two)],
+                    allowed=f"motions that meet within {_MEET:g}",
+                    fix="Shift the second motion or move to its start first",
+                )
+        breaks, coef, switch = self._unrolled(at)
+        keep = int(np.searchsorted(breaks, at, side="left"))
+        if keep == 0:  # nothing of this motion has begun
+            return other._since(at)
+        second = other._since(at)
+        return Motion(
+            np.concatenate([breaks[:keep], second.breaks]),
+            np.concatenate([coef[:keep], second.coef]),
+            np.concatenate([switch[:keep], second.switch]),
+            second.loop + keep if second.loop >= 0 else -1,
+        )
+
+    def _since(self, at: float) -> Motion:
+        """Pieces from `at` on, with a switch there."""
+        if at < self.breaks[0]:
+            still = _standing(self.coef[:1], 0.0)
+            breaks, coef, switch, loop = self.breaks, self.coef, self.switch, self.loop
+            return Motion(
+                np.append(at, breaks),
+                np.concatenate([still, coef]),
+                np.append(True, switch),
+                loop + 1 if loop >= 0 else -1,
+            )
+        breaks, coef, switch = self._unrolled(at)
+        loop = -1
+        if self.loop >= 0:  # one whole cycle behind what is left of the one in which `at` lies
+            loop = breaks.size - 1
+            breaks = np.append(breaks, breaks[-1] - self.breaks[self.loop] + self.breaks[self.loop + 1 :])
+            coef = np.concatenate([coef, self.coef[self.loop :]])
+            switch = np.append(switch, self.switch[self.loop + 1 :])
+        keep = int(np.searchsorted(breaks, at, side="right")) - 1
+        if loop >= 0 and breaks[keep] == at and keep == self.loop:  # at the very beginning of the loop: as it stands
+            return Motion(self.breaks[keep:], self.coef[keep:], self.switch[keep:], 0)
+        return Motion(
+            np.append(at, breaks[keep + 1 :]),
+            np.concatenate([_advanced(coef[keep : keep + 1], at - breaks[keep]), coef[keep + 1 :]]),
+            np.append(True, switch[keep + 1 :]),
+            loop - keep if loop >= 0 else -1,
+        )
+
+    def _unrolled(self, until: float) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+        """Breaks, coefficients and switches that reach beyond `until`, cycles and standing still written out."""
+        breaks, coef, switch = self.breaks, self.coef, self.switch
+        if breaks[-1] > until:
+            return breaks, coef, switch
+        if self.loop < 0:
+            still = _standing(coef[-1:], breaks[-1] - breaks[-2])
+            return np.append(breaks, until + 1.0), np.concatenate([coef, still]), np.append(switch, False)
+        cycles = math.floor((until - breaks[-1]) / self.period) + 1
+        offsets = np.arange(1, cycles + 1)[:, None] * self.period
+        return (
+            np.append(breaks, (offsets + breaks[None, self.loop + 1 :]).ravel()),
+            np.concatenate([coef, np.tile(coef[self.loop :], (cycles, 1, 1))]),
+            np.append(switch, np.tile(switch[self.loop + 1 :], cycles)),
+        )
+
+
+def _standing(coef: Array, at: float) -> Array:
+    """A piece (1, channels, powers) that stands still where `coef` (1, channels, powers) is after a time `at`."""
+    still = np.zeros_like(coef)
+    still[:, :TORQUE, 0] = _advanced(coef, at)[:, :TORQUE, 0]
+    return still
+
+
+def _advanced(coef: Array, by: float) -> Array:
+    """Coefficients (1, channels, powers) of the same polynomials in a time that starts `by` later."""
+    if by == 0.0:
+        return coef
+    result = np.zeros_like(coef)
+    for k in range(POWERS):
+        for m in range(k, POWERS):
+            result[..., k] += math.comb(m, k) * by ** (m - k) * coef[..., m]
+    return result

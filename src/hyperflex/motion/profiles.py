@@ -1,0 +1,168 @@
+"""Ready-made motions: hold, move, the paper's swings, and motions through measured samples."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.core.drive import ANGLE, TORQUE, X, Y
+from hyperflex.errors import InvalidInput
+from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
+
+Profile = Literal["bang-bang", "ramp", "minimum-jerk"]
+PROFILES = ("bang-bang", "ramp", "minimum-jerk")
+PATHS = ("under", "over")
+
+
+def _pieces(durations: list[float], rows: list[list[float]], spec: dict[str, Any], *, repeat: bool = False) -> Motion:
+    """Motion of the arm angle alone, from t = 0, from ascending coefficients of each piece."""
+    breaks = np.concatenate([[0.0], np.cumsum(durations)])
+    coef = np.zeros((len(rows), CHANNELS, POWERS))
+    for piece, row in zip(coef, rows, strict=True):
+        piece[ANGLE, : len(row)] = row
+    switch = np.ones(breaks.size, dtype=np.bool_)
+    return Motion(breaks, coef, switch, 0 if repeat else -1, spec)
+
+
+def _stroke(start: float, end: float, duration: float, profile: str, ramp: float) -> tuple[list[float], list[list[float]]]:
+    """Durations and coefficients of one move from `start` to `end`."""
+    way = end - start
+    if profile == "bang-bang":
+        half = 0.5 * duration
+        a = way / half**2
+        return [half, half], [[start, 0.0, 0.5 * a], [start + 0.5 * way, a * half, -0.5 * a]]
+    if profile == "ramp":
+        t_ramp = ramp * duration
+        speed = way / (duration - t_ramp)
+        a = speed / t_ramp
+        rise = 0.5 * speed * t_ramp
+        return [t_ramp, duration - 2.0 * t_ramp, t_ramp], [
+            [start, 0.0, 0.5 * a],
+            [start + rise, speed],
+            [end - rise, speed, -0.5 * a],
+        ]
+    return [duration], [[start, 0.0, 0.0, 10 * way / duration**3, -15 * way / duration**4, 6 * way / duration**5]]
+
+
+def hold(angle: float = 0.0) -> Motion:
+    """Return a motion that keeps the arm at `angle` (rad; 0 hangs down) for ever."""
+    angle = checks.number("angle", angle, unit="rad")
+    coef = np.zeros((1, CHANNELS, POWERS))
+    coef[0, ANGLE, 0] = angle
+    return Motion(np.array([0.0, 1.0]), coef, np.zeros(2, dtype=np.bool_), -1, {"kind": "hold", "angle": angle})
+
+
+def move(start: float, end: float, duration: float, profile: Profile = "bang-bang", *, ramp: float = 0.1) -> Motion:
+    """Return one move of the arm, from t = 0, after which it rests.
+
+    Parameters
+    ----------
+    start, end : float
+        Arm angles, rad; the arm turns through the angles between them.
+    duration : float
+        Time that the move takes, s.
+    profile : {"bang-bang", "ramp", "minimum-jerk"}
+        Full acceleration then full deceleration; constant speed with short ramps; the quintic of minimum jerk
+        (Flash and Hogan 1985, doi:10.1523/JNEUROSCI.05-07-01688.1985).
+    ramp : float
+        Part of the duration that each ramp of ``"ramp"`` takes, above 0 and at most 0.5.
+    """
+    start, end = checks.number("start", start, unit="rad"), checks.number("end", end, unit="rad")
+    duration = checks.number("duration", duration, sign="positive", unit="s")
+    profile = checks.choice("profile", profile, PROFILES)  # type: ignore[assignment]
+    ramp = _ramp(ramp)
+    spec = {"kind": "move", "start": start, "end": end, "duration": duration, "profile": profile, "ramp": ramp}
+    return _pieces(*_stroke(start, end, duration, profile, ramp), spec)
+
+
+def _ramp(value: float) -> float:
+    ramp = checks.number("ramp", value, sign="positive")
+    if ramp >= 0.5:
+        raise InvalidInput("ramp is too long", got=ramp, allowed="above 0 and below 0.5, as a part of the duration")
+    return ramp
+
+
+def swings(
+    t_move: float = 0.73,
+    t_rest: float = 0.53,
+    profile: Profile = "bang-bang",
+    path: Literal["under", "over"] = "under",
+    *,
+    ramp: float = 0.1,
+) -> Motion:
+    """Return the paper's casting motion (Fig. 9): half a turn, rest, half a turn back, rest, for ever.
+
+    Parameters
+    ----------
+    t_move, t_rest : float
+        Time of a move (t_a in the paper) and of the rest after it (t_c), s; the rest may be 0.
+    profile : {"bang-bang", "ramp", "minimum-jerk"}
+        See :func:`move`.
+    path : {"under", "over"}
+        The arm starts at -pi/2 at t = 0 and goes to +pi/2 through the bottom, or over the top to -3 pi/2.
+    ramp : float
+        See :func:`move`.
+    """
+    t_move = checks.number("t_move", t_move, sign="positive", unit="s")
+    t_rest = checks.number("t_rest", t_rest, sign="nonnegative", unit="s")
+    profile = checks.choice("profile", profile, PROFILES)  # type: ignore[assignment]
+    path = checks.choice("path", path, PATHS)  # type: ignore[assignment]
+    ramp = _ramp(ramp)
+    start, end = -0.5 * math.pi, (0.5 if path == "under" else -1.5) * math.pi
+    durations: list[float] = []
+    rows: list[list[float]] = []
+    for here, there in ((start, end), (end, start)):
+        stroke = _stroke(here, there, t_move, profile, ramp)
+        durations += stroke[0] + ([t_rest] if t_rest > 0.0 else [])
+        rows += stroke[1] + ([[there]] if t_rest > 0.0 else [])
+    spec = {"kind": "swings", "t_move": t_move, "t_rest": t_rest, "profile": profile, "path": path, "ramp": ramp}
+    return _pieces(durations, rows, spec, repeat=True)
+
+
+def sampled(t: npt.ArrayLike, angle: npt.ArrayLike) -> Motion:
+    """Return a motion through measured arm angles: a cubic spline that starts and ends at rest.
+
+    Parameters
+    ----------
+    t : (T,) array_like
+        Increasing times, s, at least two.
+    angle : (T,) array_like
+        Arm angles, rad.
+    """
+    return _spline(t, {ANGLE: ("angle", angle)}, "sampled")
+
+
+def moving_point(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike) -> Motion:
+    """Return a motion of the pivot itself through positions x, y (T,), m, at times t (T,), s, as cubic splines."""
+    return _spline(t, {X: ("x", x), Y: ("y", y)}, "moving point")
+
+
+def torque_profile(t: npt.ArrayLike, torque: npt.ArrayLike) -> Motion:
+    """Return a motor torque (T,), N m, that runs straight between its samples at times t (T,), s, and is 0 outside."""
+    time = checks.times("t", t, least=2)
+    values = checks.array("torque", torque, (time.size,), unit="N m")
+    coef = np.zeros((time.size - 1, CHANNELS, POWERS))
+    coef[:, TORQUE, 0] = values[:-1]
+    coef[:, TORQUE, 1] = np.diff(values) / np.diff(time)
+    spec = {"kind": "torque", "t": time.tolist(), "torque": values.tolist()}
+    return Motion(time, coef, np.ones(time.size, dtype=np.bool_), -1, spec)
+
+
+def _spline(t: npt.ArrayLike, channels: dict[int, tuple[str, npt.ArrayLike]], kind: str) -> Motion:
+    from scipy.interpolate import CubicSpline
+
+    time = checks.times("t", t, least=2)
+    coef = np.zeros((time.size - 1, CHANNELS, POWERS))
+    spec: dict[str, Any] = {"kind": kind, "t": time.tolist()}
+    for channel, (name, samples) in channels.items():
+        values = checks.array(name, samples, (time.size,))
+        spline = CubicSpline(time, values, bc_type="clamped")
+        coef[:, channel, :4] = spline.c[::-1].T
+        spec[name] = values.tolist()
+    switch = np.zeros(time.size, dtype=np.bool_)
+    switch[[0, -1]] = True
+    return Motion(time, coef, switch, -1, spec)

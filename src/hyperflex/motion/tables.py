@@ -1,0 +1,67 @@
+"""Motions in files: CSV samples, and tables of a TOML file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hyperflex import checks, files
+from hyperflex.errors import InvalidInput
+from hyperflex.motion import profiles
+from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
+
+
+def read_motion(path: str | Path) -> Motion:
+    """Read a sampled arm motion from a CSV file with the columns ``t`` (s) and ``angle`` (rad).
+
+    Raises
+    ------
+    InvalidInput
+        If the columns are others, or a value is missing or not a number.
+    """
+    names, table = files.read_table(path)
+    if list(names) != ["t", "angle"]:
+        raise InvalidInput(f"columns of {path} are not those of a motion", got=list(names), allowed="t,angle (s, rad)")
+    return profiles.sampled(table[:, 0], table[:, 1])
+
+
+def from_spec(spec: Mapping[str, Any]) -> Motion:
+    """Build the motion that a ``[motion]`` table of a TOML file describes (the inverse of ``Motion.spec``)."""
+    makers = {
+        "hold": profiles.hold,
+        "move": profiles.move,
+        "swings": profiles.swings,
+        "sampled": profiles.sampled,
+        "moving point": profiles.moving_point,
+        "torque": profiles.torque_profile,
+        "pieces": _from_pieces,
+        "file": read_motion,
+    }
+    rest = {key: value for key, value in spec.items() if key not in ("kind", "delay")}
+    maker = makers[checks.choice("motion kind", spec.get("kind"), tuple(makers))]
+    try:
+        motion: Motion = maker(**rest)  # type: ignore[operator]
+    except TypeError as error:
+        raise InvalidInput(f"motion table of kind {spec['kind']!r} does not fit ({error})", got=dict(rest)) from None
+    return motion.shifted(spec["delay"]) if "delay" in spec else motion
+
+
+def to_spec(motion: Motion) -> dict[str, Any]:
+    """Return a table for a TOML file from which :func:`from_spec` builds the same motion again."""
+    if motion.spec:
+        return dict(motion.spec)
+    return {
+        "kind": "pieces",
+        "breaks": motion.breaks.tolist(),
+        "coef": motion.coef.ravel().tolist(),
+        "switch": motion.switch.tolist(),
+        "loop": motion.loop,
+    }
+
+
+def _from_pieces(breaks: list[float], coef: list[float], switch: list[bool], loop: int) -> Motion:
+    flat = checks.array("coef", coef, (-1,))
+    return Motion(np.array(breaks), flat.reshape(-1, CHANNELS, POWERS), np.array(switch), loop)

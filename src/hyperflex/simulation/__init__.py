@@ -1,0 +1,6 @@
+"""Simulation: :func:`simulate` for whole runs, :func:`angles` for the bare arrays that identification needs."""
+
+from hyperflex.simulation.simulate import angles, simulate
+from hyperflex.simulation.stability import runge_kutta_limit
+
+__all__ = ["angles", "runge_kutta_limit", "simulate"]

@@ -1,0 +1,200 @@
+"""The one door to core's rollouts: from a set-up to arrays, with status codes turned into errors that advise."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.core import rollout, status
+from hyperflex.core.chain import Chain
+from hyperflex.core.drive import TORQUE, Drive
+from hyperflex.core.jit import announce_compilation
+from hyperflex.core.rollout import INDEX, MARK_STEP, MARK_T, STEP, Limits, Progress, T
+from hyperflex.core.steppers import scheme
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Setup
+from hyperflex.simulation.stability import runge_kutta_limit
+from hyperflex.trajectory import State
+
+ORDER = 7  # of the extrapolation; its columns fill four lanes without a gap
+FIRST_STEP = 0.01  # s, tried first; error control does the rest
+BUDGET = 2000  # steps between two looks at progress and Ctrl-C
+
+Control = Callable[[float, float, float, Array, Array], float]
+_TABLE = scheme(ORDER)
+
+
+@dataclass
+class Rollout:
+    """A run in progress on plain arrays.
+
+    Attributes
+    ----------
+    chain, drive : Chain, Drive
+    limits : Limits
+    progress : Progress
+    t : (T,) float64
+        Output times, s.
+    y : (T, 2 n + 2) float64
+        States at those times: angles, rates, work, dissipation; rows are filled as the run goes on.
+    """
+
+    chain: Chain
+    drive: Drive
+    limits: Limits
+    progress: Progress
+    t: Array
+    y: Array
+
+    @property
+    def done(self) -> int:
+        """Number of output rows written."""
+        return int(self.progress.clock[INDEX])
+
+    @property
+    def time(self) -> float:
+        """Time reached, s."""
+        return float(self.progress.clock[T])
+
+    def advance(self) -> int:
+        """Run for one budget of steps and return the status code."""
+        return rollout.run(self.chain, self.drive, _TABLE, self.limits, self.progress, self.t, self.y)
+
+
+def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits) -> Rollout:
+    """Make a rollout of angles and rates `start` (n,) from time ``t[0]`` with outputs at `t`."""
+    announce_compilation()
+    n = chain.length.size
+    y = np.zeros(2 * n + 2)
+    y[:n], y[n : 2 * n] = start
+    clock = np.zeros(7)
+    clock[T], clock[STEP] = t[0], FIRST_STEP
+    return Rollout(chain, drive, limits, Progress(y, y.copy(), clock), t, np.full((t.size, 2 * n + 2), np.nan))
+
+
+def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET) -> Limits:
+    """Return the bounds of a run until `stop`, s; refuses an unstable Runge-Kutta step."""
+    gyration = np.sqrt(chain.inertia / np.maximum(chain.mass, 1e-300) + chain.com**2)
+    lever = np.maximum(chain.length, np.where(chain.mass > 0.0, np.minimum(gyration, 1e3 * chain.length), 0.0))
+    if setup.step is None:
+        return Limits(stop, setup.tol, lever, 0.0, budget)
+    longest = runge_kutta_limit(chain)
+    if setup.step > longest:
+        raise InvalidInput(
+            "step is beyond the stability limit of rk4, where results look smooth and are wrong",
+            got=setup.step,
+            allowed=f"at most {longest:.3e} s for this rope",
+            fix="Take a smaller step, or method='extrapolation', which has no such limit",
+        )
+    return Limits(stop, setup.tol, lever, setup.step, budget)
+
+
+def resume(run: Rollout, state: State, setup: Setup) -> None:
+    """Let a run go on from a saved state: bit for bit if nothing but its end has changed."""
+    n = run.chain.length.size
+    y, mark, clock = run.progress
+    saved = state.checkpoint
+    if saved and "y" in saved and np.size(saved["y"]) != 2 * n + 2:
+        raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")
+    if saved.get("fingerprint") == fingerprint(run, setup):
+        y[:] = saved["mark"]
+        clock[T], clock[STEP] = saved["mark_time"], saved["mark_step"]
+    elif saved:
+        y[:] = saved["y"]
+        clock[T], clock[STEP] = state.t, state.step
+    else:
+        y[2 * n :] = state.work, state.dissipated
+        clock[T], clock[STEP] = state.t, state.step or FIRST_STEP
+
+
+def final_state(run: Rollout, setup: Setup) -> State:
+    """Return where a run stands, with the mark from which it can go on bit for bit."""
+    n = run.chain.length.size
+    own = 1 if setup.torque_driven else 0
+    y, mark, clock = run.progress
+    return State(
+        t=run.time,
+        q=y[own:n].copy(),
+        qd=y[n + own : 2 * n].copy(),
+        step=float(clock[STEP]),
+        work=float(y[2 * n]),
+        dissipated=float(y[2 * n + 1]),
+        checkpoint={
+            "y": y.copy(),
+            "mark": mark.copy(),
+            "mark_time": float(clock[MARK_T]),
+            "mark_step": float(clock[MARK_STEP]),
+            "fingerprint": fingerprint(run, setup),
+        },
+    )
+
+
+def fingerprint(run: Rollout, setup: Setup) -> float:
+    """Return a number that tells whether two runs integrate the same thing in the same way."""
+    digest = hashlib.sha256()
+    for part in (*run.chain, *run.drive, run.limits.tol, run.limits.fixed, setup.torque_driven):
+        digest.update(np.ascontiguousarray(part).tobytes())
+    return float(struct.unpack("<Q", digest.digest()[:8])[0] >> 11)  # 53 bits: exact as a float
+
+
+def finish(run: Rollout, report: Callable[[float], None] | None = None) -> int:
+    """Run to the end and return the status code; `report` hears of the simulated time between budgets."""
+    code = status.RUNNING
+    while code == status.RUNNING:
+        code = run.advance()
+        if report is not None:
+            report(run.time)
+    return code
+
+
+def controlled(run: Rollout, control: Control, period: float, torque_limit: float) -> tuple[int, Array, Array]:
+    """Run with a torque that `control` sets every `period`, s.
+
+    Returns
+    -------
+    code : int
+        Status code.
+    times, torques : (m,) float64
+        When the torque was set, s, and what it was, N m.
+    """
+    n = run.chain.length.size
+    begin, stop = run.time, run.limits.stop
+    times, torques = [], []
+    code = status.OK
+    count = 0
+    while run.time < stop and code == status.OK:
+        y = run.progress.y
+        now = run.time
+        wanted = float(control(now, float(y[0]), float(y[n]), y[1:n].copy(), y[n + 1 : 2 * n].copy()))
+        if not np.isfinite(wanted):
+            raise InvalidInput(f"torque callback at t = {now:g} s", got=wanted, allowed="a finite torque in N m")
+        times.append(now)
+        torques.append(float(np.clip(wanted, -torque_limit, torque_limit)))
+        count += 1
+        until = min(begin + count * period, stop)
+        coef = run.drive.coef[:1].copy()
+        coef[0, TORQUE, 0] = torques[-1]
+        run.drive = run.drive._replace(breaks=np.array([now, until]), coef=coef, switch=np.ones(2, dtype=np.bool_))
+        run.limits = run.limits._replace(stop=until)
+        code = finish(run)
+    return code, np.array(times), np.array(torques)
+
+
+@contextmanager
+def progress_bar(begin: float, end: float, wanted: bool) -> Iterator[Callable[[float], None] | None]:
+    """Show a bar of the simulated time on standard error, if it is wanted."""
+    if not wanted:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    with Bar(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("simulating", total=end - begin)
+        yield lambda t: bar.update(task, completed=t - begin)

@@ -1,0 +1,324 @@
+"""Whole runs: from rope and motion to a Trajectory."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core import rollout, status
+from hyperflex.core.drive import TORQUE
+from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
+from hyperflex.motion import Motion, hold
+from hyperflex.simulation.run import (
+    Control,
+    Rollout,
+    controlled,
+    final_state,
+    finish,
+    limits,
+    prepare,
+    progress_bar,
+    resume,
+)
+from hyperflex.trajectory import State, Trajectory
+
+SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose
+# A run is refused when its energy balance is off by more than this part of the energy that went through it.
+ENERGY_ALLOWANCE = 0.02
+INTERRUPTED = "interrupted"
+
+
+def simulate(
+    rope: Rope | Setup,
+    motion: Motion | None = None,
+    *,
+    arm: Arm | None = None,
+    duration: float | None = None,
+    q0: npt.ArrayLike | None = None,
+    qd0: npt.ArrayLike | None = None,
+    t_eval: npt.ArrayLike | None = None,
+    tol: float = DEFAULT_TOL,
+    method: str = "extrapolation",
+    step: float | None = None,
+    torque: Motion | float | Control | None = None,
+    control_rate: float | None = None,
+    arm_angle0: float = 0.0,
+    arm_rate0: float = 0.0,
+    state: State | None = None,
+    throw: bool = True,
+    progress: bool = False,
+) -> Trajectory:
+    """Simulate a rope on a moving arm, on a torque-driven arm, or hanging from a point.
+
+    Parameters
+    ----------
+    rope : Rope or Setup
+        The rope; or a whole set-up, and then only `duration`, `t_eval`, `state`, `throw` and `progress` may be given
+        beside it.
+    motion : Motion, optional
+        Prescribed motion of the arm, or of the point that the rope hangs from (``moving_point``).
+    arm : Arm, optional
+        The arm; without one the rope hangs from the point itself.
+    duration : float
+        Simulated time, s, counted from the start (or from `state`).
+    q0, qd0 : (n,) array_like, optional
+        Absolute link angles, rad, and rates, rad/s, at the start. By default the rope hangs at rest.
+    t_eval : (T,) array_like, optional
+        Increasing times of the output, s, within the run; by default every 10 ms and the end.
+    tol : float
+        Error that one step may make in the position of any joint, m. The error at the tip after some seconds of
+        casting is of the order of ten times as much (docs/models.md).
+    method : {"extrapolation", "rk4"}
+        The linearly implicit extrapolation with error control, or classical Runge-Kutta with a fixed `step`, s, as a
+        check; a step beyond its stability limit is refused.
+    torque : Motion, float or callable, optional
+        Drives the arm by a torque, N m: a ``torque_profile``, a constant, or ``torque(t, arm_angle, arm_rate, q, qd)``
+        called at `control_rate`, Hz, and held in between.
+    arm_angle0, arm_rate0 : float
+        Start of a torque-driven arm, rad and rad/s.
+    state : State, optional
+        Go on from where another run ended (``trajectory.state``). With everything else equal, the result is bit for bit
+        that of a run that was not stopped.
+    throw : bool
+        False returns the part that holds, with its ``status`` and ``message``, where True raises. Ctrl-C then ends the
+        run with the status "interrupted".
+    progress : bool
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+    SimulationError
+        If the run diverges, cannot meet `tol`, or does not keep its energy balance; says when and what to try.
+
+    Notes
+    -----
+    Model: paper section II; method: docs/models.md. Cost about 0.4 ms per simulated second for the paper's 50-link
+    cable on one core of a current machine; it grows with n, and the step does not shrink with n.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> cast = hf.simulate(cable, hf.swings(t_move=0.73, t_rest=0.53), arm=hf.Arm(length=0.105), duration=10.0)
+    >>> bool(abs(cast.tip[:, 0]).max() > 1.5)
+    True
+    """
+    control = torque if callable(torque) else None
+    if isinstance(rope, Setup):
+        setup = rope
+    else:
+        setup = Setup(
+            rope,
+            motion,
+            arm,
+            torque=_torque_motion(torque, control, control_rate),
+            duration=duration if duration is not None else _missing_duration(),
+            q0=q0,  # type: ignore[arg-type]
+            qd0=qd0,  # type: ignore[arg-type]
+            arm_angle0=arm_angle0,
+            arm_rate0=arm_rate0,
+            tol=tol,
+            method=method,
+            step=step,
+        )
+    length = setup.duration if duration is None else checks.number("duration", duration, sign="positive", unit="s")
+    begin = 0.0 if state is None else state.t
+    t = _output_times(t_eval, begin, begin + length)
+    chain = setup.chain()
+    bounds = limits(setup, chain, begin + length)
+    run = prepare(chain, setup.drive(), setup.start(), np.append(begin, t), bounds)
+    run.t, run.y = t, run.y[1:]
+    if state is not None:
+        resume(run, state, setup)
+    code, name = status.OK, status.NAMES[status.OK]
+    try:
+        if control is not None and control_rate is not None and setup.arm is not None:
+            code, setup = _controlled(run, setup, control, control_rate)
+        else:
+            with progress_bar(begin, begin + length, progress) as report:
+                code = finish(run, report)
+        name = status.NAMES[code]
+    except KeyboardInterrupt:
+        if throw:
+            raise
+        code, name = status.RUNNING, INTERRUPTED
+    return _conclude(run, setup, code, name, throw)
+
+
+def angles(
+    rope: Rope,
+    t: Array,
+    q0: Array,
+    qd0: Array,
+    *,
+    motion: Motion | None = None,
+    arm: Arm | None = None,
+    tol: float = DEFAULT_TOL,
+) -> tuple[Array, Array]:
+    """Simulate and return only angles and rates at times t; for callers that run thousands of short rollouts.
+
+    Parameters
+    ----------
+    rope, motion, arm, tol
+        As in :func:`simulate`.
+    t : (T,) array
+        Increasing times, s; the run starts at t[0].
+    q0, qd0 : (n,) array
+        Angles, rad, and rates, rad/s, at t[0].
+
+    Returns
+    -------
+    q, qd : (T, n) array
+
+    Raises
+    ------
+    SimulationError
+        If the run cannot be finished within `tol`.
+    """
+    setup = Setup(rope, motion, arm, tol=tol)
+    chain = rope.chain()
+    run = prepare(chain, setup.drive(), (q0, qd0), t, limits(setup, chain, float(t[-1]), 1_000_000))
+    code = finish(run)
+    if code != status.OK:
+        raise _failure(code, run)
+    n = chain.length.size
+    return run.y[:, :n], run.y[:, n : 2 * n]
+
+
+def _missing_duration() -> float:
+    raise InvalidInput("duration is missing", allowed="a number > 0, in s", fix="Give duration=10.0, say")
+
+
+def _torque_motion(torque: Any, control: Control | None, control_rate: float | None) -> Motion | None:
+    if (control is None) != (control_rate is None):
+        raise InvalidInput("control_rate belongs to a torque callback", got=control_rate, allowed="both, or neither")
+    if control_rate is not None:
+        checks.number("control_rate", control_rate, sign="positive", unit="Hz")
+    if torque is None or isinstance(torque, Motion):
+        return torque
+    return _constant_torques(np.array([0.0]), np.array([0.0 if control else checks.number("torque", torque)]), math.inf)
+
+
+def _constant_torques(times: Array, torques: Array, end: float) -> Motion:
+    """A torque that keeps each value (m,) from its time (m,) to the next one; the last one until `end`."""
+    breaks = np.append(times, end if math.isfinite(end) else 1e6)
+    coef = np.zeros((times.size, *hold().coef.shape[1:]))
+    coef[:, TORQUE, 0] = torques
+    return Motion(breaks, coef, np.ones(breaks.size, dtype=np.bool_))
+
+
+def _controlled(run: Rollout, setup: Setup, control: Control, rate: float) -> tuple[int, Setup]:
+    """Run under a torque callback; the returned set-up holds the torque that was applied, so that it can be replayed."""
+    from dataclasses import replace
+
+    assert setup.arm is not None
+    code, times, torques = controlled(run, control, 1.0 / rate, setup.arm.torque_limit)
+    setup = replace(setup, torque=_constant_torques(times, torques, run.limits.stop))
+    run.drive = setup.drive()
+    return code, setup
+
+
+def _output_times(t_eval: npt.ArrayLike | None, begin: float, end: float) -> Array:
+    if t_eval is None:
+        return np.append(begin + SAMPLE_TIME * np.arange(math.ceil((end - begin) / SAMPLE_TIME - 1e-9)), end)
+    t = checks.times("t_eval", t_eval)
+    if t[0] < begin or t[-1] > end:
+        raise InvalidInput("t_eval leaves the run", got=[float(t[0]), float(t[-1])], allowed=f"{begin:g} to {end:g} s")
+    return t
+
+
+def _failure(code: int, run: Rollout) -> SimulationError:
+    n = run.chain.length.size
+    rates = np.abs(run.progress.y[n : 2 * n])
+    where = f"fastest link: {int(np.nanargmax(rates))} at {np.nanmax(rates):.3g} rad/s" if np.isfinite(rates).any() else ""
+    message = f"stopped at t = {run.time:.6g} s ({status.NAMES[code]}; {where}): {status.ADVICE[code]}."
+    return SimulationError(message, status=status.NAMES[code], time=run.time)
+
+
+def _conclude(run: Rollout, setup: Setup, code: int, name: str, throw: bool) -> Trajectory:
+    """Work out everything that a trajectory shows, and check the energy balance."""
+    if code not in (status.OK, status.RUNNING) and throw:
+        raise _failure(code, run)
+    message = "" if name == "ok" else str(_failure(code, run)) if code != status.RUNNING else f"at t = {run.time:g} s"
+    result = _trajectory(run, setup, run.done, name, message)
+    good = _balanced(result)
+    if good < run.done:
+        code, name = status.ENERGY, status.NAMES[status.ENERGY]
+        message = f"stopped at t = {result.t[good]:.6g} s ({name}): {status.ADVICE[code]}."
+        if throw:
+            raise SimulationError(message, status=name, time=float(result.t[good]))
+        result = _trajectory(run, setup, good, name, message)
+    return result
+
+
+def _balanced(run: Trajectory) -> int:
+    """Number of leading samples whose energy balance holds."""
+    exchanged = np.maximum.accumulate(np.abs(run.motor_work)) + np.maximum.accumulate(np.abs(run.dissipated_energy))
+    energy = run.kinetic_energy + run.potential_energy
+    scale = exchanged + np.maximum.accumulate(run.kinetic_energy) + np.maximum.accumulate(np.abs(energy - energy[0]))
+    # a rope that hardly moves has no scale of its own: compare with a fall through a hundredth of its length
+    floor = 0.01 * run.setup.rope.total_mass * run.setup.rope.total_length * float(np.hypot(*run.setup.rope.gravity))
+    bad = ~(np.abs(run.energy_error) <= ENERGY_ALLOWANCE * (scale + floor) + 1e-300)
+    return int(np.argmax(bad)) if bad.any() else run.t.size
+
+
+def _trajectory(run: Rollout, setup: Setup, count: int, name: str, message: str) -> Trajectory:
+    n = run.chain.length.size
+    t, y = run.t[:count], run.y[:count]
+    qdd, base, scalars = np.empty((count, n)), np.empty((count, 9)), np.empty((count, 5))
+    rollout.observe(run.chain, run.drive, t, y, qdd, base, scalars)
+    q, qd = y[:, :n], y[:, n : 2 * n]
+    if setup.torque_driven and setup.arm is not None:
+        angle, rate = q[:, 0], qd[:, 0]
+        sin, cos, arm_length = np.sin(angle), np.cos(angle), setup.arm.length
+        place = base[:, 7:9] + arm_length * np.stack([sin, -cos], axis=1)
+        velocity = base[:, 5:7] + (arm_length * rate)[:, None] * np.stack([cos, sin], axis=1)
+        q, qd, qdd = q[:, 1:], qd[:, 1:], qdd[:, 1:]
+        torque = np.clip(setup.torque.torque(t), -setup.arm.torque_limit, setup.arm.torque_limit)  # type: ignore[union-attr]
+    else:
+        angle, rate, place, velocity = base[:, 4], base[:, 3], base[:, 7:9], base[:, 5:7]
+        torque = _motor_torque(setup, angle, rate, base[:, 2], scalars)
+    return Trajectory(
+        t=t,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        base=place,
+        base_velocity=velocity,
+        arm_angle=angle,
+        arm_rate=rate,
+        kinetic_energy=scalars[:, 0],
+        potential_energy=scalars[:, 1],
+        dissipated_energy=y[:, 2 * n + 1],
+        motor_work=y[:, 2 * n],
+        motor_torque=torque,
+        setup=setup,
+        state=final_state(run, setup),
+        status=name,
+        message=message,
+        attrs={"method": setup.method, "tol": setup.tol},
+    )
+
+
+def _motor_torque(setup: Setup, angle: Array, rate: Array, acceleration: Array, scalars: Array) -> Array:
+    """Torque (T,) that turns a prescribed arm: for the rope, and for the arm's own inertia, weight and friction."""
+    arm = setup.arm
+    if arm is None:
+        return np.zeros(angle.size)
+    gx, gy = setup.rope.gravity
+    own = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
+    weight = -arm.mass * arm.com * (gx * np.cos(angle) + gy * np.sin(angle))
+    pull = arm.length * (np.cos(angle) * scalars[:, 2] + np.sin(angle) * scalars[:, 3])
+    return np.asarray(scalars[:, 4] + pull + own + weight)

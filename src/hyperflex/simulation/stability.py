@@ -1,0 +1,45 @@
+"""How long a step of the explicit check integrator may be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hyperflex.core.chain import Chain, mass_matrix
+
+
+def runge_kutta_limit(chain: Chain) -> float:
+    """Longest stable step of the classical Runge-Kutta method for a chain that hangs straight, s.
+
+    The linearised chain M qdd + C qd + K q = 0 has the eigenvalues z; a step h is stable while the method's growth
+    factor |1 + hz + (hz)^2 / 2 + (hz)^3 / 6 + (hz)^4 / 24| stays below 1 for all of them. Aligned links have the least
+    inertia against relative motion of neighbours, so no other posture has a faster friction mode. For a uniform
+    friction-bound cable this is 2.785 m l^2 / (48 eta).
+    """
+    n = chain.length.size
+    mass = np.empty((n, n))
+    mass_matrix(chain, np.zeros(n), mass)
+    relative = np.eye(n) - np.eye(n, k=-1)
+    slope = chain.viscous + chain.dry / chain.dry_rate
+    back = relative.T if chain.reaction == 1.0 else np.eye(n)
+    damping = back @ (slope[:, None] * relative)
+    first_moment = chain.mass * chain.com + chain.length * _mass_beyond(chain)
+    weight = math.hypot(chain.gx, chain.gy) * first_moment
+    stiffness = relative.T @ (chain.stiffness[:, None] * relative) + np.diag(weight)
+    system = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]])
+    z = np.linalg.eigvals(system)
+    z = z[np.abs(z) > 1e-9 * np.abs(z).max()]
+    low, high = 0.0, 3.0 / float(np.abs(z).max())
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        hz = middle * z
+        growth = np.abs(1.0 + hz * (1.0 + hz / 2.0 * (1.0 + hz / 3.0 * (1.0 + hz / 4.0)))).max()
+        low, high = (middle, high) if growth <= 1.0 + 1e-9 else (low, middle)
+    return low
+
+
+def _mass_beyond(chain: Chain) -> np.ndarray:
+    """Mass beyond the far joint of each link (n,), kg."""
+    outer = np.cumsum(chain.mass[::-1])[::-1] - chain.mass
+    return np.asarray(outer + chain.tip_mass)
