@@ -18,6 +18,7 @@ from hyperflex.paper.casting import (
 from hyperflex.paper.claims import (
     Claim,
     claims,
+    concentration,
     reach_table,
     rise_phases,
     steady_step_phase,
@@ -43,6 +44,7 @@ __all__ = [
     "casting_arm",
     "casts",
     "claims",
+    "concentration",
     "fig9",
     "fig10",
     "fig11",

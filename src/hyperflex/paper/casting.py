@@ -12,7 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.control import PhasePortrait, Spiral, phase_portrait, spiral
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import swings
-from hyperflex.simulate import simulate
+from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 
 Path = Literal["under", "over"]

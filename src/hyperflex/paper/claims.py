@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.paper.casting import READINGS, Cast, Reading, cast
+from hyperflex.paper.casting import READINGS, T_MOVE, Cast, Reading, cast
 
 WINDOW = 2.0  # s
 REACH_RATIO = 1.6
@@ -88,42 +88,44 @@ def straight_phase(reading: Reading) -> Claim:
 def steady_step_phase(reading: Reading) -> Claim:
     """C4: r rises step-wise, at the same phase of the arm's half cycle each time.
 
-    Measured: the mean resultant length of the phases (0 to 1 over a half cycle) at which dr/dt is greatest, over the
-    half cycles that begin before r has reached 90 % of its greatest value. Where the tip cracks like a whip r shows a
-    spike of a few milliseconds; that value is therefore taken from the running median of r over one half cycle, while
-    the rise itself is taken from r as it is.
+    Measured: the concentration (mean resultant length) of the phases at which dr/dt is greatest, one for each half
+    cycle that begins before r has reached 90 % of its greatest value. Where the tip cracks like a whip r shows a spike
+    of some milliseconds; that value is therefore taken from the running median of r over one half cycle, while the
+    rise itself is taken from r as it is.
     """
     subject = cast(reading, "success")
-    phases = rise_phases(subject)
-    mean = np.exp(2j * np.pi * phases).mean()
-    centre = float(np.angle(mean) / (2.0 * np.pi) % 1.0)
-    doing = "rests" if centre * subject.period > subject.intervals[0, 1] else "moves"
-    note = f"mean phase {centre:.2f} of the half cycle, when the arm {doing}; by half cycle: " + ", ".join(
-        f"{phase:.2f}" for phase in phases
-    )
-    return Claim(
-        "C4",
-        "r rises fastest at one phase of the arm's half cycle: concentration",
-        reading,
-        float(abs(mean)),
-        CONCENTRATION,
-        note,
-    )
+    rises = rise_phases(subject)
+    centre = float(np.angle(np.exp(2j * np.pi * rises).mean()) / (2.0 * np.pi) % 1.0)
+    doing = "rests" if centre * subject.period > T_MOVE else "moves"
+    listed = ", ".join(f"{phase:.2f}" for phase in rises)
+    note = f"mean phase {centre:.2f}, when the arm {doing}; by half cycle: {listed}"
+    statement = "r rises fastest at one phase of the arm's half cycle: concentration"
+    return Claim("C4", statement, reading, concentration(rises), CONCENTRATION, note)
+
+
+def concentration(phases: Array) -> float:
+    """Return the mean resultant length of phases (k,) in [0, 1): 1 if all are the same, near 0 if they are spread."""
+    return float(np.abs(np.exp(2j * np.pi * phases).mean()))
 
 
 def rise_phases(subject: Cast) -> Array:
     """Return the phase in [0, 1) at which r rises fastest in each half cycle until the rope is nearly pumped up."""
+    rise = np.gradient(subject.spiral.r, subject.t)
+    phases = []
+    for start in np.arange(0.0, _pumped_up(subject), subject.period):
+        within = np.flatnonzero((subject.t >= start) & (subject.t < start + subject.period))
+        phases.append((subject.t[within[np.argmax(rise[within])]] - start) / subject.period)
+    return np.array(phases)
+
+
+def _pumped_up(subject: Cast) -> float:
+    """Time at which the running median of r, over one half cycle, reaches 90 % of its greatest value, s."""
     from scipy.ndimage import median_filter
 
-    t, r, period = subject.t, subject.spiral.r, subject.period
-    level = median_filter(r, size=2 * round(0.5 * period / (t[1] - t[0])) + 1, mode="nearest")
-    full = t[np.argmax(level >= NEARLY_FULL * level.max())]
-    rise = np.gradient(r, t)
-    phases = []
-    for start in np.arange(0.0, full, period):
-        within = np.flatnonzero((t >= start) & (t < start + period))
-        phases.append((t[within[np.argmax(rise[within])]] - start) / period)
-    return np.array(phases)
+    t = subject.t
+    size = 2 * round(0.5 * subject.period / (t[1] - t[0])) + 1
+    level = median_filter(subject.spiral.r, size=size, mode="nearest")
+    return float(t[np.argmax(level >= NEARLY_FULL * level.max())])
 
 
 def claims() -> list[Claim]:
