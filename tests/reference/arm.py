@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.integrate import DOP853
 
-from tests.reference.dense import Real
+from tests.reference import dense
+from tests.reference.dense import Links, Real
 
 
 class Stretch(NamedTuple):
@@ -23,7 +24,8 @@ class Stretch(NamedTuple):
     def at(self, t: float) -> tuple[float, float, float]:
         """Angle, rate and acceleration of the arm at time t."""
         s = t - self.start
-        return self.angle + s * (self.rate + s * self.acceleration / 2), self.rate + s * self.acceleration, self.acceleration
+        angle = self.angle + s * (self.rate + s * self.acceleration / 2)
+        return angle, self.rate + s * self.acceleration, self.acceleration
 
     def base(self, t: float, arm_length: float) -> Real:
         """The first joint's motion (7,) as the chain takes it: the tip of an arm on a fixed pivot at the origin."""
@@ -36,13 +38,19 @@ class Stretch(NamedTuple):
 def bang_bang_swings(t_move: float, t_rest: float, until: float, *, over: bool = False) -> Iterator[Stretch]:
     """Stretches from 0 to `until`: half of each move speeds up, half slows down; then a rest; then back."""
     t, angle, turn = 0.0, -np.pi / 2, -np.pi if over else np.pi
-    while t < until:
-        push = 4 * turn / t_move**2
-        half = t_move / 2
-        yield Stretch(t, t + half, angle, 0.0, push)
-        yield Stretch(t + half, t + t_move, angle + turn / 2, push * half, -push)
-        yield Stretch(t + t_move, t + t_move + t_rest, angle + turn, 0.0, 0.0)
-        t, angle, turn = t + t_move + t_rest, angle + turn, -turn
+    half, push = t_move / 2, 4 * turn / t_move**2
+    while True:
+        middle, stop, end = t + half, t + t_move, t + t_move + t_rest
+        for stretch in (
+            Stretch(t, middle, angle, 0.0, push),
+            Stretch(middle, stop, angle + turn / 2, push * half, -push),
+            Stretch(stop, end, angle + turn, 0.0, 0.0),
+        ):
+            if stretch.end >= until:
+                yield stretch._replace(end=until)
+                return
+            yield stretch
+        t, angle, turn, push = end, angle + turn, -turn, -push
 
 
 Rate = Callable[[float, Real], Real]
@@ -56,3 +64,37 @@ def integrate(rate: Rate, y: Real, start: float, end: float, rtol: float, atol: 
     if solver.status != "finished":
         raise RuntimeError(f"the reference failed at {solver.t} s")
     return np.asarray(solver.y)
+
+
+def cast(links: Links, arm_length: float, stretches: list[Stretch], q: Real, w: Real, tol: float = 1e-12) -> Real:
+    """Angles and rates (m, 2 n) at the ends of the stretches of a chain on a prescribed arm, by dense algebra."""
+    n = len(q)
+    state, states = np.concatenate([q, w]), []
+    for stretch in stretches:
+
+        def rate(t: float, y: Real, stretch: Stretch = stretch) -> Real:
+            base = stretch.base(t, arm_length)
+            return np.concatenate([y[n:], dense.accelerations(links, y[:n], y[n:], base, dtype=float).alpha])
+
+        state = integrate(rate, state, stretch.start, stretch.end, tol, tol)
+        states.append(state)
+    return np.array(states)
+
+
+def still(duration: float) -> list[Stretch]:
+    """An arm that hangs down and does not move."""
+    return [Stretch(0.0, duration, 0.0, 0.0, 0.0)]
+
+
+def links_of(rope: Any) -> Links:
+    """The reference's parameters of a rope of the package."""
+    return Links(
+        *(np.array(getattr(rope, name)) for name in ("length", "mass", "com", "inertia", "friction", "dry_friction")),
+        stiffness=np.array(rope.stiffness),
+        rest=np.array(rope.rest_angle),
+        tip_mass=rope.tip_mass,
+        gx=float(rope.gravity[0]),
+        gy=float(rope.gravity[1]),
+        reaction={"relative": 1.0, "printed": 0.0}[rope.friction_model],
+        dry_rate=rope.dry_rate,
+    )

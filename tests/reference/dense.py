@@ -116,10 +116,10 @@ def joints(links: Any, q: Real, w: Real, parent: tuple[Any, Any], h: float = 0.0
 
 
 def solve(matrix: Real, right: Real) -> Real:
-    """Solve in double precision, refine with the residual in the precision of the arguments."""
+    """Solve in double precision; refine with the residual in the precision of the arguments, if that is higher."""
     coarse = np.asarray(matrix, float)
     x = np.zeros_like(right)
-    for _ in range(8):
+    for _ in range(1 if right.dtype == float else 8):
         x = x + np.linalg.solve(coarse, np.asarray(right - matrix @ x, float))
     return x
 

@@ -1,0 +1,124 @@
+"""The order of each integrator, measured, against the one it declares; and where the explicit one stops."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.core.drive import segment
+from hyperflex.core.lanes import LANES, ROW, load
+from hyperflex.core.steppers import extrapolate, scheme
+from hyperflex.errors import InvalidInput
+from tests.reference.arm import cast, links_of, still
+
+Q0 = np.array([1.0, 1.4, 0.6])
+
+
+def chain() -> hf.Rope:
+    """Three links with mild friction and springs: smooth, and slow beside the steps taken."""
+    return hf.Rope(length=[0.5, 0.4, 0.6], mass=[0.2, 0.1, 0.15], friction=2e-3, stiffness=0.05, tip_mass=0.05)
+
+
+def exact(duration: float) -> np.ndarray:
+    """Angles and rates (6,) at the end, from the dense reference."""
+    return cast(links_of(chain()), 0.0, still(duration), Q0, np.zeros(3), tol=1e-13)[0]
+
+
+def slope(steps: np.ndarray, errors: list[float]) -> float:
+    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
+
+
+def test_runge_kutta_has_order_four() -> None:
+    want = exact(1.0)[:3]
+    counts = np.array([100, 200, 400])
+    runs = [hf.simulate(chain(), duration=1.0, q0=Q0, method="rk4", step=1.0 / k, t_eval=[1.0]) for k in counts]
+    errors = [float(np.abs(run.q[-1] - want).max()) for run in runs]
+    # Fitted over a factor of four; the next term bends the slope by some hundredths at these steps.
+    assert slope(1.0 / counts, errors) == pytest.approx(4.0, abs=0.15)
+
+
+def fixed_steps(order: int, count: int, duration: float) -> np.ndarray:
+    """End state (6,) of extrapolated steps of equal length, with the error control left out."""
+    setup = hf.Setup(rope=chain(), q0=Q0)
+    parameters, drive, table = setup.chain(), setup.drive(), scheme(order)
+    n = 3
+    y, out, error = np.zeros(2 * n + 2), np.zeros(2 * n + 2), np.zeros(2 * n + 2)
+    y[:n] = Q0
+    lanes, base = np.zeros((n + 2) * ROW), np.zeros((LANES, 9))
+    load(parameters, lanes)
+    h = duration / count
+    for k in range(count):
+        extrapolate(parameters, drive, segment(drive, k * h), table, k * h, h, y, out, error, lanes, base)
+        y[:] = out
+    return y[: 2 * n]
+
+
+@pytest.mark.parametrize("order", [2, 3, 4, 5, 6, 7])
+def test_extrapolation_has_the_order_that_it_declares(order: int) -> None:
+    duration = 0.5
+    want = exact(duration)
+    # Steps short enough for the leading term and long enough to stay above rounding (1e-13), whatever the order.
+    counts = np.array([16, 24, 32]) if order > 4 else np.array([64, 96, 128])
+    errors = [float(np.abs(fixed_steps(order, int(k), duration) - want).max()) for k in counts]
+    assert slope(duration / counts, errors) == pytest.approx(order, abs=0.35)
+
+
+def test_the_error_follows_the_tolerance() -> None:
+    want = exact(2.0)[:3]
+    errors = []
+    for tol in (1e-4, 1e-6, 1e-8, 1e-10):
+        run = hf.simulate(chain(), duration=2.0, q0=Q0, t_eval=[2.0], tol=tol)
+        errors.append(float(np.abs(run.q[-1] - want).max()))
+    # A hundred times the tolerance over 2 s on links of half a metre, and never worse for a tighter tolerance.
+    assert (np.array(errors) < 100 * np.array([1e-4, 1e-6, 1e-8, 1e-10])).all()
+    assert (np.diff(errors) < 0).all()
+
+
+def cable(**changes: object) -> hf.Rope:
+    kept = {"length": 2.0, "mass": 0.125, "n_links": 50, "radius": 0.0025, "friction": 5e-4, **changes}
+    return hf.Rope.uniform(**kept)
+
+
+def cast_with(rope: hf.Rope, **how: object) -> hf.Trajectory:
+    return hf.simulate(rope, hf.swings(), arm=hf.Arm(length=0.105), duration=2.0, t_eval=[2.0], **how)
+
+
+@pytest.mark.parametrize("n", [25, 50])
+def test_runge_kutta_refuses_a_step_beyond_its_limit_and_names_the_limit(n: int) -> None:
+    rope = cable(n_links=n)
+    known = 2.785 * rope.mass[0] * rope.length[0] ** 2 / (48 * 5e-4)  # the friction mode of neighbouring links
+    with pytest.raises(InvalidInput, match="step is beyond the stability limit") as caught:
+        cast_with(rope, method="rk4", step=1.1 * known)
+    named = float(re.search(r"at most ([\d.e+-]+) s", str(caught.value)).group(1))  # type: ignore[union-attr]
+    # The formula is for many links; the ends of a finite chain and gravity move the limit by a few per cent.
+    assert named == pytest.approx(known, rel=0.05)
+    assert f"{1.1 * known}"[:8] in str(caught.value)
+    right = cast_with(rope, tol=1e-9)
+    just_inside = cast_with(rope, method="rk4", step=0.95 * named)
+    # RK4 near its limit is good to a micrometre here (prototype: 1e-6 mm at 4.6e-4 s and n = 50).
+    assert np.abs(just_inside.tip - right.tip).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    "changes", [{"friction_model": "printed"}, {"dry_friction": 1e-4, "dry_rate": 0.1}, {"stiffness": 5.0}]
+)
+def test_the_limit_knows_of_every_joint_torque(changes: dict[str, object]) -> None:
+    """Just inside the named limit each kind of joint is stable: the tip agrees with the method that has no limit."""
+    rope = cable(n_links=20, **changes)
+    with pytest.raises(InvalidInput) as caught:
+        cast_with(rope, method="rk4", step=1.0)
+    named = float(re.search(r"at most ([\d.e+-]+) s", str(caught.value)).group(1))  # type: ignore[union-attr]
+    run = cast_with(rope, method="rk4", step=0.9 * named)
+    # A tenth of a millimetre: the step is stable, not small. An unstable one is off by hundreds of millimetres.
+    assert np.abs(run.tip - cast_with(rope, tol=1e-9).tip).max() < 1e-4
+
+
+def test_a_chain_without_any_torque_has_no_limit() -> None:
+    """In free space nothing but inertia acts: every step is stable, and none is refused."""
+    rope = hf.Rope(length=[0.5, 0.5], mass=[0.1, 0.1], gravity=(0.0, 0.0))
+    run = hf.simulate(rope, duration=1.0, qd0=[0.1, 0.1], method="rk4", step=0.01, t_eval=[1.0])
+    # Both links turn together about a fixed end: no relative motion, so the angle grows at a constant rate.
+    np.testing.assert_allclose(run.q[-1], [0.1, 0.1], rtol=0, atol=1e-12)

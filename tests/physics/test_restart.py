@@ -1,0 +1,114 @@
+"""Stop, save, read, go on: the same numbers, to the last bit, as if nothing had happened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+
+ARM = hf.Arm(length=0.105)
+STOP, END = 1.0, 2.5  # s; at 1.0 s the arm rests in the middle of a stretch, at no switch
+LATE = np.linspace(1.1, END, 15)
+
+
+def cable(**changes: object) -> hf.Rope:
+    kept = {"length": 2.0, "mass": 0.125, "n_links": 12, "radius": 0.0025, "friction": 5e-4, **changes}
+    return hf.Rope.uniform(**kept)
+
+
+def same(got: hf.Trajectory, want: hf.Trajectory) -> None:
+    """Equal in every bit of everything that a run computes."""
+    for name in ("t", "q", "qd", "qdd", "motor_work", "dissipated_energy", "kinetic_energy", "motor_torque"):
+        np.testing.assert_array_equal(getattr(got, name), getattr(want, name), err_msg=name)
+    np.testing.assert_array_equal(got.state.q, want.state.q)
+    np.testing.assert_array_equal(got.state.qd, want.state.qd)
+    assert got.state.step == want.state.step
+
+
+def through_a_file(run: hf.Trajectory, folder: Path) -> hf.State:
+    run.to_netcdf(folder / "stopped.nc")
+    return hf.read_trajectory(folder / "stopped.nc").state
+
+
+METHODS: list[dict[str, Any]] = [{"tol": 1e-6}, {"tol": 1e-9}, {"method": "rk4", "step": 1e-3}]
+
+
+@pytest.mark.parametrize("how", METHODS, ids=["coarse", "fine", "rk4"])
+@pytest.mark.parametrize("stop", [STOP, 0.73, 0.7301, 2.4999])
+def test_continuing_the_same_motion(tmp_path: Path, stop: float, how: dict[str, Any]) -> None:
+    late = LATE[1:] if stop < 2.0 else np.array([END])
+    whole = hf.simulate(cable(), hf.swings(), arm=ARM, duration=END, t_eval=late, **how)
+    first = hf.simulate(cable(), hf.swings(), arm=ARM, duration=stop, **how)
+    state = through_a_file(first, tmp_path)
+    second = hf.simulate(cable(), hf.swings(), arm=ARM, duration=END - stop, t_eval=late, state=state, **how)
+    same(second, whole)
+
+
+def test_stopping_again_and_again() -> None:
+    whole = hf.simulate(cable(), hf.swings(), arm=ARM, duration=END, t_eval=[END])
+    state = None
+    for stop in (0.3, 0.31, 1.0, 1.7, END):
+        begin = 0.0 if state is None else state.t
+        run = hf.simulate(cable(), hf.swings(), arm=ARM, duration=stop - begin, t_eval=[stop], state=state)
+        state = run.state
+    np.testing.assert_array_equal(run.q, whole.q)
+    np.testing.assert_array_equal(run.motor_work, whole.motor_work)
+
+
+def test_going_on_with_another_motion_is_the_joined_motion(tmp_path: Path) -> None:
+    """The second motion begins where the first is left, at a break of its own, so both readings are the same pieces."""
+    first = hf.swings()
+    angle = float(first.angle(STOP))
+    second = hf.move(angle, -1.0, 0.6).shifted(STOP)
+    whole = hf.simulate(cable(), first.then(second, at=STOP), arm=ARM, duration=END, t_eval=LATE)
+    stopped = hf.simulate(cable(), first, arm=ARM, duration=STOP)
+    state = through_a_file(stopped, tmp_path)
+    rest = hf.simulate(cable(), second, arm=ARM, duration=END - STOP, t_eval=LATE, state=state)
+    same(rest, whole)
+
+
+def test_a_joined_motion_in_the_middle_of_a_piece_is_the_same_function_of_time() -> None:
+    """Here the pieces are expanded about another instant, so bits differ, and no more than bits."""
+    first, second = hf.hold(-np.pi / 2), hf.swings().shifted(0.4)
+    whole = hf.simulate(cable(), first.then(second, at=0.2), arm=ARM, duration=END, t_eval=LATE, tol=1e-8)
+    plain = hf.simulate(cable(), second, arm=ARM, duration=END, t_eval=LATE, tol=1e-8)
+    # The second motion stands still at the same angle until 0.4 s; the runs differ by the step cut at 0.2 s.
+    np.testing.assert_allclose(whole.q, plain.q, rtol=0, atol=1e-5)
+
+
+def test_a_state_made_by_hand_is_where_the_run_starts() -> None:
+    q, qd = np.linspace(0.1, 0.4, 12), np.linspace(-1.0, 1.0, 12)
+    by_state = hf.simulate(cable(), duration=1.0, state=hf.State(t=3.0, q=q, qd=qd), t_eval=[3.0, 4.0])
+    by_start = hf.simulate(cable(), duration=1.0, q0=q, qd0=qd, t_eval=[0.0, 1.0])
+    # Times are 3 s later, so steps may differ in their last bits; at the default tolerance that is all.
+    np.testing.assert_allclose(by_state.q, by_start.q, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(by_state.t, [3.0, 4.0])
+
+
+def test_the_same_call_gives_the_same_bits() -> None:
+    runs = [hf.simulate(cable(), hf.swings(), arm=ARM, duration=END) for _ in range(2)]
+    same(runs[0], runs[1])
+
+
+def test_output_times_do_not_touch_the_run() -> None:
+    """Samples are read off between the steps, so asking for more of them must not move the others."""
+    few = hf.simulate(cable(), hf.swings(), arm=ARM, duration=END, t_eval=[1.234, END])
+    many = hf.simulate(cable(), hf.swings(), arm=ARM, duration=END, t_eval=np.append(np.arange(0.001, 2.0, 0.001), END))
+    np.testing.assert_array_equal(few.q[-1], many.q[-1])
+    k = int(np.argmin(np.abs(many.t - 1.234)))
+    # The same step read at times that differ in the last bit.
+    np.testing.assert_allclose(few.q[0], many.q[k], rtol=0, atol=1e-12)
+
+
+def test_samples_between_steps_are_as_good_as_the_steps() -> None:
+    tight = hf.simulate(cable(), hf.swings(), arm=ARM, duration=2.0, t_eval=np.arange(0.01, 2.0, 0.01), tol=1e-11)
+    plain = hf.simulate(cable(), hf.swings(), arm=ARM, duration=2.0, t_eval=np.arange(0.01, 2.0, 0.01), tol=1e-6)
+    at_steps = hf.simulate(cable(), hf.swings(), arm=ARM, duration=2.0, t_eval=[2.0], tol=1e-6)
+    end = hf.simulate(cable(), hf.swings(), arm=ARM, duration=2.0, t_eval=[2.0], tol=1e-11)
+    own = np.abs(at_steps.tip - end.tip).max()
+    # Between steps a sample may be worse than the steps' own error by the interpolation: allow ten times, and 1e-6 m.
+    assert np.abs(plain.tip - tight.tip).max() < max(10 * own, 10 * 1e-6)
