@@ -28,7 +28,7 @@ lint: $(INSTALLED) ## ruff, mypy, import-linter
 	$(BIN)/lint-imports --no-cache --no-logo
 
 docs: $(INSTALLED) ## the documentation, into site/
-	$(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "Open site/index.html"
 
 bench: $(INSTALLED) ## speed and accuracy, beside MuJoCo in the same run

@@ -1,0 +1,146 @@
+"""The house rules that no linter knows: documented names, light imports, short modules, a map that is true."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import hyperflex
+
+ROOT = Path(__file__).parent.parent
+SOURCES = sorted((ROOT / "src" / "hyperflex").rglob("*.py"))
+HEAVY = {"xarray", "pandas", "matplotlib", "PIL", "h5netcdf", "h5py", "rich", "typer", "jinja2"}
+HEAVY |= {"scipy.linalg", "scipy.sparse", "scipy.optimize", "scipy.interpolate"}  # numba itself loads scipy's outer shell
+PRIVATE = re.compile(
+    r"/(work|farm|root|home|Users)/\w|/tmp/\w|files[.]pythonhosted|pypi[.]org/simple|registry[.]npmjs|deb[.]debian"
+)
+
+
+def loaded_by(code: str) -> set[str]:
+    """Return which heavy packages a fresh interpreter has loaded after running `code`."""
+    ask = f"{code}\nimport sys; print(*sorted(set({sorted(HEAVY)!r}) & set(sys.modules)))"
+    run = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    return set(run.stdout.split())
+
+
+def documented(obj: object) -> set[str]:
+    """Return the argument names of a numpydoc docstring's sections on parameters."""
+    text = inspect.cleandoc(obj.__doc__ or "")
+    sections = re.findall(r"^(?:Other )?Parameters\n-{3,}\n(.*?)(?=^\S[^\n]*\n-{3,}\n|\Z)", text, re.M | re.S)
+    lines = re.findall(r"^([*\w][\w, *]*?)(?: :.*)?$", "\n".join(sections), re.M)
+    return {name.strip(" *") for line in lines for name in line.split(",")}
+
+
+def arguments(obj: object) -> set[str]:
+    """Return what a function, or a class when it is made, can be given."""
+    return {name for name in inspect.signature(obj).parameters if name not in {"self", "cls"}}  # type: ignore[arg-type]
+
+
+def public_callables() -> dict[str, object]:
+    """Return every public function and class, and every public method of those classes."""
+    found: dict[str, object] = {}
+    for name in hyperflex.__all__:
+        obj = getattr(hyperflex, name)
+        if callable(obj):
+            found[name] = obj
+        if inspect.isclass(obj) and not issubclass(obj, Exception):
+            members = inspect.getmembers_static(obj, lambda m: isinstance(m, classmethod | staticmethod) or callable(m))
+            found |= {f"{name}.{m}": getattr(obj, m) for m, _ in members if not m.startswith("_")}
+    return found
+
+
+def tracked() -> list[Path]:
+    """Return the files under version control (in a tree without one: everything that is source)."""
+    run = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
+    if run.returncode == 0:
+        return [ROOT / name for name in run.stdout.decode().split("\0") if name]
+    return [p for top in ("src", "tests", "docs") for p in (ROOT / top).rglob("*") if p.is_file()]
+
+
+@pytest.mark.parametrize("name", hyperflex.__all__)
+def test_public_name_is_there_and_has_a_docstring(name: str) -> None:
+    obj = getattr(hyperflex, name)
+    assert name in dir(hyperflex)
+    assert isinstance(obj, str) or (obj.__doc__ or "").strip(), name
+
+
+def test_every_argument_of_a_public_callable_is_documented() -> None:
+    missing = {name: sorted(arguments(obj) - documented(obj)) for name, obj in public_callables().items()}
+    assert {name: names for name, names in missing.items() if names} == {}
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = hyperflex.no_such_name
+
+
+def test_public_functions_are_not_hidden_by_modules_of_their_name() -> None:
+    """Importing a submodule binds its name in the package: a function of the same name would then be gone."""
+    folders = {p.relative_to(ROOT / "src" / "hyperflex").parts[0].removesuffix(".py") for p in SOURCES}
+    assert folders & set(hyperflex.__all__) == set()
+
+
+def test_importing_hyperflex_loads_nothing_heavy() -> None:
+    assert loaded_by("import hyperflex") == set()
+
+
+def test_building_a_rope_and_a_motion_loads_nothing_heavy() -> None:
+    code = "import hyperflex as hf; hf.Rope.uniform(length=2.0, mass=0.1, n_links=5); hf.swings(); hf.simulate"
+    assert loaded_by(code) == set()
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT / "src").as_posix())
+def test_module_is_one_concept_long(path: Path) -> None:
+    lines = len(path.read_text("utf-8").splitlines())
+    assert lines <= 350, f"{path.name} has {lines} lines: is it one concept? Split it where a second one starts"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT / "src").as_posix())
+def test_functions_fit_on_a_screen(path: Path) -> None:
+    tree = ast.parse(path.read_text("utf-8"))
+    long = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            body = node.body[1:] if ast.get_docstring(node) else node.body
+            length = body[-1].end_lineno - body[0].lineno + 1 if body else 0  # type: ignore[operator]
+            if length > 60:
+                long[node.name] = length
+    assert not long, f"lines of code without the docstring, 60 at most (40 is the aim): {long}"
+
+
+def test_tracked_files_name_no_machine_and_no_registry() -> None:
+    found = []
+    for path in tracked():
+        for number, line in enumerate(path.read_bytes().decode("utf-8", "ignore").splitlines(), 1):
+            if path.is_file() and PRIVATE.search(line) and path.suffix not in {".png", ".gif", ".nc", ".mp4"}:
+                found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()[:100]}")
+    assert found == []
+
+
+@pytest.mark.parametrize("text", ["/work" + "/main", "/home" + "/me", "https://files" + ".pythonhosted.org/a"])
+def test_pattern_for_private_names_sees(text: str) -> None:
+    assert PRIVATE.search(f"see {text} for it")
+
+
+def test_map_names_every_module() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
+    top = {p.relative_to(ROOT / "src" / "hyperflex").parts[0] for p in SOURCES} - {"__init__.py"}
+    missing = [name for name in sorted(top) if not re.search(rf"\b{re.escape(name.removesuffix('.py'))}\b(\.py|/)", text)]
+    assert missing == []
+
+
+def test_every_dependency_is_pinned_once() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    wanted = project["dependencies"] + sum(project["optional-dependencies"].values(), [])
+    pins = re.findall(r"^([\w.-]+)==\S+$", (ROOT / "constraints.txt").read_text("utf-8"), re.M)
+    names = [re.sub(r"[-_.]+", "-", pin).lower() for pin in pins]
+    assert len(names) == len(set(names))
+    needed = {re.split(r"[\[<>=!~ ;]", entry)[0].lower() for entry in wanted} - {"hyperflex"}
+    assert needed <= set(names), needed - set(names)
