@@ -17,7 +17,12 @@ import hyperflex
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted((ROOT / "src" / "hyperflex").rglob("*.py"))
 HEAVY = {"xarray", "pandas", "matplotlib", "PIL", "h5netcdf", "h5py", "rich", "typer", "jinja2"}
-HEAVY |= {"scipy.linalg", "scipy.sparse", "scipy.optimize", "scipy.interpolate"}  # numba itself loads scipy's outer shell
+HEAVY |= {
+    "scipy.linalg",
+    "scipy.sparse",
+    "scipy.optimize",
+    "scipy.interpolate",
+}  # of scipy itself numba loads the shell
 PRIVATE = re.compile(
     r"/(work|farm|root|home|Users)/\w|/tmp/\w|files[.]pythonhosted|pypi[.]org/simple|registry[.]npmjs|deb[.]debian"
 )
@@ -132,13 +137,15 @@ def test_pattern_for_private_names_sees(text: str) -> None:
 def test_map_names_every_module() -> None:
     text = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
     top = {p.relative_to(ROOT / "src" / "hyperflex").parts[0] for p in SOURCES} - {"__init__.py"}
-    missing = [name for name in sorted(top) if not re.search(rf"\b{re.escape(name.removesuffix('.py'))}\b(\.py|/)", text)]
+    missing = [name for name in sorted(top) if not re.search(rf"\b{name.removesuffix('.py')}(\.py|/)", text)]
     assert missing == []
 
 
 def test_every_dependency_is_pinned_once() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-    wanted = project["dependencies"] + sum(project["optional-dependencies"].values(), [])
+    wanted = list(project["dependencies"])
+    for extra in project["optional-dependencies"].values():
+        wanted += extra
     pins = re.findall(r"^([\w.-]+)==\S+$", (ROOT / "constraints.txt").read_text("utf-8"), re.M)
     names = [re.sub(r"[-_.]+", "-", pin).lower() for pin in pins]
     assert len(names) == len(set(names))
