@@ -9,7 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hyperflex.identify import Identification, identify
+    from hyperflex.identification import Identification, identify
     from hyperflex.model import Arm, Rope, Setup
     from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
@@ -20,7 +20,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Arm": "model",
-    "Identification": "identify",
+    "Identification": "identification",
     "Motion": "motion",
     "Recording": "recording",
     "Rope": "model",
@@ -28,7 +28,7 @@ _HOMES = {
     "State": "trajectory",
     "Trajectory": "trajectory",
     "hold": "motion",
-    "identify": "identify",
+    "identify": "identification",
     "move": "motion",
     "moving_point": "motion",
     "read_motion": "motion",
@@ -40,7 +40,28 @@ _HOMES = {
     "torque_profile": "motion",
 }
 
-__all__ = [*sorted(_HOMES), "__version__"]  # noqa: PLE0604
+__all__ = [
+    "Arm",
+    "Identification",
+    "Motion",
+    "Recording",
+    "Rope",
+    "Setup",
+    "State",
+    "Trajectory",
+    "__version__",
+    "hold",
+    "identify",
+    "move",
+    "moving_point",
+    "read_motion",
+    "read_recording",
+    "read_trajectory",
+    "sampled",
+    "simulate",
+    "swings",
+    "torque_profile",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -106,9 +106,7 @@ def link_step(link, joint, sin, cos, rate2, beyond):  # type: ignore[no-untyped-
     any_ = ayx * cos + ayy * sin
     adx = axx * sin - axy * cos
     ady = ayx * sin - ayy * cos
-    inv = 1.0 / (
-        inertia + kappa + s + length * (length * (cos * anx + sin * any_) + cos * (fx + ux) + sin * (fy + uy))
-    )
+    inv = 1.0 / (inertia + kappa + s + length * (length * (cos * anx + sin * any_) + cos * (fx + ux) + sin * (fy + uy)))
     ex = ma * cos + length * (axx * cos + ayx * sin) + ux  # moment on this link for a unit acceleration of its joint
     ey = ma * sin + length * (axy * cos + ayy * sin) + uy
     gx = (ma * cos + length * anx + fx) * inv  # force at the joint for a unit moment on this link

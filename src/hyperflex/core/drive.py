@@ -16,9 +16,9 @@ ANGLE, X, Y, TORQUE = 0, 1, 2, 3  # channels of Drive.coef
 class Drive(NamedTuple):
     """Piecewise polynomials of arm angle (rad), pivot x, y (m) and torque (N m).
 
-    Piece j holds from breaks[j] to breaks[j + 1] with coefficients coef[j] (4 channels, 6 ascending powers of the time
-    since breaks[j]). After the last break the pieces from `loop` on repeat for ever; where `loop` is negative, and before
-    the first break, the end values stand still.
+    Piece j holds from breaks[j] to breaks[j + 1] with coefficients coef[j]: 4 channels, 6 ascending powers of the time
+    since breaks[j]. After the last break the pieces from `loop` on repeat for ever; where `loop` is negative, and
+    before the first break, the end values stand still.
     """
 
     breaks: npt.NDArray[np.float64]  # (k + 1,), s

@@ -7,6 +7,7 @@ of other packages stays where it is. ``HYPERFLEX_CACHE_DIR`` moves it.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import sys
@@ -91,18 +92,9 @@ def inlined(function: _F) -> _F:
     return numba.njit(error_model="numpy", fastmath=_FASTMATH, inline="always")(function)  # type: ignore[no-any-return]
 
 
+@functools.cache
 def announce_compilation() -> None:
     """Say on standard error, once a process, that kernels are about to be compiled (nothing if they are cached)."""
-    global _announced
-    if _announced or numba.config.DISABLE_JIT:
-        return
-    _announced = True
-    if not any(Path(CACHE_FOLDER).glob("*.nbi")):
-        print(
-            "hyperflex: compiling the rope kernels for this machine (once, some 20 s; later starts are quick) ...",
-            file=sys.stderr,
-            flush=True,
-        )
-
-
-_announced = False
+    if not numba.config.DISABLE_JIT and not any(Path(CACHE_FOLDER).glob("*.nbi")):
+        sys.stderr.write("hyperflex: compiling the rope kernels for this machine (once, some 20 s) ...\n")
+        sys.stderr.flush()

@@ -16,6 +16,7 @@ from hyperflex.core.chain import Chain
 from hyperflex.errors import InvalidInput
 
 GRAVITY = (0.0, -9.81)  # m/s^2
+FrictionModel = Literal["relative", "printed"]
 FRICTION_MODELS = ("relative", "printed")
 
 # per-link fields: (sign, unit)
@@ -31,7 +32,7 @@ _LINK_FIELDS: dict[str, tuple[checks.Sign, str]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Rope:
     """A rope as a chain of n rigid links; also a tapered whip, or a real pendulum.
 
@@ -84,57 +85,70 @@ class Rope:
 
     length: Array
     mass: Array
-    com: Array = None  # type: ignore[assignment]
-    inertia: Array = None  # type: ignore[assignment]
-    friction: Array = 0.0  # type: ignore[assignment]
-    dry_friction: Array = 0.0  # type: ignore[assignment]
-    stiffness: Array = 0.0  # type: ignore[assignment]
-    rest_angle: Array = 0.0  # type: ignore[assignment]
-    tip_mass: float = 0.0
-    gravity: Array = GRAVITY  # type: ignore[assignment]
-    friction_model: Literal["relative", "printed"] = "relative"
-    radius: float = 0.0
-    dry_rate: float = 1e-3
-    name: str = ""
+    com: Array
+    inertia: Array
+    friction: Array
+    dry_friction: Array
+    stiffness: Array
+    rest_angle: Array
+    tip_mass: float
+    gravity: Array
+    friction_model: FrictionModel
+    radius: float
+    dry_rate: float
+    name: str
 
-    def __post_init__(self) -> None:
-        sizes = {np.size(getattr(self, name)) for name in _LINK_FIELDS if np.ndim(getattr(self, name)) == 1}
-        if len(sizes) != 1 or 0 in sizes:
-            raise InvalidInput(
-                "rope arrays do not tell one number of links",
-                got={name: np.shape(getattr(self, name)) for name in ("length", "mass")},
-                allowed="arrays (n,) of one length n >= 1, and single numbers",
-            )
-        n = sizes.pop()
-        checked: dict[str, Any] = {"radius": checks.number("radius", self.radius, sign="nonnegative", unit="m")}
+    def __init__(
+        self,
+        length: npt.ArrayLike,
+        mass: npt.ArrayLike,
+        com: npt.ArrayLike | None = None,
+        inertia: npt.ArrayLike | None = None,
+        friction: npt.ArrayLike = 0.0,
+        dry_friction: npt.ArrayLike = 0.0,
+        stiffness: npt.ArrayLike = 0.0,
+        rest_angle: npt.ArrayLike = 0.0,
+        tip_mass: float = 0.0,
+        gravity: npt.ArrayLike = GRAVITY,
+        friction_model: FrictionModel = "relative",
+        radius: float = 0.0,
+        dry_rate: float = 1e-3,
+        name: str = "",
+    ) -> None:
+        n = _number_of_links(length, mass, com, inertia, friction, dry_friction, stiffness, rest_angle)
 
-        def per_link(name: str, value: Any) -> None:
+        def per_link(name: str, value: npt.ArrayLike) -> Array:
             sign, unit = _LINK_FIELDS[name]
-            checked[name] = checks.array(f"rope {name}", value, (n,), sign=sign, unit=unit, scalar=True)
+            result = checks.array(f"rope {name}", value, (n,), sign=sign, unit=unit, scalar=True)
+            object.__setattr__(self, name, result)
+            return result
 
-        per_link("length", self.length)
-        per_link("mass", self.mass)
-        length, mass = checked["length"], checked["mass"]
-        per_link("com", 0.5 * length if self.com is None else self.com)
-        cylinder = mass * (3.0 * checked["radius"] ** 2 + length**2) / 12.0
-        per_link("inertia", cylinder if self.inertia is None else self.inertia)
-        for name in ("friction", "dry_friction", "stiffness", "rest_angle"):
-            per_link(name, getattr(self, name))
-        checked["tip_mass"] = checks.number("tip_mass", self.tip_mass, sign="nonnegative", unit="kg")
-        checked["gravity"] = checks.array("gravity", self.gravity, (2,), unit="m/s^2")
-        checked["dry_rate"] = checks.number("dry_rate", self.dry_rate, sign="positive", unit="rad/s")
-        checks.choice("friction_model", self.friction_model, FRICTION_MODELS)
-        empty = checked["inertia"] + mass * checked["com"] ** 2 <= 0.0
-        if checked["tip_mass"] > 0.0:
-            empty[-1] = False
+        lengths, masses = per_link("length", length), per_link("mass", mass)
+        r = checks.number("radius", radius, sign="nonnegative", unit="m")
+        centres = per_link("com", 0.5 * lengths if com is None else com)
+        cylinder = masses * (3.0 * r**2 + lengths**2) / 12.0
+        inertias = per_link("inertia", cylinder if inertia is None else inertia)
+        per_link("friction", friction)
+        per_link("dry_friction", dry_friction)
+        per_link("stiffness", stiffness)
+        per_link("rest_angle", rest_angle)
+        for field, value in (
+            ("radius", r),
+            ("tip_mass", checks.number("tip_mass", tip_mass, sign="nonnegative", unit="kg")),
+            ("gravity", checks.array("gravity", gravity, (2,), unit="m/s^2")),
+            ("friction_model", checks.choice("friction_model", friction_model, FRICTION_MODELS)),
+            ("dry_rate", checks.number("dry_rate", dry_rate, sign="positive", unit="rad/s")),
+            ("name", str(name)),
+        ):
+            object.__setattr__(self, field, value)
+        empty = inertias + masses * centres**2 <= 0.0
+        empty[-1] &= self.tip_mass <= 0.0
         if empty.any():
             raise InvalidInput(
                 f"link {int(np.argmax(empty))} has no inertia about its joint",
                 got=0.0,
                 allowed="a mass away from the joint, or an inertia > 0, for every link",
             )
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
 
     @classmethod
     def uniform(
@@ -185,9 +199,7 @@ class Rope:
         unknown = set(others) - {f.name for f in fields(cls)}
         if unknown:
             raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(cls))
-        return cls(
-            np.full(n, total / n), link_mass, radius=radius, inertia=inertia, friction=friction, **others  # type: ignore[arg-type]
-        )
+        return cls(np.full(n, total / n), link_mass, radius=radius, inertia=inertia, friction=friction, **others)
 
     @property
     def n_links(self) -> int:
@@ -258,7 +270,7 @@ class Rope:
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> Rope:
-        """Build a rope from a ``[rope]`` table: per-link values, or ``total_length``, ``total_mass`` and ``n_links``."""
+        """Build a rope from a ``[rope]`` table: ``n_links`` and per-link values, or total_length and total_mass."""
         content = dict(table)
         n = checks.count("rope n_links", content.pop("n_links", None))
         for total, each in (("total_length", "length"), ("total_mass", "mass")):
@@ -269,9 +281,8 @@ class Rope:
         unknown = set(content) - {f.name for f in fields(cls)}
         if unknown or not {"length", "mass"} <= set(content):
             raise InvalidInput("rope table does not fit", got=sorted(content), allowed="length, mass; " + _names(cls))
-        for name in _LINK_FIELDS:
+        for name, (sign, unit) in _LINK_FIELDS.items():
             if name in content and np.ndim(content[name]) == 0:
-                sign, unit = _LINK_FIELDS[name]
                 content[name] = np.full(n, checks.number(f"rope {name}", content[name], sign=sign, unit=unit))
         return cls(**content)
 
@@ -296,3 +307,15 @@ class Rope:
 
 def _names(cls: type) -> str:
     return ", ".join(f.name for f in fields(cls))
+
+
+def _number_of_links(*values: npt.ArrayLike | None) -> int:
+    sizes = {np.size(value) for value in values if value is not None and np.ndim(value) == 1}
+    if len(sizes) != 1 or 0 in sizes:
+        raise InvalidInput(
+            "rope arrays do not tell one number of links",
+            got=sorted(sizes),
+            allowed="arrays (n,) of one length n >= 1, and single numbers",
+            fix="Give length=[...] with one entry a link, or use Rope.uniform",
+        )
+    return sizes.pop()

@@ -1,7 +1,17 @@
 """Arm motions: piecewise polynomials of time, each with the instants at which its acceleration jumps."""
 
 from hyperflex.motion.piecewise import Motion
-from hyperflex.motion.profiles import PATHS, PROFILES, Profile, hold, move, moving_point, sampled, swings, torque_profile
+from hyperflex.motion.profiles import (
+    PATHS,
+    PROFILES,
+    Profile,
+    hold,
+    move,
+    moving_point,
+    sampled,
+    swings,
+    torque_profile,
+)
 from hyperflex.motion.tables import from_spec, read_motion, to_spec
 
 __all__ = [

@@ -28,7 +28,9 @@ def _pieces(durations: list[float], rows: list[list[float]], spec: dict[str, Any
     return Motion(breaks, coef, switch, 0 if repeat else -1, spec)
 
 
-def _stroke(start: float, end: float, duration: float, profile: str, ramp: float) -> tuple[list[float], list[list[float]]]:
+def _stroke(
+    start: float, end: float, duration: float, profile: str, ramp: float
+) -> tuple[list[float], list[list[float]]]:
     """Durations and coefficients of one move from `start` to `end`."""
     way = end - start
     if profile == "bang-bang":

@@ -64,7 +64,7 @@ class Rollout:
 
     def advance(self) -> int:
         """Run for one budget of steps and return the status code."""
-        return rollout.run(self.chain, self.drive, _TABLE, self.limits, self.progress, self.t, self.y)
+        return int(rollout.run(self.chain, self.drive, _TABLE, self.limits, self.progress, self.t, self.y))
 
 
 def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits) -> Rollout:
@@ -98,7 +98,7 @@ def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET) -> Lim
 def resume(run: Rollout, state: State, setup: Setup) -> None:
     """Let a run go on from a saved state: bit for bit if nothing but its end has changed."""
     n = run.chain.length.size
-    y, mark, clock = run.progress
+    y, _, clock = run.progress
     saved = state.checkpoint
     if saved and "y" in saved and np.size(saved["y"]) != 2 * n + 2:
         raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")

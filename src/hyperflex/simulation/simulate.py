@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -144,7 +145,7 @@ def simulate(
         resume(run, state, setup)
     code, name = status.OK, status.NAMES[status.OK]
     try:
-        if control is not None and control_rate is not None and setup.arm is not None:
+        if control is not None and control_rate is not None:
             code, setup = _controlled(run, setup, control, control_rate)
         else:
             with progress_bar(begin, begin + length, progress) as report:
@@ -220,11 +221,8 @@ def _constant_torques(times: Array, torques: Array, end: float) -> Motion:
 
 
 def _controlled(run: Rollout, setup: Setup, control: Control, rate: float) -> tuple[int, Setup]:
-    """Run under a torque callback; the returned set-up holds the torque that was applied, so that it can be replayed."""
-    from dataclasses import replace
-
-    assert setup.arm is not None
-    code, times, torques = controlled(run, control, 1.0 / rate, setup.arm.torque_limit)
+    """Run under a torque callback; the returned set-up holds the torque that was applied, for a replay."""
+    code, times, torques = controlled(run, control, 1.0 / rate, run.drive.torque_limit)
     setup = replace(setup, torque=_constant_torques(times, torques, run.limits.stop))
     run.drive = setup.drive()
     return code, setup
@@ -242,7 +240,9 @@ def _output_times(t_eval: npt.ArrayLike | None, begin: float, end: float) -> Arr
 def _failure(code: int, run: Rollout) -> SimulationError:
     n = run.chain.length.size
     rates = np.abs(run.progress.y[n : 2 * n])
-    where = f"fastest link: {int(np.nanargmax(rates))} at {np.nanmax(rates):.3g} rad/s" if np.isfinite(rates).any() else ""
+    where = (
+        f"fastest link: {int(np.nanargmax(rates))} at {np.nanmax(rates):.3g} rad/s" if np.isfinite(rates).any() else ""
+    )
     message = f"stopped at t = {run.time:.6g} s ({status.NAMES[code]}; {where}): {status.ADVICE[code]}."
     return SimulationError(message, status=status.NAMES[code], time=run.time)
 

@@ -27,7 +27,9 @@ def runge_kutta_limit(chain: Chain) -> float:
     first_moment = chain.mass * chain.com + chain.length * _mass_beyond(chain)
     weight = math.hypot(chain.gx, chain.gy) * first_moment
     stiffness = relative.T @ (chain.stiffness[:, None] * relative) + np.diag(weight)
-    system = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]])
+    system = np.block(
+        [[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]]
+    )
     z = np.linalg.eigvals(system)
     z = z[np.abs(z) > 1e-9 * np.abs(z).max()]
     low, high = 0.0, 3.0 / float(np.abs(z).max())

@@ -1,0 +1,166 @@
+"""The paper's equations (1)-(3): arm and rope as one underactuated chain, partly linearised.
+
+Coordinates are absolute angles, the arm's (index a) before the rope's (index u): with the arm's inertia and friction,
+M [a; u] + bias = [tau; 0], where bias gathers the centrifugal, potential and friction terms, C + P - F.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core import chain as core
+from hyperflex.model import Arm, Rope
+
+
+class PartialLinearization(NamedTuple):
+    """Equation (2): with the arm's acceleration u as input, the rope's accelerations are ``a_u + b_u * u``.
+
+    Attributes
+    ----------
+    a_u : (n,) float64
+        A_u = -M_uu^-1 (C_u + P_u - F_u), rad/s^2.
+    b_u : (n,) float64
+        B_u = -M_uu^-1 M_ua.
+    effective_inertia : float
+        M_aa + M_ua^T B_u, kg m^2: what the motor feels.
+    arm_bias : float
+        C_a + P_a - F_a + M_ua^T A_u, N m: the torque at which the arm does not accelerate.
+    """
+
+    a_u: Array
+    b_u: Array
+    effective_inertia: float
+    arm_bias: float
+
+
+def mass_matrix(rope: Rope, q: npt.ArrayLike, *, arm: Arm | None = None, arm_angle: float = 0.0) -> Array:
+    """Return the inertia matrix M of (1) in absolute angles.
+
+    Parameters
+    ----------
+    rope : Rope
+    q : (n,) array_like
+        Link angles, rad.
+    arm : Arm, optional
+        With an arm the matrix has its row and column first.
+    arm_angle : float
+        Angle of the arm, rad.
+
+    Returns
+    -------
+    (n, n) or (n + 1, n + 1) float64
+        kg m^2, symmetric and positive definite (positive semidefinite for an arm without inertia).
+
+    Notes
+    -----
+    Cost O(n^2). Paper (1); docs/models.md (M.4).
+    """
+    angles = _joined(rope, q, "q", "rad", arm, arm_angle)
+    chain = rope.chain() if arm is None else arm.chain(rope)
+    result = np.empty((angles.size, angles.size))
+    core.mass_matrix(chain, angles, result)
+    return result
+
+
+def bias(
+    rope: Rope,
+    q: npt.ArrayLike,
+    qd: npt.ArrayLike,
+    *,
+    arm: Arm | None = None,
+    arm_angle: float = 0.0,
+    arm_rate: float = 0.0,
+) -> Array:
+    """Return C + P - F of (1): the torques that keep every acceleration at zero.
+
+    Parameters
+    ----------
+    rope : Rope
+    q, qd : (n,) array_like
+        Link angles, rad, and rates, rad/s.
+    arm, arm_angle, arm_rate
+        With an arm (rad, rad/s) its entry comes first.
+
+    Returns
+    -------
+    (n,) or (n + 1,) float64
+        N m.
+
+    Notes
+    -----
+    From the accelerations of one O(n) sweep: bias = -M qdd for tau = 0. Paper (1).
+    """
+    angles = _joined(rope, q, "q", "rad", arm, arm_angle)
+    rates = _joined(rope, qd, "qd", "rad/s", arm, arm_rate)
+    chain = rope.chain() if arm is None else arm.chain(rope)
+    result = np.empty(angles.size)
+    core.accelerations(chain, angles, rates, np.zeros(7), 0.0, 0.0, result, np.empty((angles.size, 8)))
+    mass = np.empty((angles.size, angles.size))
+    core.mass_matrix(chain, angles, mass)
+    return np.asarray(-mass @ result)
+
+
+def partial_linearization(
+    rope: Rope, arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike, arm_angle: float, arm_rate: float
+) -> PartialLinearization:
+    """Return A_u and B_u of (2), and what (3) needs, by three O(n) sweeps.
+
+    Parameters
+    ----------
+    rope, arm : Rope, Arm
+    q, qd : (n,) array_like
+        Link angles, rad, and rates, rad/s.
+    arm_angle, arm_rate : float
+        Of the arm, rad and rad/s.
+    """
+    angles = checks.array("q", q, (rope.n_links,), unit="rad")
+    rates = checks.array("qd", qd, (rope.n_links,), unit="rad/s")
+    angle, rate = checks.number("arm_angle", arm_angle), checks.number("arm_rate", arm_rate)
+    rest = _driven(rope, arm, angles, rates, angle, rate, 0.0)
+    unit = _driven(rope, arm, angles, rates, angle, rate, 1.0)
+    return PartialLinearization(rest[0], unit[0] - rest[0], unit[1] - rest[1], rest[1])
+
+
+def input_from_torque(linear: PartialLinearization, tau: float) -> float:
+    """Return u of (3), the arm's acceleration, rad/s^2, for a motor torque `tau`, N m."""
+    return (checks.number("tau", tau, unit="N m") - linear.arm_bias) / linear.effective_inertia
+
+
+def torque_from_input(linear: PartialLinearization, u: float) -> float:
+    """Return the motor torque, N m, that gives the arm the acceleration `u`, rad/s^2: (3) solved for tau."""
+    return linear.effective_inertia * checks.number("u", u, unit="rad/s^2") + linear.arm_bias
+
+
+def _joined(rope: Rope, value: npt.ArrayLike, name: str, unit: str, arm: Arm | None, own: float) -> Array:
+    links = checks.array(name, value, (rope.n_links,), unit=unit)
+    return links if arm is None else np.append(checks.number(f"arm {name}", own, unit=unit), links)
+
+
+def _driven(
+    rope: Rope, arm: Arm, q: Array, qd: Array, angle: float, rate: float, acceleration: float
+) -> tuple[Array, float]:
+    """Rope accelerations (n,) and motor torque under a given acceleration of the arm."""
+    n = rope.n_links
+    cos, sin = np.cos(angle), np.sin(angle)
+    base = np.array(
+        [
+            arm.length * (cos * acceleration - sin * rate**2),
+            arm.length * (sin * acceleration + cos * rate**2),
+            acceleration,
+            rate,
+            angle,
+            arm.length * cos * rate,
+            arm.length * sin * rate,
+        ]
+    )
+    qdd = np.empty(n)
+    fx, fy, moment = core.accelerations(rope.chain(), q, qd, base, 0.0, 0.0, qdd, np.empty((n, 8)))
+    gx, gy = rope.gravity
+    own = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
+    own += arm.dry_friction * np.tanh(rate / rope.dry_rate) - arm.mass * arm.com * (gx * cos + gy * sin)
+    return qdd, float(own + moment + arm.length * (cos * fx + sin * fy))
