@@ -47,7 +47,7 @@ class Reading:
     def title(self) -> str:
         """The reading in words."""
         way = {"under": "through the bottom", "over": "over the top"}[self.path]
-        return f"{way}, friction {'physical' if self.friction == 'relative' else 'as printed'}"
+        return f"{way}, {'physical' if self.friction == 'relative' else 'printed'} friction"
 
     @property
     def key(self) -> str:

@@ -75,7 +75,7 @@ def fig11(casts: Casts) -> Figure:
             row[0].plot(success.t, 0.35 * swing - 0.45, color=GREY, lw=0.8)
             row[0].set(ylim=(-0.55, _R_TOP), ylabel="r, m", title=reading.title)
             row[1].set(ylabel="theta, rad")
-        _finish(figure, axes, "Spiral coordinates of the tip, simulated (Fig. 11)")
+        _finish(figure, axes, "Spiral coordinates, simulated (Fig. 11)")
     return figure
 
 

@@ -46,7 +46,7 @@ OWN_ATTRIBUTES = ("format", "source", "hyperflex_version", "status", "message", 
 class State:
     """Everything that a run needs to go on as if it had not been stopped.
 
-    Attributes
+    Parameters
     ----------
     t : float
         Time, s.
@@ -73,7 +73,7 @@ class State:
 class Trajectory:
     """A simulated motion (made by :func:`hyperflex.simulate`, or read by :func:`read_trajectory`).
 
-    Attributes
+    Parameters
     ----------
     t : (T,) float64
         Time, s.

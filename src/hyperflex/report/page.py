@@ -1,0 +1,89 @@
+"""One-page reports: a single HTML file with its pictures inside, so that it can be mailed or archived as it is."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hyperflex import files
+from hyperflex.report.tables import TextTable
+
+_KINDS = {b"\x89PNG": "image/png", b"GIF8": "image/gif"}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG or GIF with its caption.
+
+    Attributes
+    ----------
+    content : bytes
+        The file's bytes.
+    caption : str
+        What to see in it; also the text for those who cannot see it.
+    """
+
+    content: bytes
+    caption: str
+
+    @property
+    def source(self) -> str:
+        """The picture as a data URL."""
+        kind = next(kind for magic, kind in _KINDS.items() if self.content.startswith(magic))
+        return f"data:{kind};base64,{base64.b64encode(self.content).decode('ascii')}"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A headed part of a page, shown in the order text, tiles, pictures, table, notes.
+
+    Attributes
+    ----------
+    title : str
+        Heading.
+    text : tuple of str
+        Paragraphs.
+    tiles : tuple of (str, str)
+        Key figures: value and what it is.
+    pictures : tuple of Picture
+        Shown below each other.
+    table : TextTable, optional
+        Shown in full; wide ones scroll.
+    notes : tuple of str
+        Small print.
+    """
+
+    title: str
+    text: tuple[str, ...] = ()
+    tiles: tuple[tuple[str, str], ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    table: TextTable | None = None
+    notes: tuple[str, ...] = field(default=())
+
+
+def write_page(path: str | Path, title: str, lead: str, badge: str, sections: list[Section]) -> None:
+    """Write a page, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        Where to write, usually ending in ``.html``.
+    title, lead : str
+        Heading and the paragraph under it.
+    badge : str
+        A short label beside the title, such as "simulated".
+    sections : list of Section
+        The content.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    from hyperflex import __version__
+
+    loader = PackageLoader("hyperflex.report", "templates")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.get_template("page.html")
+    text = template.render(title=title, lead=lead, badge=badge, sections=sections, version=__version__)
+    files.write_text(path, text)

@@ -1,0 +1,93 @@
+"""Small tables for people: Markdown files and pages show the same ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hyperflex.errors import InvalidInput
+from hyperflex.paper import OUTCOMES, READINGS, T_REST, Claim, cast, reach_table
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of ready-made cells.
+
+    Attributes
+    ----------
+    header : tuple of str
+        Column names.
+    rows : tuple of tuple of str
+        Cells, as many in each row as there are columns.
+    """
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.header):
+                raise InvalidInput(
+                    "table row has the wrong number of cells", got=row, allowed=f"{len(self.header)} cells"
+                )
+
+
+def markdown(table: TextTable) -> str:
+    """Return a table as Markdown, columns padded so that it reads well as plain text too."""
+    lines = [table.header, *table.rows]
+    cells = [[cell.replace("|", r"\|") for cell in line] for line in lines]
+    widths = [max(3, *(len(line[k]) for line in cells)) for k in range(len(table.header))]
+
+    def row(line: Sequence[str]) -> str:
+        return "| " + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) + " |"
+
+    rule = "|" + "|".join("-" * (width + 2) for width in widths) + "|"
+    return "\n".join([row(cells[0]), rule, *map(row, cells[1:])]) + "\n"
+
+
+def claims_table(claims: Sequence[Claim]) -> TextTable:
+    """Return measured values, thresholds and verdicts of the paper's claims."""
+    rows = tuple(
+        (
+            claim.name,
+            claim.statement,
+            claim.reading.title,
+            f"{claim.measured:.3g}" if claim.measured < 0.1 else f"{claim.measured:.4f}",
+            f"{claim.relation} {claim.threshold:g}",
+            "holds" if claim.holds else "does not hold",
+            claim.note,
+        )
+        for claim in claims
+    )
+    return TextTable(("claim", "what is measured", "reading", "value", "threshold", "verdict", "note"), rows)
+
+
+def verdicts(claims: Sequence[Claim]) -> tuple[str, ...]:
+    """Return a sentence for each claim on where it holds and where not."""
+    sentences = []
+    for name in dict.fromkeys(claim.name for claim in claims):
+        own = [claim for claim in claims if claim.name == name]
+        kept = [claim.reading.title for claim in own if claim.holds]
+        broken = [claim.reading.title for claim in own if not claim.holds]
+        if not broken:
+            sentences.append(f"{name} holds in all {len(own)} readings.")
+        elif not kept:
+            sentences.append(f"{name} holds in none of the {len(own)} readings.")
+        else:
+            sentences.append(
+                f"{name} holds in {len(kept)} of {len(own)} readings ({'; '.join(kept)}), "
+                f"not in the others ({'; '.join(broken)})."
+            )
+    return tuple(sentences)
+
+
+def reaches_table() -> TextTable:
+    """Return the greatest ``|x|`` of the tip in each 2 s, for every reading and outcome."""
+    rows = []
+    for reading in READINGS:
+        for outcome in OUTCOMES:
+            reaches = reach_table(cast(reading, outcome))
+            rest = f"{outcome} (rest {T_REST[outcome]:.2f} s)"
+            rows.append((reading.title, rest, *(f"{reach:.2f}" for reach in reaches)))
+    windows = tuple(f"{2 * k}-{2 * k + 2} s" for k in range(len(rows[0]) - 2))
+    return TextTable(("reading", "cast", *windows), tuple(rows))
