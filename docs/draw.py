@@ -1,0 +1,49 @@
+"""Draw the pictures of the documentation into docs/images: ``python docs/draw.py``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import hyperflex as hf
+from hyperflex import paper
+from hyperflex.report import casting
+from hyperflex.report.animation import animate
+from hyperflex.report.strobe import strobe
+from hyperflex.report.style import save_png
+
+IMAGES = Path(__file__).parent / "images"
+DPI = 100
+
+
+def cast() -> hf.Trajectory:
+    """Swing the paper's cable up for 14 s."""
+    cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    return hf.simulate(cable, hf.swings(), arm=hf.Arm(length=0.105), duration=14.0)
+
+
+def whip() -> hf.Trajectory:
+    """Crack a tapered whip with one stroke of a longer arm."""
+    taper = np.linspace(1.0, 0.15, 60)
+    rope = hf.Rope(length=0.025, mass=5e-3 * taper**2, friction=1.2e-3 * taper**3)
+    motion = hf.move(-np.pi / 2, 3 * np.pi / 4, 0.4)
+    return hf.simulate(rope, motion, arm=hf.Arm(length=0.25), duration=0.48, t_eval=np.linspace(0.0, 0.48, 121))
+
+
+def main() -> None:
+    """Draw them all, and print the figures that the captions name."""
+    IMAGES.mkdir(exist_ok=True)
+    swung, cracked = cast(), whip()
+    save_png(strobe(swung, start=10.3, end=11.4, count=60), IMAGES / "cast.png", dpi=DPI)
+    animate(swung, IMAGES / "cast.gif", start=8.82, end=11.34, width=480)
+    save_png(strobe(cracked, count=70, width=6.0), IMAGES / "whip.png", dpi=DPI)
+    speed = np.linalg.norm(cracked.tip_velocity, axis=1)
+    print(f"whip: {speed.max():.0f} m/s at t = {cracked.t[speed.argmax()]:.2f} s")
+    casts = paper.casts()
+    for draw in (casting.fig10, casting.fig11, casting.fig12):
+        save_png(draw(casts), IMAGES / f"{draw.__name__}.png", dpi=DPI)
+
+
+if __name__ == "__main__":
+    main()
