@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import os
 import pkgutil
 import re
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -48,3 +51,28 @@ def test_examples_in_docstrings(name: str) -> None:
         warnings.simplefilter("ignore", DeprecationWarning)  # of doctest itself, under numba's wrappers
         result = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS)
     assert result.failed == 0
+
+
+def test_equations_that_the_code_names_are_in_the_models_page() -> None:
+    known = set(re.findall(r"\\tag\{(M\.\d+)\}", (ROOT / "docs" / "models.md").read_text("utf-8")))
+    sources = "\n".join(path.read_text("utf-8") for path in (ROOT / "src").rglob("*.py"))
+    named_there = set(re.findall(r"\(?(M\.\d+)\b", sources))
+    assert named_there
+    assert named_there <= known
+
+
+def test_site_builds_and_needs_no_network(tmp_path: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],
+        cwd=ROOT,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    for page in tmp_path.rglob("*.html"):
+        text = page.read_text("utf-8")
+        assert "arithmatex" not in text, f"{page.name}: LaTeX that was not converted"
+        assert not re.search(r"<m[ion]>(&amp;|&|\\\w*)</m[ion]>", text), f"{page.name}: LaTeX within MathML"
+        assert not re.search(r'<(script|img|link|iframe)[^>]*(src|href)="?(https?:)?//', text), page.name
