@@ -19,7 +19,7 @@ class Limits(NamedTuple):
     """What bounds a run."""
 
     stop: float  # s, run until here
-    tol: float  # m, local error allowed in the position of any joint
+    tol: float  # m, error allowed in the position of any joint, of a step and of SHARE seconds
     lever: Array  # (n,) m, how far a link's angle moves mass: the larger of its length and its radius of gyration
     fixed: float  # s, fixed Runge-Kutta step; 0.0: extrapolation with error control
     budget: int  # steps of one call, so that callers can show progress and be interrupted
@@ -36,6 +36,7 @@ class Progress(NamedTuple):
 T, STEP, MARK_T, MARK_STEP, INDEX, TAKEN, REJECTED = range(7)
 LARGEST_STEP = 0.25  # s
 SMALLEST_STEP = 1e-10  # s
+SHARE = 0.02  # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
 
 
 def _hermite(derivatives: int) -> Array:
@@ -55,7 +56,7 @@ _SUMS = _hermite(1)  # (6, 6): value and first derivative
 
 @kernel
 def error_norm(chain, limits, y, error, step):  # type: ignore[no-untyped-def]
-    """Largest error of any joint's position, and of its velocity times the step, in units of the tolerance."""
+    """Largest error of any joint's position, and of its velocity times the step, in units of what is allowed."""
     n = chain.length.size
     x = vx = z = vz = worst = 0.0
     for i in range(n):
@@ -69,7 +70,7 @@ def error_norm(chain, limits, y, error, step):  # type: ignore[no-untyped-def]
         worst = max(worst, x * x + z * z, vx * vx + vz * vz)
         if not (worst < np.inf):
             return np.inf
-    return math.sqrt(worst) / limits.tol
+    return math.sqrt(worst) / (limits.tol * min(1.0, step / SHARE))
 
 
 @kernel
