@@ -14,17 +14,17 @@ from hyperflex.core.steppers import extrapolate, scheme
 from hyperflex.errors import InvalidInput
 from tests.reference.arm import cast, links_of, still
 
-Q0 = np.array([1.0, 1.4, 0.6])
+Q0 = np.array([0.5, 0.6])
 
 
 def chain() -> hf.Rope:
-    """Three links with mild friction and springs: smooth, and slow beside the steps taken."""
-    return hf.Rope(length=[0.5, 0.4, 0.6], mass=[0.2, 0.1, 0.15], friction=2e-3, stiffness=0.05, tip_mass=0.05)
+    """Two links with mild friction: smooth, and slow beside the steps taken."""
+    return hf.Rope(length=[1.0, 1.0], mass=[0.2, 0.1], friction=2e-2, tip_mass=0.05)
 
 
 def exact(duration: float) -> np.ndarray:
-    """Angles and rates (6,) at the end, from the dense reference."""
-    return cast(links_of(chain()), 0.0, still(duration), Q0, np.zeros(3), tol=1e-13)[0]
+    """Angles and rates (4,) at the end, from the dense reference."""
+    return cast(links_of(chain()), 0.0, still(duration), Q0, np.zeros(2), tol=1e-13)[0]
 
 
 def slope(steps: np.ndarray, errors: list[float]) -> float:
@@ -32,7 +32,7 @@ def slope(steps: np.ndarray, errors: list[float]) -> float:
 
 
 def test_runge_kutta_has_order_four() -> None:
-    want = exact(1.0)[:3]
+    want = exact(1.0)[:2]
     counts = np.array([100, 200, 400])
     runs = [hf.simulate(chain(), duration=1.0, q0=Q0, method="rk4", step=1.0 / k, t_eval=[1.0]) for k in counts]
     errors = [float(np.abs(run.q[-1] - want).max()) for run in runs]
@@ -41,10 +41,10 @@ def test_runge_kutta_has_order_four() -> None:
 
 
 def fixed_steps(order: int, count: int, duration: float) -> np.ndarray:
-    """End state (6,) of extrapolated steps of equal length, with the error control left out."""
+    """End state (4,) of extrapolated steps of equal length, with the error control left out."""
     setup = hf.Setup(rope=chain(), q0=Q0)
     parameters, drive, table = setup.chain(), setup.drive(), scheme(order)
-    n = 3
+    n = len(Q0)
     y, out, error = np.zeros(2 * n + 2), np.zeros(2 * n + 2), np.zeros(2 * n + 2)
     y[:n] = Q0
     lanes, base = np.zeros((n + 2) * ROW), np.zeros((LANES, 9))
@@ -56,18 +56,22 @@ def fixed_steps(order: int, count: int, duration: float) -> np.ndarray:
     return y[: 2 * n]
 
 
-@pytest.mark.parametrize("order", [2, 3, 4, 5, 6, 7])
+# Steps short enough for the leading term of the error and long enough to stay above rounding, 1e-12 of the angles.
+COUNTS = {2: (24, 32, 48), 3: (32, 48, 64), 4: (24, 32, 48), 5: (24, 32, 48), 6: (12, 16, 24), 7: (10, 12, 16)}
+
+
+@pytest.mark.parametrize("order", COUNTS)
 def test_extrapolation_has_the_order_that_it_declares(order: int) -> None:
     duration = 0.5
     want = exact(duration)
-    # Steps short enough for the leading term and long enough to stay above rounding (1e-13), whatever the order.
-    counts = np.array([16, 24, 32]) if order > 4 else np.array([64, 96, 128])
+    counts = np.array(COUNTS[order])
     errors = [float(np.abs(fixed_steps(order, int(k), duration) - want).max()) for k in counts]
-    assert slope(duration / counts, errors) == pytest.approx(order, abs=0.35)
+    # The next term has the other sign here, so the measured order comes up from below: by 0.01 to 0.3 at these steps.
+    assert order - 0.4 < slope(duration / counts, errors) < order + 0.2
 
 
 def test_the_error_follows_the_tolerance() -> None:
-    want = exact(2.0)[:3]
+    want = exact(2.0)[:2]
     errors = []
     for tol in (1e-4, 1e-6, 1e-8, 1e-10):
         run = hf.simulate(chain(), duration=2.0, q0=Q0, t_eval=[2.0], tol=tol)
@@ -102,9 +106,14 @@ def test_runge_kutta_refuses_a_step_beyond_its_limit_and_names_the_limit(n: int)
     assert np.abs(just_inside.tip - right.tip).max() < 1e-6
 
 
-@pytest.mark.parametrize(
-    "changes", [{"friction_model": "printed"}, {"dry_friction": 1e-4, "dry_rate": 0.1}, {"stiffness": 5.0}]
-)
+JOINTS = [
+    {"friction_model": "printed", "friction": 2e-3},
+    {"dry_friction": 1e-4, "dry_rate": 0.1},
+    {"stiffness": 0.1, "friction": 2e-3},
+]
+
+
+@pytest.mark.parametrize("changes", JOINTS, ids=["printed", "dry", "stiff"])
 def test_the_limit_knows_of_every_joint_torque(changes: dict[str, object]) -> None:
     """Just inside the named limit each kind of joint is stable: the tip agrees with the method that has no limit."""
     rope = cable(n_links=20, **changes)
@@ -112,8 +121,8 @@ def test_the_limit_knows_of_every_joint_torque(changes: dict[str, object]) -> No
         cast_with(rope, method="rk4", step=1.0)
     named = float(re.search(r"at most ([\d.e+-]+) s", str(caught.value)).group(1))  # type: ignore[union-attr]
     run = cast_with(rope, method="rk4", step=0.9 * named)
-    # A tenth of a millimetre: the step is stable, not small. An unstable one is off by hundreds of millimetres.
-    assert np.abs(run.tip - cast_with(rope, tol=1e-9).tip).max() < 1e-4
+    # The step is stable, not small: some micrometres. Beyond the limit the tip is off by a hundred millimetres.
+    assert np.abs(run.tip - cast_with(rope, tol=1e-9).tip).max() < 1e-5
 
 
 def test_a_chain_without_any_torque_has_no_limit() -> None:

@@ -56,7 +56,7 @@ def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):
     has_dry = False
     for i in range(n):
         has_dry = has_dry or chain.dry[i] != 0.0
-    out[:] = 0.0
+    out[:] = y  # the weights, up to 389 in size, multiply increments: their rounding must not scale the state itself
     error[:] = 0.0
     done = np.zeros(ln.LANES, dtype=np.int64)
     rounds = table.column.shape[0]
@@ -81,14 +81,18 @@ def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):
                 best = table.best[col]
                 gap = best - table.other[col]
                 for i in range(n):
-                    out[i] += best * lanes[(i + 1) * ln.ROW + ln.Q + j]
-                    out[n + i] += best * lanes[(i + 1) * ln.ROW + ln.W + j]
-                    error[i] += gap * lanes[(i + 1) * ln.ROW + ln.Q + j]
-                    error[n + i] += gap * lanes[(i + 1) * ln.ROW + ln.W + j]
-                out[2 * n] += best * lanes[ln.WORK + j]
-                out[2 * n + 1] += best * lanes[ln.DISSIPATED + j]
-                error[2 * n] += gap * lanes[ln.WORK + j]
-                error[2 * n + 1] += gap * lanes[ln.DISSIPATED + j]
+                    dq = lanes[(i + 1) * ln.ROW + ln.Q + j] - y[i]
+                    dw = lanes[(i + 1) * ln.ROW + ln.W + j] - y[n + i]
+                    out[i] += best * dq
+                    out[n + i] += best * dw
+                    error[i] += gap * dq
+                    error[n + i] += gap * dw
+                work = lanes[ln.WORK + j] - y[2 * n]
+                dissipated = lanes[ln.DISSIPATED + j] - y[2 * n + 1]
+                out[2 * n] += best * work
+                out[2 * n + 1] += best * dissipated
+                error[2 * n] += gap * work
+                error[2 * n + 1] += gap * dissipated
 
 
 @kernel
