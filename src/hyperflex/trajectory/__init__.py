@@ -1,6 +1,6 @@
 """Trajectories: what a rollout leaves behind, and its NetCDF file."""
 
 from hyperflex.trajectory.netcdf import read_trajectory
-from hyperflex.trajectory.run import State, Trajectory, assemble
+from hyperflex.trajectory.run import State, Trajectory
 
-__all__ = ["State", "Trajectory", "assemble", "read_trajectory"]
+__all__ = ["State", "Trajectory", "read_trajectory"]

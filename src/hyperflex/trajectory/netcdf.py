@@ -1,9 +1,10 @@
-"""Trajectories in NetCDF files: the run in the root group, the state to go on from in the group ``state``."""
+"""Trajectories in NetCDF-4 files: the run in the root group, the state to go on from in the group ``state``."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,20 +12,32 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.model import Setup
-from hyperflex.trajectory.run import FORMAT, OWN_ATTRIBUTES, VARIABLES, State, Trajectory
+from hyperflex.trajectory.run import AXES, DERIVED, FORMAT, OWN_ATTRIBUTES, VARIABLES, State, Trajectory
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-_STATE_GROUP = "state"
+_STATE = {"t": "s", "q": "rad", "qd": "rad/s", "step": "s", "work": "J", "dissipated": "J"}  # name -> units
 _CHECKPOINT = "checkpoint_"
 
 
-def write(path: str | Path, run: xr.Dataset, state: State) -> None:
-    """Write a run (the dataset of a trajectory) and its final state to `path`, whole or not at all."""
-    with files.atomic_path(path) as temporary:
-        _save(run, temporary, group=None)
-        _save(_state_dataset(state), temporary, group=_STATE_GROUP)
+def write(run: Trajectory, path: str | Path) -> None:
+    """Write a run and its final state to `path`, whole or not at all; see :meth:`Trajectory.to_netcdf`."""
+    import h5netcdf
+
+    samples, links = run.q.shape
+    with files.atomic_path(path) as part, h5netcdf.File(part, "w") as file:
+        file.dimensions = {"time": samples, "link": links, "joint": links + 1, "axis": 2}
+        _put(file, "time", ("time",), run.t, units="s", long_name="time")
+        _put(file, "axis", ("axis",), np.array(["x", "y"], dtype=object), long_name=AXES)
+        for name, (dims, units, long_name) in {**VARIABLES, **DERIVED}.items():
+            _put(file, name, ("time", *dims), getattr(run, name), units=units, long_name=long_name)
+        for key, value in run.attributes().items():
+            file.attrs[key] = value
+        group = file.create_group("state")
+        for name, units in _STATE.items():
+            _put(group, name, ("link",) if name in ("q", "qd") else (), getattr(run.state, name), units=units)
+        for name, value in run.state.checkpoint.items():
+            dims = tuple(f"{name}_{axis}" for axis in range(np.ndim(value)))
+            group.dimensions.update(dict(zip(dims, np.shape(value), strict=True)))
+            _put(group, _CHECKPOINT + name, dims, value)
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
@@ -46,78 +59,74 @@ def read_trajectory(path: str | Path) -> Trajectory:
     InvalidInput
         It is a NetCDF file, but not a hyperflex trajectory.
     """
-    main = _load(Path(path), group=None)
-    if main.attrs.get("format") != FORMAT:
+    attributes, main, state = _load(path)
+    if attributes.get("format") != FORMAT:
         raise InvalidInput(
             f"{path} is not a hyperflex trajectory",
-            got=main.attrs.get("format", "no attribute 'format'"),
+            got=attributes.get("format", "no attribute 'format'"),
             allowed=f"a file written by Trajectory.to_netcdf (format {FORMAT!r})",
             fix="Measured data are read by hyperflex.read_recording",
         )
-    state = _load(Path(path), group=_STATE_GROUP)
-    missing = [name for name in ("time", *VARIABLES) if name not in main.variables]
-    missing += [name for name in ("t", "q", "qd", "step", "work", "dissipated") if name not in state.variables]
-    if missing or "setup" not in main.attrs:
-        raise InvalidInput(
-            f"{path} lacks parts of a trajectory", got=missing or ["attribute 'setup'"], fix="Simulate it again"
-        )
+    missing = [name for name in ("time", *VARIABLES) if name not in main]
+    missing += [f"state/{name}" for name in _STATE if name not in state]
+    missing += [f"attribute {name!r}" for name in ("setup", "status") if name not in attributes]
+    if missing:
+        raise InvalidInput(f"{path} lacks parts of a trajectory", got=missing, fix="Simulate it again")
     return Trajectory(
-        t=_column(main, "time"),
-        setup=Setup.loads(str(main.attrs["setup"])),
-        state=_state_from(state),
-        status=str(main.attrs.get("status", "ok")),
-        message=str(main.attrs.get("message", "")),
-        attrs={str(key): value for key, value in main.attrs.items() if key not in OWN_ATTRIBUTES},
-        **{name: _column(main, name) for name in VARIABLES},
+        t=_floats(main["time"]),
+        setup=Setup.loads(str(attributes["setup"]), f"the set-up in {path}"),
+        state=_state(state),
+        status=str(attributes["status"]),
+        message=str(attributes.get("message", "")),
+        attrs={key: value for key, value in attributes.items() if key not in OWN_ATTRIBUTES},
+        **{name: _floats(main[name]) for name in VARIABLES},
     )
 
 
-def _save(dataset: xr.Dataset, path: Path, *, group: str | None) -> None:
-    plain = {name: {"_FillValue": None} for name, value in dataset.variables.items() if value.dtype.kind == "f"}
-    dataset.to_netcdf(path, mode="w" if group is None else "a", group=group, engine="h5netcdf", encoding=plain)
+def _load(path: str | Path) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """Return the attributes, the variables and the variables of the group ``state``."""
+    import h5netcdf
 
-
-def _load(path: Path, *, group: str | None) -> xr.Dataset:
-    import xarray as xr
-
-    if not path.is_file():
-        raise FileProblem(f"There is no file {path}. Give the path of a NetCDF file written by Trajectory.to_netcdf.")
+    files.read_bytes(path, "NetCDF file")
     try:
-        with xr.open_dataset(path, engine="h5netcdf", group=group, decode_cf=False) as dataset:
-            return dataset.load()
-    except (OSError, KeyError, ValueError, RuntimeError) as error:
+        with h5netcdf.File(path, "r") as file:
+            attributes = {key: _plain(value) for key, value in file.attrs.items()}
+            main = {name: variable[...] for name, variable in file.variables.items()}
+            group = file.groups.get("state")
+            state = {} if group is None else {name: variable[...] for name, variable in group.variables.items()}
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError) as error:
         raise FileProblem(
             f"{path} cannot be read as NetCDF: it is truncated, damaged or of another kind ({error}). "
             "Write it again with Trajectory.to_netcdf."
         ) from error
+    return attributes, main, state
 
 
-def _state_dataset(state: State) -> xr.Dataset:
-    import xarray as xr
+def _put(group: Any, name: str, dims: tuple[str, ...], values: Any, **attributes: str) -> None:
+    import h5py
 
-    variables: dict[str, Any] = {
-        "t": ((), state.t, {"units": "s"}),
-        "q": (("link",), state.q, {"units": "rad"}),
-        "qd": (("link",), state.qd, {"units": "rad/s"}),
-        "step": ((), state.step, {"units": "s", "long_name": "size of the next integration step"}),
-        "work": ((), state.work, {"units": "J"}),
-        "dissipated": ((), state.dissipated, {"units": "J"}),
-    }
-    for name, value in state.checkpoint.items():
-        dims = tuple(f"{name}_{axis}" for axis in range(np.ndim(value)))
-        variables[_CHECKPOINT + name] = (dims, np.asarray(value))
-    return xr.Dataset(variables)
+    data = np.asarray(values)
+    text = data.dtype == object
+    variable = group.create_variable(name, dims, h5py.string_dtype() if text else data.dtype, data=data)
+    for key, value in attributes.items():
+        variable.attrs[key] = value
 
 
-def _state_from(dataset: xr.Dataset) -> State:
+def _state(variables: Mapping[str, Any]) -> State:
     checkpoint: dict[str, Any] = {}
-    for name in dataset.variables:
-        if str(name).startswith(_CHECKPOINT):
-            data = dataset[name].to_numpy()
-            checkpoint[str(name).removeprefix(_CHECKPOINT)] = data.item() if data.ndim == 0 else data
-    scalars = {name: float(dataset[name]) for name in ("t", "step", "work", "dissipated")}
-    return State(q=_column(dataset, "q"), qd=_column(dataset, "qd"), checkpoint=checkpoint, **scalars)
+    for name, value in variables.items():
+        if name.startswith(_CHECKPOINT):
+            checkpoint[name.removeprefix(_CHECKPOINT)] = value.item() if np.ndim(value) == 0 else value
+    scalars = {name: float(variables[name]) for name in ("t", "step", "work", "dissipated")}
+    return State(q=_floats(variables["q"]), qd=_floats(variables["qd"]), checkpoint=checkpoint, **scalars)
 
 
-def _column(dataset: xr.Dataset, name: str) -> Array:
-    return np.ascontiguousarray(dataset[name].to_numpy(), dtype=np.float64)
+def _floats(values: Any) -> Array:
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _plain(value: Any) -> Any:
+    """Turn what HDF5 gives for an attribute into text and Python numbers."""
+    if isinstance(value, bytes):
+        return value.decode()
+    return value.item() if isinstance(value, np.generic) else value

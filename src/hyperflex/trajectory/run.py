@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -34,11 +33,12 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "motor_work": ((), "J", "work done by the motor and the moving base since the start of the run"),
     "motor_torque": ((), "N m", "torque of the motor"),
 }
-_DERIVED: dict[str, tuple[tuple[str, ...], str, str]] = {
+DERIVED: dict[str, tuple[tuple[str, ...], str, str]] = {
     "joints": (("joint", "axis"), "m", "positions of the joints, the tip last"),
     "tip": (("axis",), "m", "position of the tip"),
     "tip_velocity": (("axis",), "m/s", "velocity of the tip"),
 }
+AXES = "x to the right, y upwards"
 OWN_ATTRIBUTES = ("format", "source", "hyperflex_version", "status", "message", "setup")
 
 
@@ -168,15 +168,16 @@ class Trajectory:
 
         variables: dict[str, Any] = {
             name: (("time", *dims), getattr(self, name), {"units": units, "long_name": long_name})
-            for name, (dims, units, long_name) in {**VARIABLES, **_DERIVED}.items()
+            for name, (dims, units, long_name) in {**VARIABLES, **DERIVED}.items()
         }
         coords = {
             "time": ("time", self.t, {"units": "s", "long_name": "time"}),
-            "axis": ("axis", np.array(["x", "y"]), {"long_name": "x to the right, y upwards"}),
+            "axis": ("axis", np.array(["x", "y"]), {"long_name": AXES}),
         }
-        return xr.Dataset(variables, coords, attrs=self._global_attributes())
+        return xr.Dataset(variables, coords, attrs=self.attributes())
 
-    def _global_attributes(self) -> dict[str, Any]:
+    def attributes(self) -> dict[str, Any]:
+        """What the dataset and the file say about the run as a whole, the set-up as TOML text included."""
         from hyperflex import __version__
 
         own = {
@@ -187,7 +188,7 @@ class Trajectory:
             "message": self.message,
             "setup": self.setup.dumps(),
         }
-        return {**self.attrs, **own}
+        return {**{key: value for key, value in self.attrs.items() if value is not None}, **own}
 
     def to_netcdf(self, path: str | Path) -> None:
         """Write the run, its set-up and its final state to a NetCDF file (whole, or not at all).
@@ -204,74 +205,7 @@ class Trajectory:
         """
         from hyperflex.trajectory.netcdf import write
 
-        write(path, self.dataset, self.state)
-
-
-def assemble(
-    *,
-    t: Array,
-    q: Array,
-    qd: Array,
-    qdd: Array,
-    base: Array,
-    base_velocity: Array,
-    arm_angle: Array,
-    arm_rate: Array,
-    kinetic: Array,
-    potential: Array,
-    dissipated: Array,
-    work: Array,
-    torque: Array,
-    setup: Setup,
-    state: State,
-    status: str = "ok",
-    message: str = "",
-    attrs: Mapping[str, Any] | None = None,
-) -> Trajectory:
-    """Put the arrays of a rollout together.
-
-    Parameters
-    ----------
-    t : (T,) float64
-        Time, s.
-    q, qd, qdd : (T, n) float64
-        Link angles, rad, rates and accelerations.
-    base, base_velocity : (T, 2) float64
-        First joint, m and m/s.
-    arm_angle, arm_rate, kinetic, potential, dissipated, work, torque : (T,) float64
-        See :class:`Trajectory`. They are taken over, not copied, and made read-only.
-    setup, state, status, message, attrs
-        See :class:`Trajectory`.
-
-    Returns
-    -------
-    Trajectory
-
-    Raises
-    ------
-    InvalidInput
-        The shapes do not fit each other or the set-up.
-    """
-    return Trajectory(
-        t=t,
-        q=q,
-        qd=qd,
-        qdd=qdd,
-        base=base,
-        base_velocity=base_velocity,
-        arm_angle=arm_angle,
-        arm_rate=arm_rate,
-        kinetic_energy=kinetic,
-        potential_energy=potential,
-        dissipated_energy=dissipated,
-        motor_work=work,
-        motor_torque=torque,
-        setup=setup,
-        state=state,
-        status=status,
-        message=message,
-        attrs={key: value for key, value in (attrs or {}).items() if value is not None},
-    )
+        write(self, path)
 
 
 def _read_only(value: Array) -> Array:
