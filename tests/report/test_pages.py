@@ -1,0 +1,87 @@
+"""Tables and pages: complete in one file, escaped, and true to what was measured."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from hyperflex import files
+from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.paper import READINGS, Claim
+from hyperflex.report.page import Picture, Section, write_page
+from hyperflex.report.reproduce import reproduce
+from hyperflex.report.tables import TextTable, markdown, verdicts
+
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def claim(reading_number: int, measured: float) -> Claim:
+    return Claim("C9", "a statement", READINGS[reading_number], measured, 1.0)
+
+
+def test_markdown_is_aligned_and_escapes_bars():
+    text = markdown(TextTable(("a", "long name"), (("|x|", "1"), ("2", "3"))))
+    assert text == "| a     | long name |\n|-------|-----------|\n| \\|x\\| | 1         |\n| 2     | 3         |\n"
+
+
+def test_a_row_with_a_cell_too_few_is_refused():
+    with pytest.raises(InvalidInput, match="wrong number of cells"):
+        TextTable(("a", "b"), (("1",),))
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [((2.0, 2.0), "holds in all 2 readings"), ((0.0, 0.0), "holds in none of the 2"), ((2.0, 0.0), "holds in 1 of 2")],
+)
+def test_verdicts_follow_the_measured_values(values, words):
+    (sentence,) = verdicts([claim(k, value) for k, value in enumerate(values)])
+    assert words in sentence
+
+
+def test_a_claim_may_bound_from_above():
+    assert Claim("C9", "s", READINGS[0], 0.5, 1.0, relation="<=").holds
+    assert not Claim("C9", "s", READINGS[0], 1.5, 1.0, relation="<=").holds
+
+
+def test_a_page_is_one_file_that_escapes_and_fetches_nothing(tmp_path):
+    table = TextTable(("name", "verdict"), (("<script>", "holds"),))
+    sections = [Section("A & B", text=("x < y",), pictures=(Picture(PNG, 'say "cheese"'),), table=table, notes=("n",))]
+    write_page(tmp_path / "page.html", "Title", "Lead", "simulated", sections)
+    text = (tmp_path / "page.html").read_text("utf-8")
+    assert "A &amp; B" in text
+    assert "x &lt; y" in text
+    assert "<script>" not in text
+    assert 'class="good"' in text
+    assert re.findall(r'(?:src|href)="(?!data:)', text) == []
+    assert "http" not in text
+
+
+def test_a_page_goes_whole_or_not_at_all(tmp_path):
+    with pytest.raises(FileProblem, match="does not exist"):
+        write_page(tmp_path / "no" / "page.html", "Title", "Lead", "simulated", [])
+
+
+def test_reproduce_writes_pictures_tables_claims_and_a_page(tmp_path):
+    told = []
+    result = reproduce(["fig10", "fig9"], tmp_path / "new" / "folder", progress=told.append)
+    names = [path.name for path in result.files]
+    assert names == ["fig9.png", "fig9.csv", "fig10.png", "fig10.csv", "claims.md", "report.html"]
+    assert all(path.stat().st_size > 500 for path in result.files)
+    columns, values = files.read_table(tmp_path / "new" / "folder" / "fig10.csv")
+    assert columns[:3] == ["t", "x_under_relative_success", "y_under_relative_success"]
+    assert values.shape == (1401, 17)
+    assert files.read_notes(tmp_path / "new" / "folder" / "fig10.csv")["source"] == "simulated"
+    text = (tmp_path / "new" / "folder" / "claims.md").read_text("utf-8")
+    assert text.count("| C") == 16
+    assert text.count("does not hold") == sum(not each.holds for each in result.claims)
+    assert told[0] == "simulating the casts"
+
+
+def test_reproduce_refuses_unknown_figures_and_files_in_the_way(tmp_path):
+    with pytest.raises(InvalidInput, match="fig13"):
+        reproduce(["fig13"], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "taken").write_text("x")
+    with pytest.raises(FileProblem, match="not a folder"):
+        reproduce(["fig9"], tmp_path / "taken")

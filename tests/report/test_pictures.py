@@ -1,0 +1,142 @@
+"""Stroboscopic pictures, films and figures: what they show, and what they refuse."""
+
+from __future__ import annotations
+
+import io
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from PIL import Image
+
+from hyperflex import paper
+from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.report import casting
+from hyperflex.report.animation import animate
+from hyperflex.report.strobe import strobe
+from hyperflex.report.style import png, save_png
+
+
+def opened(content: bytes) -> Image.Image:
+    image = Image.open(io.BytesIO(content))
+    image.load()
+    return image
+
+
+def test_strobe_draws_ropes_on_a_dark_ground(short_cast):
+    image = opened(png(strobe(short_cast, count=12, title="a cast"), dpi=60)).convert("RGB")
+    pixels = np.asarray(image).reshape(-1, 3)
+    background = np.array([12, 19, 34])
+    drawn = (np.abs(pixels.astype(int) - background).max(axis=1) > 40).mean()
+    assert 0.005 < drawn < 0.5  # lines, neither an empty nor a full picture
+    assert image.width == 540  # 9 inches at 60 dots
+
+
+def test_strobe_shows_the_span_that_was_asked_for(short_cast):
+    whole, part = strobe(short_cast, count=20), strobe(short_cast, start=0.0, end=0.2, count=20)
+    # The rope has hardly moved after 0.2 s, so that picture is narrow and tall.
+    assert part.get_size_inches()[1] > 1.5 * whole.get_size_inches()[1]
+
+
+def test_strobe_draws_a_rope_without_an_arm(hanging):
+    assert opened(png(strobe(hanging, count=5), dpi=40)).format == "PNG"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"), [({"count": 1}, "count"), ({"start": 9.0}, "no samples"), ({"end": np.nan}, "not finite")]
+)
+def test_strobe_refuses(short_cast, arguments, message):
+    with pytest.raises(InvalidInput, match=message):
+        strobe(short_cast, **arguments)
+
+
+def test_pictures_leave_matplotlib_as_it_was_and_repeat_byte_by_byte(short_cast):
+    before = dict(mpl.rcParams)
+    assert png(strobe(short_cast, count=5), dpi=40) == png(strobe(short_cast, count=5), dpi=40)
+    assert dict(mpl.rcParams) == before
+
+
+def test_a_film_has_its_frames_in_time(short_cast, tmp_path):
+    seen = []
+    path = tmp_path / "cast.gif"
+    animate(short_cast, path, frame_rate=20, width=160, title="t", progress=lambda *done: seen.append(done))
+    film = Image.open(io.BytesIO(path.read_bytes()))
+    assert film.n_frames == 31  # 1.5 s at 20 frames a second, both ends
+    assert film.info["duration"] == 50
+    assert film.width == 160
+    assert seen[0] == (1, 31)
+    assert seen[-1] == (31, 31)
+    film.seek(0)
+    first = np.asarray(film.convert("RGB")).astype(int)
+    film.seek(30)
+    last = np.asarray(film.convert("RGB")).astype(int)
+    assert np.abs(first - last).max() > 100  # the rope has moved
+
+
+def test_a_slow_film_takes_longer(short_cast, tmp_path):
+    animate(short_cast, tmp_path / "slow.gif", start=0.5, end=1.0, frame_rate=20, speed=0.5, width=100)
+    assert Image.open(io.BytesIO((tmp_path / "slow.gif").read_bytes())).n_frames == 21
+
+
+def test_a_film_without_an_arm(hanging, tmp_path):
+    animate(hanging, tmp_path / "swing.gif", frame_rate=10, width=100)
+    assert Image.open(io.BytesIO((tmp_path / "swing.gif").read_bytes())).n_frames == 6
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "message"),
+    [
+        ("a.mp4", {}, "kind of file"),
+        ("a.gif", {"frame_rate": 30}, "frame_rate"),
+        ("a.gif", {"speed": 0.0}, "speed"),
+        ("a.gif", {"start": 1.0, "end": 0.5}, "span"),
+        ("a.gif", {"end": 99.0}, "span"),
+    ],
+)
+def test_a_film_refuses(short_cast, tmp_path, name, arguments, message):
+    with pytest.raises(InvalidInput, match=message):
+        animate(short_cast, tmp_path / name, **arguments)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupted_film_leaves_nothing(short_cast, tmp_path):
+    def stop(done: int, _of: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        animate(short_cast, tmp_path / "a.gif", width=100, progress=stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_picture_into_a_missing_folder_is_refused(short_cast, tmp_path):
+    with pytest.raises(FileProblem, match="does not exist"):
+        save_png(strobe(short_cast, count=3), tmp_path / "nowhere" / "a.png")
+
+
+def test_figures_show_every_reading_with_solid_success_and_dashed_failure():
+    casts = paper.casts()
+    for figure in (casting.fig10(casts), casting.fig11(casts)):
+        panels = [axis for axis in figure.axes if axis.get_title("left")]
+        assert [axis.get_title("left") for axis in panels] == [reading.title for reading in paper.READINGS]
+    lines = casting.fig10(casts).axes[0].get_lines()
+    assert {line.get_label().split()[0].strip(","): line.get_linestyle() for line in lines} == {
+        "success": "-",
+        "failure": "--",
+    }
+
+
+def test_phase_portraits_are_thick_in_motion_with_circles_and_crosses():
+    axis = casting.fig12(paper.casts()).axes[0]
+    resting, moving = axis.collections
+    assert moving.get_linewidths()[0] > 2.0 * resting.get_linewidths()[0]
+    starts, ends = (line for line in axis.get_lines() if line.get_marker() in ("o", "x"))
+    assert (starts.get_marker(), ends.get_marker()) == ("o", "x")
+    assert len(starts.get_xdata()) == 12  # motions that start within 14 s
+    assert len(ends.get_xdata()) == 11
+
+
+def test_arms_of_fig9_reach_half_a_turn():
+    for axis in casting.fig9(paper.casts()).axes:
+        for line in axis.get_lines():
+            assert np.ptp(line.get_ydata()) == pytest.approx(180.0, abs=1e-9)
