@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import hyperflex as hf
 from hyperflex import paper
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.report import casting
 from hyperflex.report.animation import animate
+from hyperflex.report.between import shapes
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import png, save_png
 
@@ -43,11 +45,22 @@ def test_strobe_draws_a_rope_without_an_arm(hanging):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"), [({"count": 1}, "count"), ({"start": 9.0}, "no samples"), ({"end": np.nan}, "not finite")]
+    ("arguments", "message"), [({"count": 1}, "count"), ({"start": 9.0}, "span"), ({"end": np.nan}, "not finite")]
 )
 def test_strobe_refuses(short_cast, arguments, message):
     with pytest.raises(InvalidInput, match=message):
         strobe(short_cast, **arguments)
+
+
+def test_shapes_between_samples_are_those_of_a_finer_run(short_cast):
+    times = np.linspace(0.0, 1.5, 997)
+    fine = hf.simulate(short_cast.setup, duration=1.5, t_eval=times)
+    between = shapes(short_cast, times)
+    # Samples are 5 ms apart, the fastest motion of this rope takes some 50 ms: (pi/10)^4/384 of 1 m is 25 um.
+    np.testing.assert_allclose(between.joints, fine.joints, atol=1e-4)
+    np.testing.assert_allclose(between.pivots, 0.0, atol=1e-4)
+    lengths = np.linalg.norm(np.diff(between.joints, axis=1), axis=2)
+    np.testing.assert_allclose(lengths, 1.0 / 6.0, rtol=1e-12)
 
 
 def test_pictures_leave_matplotlib_as_it_was_and_repeat_byte_by_byte(short_cast):

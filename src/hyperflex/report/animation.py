@@ -13,6 +13,7 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.report.between import shapes
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ _ROPE, _TRAIL, _GRID = (242, 212, 121), (79, 195, 192), (28, 38, 58)
 _FINE = 2  # drawn this much larger, then shrunk: smooth edges
 _COLOURS = 64
 _GHOSTS = 5
+_TRAIL_POINTS = 80
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ def animate(
     Parameters
     ----------
     run : Trajectory
-        What to show. A frame shows the sample next to its time, so samples should lie closer than frames.
+        What to show.
     path : str or Path
         Where to write; must end in ``.gif``.
     start, end : float, optional
@@ -154,30 +156,24 @@ def _frames(
 
 
 def _draw_scene(draw: Any, run: Trajectory, time: float, view: _View, trail: float, step: float) -> None:
-    def sample(instant: float) -> int:
-        return int(np.clip(np.searchsorted(run.t, instant), 0, run.t.size - 1))
-
-    now = sample(time)
+    start = run.t[0]
+    ghosts = np.maximum(time - step * np.arange(_GHOSTS, -1, -1), start)  # the last one is now
+    drawn = shapes(run, ghosts)
     origin = view.pixels(np.zeros((1, 2)))[0]
     draw.line([(0, origin[1]), (view.width, origin[1])], fill=_GRID, width=_FINE)
     draw.line([(origin[0], 0), (origin[0], view.height)], fill=_GRID, width=_FINE)
-    for ghost in range(_GHOSTS, 0, -1):
-        shape = view.pixels(run.joints[sample(max(time - ghost * step, run.t[0]))])
-        draw.line(shape, fill=_blend(_ROPE, 0.30 * (1.0 - ghost / (_GHOSTS + 1))), width=_FINE, joint="curve")
-    past = np.linspace(max(time - trail, run.t[0]), time, 80)
-    path = view.pixels(run.tip[[sample(instant) for instant in past]])
+    for k in range(_GHOSTS):
+        draw.line(view.pixels(drawn.joints[k]), fill=_blend(_ROPE, 0.30 * (k + 1) / (_GHOSTS + 1)), width=_FINE)
+    past = np.linspace(max(time - trail, start), time, _TRAIL_POINTS)
+    path = view.pixels(shapes(run, past).joints[:, -1])
     for k in range(len(path) - 1):
         draw.line(path[k : k + 2], fill=_blend(_TRAIL, 0.15 + 0.75 * k / len(path)), width=2 * _FINE)
-    rope = view.pixels(run.joints[now])
+    rope = view.pixels(drawn.joints[-1])
     draw.line(rope, fill=_ROPE, width=3 * _FINE, joint="curve")
     _dot(draw, rope[-1], 4 * _FINE, _WHITE)
-    if run.setup.arm is not None:
-        turn = np.array([np.sin(run.arm_angle[now]), -np.cos(run.arm_angle[now])])
-        pivot = view.pixels((run.base[now] - run.setup.arm.length * turn)[None])[0]
-        draw.line([pivot, rope[0]], fill=_WHITE, width=5 * _FINE)
-        _dot(draw, pivot, 5 * _FINE, _WHITE)
-    else:
-        _dot(draw, rope[0], 4 * _FINE, _PALE)
+    pivot = view.pixels(drawn.pivots[-1:])[0]
+    draw.line([pivot, rope[0]], fill=_WHITE, width=5 * _FINE)
+    _dot(draw, pivot, 5 * _FINE, _WHITE)
 
 
 def _dot(draw: Any, centre: tuple[float, float], radius: float, colour: tuple[int, int, int]) -> None:
