@@ -45,9 +45,11 @@ class HingeChain:
         """Position of the tip (2,), of the state that was put last."""
         return self.data.site("tip").xpos[[0, 2]].copy()
 
-    def absolute(self) -> tuple[Real, Real]:
-        """Absolute angles and rates (n,) that MuJoCo holds now."""
-        return np.cumsum(self.data.qpos), np.cumsum(self.data.qvel)
+    def joints(self) -> Real:
+        """Positions of the rope's joints, the tip last: (links + 1, 2)."""
+        first = 2 if self.armed else 1  # the world and, with an arm, the arm itself come before the first link
+        count = self.n - 1 if self.armed else self.n
+        return np.vstack([self.data.xpos[first : first + count][:, [0, 2]], self.tip()])
 
     def acceleration(self, q: Real, w: Real, *, arm: float | None = None, torque: float = 0.0) -> Real:
         """Absolute accelerations (n,) under a torque on the first body, or with that body's acceleration given."""

@@ -115,7 +115,16 @@ class Rope:
         dry_rate: float = 1e-3,
         name: str = "",
     ) -> None:
-        n = _number_of_links(length, mass, com, inertia, friction, dry_friction, stiffness, rest_angle)
+        n = _number_of_links(
+            length=length,
+            mass=mass,
+            com=com,
+            inertia=inertia,
+            friction=friction,
+            dry_friction=dry_friction,
+            stiffness=stiffness,
+            rest_angle=rest_angle,
+        )
 
         def per_link(name: str, value: npt.ArrayLike) -> Array:
             sign, unit = _LINK_FIELDS[name]
@@ -309,13 +318,20 @@ def _names(cls: type) -> str:
     return ", ".join(f.name for f in fields(cls))
 
 
-def _number_of_links(*values: npt.ArrayLike | None) -> int:
-    sizes = {np.size(value) for value in values if value is not None and np.ndim(value) == 1}
-    if len(sizes) != 1 or 0 in sizes:
+def _number_of_links(**values: npt.ArrayLike | None) -> int:
+    sizes: dict[str, int] = {}
+    for name, value in values.items():
+        try:
+            shape = np.shape(value)  # type: ignore[arg-type]
+        except ValueError:
+            raise InvalidInput(f"rope {name} is ragged", got=value, allowed="a number, or an array (n,)") from None
+        if len(shape) == 1:
+            sizes[name] = shape[0]
+    if len(set(sizes.values())) != 1 or 0 in sizes.values():
         raise InvalidInput(
             "rope arrays do not tell one number of links",
-            got=sorted(sizes),
+            got=sizes,
             allowed="arrays (n,) of one length n >= 1, and single numbers",
             fix="Give length=[...] with one entry a link, or use Rope.uniform",
         )
-    return sizes.pop()
+    return next(iter(sizes.values()))

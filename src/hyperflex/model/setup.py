@@ -35,7 +35,7 @@ class Setup:
     arm : Arm, optional
         None: the rope hangs from a fixed or moving point.
     torque : Motion, optional
-        Torque on the arm; then the arm moves as it must, and `motion` may only move the pivot.
+        Torque on the arm; then the arm moves as it must, about a pivot that stands still.
     duration : float
         Simulated time, s.
     q0, qd0 : (n,) array_like, optional
@@ -68,6 +68,10 @@ class Setup:
     step: float | None = None
 
     def __post_init__(self) -> None:
+        for name, kind in (("rope", Rope), ("motion", Motion), ("arm", Arm), ("torque", Motion)):
+            value = getattr(self, name)
+            if not isinstance(value, kind) and (value is not None or name == "rope"):
+                raise InvalidInput(f"{name} is not of its class", got=value, allowed=f"hyperflex.{kind.__name__}")
         n = self.rope.n_links
         values: dict[str, Any] = {
             "duration": checks.number("duration", self.duration, sign="positive", unit="s"),
@@ -96,8 +100,10 @@ class Setup:
         if self.torque is not None:
             if self.arm is None:
                 raise InvalidInput("a torque needs an arm to act on", fix="Give arm=Arm(length=..., inertia=...)")
-            if turning:
-                raise InvalidInput("the arm cannot both follow a motion and be driven by a torque")
+            if self.motion is not None:
+                raise InvalidInput(
+                    "the arm cannot both follow a motion and be driven by a torque", fix="Give one of them"
+                )
             if self.torque.coef[:, :TORQUE].any():
                 raise InvalidInput("torque moves the arm or the pivot", allowed="a torque_profile(t, torque)")
 

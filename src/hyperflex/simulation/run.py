@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import rollout, status
 from hyperflex.core.chain import Chain
@@ -108,7 +109,10 @@ def resume(run: Rollout, state: State, setup: Setup) -> None:
     elif saved:
         y[:] = saved["y"]
         clock[T], clock[STEP] = state.t, state.step
-    else:
+    else:  # made by hand: a torque-driven arm starts where the set-up says
+        own = 1 if setup.torque_driven else 0
+        y[own:n] = checks.array("state q", state.q, (n - own,), unit="rad")
+        y[n + own : 2 * n] = checks.array("state qd", state.qd, (n - own,), unit="rad/s")
         y[2 * n :] = state.work, state.dissipated
         clock[T], clock[STEP] = state.t, state.step or FIRST_STEP
 

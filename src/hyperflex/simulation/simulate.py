@@ -135,7 +135,9 @@ def simulate(
             step=step,
         )
     length = setup.duration if duration is None else checks.number("duration", duration, sign="positive", unit="s")
-    begin = 0.0 if state is None else state.t
+    if state is not None and not isinstance(state, State):
+        raise InvalidInput("state is not a State", got=state, allowed="trajectory.state of an earlier run, or None")
+    begin = 0.0 if state is None else checks.number("state t", state.t, unit="s")
     t = _output_times(t_eval, begin, begin + length)
     chain = setup.chain()
     bounds = limits(setup, chain, begin + length)
@@ -319,6 +321,7 @@ def _motor_torque(setup: Setup, angle: Array, rate: Array, acceleration: Array, 
         return np.zeros(angle.size)
     gx, gy = setup.rope.gravity
     own = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
+    own += arm.dry_friction * np.tanh(rate / setup.rope.dry_rate)
     weight = -arm.mass * arm.com * (gx * np.cos(angle) + gy * np.sin(angle))
     pull = arm.length * (np.cos(angle) * scalars[:, 2] + np.sin(angle) * scalars[:, 3])
     return np.asarray(scalars[:, 4] + pull + own + weight)

@@ -15,7 +15,7 @@ def runge_kutta_limit(chain: Chain) -> float:
     The linearised chain M qdd + C qd + K q = 0 has the eigenvalues z; a step h is stable while the method's growth
     factor |1 + hz + (hz)^2 / 2 + (hz)^3 / 6 + (hz)^4 / 24| stays below 1 for all of them. Aligned links have the least
     inertia against relative motion of neighbours, so no other posture has a faster friction mode. For a uniform
-    friction-bound cable this is 2.785 m l^2 / (48 eta).
+    friction-bound cable this is 2.785 m l^2 / (48 eta). Infinite for a chain without gravity and joint torques.
     """
     n = chain.length.size
     mass = np.empty((n, n))
@@ -31,6 +31,8 @@ def runge_kutta_limit(chain: Chain) -> float:
         [[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]]
     )
     z = np.linalg.eigvals(system)
+    if not z.any():  # nothing but inertia: every step is stable
+        return math.inf
     z = z[np.abs(z) > 1e-9 * np.abs(z).max()]
     low, high = 0.0, 3.0 / float(np.abs(z).max())
     for _ in range(40):
