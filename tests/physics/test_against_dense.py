@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from tests.reference import dense
 from tests.reference.arm import bang_bang_swings, cast, links_of, still
 
 
@@ -42,6 +43,15 @@ def test_a_cast_of_a_short_chain(n: int, friction_model: str) -> None:
     # 1e-11 m a step, a few hundred steps, links of 0.25 m: 1e-8 rad leaves a factor of two or three.
     np.testing.assert_allclose(run.q, want[:, :n], rtol=0, atol=1e-8)
     np.testing.assert_allclose(run.qd, want[:, n:], rtol=0, atol=1e-6)  # rates vary over some 0.01 s
+    for k, stretch in enumerate(stretches):
+        angle, rate, _ = stretch.at(stretch.end)
+        start = 0.105 * np.array([np.sin(angle), -np.cos(angle)])
+        joints = dense.joint_positions(links_of(rope), run.q[k], start)
+        np.testing.assert_allclose(run.joints[k], joints, rtol=0, atol=1e-13)  # sums of four lengths
+        base_speed = 0.105 * rate * np.array([np.cos(angle), np.sin(angle)])
+        across = dense.directions(run.q[k])[1]
+        tip_speed = base_speed + (rope.length * run.qd[k]) @ across
+        np.testing.assert_allclose(run.tip_velocity[k], tip_speed, rtol=0, atol=1e-12)
 
 
 def test_the_readings_of_friction_differ_where_they_should() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.simulation.run import finish, limits, prepare
 
 ARM = hf.Arm(length=0.105)
 STOP, END = 1.0, 2.5  # s; at 1.0 s the arm rests in the middle of a stretch, at no switch
@@ -37,8 +38,11 @@ def through_a_file(run: hf.Trajectory, folder: Path) -> hf.State:
 METHODS: list[dict[str, Any]] = [{"tol": 1e-6}, {"tol": 1e-9}, {"method": "rk4", "step": 1e-3}]
 
 
+STOPS = [STOP, 0.73, 0.7301, 2.4999, np.nextafter(0.73, 0.0), np.nextafter(0.73, 1.0)]  # at a switch and beside it
+
+
 @pytest.mark.parametrize("how", METHODS, ids=["coarse", "fine", "rk4"])
-@pytest.mark.parametrize("stop", [STOP, 0.73, 0.7301, 2.4999])
+@pytest.mark.parametrize("stop", STOPS)
 def test_continuing_the_same_motion(tmp_path: Path, stop: float, how: dict[str, Any]) -> None:
     late = LATE[1:] if stop < 2.0 else np.array([END])
     whole = hf.simulate(cable(), hf.swings(), arm=ARM, duration=END, t_eval=late, **how)
@@ -112,3 +116,50 @@ def test_samples_between_steps_are_as_good_as_the_steps() -> None:
     own = np.abs(at_steps.tip - end.tip).max()
     # Between steps a sample may be worse than the steps' own error by the interpolation: allow ten times, and 1e-6 m.
     assert np.abs(plain.tip - tight.tip).max() < max(10 * own, 10 * 1e-6)
+
+
+def test_looking_up_between_steps_leaves_no_trace() -> None:
+    """A run may be told to return after every step; the mark to go on from must not depend on it."""
+    setup = hf.Setup(cable(), hf.swings(), ARM, tol=1e-7)
+    for stop in np.linspace(0.05, 1.5, 59):  # some of these ends cut a step that is then refused and tried shorter
+        marks = []
+        for budget in (1, 10_000):
+            chain = setup.chain()
+            bounds = limits(setup, chain, float(stop), budget)
+            rollout = prepare(chain, setup.drive(), setup.start(), np.array([0.0, stop]), bounds)
+            finish(rollout)
+            marks.append(np.concatenate([rollout.progress.y, rollout.progress.mark, rollout.progress.clock[:4]]))
+        np.testing.assert_array_equal(marks[0], marks[1], err_msg=f"stop at {stop} s")
+
+
+@pytest.mark.parametrize("t_move", [0.7, 0.61])
+@pytest.mark.parametrize("t_rest", [0.4, 0.0, 0.13])
+def test_swings_go_on_for_many_cycles(t_move: float, t_rest: float) -> None:
+    """A cycle's end, as a product and as a sum, is not the same number: the run must pass it all the same."""
+    rope = hf.Rope(length=[0.5], mass=[0.1], friction=1e-2)
+    motion = hf.swings(t_move, t_rest, "minimum-jerk")
+    run = hf.simulate(rope, motion, arm=ARM, duration=100.0, t_eval=[50.0, 100.0], tol=1e-5)
+    np.testing.assert_allclose(run.arm_angle, motion.angle([50.0, 100.0]), rtol=0, atol=1e-12)
+
+
+def test_an_interrupted_run_goes_on_from_where_it_stood() -> None:
+    """Ctrl-C, then on: the state must be that of the run, not the one that it began with."""
+
+    def control(t: float, *_state: object) -> float:
+        if t >= stop_at[0]:
+            raise KeyboardInterrupt
+        return 0.03 * np.sin(5 * t)
+
+    arm = hf.Arm(length=0.105, inertia=1e-3)
+    how = {"arm": arm, "torque": control, "control_rate": 100.0, "throw": False, "tol": 1e-8}
+    stop_at = [np.inf]
+    whole = hf.simulate(cable(), duration=1.0, t_eval=[1.0], **how)
+    stop_at = [0.5]
+    part = hf.simulate(cable(), duration=1.0, **how)
+    assert part.status == "interrupted"
+    stop_at = [np.inf]
+    rest = hf.simulate(cable(), duration=1.0 - part.state.t, t_eval=[1.0], state=part.state, **how)
+    # The control instants are the same but for rounding; so is all else.
+    np.testing.assert_allclose(rest.q, whole.q, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(rest.arm_angle, whole.arm_angle, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(rest.motor_work, whole.motor_work, rtol=0, atol=1e-10)

@@ -29,8 +29,8 @@ class Progress(NamedTuple):
     """Where a run is; all arrays are changed in place."""
 
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
-    mark: Array  # (2 n + 2,) the state before the step that was cut short to end at `stop`
-    clock: Array  # (7,) see the names below
+    mark: Array  # (2 n + 2,) the state before the first step that was cut short to end at `stop`
+    clock: Array  # (7,) see the names below; MARK_T is -inf while no step has been cut
 
 
 T, STEP, MARK_T, MARK_STEP, INDEX, TAKEN, REJECTED = range(7)
@@ -138,7 +138,7 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
         y_out[int(clock[INDEX])] = y
         clock[INDEX] += 1
     part = segment(drive, clock[T])
-    marked = False
+    marked = clock[MARK_T] > -np.inf
     for _ in range(limits.budget):
         t = clock[T]
         if t >= limits.stop:
@@ -160,6 +160,8 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
         else:
             extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base)
             size = error_norm(chain, limits, out, error, step)
+            if cut and step < SMALLEST_STEP and size < np.inf:
+                size = 0.0  # an end a few rounding errors away: there is nothing to control
         clock[TAKEN] += 1
         if not (size <= 1.0):
             clock[REJECTED] += 1
@@ -193,10 +195,6 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
             clock[STEP] = max(grown, clock[STEP]) if cut else grown
     if clock[T] < limits.stop:
         return status.RUNNING
-    if not marked:
-        mark[:] = y
-        clock[MARK_T] = clock[T]
-        clock[MARK_STEP] = clock[STEP]
     return status.OK
 
 

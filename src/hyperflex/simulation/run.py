@@ -75,7 +75,7 @@ def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, li
     y = np.zeros(2 * n + 2)
     y[:n], y[n : 2 * n] = start
     clock = np.zeros(7)
-    clock[T], clock[STEP] = t[0], FIRST_STEP
+    clock[T], clock[STEP], clock[MARK_T] = t[0], FIRST_STEP, -np.inf
     return Rollout(chain, drive, limits, Progress(y, y.copy(), clock), t, np.full((t.size, 2 * n + 2), np.nan))
 
 
@@ -122,6 +122,8 @@ def final_state(run: Rollout, setup: Setup) -> State:
     n = run.chain.length.size
     own = 1 if setup.torque_driven else 0
     y, mark, clock = run.progress
+    if clock[MARK_T] == -np.inf:  # no step was cut: the run stands where one ended
+        mark, clock[MARK_T], clock[MARK_STEP] = y, clock[T], clock[STEP]
     return State(
         t=run.time,
         q=y[own:n].copy(),
@@ -150,6 +152,7 @@ def fingerprint(run: Rollout, setup: Setup) -> float:
 def finish(run: Rollout, report: Callable[[float], None] | None = None) -> int:
     """Run to the end and return the status code; `report` hears of the simulated time between budgets."""
     code = status.RUNNING
+    run.progress.clock[MARK_T] = -np.inf
     while code == status.RUNNING:
         code = run.advance()
         if report is not None:

@@ -251,8 +251,6 @@ def _failure(code: int, run: Rollout) -> SimulationError:
 
 def _conclude(run: Rollout, setup: Setup, code: int, name: str, throw: bool) -> Trajectory:
     """Work out everything that a trajectory shows, and check the energy balance."""
-    if code not in (status.OK, status.RUNNING) and throw:
-        raise _failure(code, run)
     message = "" if name == "ok" else str(_failure(code, run)) if code != status.RUNNING else f"at t = {run.time:g} s"
     result = _trajectory(run, setup, run.done, name, message)
     good = _balanced(result)
@@ -262,6 +260,8 @@ def _conclude(run: Rollout, setup: Setup, code: int, name: str, throw: bool) -> 
         if throw:
             raise SimulationError(message, status=name, time=float(result.t[good]))
         result = _trajectory(run, setup, good, name, message)
+    elif code not in (status.OK, status.RUNNING) and throw:
+        raise _failure(code, run)
     return result
 
 
@@ -269,7 +269,7 @@ def _balanced(run: Trajectory) -> int:
     """Number of leading samples whose energy balance holds."""
     exchanged = np.maximum.accumulate(np.abs(run.motor_work)) + np.maximum.accumulate(np.abs(run.dissipated_energy))
     energy = run.kinetic_energy + run.potential_energy
-    scale = exchanged + np.maximum.accumulate(run.kinetic_energy) + np.maximum.accumulate(np.abs(energy - energy[0]))
+    scale = exchanged + np.maximum.accumulate(run.kinetic_energy) + np.maximum.accumulate(np.abs(energy - energy[:1]))
     # a rope that hardly moves has no scale of its own: compare with a fall through a hundredth of its length
     floor = 0.01 * run.setup.rope.total_mass * run.setup.rope.total_length * float(np.hypot(*run.setup.rope.gravity))
     bad = ~(np.abs(run.energy_error) <= ENERGY_ALLOWANCE * (scale + floor) + 1e-300)

@@ -129,10 +129,8 @@ class Trajectory:
             object.__setattr__(self, name, view)
 
     def __repr__(self) -> str:
-        return (
-            f"Trajectory({self.q.shape[1]} links, {self.t.size} samples from {self.t[0]:g} to {self.t[-1]:g} s, "
-            f"status {self.status!r})"
-        )
+        span = f" from {self.t[0]:g} to {self.t[-1]:g} s" if self.t.size else ""
+        return f"Trajectory({self.q.shape[1]} links, {self.t.size} samples{span}, status {self.status!r})"
 
     @cached_property
     def joints(self) -> Array:
@@ -158,8 +156,8 @@ class Trajectory:
     def energy_error(self) -> Array:
         """Energy that appeared from nowhere (T,), J: E - E[0] - motor work + dissipation, zero in an exact run."""
         energy = self.kinetic_energy + self.potential_energy
-        gained = self.motor_work - self.motor_work[0] - self.dissipated_energy + self.dissipated_energy[0]
-        return np.asarray(energy - energy[0] - gained)
+        gained = self.motor_work - self.dissipated_energy
+        return np.asarray(energy - energy[:1] - (gained - gained[:1]))
 
     @cached_property
     def dataset(self) -> xr.Dataset:

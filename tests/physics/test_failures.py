@@ -1,0 +1,126 @@
+"""Runs that cannot be trusted end in an error that says when, where and what to try, or hand over what holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.core import status
+from hyperflex.errors import InvalidInput, SimulationError
+
+ARM = hf.Arm(length=0.105, inertia=1e-3)
+
+
+def cable(**changes: object) -> hf.Rope:
+    kept = {"length": 2.0, "mass": 0.125, "n_links": 10, "radius": 0.0025, "friction": 5e-4, **changes}
+    return hf.Rope.uniform(**kept)
+
+
+WILD = {
+    "rates-beyond-number": {"qd0": np.full(10, 1e160)},
+    "tolerance-beyond-rounding": {"qd0": np.linspace(-40, 40, 10), "tol": 1e-30},
+}
+
+
+@pytest.mark.parametrize("how", WILD.values(), ids=WILD.keys())
+def test_a_hopeless_run_says_when_where_and_what_to_try(how: dict[str, object]) -> None:
+    with pytest.raises(SimulationError) as caught:
+        hf.simulate(cable(), duration=1.0, **how)
+    error = caught.value
+    assert error.status in status.NAMES.values()
+    assert error.status != "ok"
+    assert 0.0 <= error.time < 1.0
+    assert f"t = {error.time:.6g} s" in str(error)
+    assert any(word in str(error) for word in ("Loosen", "Check", "Tighten"))
+
+
+@pytest.mark.parametrize("how", WILD.values(), ids=WILD.keys())
+def test_without_throwing_the_part_that_holds_is_returned(how: dict[str, object]) -> None:
+    run = hf.simulate(cable(), duration=1.0, throw=False, **how)
+    assert run.status in status.NAMES.values()
+    assert run.status != "ok"
+    assert run.message
+    assert run.t.size < 101
+    assert np.isfinite(run.q).all()
+    assert np.isfinite(run.qd).all()
+
+
+def test_nothing_that_holds_is_an_empty_trajectory() -> None:
+    run = hf.simulate(cable(), duration=1.0, qd0=np.full(10, 1e160), t_eval=[0.5], throw=False)
+    assert run.t.shape == (0,)
+    assert run.joints.shape == (0, 11, 2)
+    assert run.energy_error.shape == (0,)
+    assert "0 samples" in repr(run)
+
+
+def test_a_run_that_gains_energy_is_refused() -> None:
+    """RK4 inside its linear limit but far too coarse for a whip: the energy balance gives it away."""
+    rope = cable(friction=0.0)
+    q0 = np.linspace(3.0, 1.0, 10)
+    how = {"duration": 10.0, "q0": q0, "method": "rk4", "step": 0.03}
+    with pytest.raises(SimulationError, match="smaller step") as caught:
+        hf.simulate(rope, **how)
+    part = hf.simulate(rope, throw=False, **how)
+    assert part.status == caught.value.status
+    assert part.t.size < 1001
+    scale = part.kinetic_energy.max() + np.ptp(part.potential_energy)
+    assert np.abs(part.energy_error).max() < 0.1 * scale  # what is handed over keeps its balance
+
+
+def test_a_callback_that_returns_nonsense_is_named_with_its_time() -> None:
+    def control(t: float, *_state: object) -> float:
+        return float("nan") if t > 0.0495 else 0.0
+
+    with pytest.raises(InvalidInput, match=r"torque callback at t = 0\.05 s.*nan"):
+        hf.simulate(cable(), arm=ARM, torque=control, control_rate=100.0, duration=1.0)
+
+
+def test_a_callback_needs_its_rate() -> None:
+    with pytest.raises(InvalidInput, match="control_rate"):
+        hf.simulate(cable(), arm=ARM, torque=lambda *_: 0.0, duration=1.0)
+    with pytest.raises(InvalidInput, match=r"control_rate.*-5"):
+        hf.simulate(cable(), arm=ARM, torque=lambda *_: 0.0, control_rate=-5.0, duration=1.0)
+
+
+def test_the_torque_limit_is_kept() -> None:
+    arm = hf.Arm(length=0.105, inertia=1e-3, torque_limit=0.02)
+    asked = hf.simulate(cable(), arm=arm, torque=5.0, duration=0.5, tol=1e-8)
+    held = hf.simulate(cable(), arm=hf.Arm(length=0.105, inertia=1e-3), torque=0.02, duration=0.5, tol=1e-8)
+    np.testing.assert_allclose(asked.q, held.q, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(asked.motor_torque, 0.02)
+
+
+def test_ctrl_c_without_throwing_keeps_what_was_done() -> None:
+    def control(t: float, *_state: object) -> float:
+        if t >= 0.3:
+            raise KeyboardInterrupt
+        return 0.0
+
+    how = {"arm": ARM, "torque": control, "control_rate": 100.0, "duration": 1.0}
+    run = hf.simulate(cable(), throw=False, **how)
+    assert run.status == "interrupted"
+    assert "0.3" in run.message
+    assert run.t[-1] == pytest.approx(0.3, abs=0.011)  # the last sample of 10 ms before the key was pressed
+    with pytest.raises(KeyboardInterrupt):
+        hf.simulate(cable(), **how)
+
+
+def test_the_callback_sees_the_state_and_its_torque_can_be_replayed() -> None:
+    seen = []
+
+    def control(t: float, angle: float, rate: float, q: np.ndarray, qd: np.ndarray) -> float:
+        seen.append((t, angle, rate, q.copy(), qd.copy()))
+        q[:] = np.nan  # the callback's copy: spoiling it must not spoil the run
+        return 0.05 * np.sin(9.0 * t) - 0.01 * rate
+
+    run = hf.simulate(cable(), arm=ARM, torque=control, control_rate=50.0, duration=1.0, t_eval=np.arange(51) * 0.02)
+    assert len(seen) == 50
+    for k in (0, 17, 49):
+        assert seen[k][0] == pytest.approx(run.t[k], abs=1e-12)
+        assert seen[k][1] == pytest.approx(run.arm_angle[k], abs=1e-12)
+        np.testing.assert_allclose(seen[k][3], run.q[k], rtol=0, atol=1e-12)
+    again = hf.simulate(run.setup, t_eval=run.t)
+    # The same torques from a table: steps may differ where the run ends each period, so the tolerance sets this.
+    np.testing.assert_allclose(again.tip, run.tip, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(again.motor_torque[:-1], run.motor_torque[:-1], rtol=0, atol=0)
