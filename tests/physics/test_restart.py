@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.simulation import angles
 from hyperflex.simulation.run import finish, limits, prepare
 
 ARM = hf.Arm(length=0.105)
@@ -163,3 +164,15 @@ def test_an_interrupted_run_goes_on_from_where_it_stood() -> None:
     np.testing.assert_allclose(rest.q, whole.q, rtol=0, atol=1e-9)
     np.testing.assert_allclose(rest.arm_angle, whole.arm_angle, rtol=0, atol=1e-9)
     np.testing.assert_allclose(rest.motor_work, whole.motor_work, rtol=0, atol=1e-10)
+
+
+def test_the_fast_door_gives_the_angles_of_the_whole_run() -> None:
+    """`angles` starts at its first time, wherever the motion is then."""
+    q, qd = np.linspace(0.1, 0.4, 12), np.linspace(-1.0, 1.0, 12)
+    t = np.array([0.9, 1.3, 1.31, 2.2])
+    got_q, got_qd = angles(cable(), t, q, qd, motion=hf.swings(), arm=ARM, tol=1e-7)
+    start = hf.State(t=0.9, q=q, qd=qd)
+    run = hf.simulate(cable(), hf.swings(), arm=ARM, duration=1.3 + 1e-12, state=start, t_eval=t, tol=1e-7)
+    np.testing.assert_allclose(got_q, run.q, rtol=0, atol=1e-9)  # the end is 1e-12 s later: steps differ in last bits
+    np.testing.assert_allclose(got_qd, run.qd, rtol=0, atol=1e-7)
+    np.testing.assert_array_equal(got_q[0], q)

@@ -85,9 +85,9 @@ class Arm:
         Raises
         ------
         InvalidInput
-            If the arm has neither length nor inertia.
+            If the arm has no length.
         """
-        if self.length <= 0.0 or self.inertia + self.mass * self.com**2 < 0.0:
+        if self.length <= 0.0:
             raise InvalidInput("a torque-driven arm needs a length", got=self.length, allowed="length > 0, in m")
 
         def joined(own: float, links: checks.Array) -> checks.Array:
