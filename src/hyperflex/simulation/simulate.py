@@ -225,7 +225,7 @@ def _constant_torques(times: Array, torques: Array, end: float) -> Motion:
 def _controlled(run: Rollout, setup: Setup, control: Control, rate: float) -> tuple[int, Setup]:
     """Run under a torque callback; the returned set-up holds the torque that was applied, for a replay."""
     code, times, torques = controlled(run, control, 1.0 / rate, run.drive.torque_limit)
-    setup = replace(setup, torque=_constant_torques(times, torques, run.limits.stop))
+    setup = replace(setup, torque=_constant_torques(times, torques, run.limits.stop + 1.0 / rate))
     run.drive = setup.drive()
     return code, setup
 
