@@ -1,0 +1,76 @@
+"""The commands together, and what becomes of their errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from hyperflex import __version__
+from hyperflex.cli import output
+from hyperflex.cli.demo import demo
+from hyperflex.cli.identify import identify
+from hyperflex.cli.reproduce import reproduce
+from hyperflex.cli.simulate import simulate
+from hyperflex.errors import HyperflexError
+
+REFUSED, INTERRUPTED = 2, 130
+# the common base of what the parser raises: BadParameter <- UsageError <- ClickException
+_PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+for _command, _example in (
+    (simulate, "simulate cast.toml -o cast.nc"),
+    (identify, "identify swing.csv --rope guess.toml --free friction:shared -o rope.toml"),
+    (reproduce, "reproduce fig10 fig12 -o paper"),
+    (demo, "demo -o demo-output"),
+):
+    app.command(epilog=f"\b\nExample:\n  hyperflex {_example}")(_command)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(__version__)
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True, epilog="\b\nExample:\n  hyperflex demo")
+def hyperflex(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Robots that use a rope as an arm: simulate it, identify it, cast it."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        What follows the program's name.
+
+    Returns
+    -------
+    int
+        Exit code: 0 done, 2 refused or failed with a message on standard error, 130 interrupted.
+    """
+    as_json = "--json" in arguments
+    try:
+        code = typer.main.get_command(app).main(args=list(arguments), prog_name="hyperflex", standalone_mode=False)
+        return int(code or 0)
+    except HyperflexError as error:
+        return output.complain(str(error), type(error).__name__, REFUSED, as_json=as_json)
+    except (KeyboardInterrupt, typer.Abort):
+        return output.complain(
+            "Interrupted; nothing was left half written.", "Interrupted", INTERRUPTED, as_json=as_json
+        )
+    except _PARSER_ERROR as error:
+        worded = getattr(error, "format_message", None)
+        message = worded() if worded else str(error)
+        return output.complain(f"{message} See hyperflex --help.", "UsageError", REFUSED, as_json=as_json)

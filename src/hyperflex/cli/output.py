@@ -1,0 +1,91 @@
+"""What commands print: results to standard output, everything else to standard error."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
+
+
+def print_json(result: Mapping[str, Any]) -> None:
+    """Print one JSON object on standard output; what JSON has no number for (NaN, infinity) becomes null."""
+    sys.stdout.write(json.dumps(_plain(result), indent=2, allow_nan=False) + "\n")
+
+
+def complain(message: str, kind: str, code: int, *, as_json: bool) -> int:
+    """Say what went wrong on standard error, and as a JSON object if that was asked for; return `code`."""
+    sys.stderr.write(f"hyperflex: {message}\n")
+    if as_json:
+        print_json({"error": message, "kind": kind})
+    return code
+
+
+def console() -> Console:
+    """Return a console on standard output."""
+    from rich.console import Console
+
+    return Console(highlight=False)
+
+
+def print_pairs(title: str, pairs: Sequence[tuple[str, str]]) -> None:
+    """Print named values below a title."""
+    screen = console()
+    screen.print(f"[bold]{title}[/bold]")
+    width = max(len(name) for name, _ in pairs)
+    for name, value in pairs:
+        screen.print(f"  {name.ljust(width)}  {value}", soft_wrap=True, markup=False)
+
+
+def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table of ready-made cells."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in header:
+        table.add_column(name, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console().print(table)
+
+
+def watched(as_json: bool) -> bool:
+    """Whether somebody watches standard error who may want to see progress."""
+    return not as_json and sys.stderr.isatty()
+
+
+@contextmanager
+def spinner(as_json: bool) -> Iterator[Any]:
+    """Show on standard error what is being done, if somebody watches; yields a function that takes the words."""
+    if not watched(as_json):
+        yield lambda words: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("starting") as status:
+        yield status.update
+
+
+def _plain(value: Any) -> Any:
+    """Turn arrays, paths and mappings into what JSON knows."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from hyperflex.cli.app import run
+from hyperflex.report.demo import DemoReport, write_demo
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def hyperflex(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command in this process; returns exit code, standard output and standard error."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        code = run([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture
+def hyperflex_json(hyperflex: Run) -> Callable[..., tuple[int, dict[str, Any]]]:
+    """Run a command with --json; its standard output must be exactly one JSON object."""
+
+    def call(*arguments: object) -> tuple[int, dict[str, Any]]:
+        code, out, _ = hyperflex(*arguments, "--json")
+        result = json.loads(out)
+        assert isinstance(result, dict)
+        return code, result
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def demo_report(tmp_path_factory: pytest.TempPathFactory) -> DemoReport:
+    """The demo, run once."""
+    return write_demo(tmp_path_factory.mktemp("demo") / "folder")

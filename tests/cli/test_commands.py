@@ -1,0 +1,63 @@
+"""What all commands share: help with an example, exit codes, clean standard output, light start."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+
+import hyperflex as hf
+from hyperflex.cli.app import app
+
+COMMANDS = ("simulate", "identify", "reproduce", "demo")
+
+
+def test_these_are_all_commands():
+    assert {command.callback.__name__ for command in app.registered_commands} == set(COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_has_an_example_that_names_real_options(hyperflex, command):
+    code, out, _ = hyperflex(command, "--help")
+    assert code == 0
+    example = re.search(rf"Example:\n\s+(hyperflex {command}.*)\n", out)
+    assert example, out
+    for option in re.findall(r"(?<= )--?[a-z][a-z-]*", example[1]):
+        assert re.search(rf"^\s.*{re.escape(option)}\b", out.split("Options:")[1], re.M), option
+    assert "--json" in out
+
+
+def test_help_alone_and_version(hyperflex):
+    code, out, _ = hyperflex()
+    assert code == 0
+    assert all(command in out for command in COMMANDS)
+    assert hyperflex("--version") == (0, f"{hf.__version__}\n", "")
+
+
+@pytest.mark.parametrize("arguments", [("simulat",), ("simulate",), ("reproduce", "--nothing")])
+def test_wrong_usage_exits_with_2(hyperflex, arguments):
+    code, out, err = hyperflex(*arguments)
+    assert (code, out) == (2, "")
+    assert "See hyperflex --help" in err
+
+
+def test_the_installed_program_keeps_standard_output_clean(tmp_path):
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=2)
+    hf.Setup(rope, duration=0.1).to_toml(tmp_path / "swing.toml")
+    program = [sys.executable, "-c", "from hyperflex.cli import main; main()"]
+    arguments = ["simulate", "swing.toml", "-o", "swing.nc", "--json"]
+    done = subprocess.run([*program, *arguments], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)["samples"] == 11
+
+
+def test_help_loads_nothing_heavy():
+    heavy = {"numba", "scipy", "xarray", "matplotlib", "h5netcdf", "PIL", "jinja2"}
+    code = (
+        "from hyperflex.cli.app import run; run(['demo', '--help'])\n"
+        f"import sys; print(*sorted({heavy!r} & set(sys.modules)), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.split() == []

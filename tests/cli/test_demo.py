@@ -1,0 +1,43 @@
+"""``hyperflex demo``: says that it is simulated, shows intervals and names what to look at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hyperflex.report import demo
+
+
+@pytest.fixture
+def ready(demo_report, monkeypatch):
+    """Let the command find the demo done; it is run once for the whole suite."""
+    monkeypatch.setattr(demo, "write_demo", lambda *_: demo_report)
+    return demo_report
+
+
+def test_demo_prints_intervals_and_what_to_look_at(hyperflex, ready, tmp_path):
+    code, out, _ = hyperflex("demo", "-o", tmp_path)
+    assert code == 0
+    assert "simulated" in out
+    assert "mapped truth" in out
+    assert "report.html" in out
+    assert "prediction error" in out
+
+
+def test_demo_as_json(hyperflex_json, ready, tmp_path):
+    code, result = hyperflex_json("demo", "-o", tmp_path)
+    assert code == 0
+    assert result["source"] == "simulated"
+    assert all(Path(path).exists() for path in result["files"].values())
+    for name, parameter in result["parameters"].items():
+        low, high = parameter["interval_95"]
+        assert parameter["covered"] == (low <= parameter["mapped_truth"] <= high), name
+
+
+def test_ctrl_c_in_the_demo(hyperflex, monkeypatch, tmp_path):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(demo, "write_demo", interrupted)
+    assert hyperflex("demo", "-o", tmp_path)[:2] == (130, "")

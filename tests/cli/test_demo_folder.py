@@ -1,0 +1,88 @@
+"""The demo from end to end: intervals that cover, predictions near the noise, a cast like the rope's, a folder."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import FileProblem
+from hyperflex.report.demo import held_out_rms, write_demo
+
+
+def test_the_folder_is_complete(demo_report):
+    names = {path.name for path in demo_report.files.values()}
+    assert names == {
+        "prediction.png",
+        "parameters.png",
+        "strobe.png",
+        "casts.png",
+        "cast.gif",
+        "cast.nc",
+        "rope.toml",
+        "identification.json",
+        "summary.md",
+        "report.html",
+    }
+    folder = demo_report.files["page"].parent
+    assert {path.name for path in folder.iterdir()} == names
+    assert all(path.stat().st_size > 1000 for path in demo_report.files.values())
+
+
+def test_intervals_cover_the_mapped_truth_and_exclude_the_guess(demo_report):
+    assert demo_report.demo.identification.status == "converged"
+    for each in demo_report.demo.parameters:
+        low, high = each.interval
+        assert low < each.mapped < high, each
+        assert each.covered
+        assert not low < each.guess < high, each
+
+
+def test_a_parameter_outside_its_interval_is_told(demo_report):
+    each = demo_report.demo.parameters[0]
+    assert not dataclasses.replace(each, mapped=each.value + 2.0 * each.sd).covered
+
+
+def test_the_prediction_is_near_the_noise(demo_report):
+    demo = demo_report.demo
+    noise = float(np.sqrt(np.mean(demo.angle_noise**2)))
+    # The measured angles scatter by the noise themselves, so the error cannot be much less; 1.3 leaves room for the
+    # state, which is fitted on 15 frames, and for the coarse chain.
+    assert 0.9 * noise < held_out_rms(demo) < 1.3 * noise
+
+
+def test_the_identified_rope_casts_like_the_one_that_made_the_recording(demo_report):
+    demo = demo_report.demo
+    difference = demo.cast.tip - demo.reference.tip
+    # Ten links for forty: 1 % of the length in the rms over 14 s of casting.
+    assert np.sqrt(np.mean(difference**2)) < 0.02 * demo.cast.setup.rope.total_length
+    assert np.abs(demo.cast.tip[:, 0]).max() > 1.9
+
+
+def test_files_can_be_used_again(demo_report):
+    rope = hf.Rope.from_toml(demo_report.files["rope"])
+    assert rope.friction[0] == demo_report.demo.parameters[0].value
+    cast = hf.read_trajectory(demo_report.files["cast"])
+    np.testing.assert_array_equal(cast.tip, demo_report.demo.cast.tip)
+    assert cast.dataset.attrs["source"] == "simulated"
+
+
+def test_the_page_says_simulated_and_names_no_folder(demo_report):
+    text = demo_report.files["page"].read_text("utf-8")
+    plain = re.sub(r'src="data:[^"]*"', "", text)
+    assert "simulated" in plain
+    assert "Nothing here was measured on a real rope" in plain
+    assert plain.count("<figure>") == 5
+    assert str(demo_report.files["page"].parent) not in plain
+    assert "demo_swing.csv" not in plain
+    for row in demo_report.parameters.rows:
+        assert row[2] in plain
+
+
+def test_a_file_in_the_way_of_the_folder_is_refused_before_any_work(tmp_path):
+    (tmp_path / "taken").write_text("x")
+    with pytest.raises(FileProblem, match="not a folder"):
+        write_demo(tmp_path / "taken", lambda _: pytest.fail("work began"))

@@ -1,0 +1,47 @@
+"""``hyperflex reproduce``: files, verdicts, and errors as JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hyperflex.report import reproduce
+
+
+def test_reproduce_writes_files_and_prints_verdicts(hyperflex, tmp_path):
+    code, out, _ = hyperflex("reproduce", "fig9", "-o", tmp_path / "paper")
+    assert code == 0
+    assert "C2 holds in all 4 readings." in out
+    assert (tmp_path / "paper" / "fig9.png").exists()
+
+
+def test_reproduce_as_json(hyperflex_json, tmp_path):
+    code, result = hyperflex_json("reproduce", "fig9", "-o", tmp_path / "paper")
+    assert code == 0
+    assert all(Path(path).exists() for path in result["files"])
+    assert {claim["claim"] for claim in result["claims"]} == {"C1", "C2", "C3", "C4"}
+    assert all(
+        claim["holds"]
+        == (
+            (claim["measured"] >= claim["threshold"])
+            if claim["relation"] == ">="
+            else (claim["measured"] <= claim["threshold"])
+        )
+        for claim in result["claims"]
+    )
+
+
+def test_an_unknown_figure_is_refused(hyperflex_json, tmp_path):
+    code, result = hyperflex_json("reproduce", "fig13", "-o", tmp_path / "paper")
+    assert code == 2
+    assert "fig13" in result["error"]
+    assert not (tmp_path / "paper").exists()
+
+
+def test_ctrl_c_while_drawing_leaves_only_whole_files(hyperflex, tmp_path, monkeypatch):
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(reproduce.casting, "fig10", interrupted)
+    code, out, _ = hyperflex("reproduce", "fig9", "fig10", "-o", tmp_path)
+    assert (code, out) == (130, "")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fig9.csv", "fig9.png"]

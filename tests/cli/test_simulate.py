@@ -1,0 +1,71 @@
+"""``hyperflex simulate``: set-up in, NetCDF out, and what it says when that cannot be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex import simulation
+
+
+@pytest.fixture
+def setup_file(tmp_path):
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=5, friction=1e-3)
+    path = tmp_path / "cast.toml"
+    hf.Setup(rope, hf.swings(), hf.Arm(length=0.1), duration=1.0).to_toml(path)
+    return path
+
+
+def test_simulate_writes_the_run_and_sums_it_up(hyperflex, setup_file, tmp_path):
+    code, out, err = hyperflex("simulate", setup_file, "-o", tmp_path / "cast.nc")
+    assert code == 0
+    assert "greatest |x| of the tip" in out
+    assert "error" not in err.lower()
+    run = hf.read_trajectory(tmp_path / "cast.nc")
+    direct = hf.simulate(hf.Setup.from_toml(setup_file))
+    np.testing.assert_array_equal(run.q, direct.q)
+
+
+def test_simulate_as_json(hyperflex_json, setup_file, tmp_path):
+    code, result = hyperflex_json("simulate", setup_file, "-o", tmp_path / "cast.nc", "--duration", "0.5")
+    run = hf.read_trajectory(tmp_path / "cast.nc")
+    assert code == 0
+    assert result["end_s"] == 0.5
+    assert result["links"] == 5
+    assert result["tip_m"] == run.tip[-1].tolist()
+    assert result["output"] == str(tmp_path / "cast.nc")
+
+
+@pytest.mark.parametrize("arguments", [("simulate", "nowhere.toml", "-o", "x.nc"), ("simulate", "nowhere.toml")])
+def test_errors_are_one_json_object_and_exit_code_2(hyperflex_json, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    code, result = hyperflex_json(*arguments)
+    assert code == 2
+    assert set(result) == {"error", "kind"}
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_errors_without_json_go_to_standard_error(hyperflex, setup_file, tmp_path):
+    code, out, err = hyperflex("simulate", setup_file, "-o", tmp_path / "no" / "cast.nc")
+    assert (code, out) == (2, "")
+    assert err.startswith("hyperflex: The folder")
+    assert err.count("\n") == 1
+
+
+def test_a_bad_setup_is_explained(hyperflex, tmp_path):
+    (tmp_path / "bad.toml").write_text('duration = -1.0\n[rope]\nn_links = 2\nlength = 1.0\nmass = "heavy"\n')
+    code, _, err = hyperflex("simulate", tmp_path / "bad.toml", "-o", tmp_path / "bad.nc")
+    assert code == 2
+    assert "mass" in err
+    assert not (tmp_path / "bad.nc").exists()
+
+
+def test_ctrl_c_exits_with_130_and_leaves_nothing(hyperflex, setup_file, tmp_path, monkeypatch):
+    def interrupted(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(simulation, "simulate", interrupted)
+    code, out, _ = hyperflex("simulate", setup_file, "-o", tmp_path / "cast.nc")
+    assert (code, out) == (130, "")
+    assert [path.name for path in tmp_path.iterdir()] == ["cast.toml"]
