@@ -1,0 +1,142 @@
+"""What an identification gives back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hyperflex import files
+from hyperflex.checks import Array
+from hyperflex.files import PathLike
+from hyperflex.identification._prediction import HeldOut
+from hyperflex.model import Rope
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """An identified rope, and how far it can be trusted.
+
+    Attributes
+    ----------
+    rope : Rope
+        The guess with the free parameters at their fitted values.
+    values, sd : dict of str to ndarray
+        By the names in ``free``, SI units: per-link properties (n,), others single. The standard deviation is 0 where
+        a link's value was held, and inf where this motion cannot tell it.
+    ratios, ratio_sd : dict of str to ndarray (n,)
+        ``J/p1``, ``p/p1``, ``c/p1`` and, where fitted, ``dry/p1``, ``k/p1``: what a motion without known forces can
+        tell (p_i = m_i a_i + l_i m_beyond, J_i = inertia_i + m_i a_i^2 + l_i^2 m_beyond; p1 is that of link 0).
+    verdict : tuple of str
+        In words: what can be known, what cannot, and what looks wrong.
+    identifiable : bool
+        Whether all free parameters can be known.
+    residual_rms : (n,) rad
+        Fit error of each link's angle over all windows.
+    residual_t (m,), residuals (m, n) : s, rad
+        Measured less fitted angles at the fitted samples; NaN in gaps.
+    held_out : HeldOut or None
+        Prediction of the part that was not fitted.
+    parameters : tuple of str
+        Names of the P single free numbers, e.g. ``friction[1]``.
+    covariance : (P, P)
+        Of these, in SI units; along directions that cannot be known it is 0 (the values are held there).
+    singular_values : (P,)
+        Of the scaled information, largest first.
+    settings : dict
+        Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
+        factor, seconds taken.
+    status : str
+        ``converged``, ``interrupted`` (Ctrl-C; the best so far) or ``not converged``.
+    history : tuple of dict
+        Round by round: window length, round, cost, gain, damping.
+
+    Notes
+    -----
+    Standard deviations take the residuals' autocorrelation into account by an effective sample number: the variance of
+    independent residuals times ``settings["autocorrelation"]``. Errors of the model itself are not in them.
+    """
+
+    rope: Rope
+    values: dict[str, Array]
+    sd: dict[str, Array]
+    ratios: dict[str, Array]
+    ratio_sd: dict[str, Array]
+    verdict: tuple[str, ...]
+    identifiable: bool
+    residual_rms: Array
+    residual_t: Array
+    residuals: Array
+    held_out: HeldOut | None
+    parameters: tuple[str, ...]
+    covariance: Array
+    singular_values: Array
+    settings: dict[str, Any]
+    status: str
+    history: tuple[dict[str, float], ...]
+
+    @property
+    def residual_rms_all(self) -> float:
+        """Fit error over all links and windows together, rad."""
+        return float(np.sqrt(np.nanmean(self.residuals**2)))
+
+    def summary(self) -> dict[str, Any]:
+        """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
+        tables = {name: getattr(self, name) for name in ("values", "sd", "ratios", "ratio_sd")}
+        result: dict[str, Any] = {"status": self.status, "identifiable": self.identifiable}
+        result |= {name: {key: _plain(value) for key, value in table.items()} for name, table in tables.items()}
+        result |= {"residual_rms": _plain(self.residual_rms), "residual_rms_all": self.residual_rms_all}
+        if self.held_out is not None:
+            held = self.held_out
+            result["held_out"] = {"lead": held.lead, "ahead": held.ahead, "predictions": held.starts.size}
+            result["held_out"] |= {"rms": _plain(held.rms), "window_rms": _plain(held.window_rms)}
+        result["verdict"] = list(self.verdict)
+        result["settings"] = dict(self.settings)
+        result["rope"] = self.rope.table()
+        return result
+
+    def to_json(self, path: PathLike) -> None:
+        """Write :meth:`summary` as JSON, wholly or not at all. Raises FileProblem when it cannot be written."""
+        files.write_text(path, json.dumps(self.summary(), indent=2, allow_nan=False) + "\n")
+
+    def to_toml(self, path: PathLike) -> None:
+        """Write the rope as TOML, readable by ``Rope.from_toml``, with the figures in a table ``[identification]``."""
+        content = self.summary()
+        rope = content.pop("rope")
+        files.write_toml(path, {"rope": rope, "identification": _without_none(content)})
+
+    def __str__(self) -> str:
+        lines = [f"Identification {self.status}: " + ", ".join(f"{k} {_short(v)}" for k, v in self.settings.items())]
+        for title, value, spread in (("value", self.values, self.sd), ("ratio", self.ratios, self.ratio_sd)):
+            for name, numbers in value.items():
+                pairs = zip(np.atleast_1d(numbers), np.atleast_1d(spread[name]), strict=True)
+                lines.append(f"  {title} {name:<13}" + "  ".join(f"{x:.5g} ± {s:.2g}" for x, s in pairs))
+        lines.append("  fit error, mrad       " + "  ".join(f"{1e3 * x:.2f}" for x in self.residual_rms))
+        if self.held_out is not None:
+            lines.append(
+                f"  prediction error over {self.held_out.ahead:g} s, mrad  "
+                + "  ".join(f"{1e3 * x:.2f}" for x in self.held_out.rms)
+            )
+        return "\n".join([*lines, *(f"  {text}" for text in self.verdict)])
+
+
+def _plain(value: Array) -> Any:
+    """Return numbers as floats and lists, what is not finite as None."""
+    if value.ndim == 0:
+        return float(value) if np.isfinite(value) else None
+    return [_plain(each) for each in value]
+
+
+def _without_none(content: Any) -> Any:
+    """Return nested tables with None as the word "unknown", which TOML can hold."""
+    if isinstance(content, dict):
+        return {key: _without_none(value) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_without_none(value) for value in content]
+    return "unknown" if content is None else content
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
