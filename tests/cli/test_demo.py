@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -41,3 +42,10 @@ def test_ctrl_c_in_the_demo(hyperflex, monkeypatch, tmp_path):
 
     monkeypatch.setattr(demo, "write_demo", interrupted)
     assert hyperflex("demo", "-o", tmp_path)[:2] == (130, "")
+
+
+def test_a_fit_that_was_interrupted_is_no_demo(hyperflex, monkeypatch, tmp_path):
+    half = SimpleNamespace(status="interrupted")
+    monkeypatch.setattr("hyperflex.paper.demo.identify", lambda *_, **__: half)
+    assert hyperflex("demo", "-o", tmp_path)[:2] == (130, "")
+    assert list(tmp_path.iterdir()) == []

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex import files
+from hyperflex import files, identification
 
 
 @pytest.fixture
@@ -61,3 +63,17 @@ def test_columns_can_be_named(hyperflex_json, swing):
     code, result = hyperflex_json("identify", swing / "other.csv", *arguments, *named)
     assert code == 0
     assert result["values"]["friction"][0] == pytest.approx(2e-4, rel=1e-2)
+
+
+def test_ctrl_c_keeps_the_best_so_far_and_exits_with_130(hyperflex_json, swing, monkeypatch):
+    whole = identification.identify
+
+    def interrupted(*arguments, **options):
+        return dataclasses.replace(whole(*arguments, **options), status="interrupted")
+
+    monkeypatch.setattr(identification, "identify", interrupted)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    code, result = hyperflex_json("identify", swing / "swing.csv", *arguments)
+    assert code == 130
+    assert result["status"] == "interrupted"
+    assert files.read_toml(swing / "rope.toml")["identification"]["status"] == "interrupted"

@@ -15,7 +15,6 @@ from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
 from hyperflex.errors import HyperflexError
 
-REFUSED, INTERRUPTED = 2, 130
 # the common base of what the parser raises: BadParameter <- UsageError <- ClickException
 _PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
 
@@ -65,12 +64,12 @@ def run(arguments: Sequence[str]) -> int:
         code = typer.main.get_command(app).main(args=list(arguments), prog_name="hyperflex", standalone_mode=False)
         return int(code or 0)
     except HyperflexError as error:
-        return output.complain(str(error), type(error).__name__, REFUSED, as_json=as_json)
+        return output.complain(str(error), type(error).__name__, output.REFUSED, as_json=as_json)
     except (KeyboardInterrupt, typer.Abort):
         return output.complain(
-            "Interrupted; nothing was left half written.", "Interrupted", INTERRUPTED, as_json=as_json
+            "Interrupted; nothing was left half written.", "Interrupted", output.INTERRUPTED, as_json=as_json
         )
     except _PARSER_ERROR as error:
         worded = getattr(error, "format_message", None)
         message = worded() if worded else str(error)
-        return output.complain(f"{message} See hyperflex --help.", "UsageError", REFUSED, as_json=as_json)
+        return output.complain(f"{message} See hyperflex --help.", "UsageError", output.REFUSED, as_json=as_json)

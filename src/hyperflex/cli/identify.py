@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hyperflex.cli import output
+from hyperflex.cli.output import INTERRUPTED
 
 
 def identify(
@@ -69,6 +70,8 @@ def identify(
     result.to_toml(out)
     if json:
         output.print_json({"output": out, **result.summary()})
-        return
-    output.console().print(str(result), markup=False)
-    output.print_pairs("Written", [("rope and figures", str(out))])
+    else:
+        output.console().print(str(result), markup=False)
+        output.print_pairs("Written", [("rope and figures", str(out))])
+    if result.status == "interrupted":  # the best so far is written, and says what it is
+        raise typer.Exit(INTERRUPTED)
