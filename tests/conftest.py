@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import matplotlib as mpl
 import pytest
 from hypothesis import HealthCheck, settings
 
 WANT = "real recordings not found"
 
-mpl.use("Agg")
+os.environ["MPLBACKEND"] = "Agg"
 
 # The first example compiles kernels, so a deadline would time the compiler; "ci" draws the same examples in each run.
 settings.register_profile("dev", deadline=None, suppress_health_check=[HealthCheck.too_slow])
