@@ -6,10 +6,13 @@ import json
 import re
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.cli import output
 from hyperflex.cli.app import app
 
 COMMANDS = ("simulate", "identify", "reproduce", "demo")
@@ -61,3 +64,10 @@ def test_help_loads_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.split() == []
+
+
+def test_json_knows_arrays_paths_and_no_infinities(capsys):
+    output.print_json({"a": np.array([1.0, np.nan]), "b": {"p": Path("x"), "c": (np.float64(2.0), np.inf)}, "d": True})
+    text = capsys.readouterr().out
+    assert json.loads(text) == {"a": [1.0, None], "b": {"p": "x", "c": [2.0, None]}, "d": True}
+    assert "NaN" not in text

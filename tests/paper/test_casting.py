@@ -52,7 +52,9 @@ def test_tables_hold_every_reading_and_outcome():
     columns = paper.fig10().columns
     for reading in READINGS:
         for outcome in ("success", "failure"):
-            np.testing.assert_array_equal(columns[f"x_{reading.key}_{outcome}"], cast(reading, outcome).tip[::10, 0])
+            for axis, name in enumerate("xy"):
+                column = columns[f"{name}_{reading.key}_{outcome}"]
+                np.testing.assert_array_equal(column, cast(reading, outcome).tip[::10, axis])
 
 
 def test_portraits_and_tables_agree_on_when_the_arm_moves():

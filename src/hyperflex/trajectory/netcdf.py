@@ -36,7 +36,6 @@ def write(run: Trajectory, path: str | Path) -> None:
             _put(group, name, ("link",) if name in ("q", "qd") else (), getattr(run.state, name), units=units)
         for name, value in run.state.checkpoint.items():
             dims = tuple(f"{name}_{axis}" for axis in range(np.ndim(value)))
-            group.dimensions.update(dict(zip(dims, np.shape(value), strict=True)))
             _put(group, _CHECKPOINT + name, dims, value)
 
 
