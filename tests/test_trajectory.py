@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 
 import numpy as np
 import pytest
@@ -218,6 +219,23 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr(h5netcdf.File, "create_group", interrupted)
     with pytest.raises(KeyboardInterrupt):
+        made_up(seed=2).to_netcdf(path)
+    assert path.read_bytes() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.nc"]
+
+
+def test_a_full_disk_leaves_the_old_file(tmp_path, monkeypatch):
+    import h5netcdf
+
+    path = tmp_path / "run.nc"
+    made_up().to_netcdf(path)
+    before = path.read_bytes()
+
+    def full(*_args, **_kwargs):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(h5netcdf.File, "create_group", full)
+    with pytest.raises(FileProblem, match=r"no space left.*still stands"):
         made_up(seed=2).to_netcdf(path)
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.nc"]
