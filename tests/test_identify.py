@@ -114,7 +114,7 @@ def test_dry_friction_stiffness_tip_mass_and_a_tilted_camera() -> None:
     true = DOUBLE.replace(dry_friction=[2e-3, 5e-4], stiffness=[0.0, 0.02], tip_mass=0.01)
     lean = 0.02  # rad: the camera is turned, so gravity is seen turned
     recording = swing(true.replace(gravity=(9.81 * np.sin(lean), -9.81 * np.cos(lean))))
-    guess = true.replace(dry_friction=0.0, stiffness=0.0, tip_mass=0.0, friction=1e-4)
+    guess = true.replace(dry_friction=0.0, stiffness=0.0, tip_mass=0.0, friction=1e-4, dry_rate=1e-3)
     free = ["dry_friction", "stiffness[1]", "tip_mass", "gravity_angle", "friction"]
     result = identify(recording, guess, free)
     truth = {
@@ -127,6 +127,7 @@ def test_dry_friction_stiffness_tip_mass_and_a_tilted_camera() -> None:
     # The fit smooths dry friction at 2 % of the rms rate, the twin at 0.05 rad/s: allow for that difference.
     within(result.values, result.sd, truth, times=5.0)
     assert result.values["gravity_angle"].shape == ()
+    assert 0.01 < result.rope.dry_rate == result.settings["dry_rate"] < 0.1  # 2 % of 1.5 to 4 rad/s, not the guess's
 
 
 def test_what_is_not_there_goes_to_zero_or_stays_within_its_uncertainty(free_swing: Recording) -> None:
@@ -186,6 +187,31 @@ def test_twins_by_a_finer_chain_are_told_apart_by_their_residuals() -> None:
     # so a coarse joint has about a quarter of the fine one's friction; boundary effects keep it within a factor of 2.
     assert 0.5e-4 < result.values["friction"][0] < 2e-4
     assert result.settings["autocorrelation"] > 3.0  # model error is smooth in time, and the sd allow for it
+
+
+def test_correlated_noise_widens_the_uncertainty(free_swing: Recording, fitted: Identification) -> None:
+    clean = simulate(DOUBLE, duration=8.0, t_eval=free_swing.t, tol=1e-9, **START).q
+    noise = np.random.default_rng(2).standard_normal(clean.shape)
+    for k in range(1, clean.shape[0]):
+        noise[k] = 0.9 * noise[k - 1] + np.sqrt(1.0 - 0.9**2) * noise[k]
+    result = identify(Recording(free_swing.t, clean + NOISE * noise), GUESS, ["inertia", "com", "friction"])
+    within(result.ratios, result.ratio_sd, ratios(DOUBLE))
+    # An autocorrelation of 0.9^k stretches the sd of a mean by sqrt(1.9 / 0.1) = 4.4; windows take some of it away.
+    wider = result.ratio_sd["J/p1"] / fitted.ratio_sd["J/p1"]
+    assert (wider > 2.5).all()
+    assert (wider < 5.0).all()
+
+
+def test_declared_noise_weighs_the_samples() -> None:
+    clean, random = swing(DOUBLE, noise=0.0), np.random.default_rng(4)
+    noise = np.where(np.arange(clean.t.size)[:, None] % 2, 0.1, NOISE) * np.ones((1, 2))  # every second one is bad
+    data = clean.data + noise * random.standard_normal(noise.shape)
+    told, untold = (
+        identify(Recording(clean.t, data, noise=sd), GUESS, ["inertia", "com", "friction"]) for sd in (noise, None)
+    )
+    within(told.ratios, told.ratio_sd, ratios(DOUBLE))
+    # Bad samples hardly count when declared: the sd is that of the good half; undeclared their rms of 0.07 rules.
+    assert (told.ratio_sd["J/p1"] < 0.1 * untold.ratio_sd["J/p1"]).all()
 
 
 # ---- the pieces

@@ -11,20 +11,17 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import IdentificationError, InvalidInput
+from hyperflex.errors import InvalidInput
 from hyperflex.identification._parameters import SCALARS, Parameters
 from hyperflex.identification._prediction import predict
 from hyperflex.identification._result import Identification
-from hyperflex.identification._shooting import Fit, Plant, Report, fit, fit_state
+from hyperflex.identification._shooting import Fit, Plant, Report
+from hyperflex.identification._stages import fit_in_stages
 from hyperflex.identification._uncertainty import Information, judge, ratio_spread, ratios, verdict
 from hyperflex.identification._windows import (
-    FEWEST,
     Window,
     check_motion,
-    cut,
-    first_state,
     rms_rates,
-    thin,
     usual_length,
 )
 from hyperflex.model import Arm, Rope
@@ -32,8 +29,6 @@ from hyperflex.motion import Motion
 from hyperflex.recording import Recording
 
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
-STAGES = (8, 3)  # windows this many times shorter come first: short ones forgive a poor guess
-STAGE_WINDOWS = 40  # of the short ones, spread over the recording
 SMOOTH = 0.02  # least rate at which dry friction sets in, as a part of the links' rms rate
 POOR = 0.2  # part of the motion that may stay unexplained before the verdict calls the fit poor
 
@@ -120,7 +115,7 @@ def identify(
     check_motion(fitted)
     parameters = Parameters(_smoothed(rope_guess, fitted), free)
     length = usual_length(fitted, rope_guess) if window is None else checks.number("window", window, sign="positive")
-    found, windows, settings = _stages(plant, parameters, fitted, length, _reporter(progress))
+    found, windows, settings = fit_in_stages(plant, parameters, fitted, length, _reporter(progress))
     information = judge(plant, parameters, windows, found)
     rope = parameters.rope(found.x)
     held_out = None if rest is None else predict(plant, rope, rest, lead, ahead)
@@ -194,79 +189,6 @@ def _reporter(progress: bool | Report) -> Report:
             )
 
     return line
-
-
-def _stages(
-    plant: Plant,
-    parameters: Parameters,
-    recording: Recording,
-    length: float,
-    report: Report,
-) -> tuple[Fit, list[Window], dict[str, Any]]:
-    """Fit shorter windows first, then those of the wanted length; return the last fit with its windows."""
-    spacing = float(np.median(np.diff(recording.t)))
-    x, history = parameters.start, []
-    done: tuple[Fit, list[Window], dict[str, Any]] | None = None
-    for shorter in [*(s for s in STAGES if length / s >= FEWEST * spacing), 1]:
-        part = length / shorter
-        step = thin(recording, part)
-        thinned = recording.decimate(step)
-        windows, dropped = cut(thinned, part, thinned.noise)
-        if shorter > 1:
-            windows = windows[:: max(1, len(windows) // STAGE_WINDOWS)]
-        cut_out = len(windows)
-        try:
-            windows, states = _starts(plant, parameters, windows, x)
-            found = fit(plant, parameters, windows, x, states, report=_with_window(report, part))
-        except KeyboardInterrupt:
-            if done is None:
-                raise
-            done[0].interrupted = True
-            break
-        history += [entry | {"window": part} for entry in found.history]
-        settings = {
-            "window": part,
-            "windows": len(windows),
-            "left_out": dropped + cut_out - len(windows),
-            "decimation": step,
-        }
-        done, x = (found, windows, settings), found.x
-        if found.interrupted:
-            break
-    if done is None:
-        raise IdentificationError("no stage of the fit was run.")
-    done[0].history[:] = history
-    return done
-
-
-def _with_window(report: Report, part: float) -> Report:
-    return lambda entry: report(entry | {"window": part})
-
-
-def _starts(plant: Plant, parameters: Parameters, windows: list[Window], x: Array) -> tuple[list[Window], list[Array]]:
-    """Return the windows that can be simulated, with their states fitted at the parameters x."""
-    values = sum(window.values for window in windows)
-    needed = len(parameters) + sum(2 * window.y.shape[1] for window in windows)
-    if values <= needed:
-        raise InvalidInput(
-            "the recording has too few samples for this fit",
-            got=f"{values} values in {len(windows)} usable windows",
-            allowed=f"more than the {needed} unknowns (states of the windows and free parameters)",
-            fix="Record longer or faster, free fewer parameters, or choose another window length",
-        )
-    rope = parameters.rope(x)
-    kept, states = [], []
-    for window in windows:
-        found = fit_state(plant, rope, window, first_state(window))
-        if found is not None:
-            kept.append(window)
-            states.append(found[0])
-    if not kept:
-        raise IdentificationError(
-            "Not one window can be simulated with the guess. Check lengths, masses, gravity and units, or give shorter "
-            "windows (window=...)."
-        )
-    return kept, states
 
 
 def _result(
