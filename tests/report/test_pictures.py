@@ -86,6 +86,15 @@ def test_a_film_has_its_frames_in_time(short_cast, tmp_path):
     assert np.abs(first - last).max() > 100  # the rope has moved
 
 
+def test_a_film_keeps_its_colours_though_its_first_frame_has_few(short_cast, tmp_path):
+    animate(short_cast, tmp_path / "cast.gif", frame_rate=10, width=200)
+    film = Image.open(io.BytesIO((tmp_path / "cast.gif").read_bytes()))
+    film.seek(14)
+    red, green, blue = np.asarray(film.convert("RGB")).reshape(-1, 3).T.astype(int)
+    assert ((red > blue + 60) & (green > blue + 40)).sum() > 50  # the rope is yellow
+    assert ((green > red + 60) & (blue > red + 60)).sum() > 50  # its trail is green-blue
+
+
 def test_a_slow_film_takes_longer(short_cast, tmp_path):
     animate(short_cast, tmp_path / "slow.gif", start=0.5, end=1.0, frame_rate=20, speed=0.5, width=100)
     assert Image.open(io.BytesIO((tmp_path / "slow.gif").read_bytes())).n_frames == 21

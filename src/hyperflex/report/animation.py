@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from PIL import Image
 
 Progress = Callable[[int, int], None]
+Colour = tuple[int, int, int]
 
 _NIGHT, _PALE, _WHITE = (12, 19, 34), (170, 182, 200), (255, 255, 255)
 _ROPE, _TRAIL, _GRID = (242, 212, 121), (79, 195, 192), (28, 38, 58)
 _FINE = 2  # drawn this much larger, then shrunk: smooth edges
-_COLOURS = 64
 _GHOSTS = 5
 _TRAIL_POINTS = 80
 
@@ -109,17 +109,12 @@ def animate(
 def _gif(frames: Iterator[Image.Image], frame_rate: int) -> bytes:
     from PIL import Image
 
-    first = next(frames)
-    palette = first.quantize(_COLOURS, method=Image.Quantize.MEDIANCUT)
-
-    def rest() -> Iterator[Image.Image]:
-        for frame in frames:
-            yield frame.quantize(palette=palette, dither=Image.Dither.NONE)
-
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([value for colour in _PALETTE for value in colour])
+    indexed = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     buffer = io.BytesIO()
-    head = first.quantize(palette=palette, dither=Image.Dither.NONE)
-    head.save(
-        buffer, format="GIF", save_all=True, append_images=rest(), duration=1000 // frame_rate, loop=0, optimize=False
+    next(indexed).save(
+        buffer, format="GIF", save_all=True, append_images=indexed, duration=1000 // frame_rate, loop=0, optimize=False
     )
     return buffer.getvalue()
 
@@ -163,7 +158,7 @@ def _draw_scene(draw: Any, run: Trajectory, time: float, view: _View, trail: flo
     draw.line([(0, origin[1]), (view.width, origin[1])], fill=_GRID, width=_FINE)
     draw.line([(origin[0], 0), (origin[0], view.height)], fill=_GRID, width=_FINE)
     for k in range(_GHOSTS):
-        draw.line(view.pixels(drawn.joints[k]), fill=_blend(_ROPE, 0.30 * (k + 1) / (_GHOSTS + 1)), width=_FINE)
+        draw.line(view.pixels(drawn.joints[k]), fill=_blend(_ROPE, 0.40 * (k + 1) / (_GHOSTS + 1)), width=_FINE)
     past = np.linspace(max(time - trail, start), time, _TRAIL_POINTS)
     path = view.pixels(shapes(run, past).joints[:, -1])
     for k in range(len(path) - 1):
@@ -176,11 +171,16 @@ def _draw_scene(draw: Any, run: Trajectory, time: float, view: _View, trail: flo
     _dot(draw, pivot, 5 * _FINE, _WHITE)
 
 
-def _dot(draw: Any, centre: tuple[float, float], radius: float, colour: tuple[int, int, int]) -> None:
+def _dot(draw: Any, centre: tuple[float, float], radius: float, colour: Colour) -> None:
     x, y = centre
     draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=colour)
 
 
-def _blend(colour: tuple[int, int, int], part: float) -> tuple[int, int, int]:
+def _blend(colour: Colour, part: float) -> Colour:
     """Mix `part` of a colour with the background."""
-    return tuple(round(part * c + (1.0 - part) * b) for c, b in zip(colour, _NIGHT, strict=True))  # type: ignore[return-value]
+    red, green, blue = (round(part * c + (1.0 - part) * b) for c, b in zip(colour, _NIGHT, strict=True))
+    return red, green, blue
+
+
+_SHADES = 16
+_PALETTE = [_blend(c, k / (_SHADES - 1)) for c in (_ROPE, _TRAIL, _WHITE, _PALE, _GRID) for k in range(_SHADES)]

@@ -186,7 +186,7 @@ def _write_page(
     tiles = (
         (f"{covered} of {len(demo.parameters)}", "95 % intervals hold the mapped truth"),
         (f"{1e3 * held_out_rms(demo):.1f} mrad", "prediction error 1 s ahead, on data that the fit has not seen"),
-        (f"{1e3 * float(demo.angle_noise.mean()):.1f} mrad", "of it is the camera's noise in an angle"),
+        (f"{1e3 * float(demo.angle_noise.mean()):.1f} mrad", "noise of a measured angle, for comparison"),
         (
             f"{1e2 * abs(gap):.1f} cm",
             f"between the greatest reaches of the two casts ({abs(demo.cast.tip[:, 0]).max():.2f} m)",
