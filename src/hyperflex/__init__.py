@@ -13,13 +13,14 @@ if TYPE_CHECKING:
     from hyperflex.model import Arm, Rope, Setup
     from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
-    from hyperflex.simulation import simulate
+    from hyperflex.simulation import Batch, simulate, simulate_batch
     from hyperflex.trajectory import State, Trajectory, read_trajectory
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "Arm": "model",
+    "Batch": "simulation",
     "Identification": "identification",
     "Motion": "motion",
     "Recording": "recording",
@@ -36,12 +37,14 @@ _HOMES = {
     "read_trajectory": "trajectory",
     "sampled": "motion",
     "simulate": "simulation",
+    "simulate_batch": "simulation",
     "swings": "motion",
     "torque_profile": "motion",
 }
 
 __all__ = [
     "Arm",
+    "Batch",
     "Identification",
     "Motion",
     "Recording",
@@ -59,6 +62,7 @@ __all__ = [
     "read_trajectory",
     "sampled",
     "simulate",
+    "simulate_batch",
     "swings",
     "torque_profile",
 ]

@@ -1,4 +1,4 @@
-"""One linearly implicit Euler step in SIMD lanes against the dense solve: four states side by side."""
+"""One linearly implicit Euler step in SIMD lanes against the dense solve: states side by side."""
 
 from __future__ import annotations
 
@@ -14,31 +14,37 @@ from tests.reference.cases import random_links, random_state
 @pytest.mark.parametrize("dry", [True, False], ids=["dry", "viscous-only"])
 @pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
 @pytest.mark.parametrize("n", [1, 2, 5, 50])
-def test_a_step_in_every_lane_is_the_dense_implicit_step(n: int, reaction: float, dry: bool) -> None:
+@pytest.mark.parametrize("width", [ln.COLUMNS, ln.MEMBERS], ids=["columns", "members"])
+def test_a_step_in_every_lane_is_the_dense_implicit_step(
+    width: tuple[int, ...], n: int, reaction: float, dry: bool
+) -> None:
     links = random_links(n, 2, reaction=reaction)
     if not dry:
         links = links._replace(dry=np.zeros(n))
-    states = [random_state(n, seed) for seed in range(ln.LANES)]
-    steps, torques = 0.01 / np.arange(1, ln.LANES + 1), 0.01 * np.arange(ln.LANES)
-    flat, base = np.zeros((n + 2) * ln.ROW), np.zeros((ln.LANES, 9))
-    data = flat.reshape(n + 2, ln.ROW)
+    k = len(width)
+    states = [random_state(n, seed) for seed in range(k)]
+    steps, torques = 0.01 / np.arange(1, k + 1), 0.01 * np.arange(k)
+    flat, base = np.zeros((n + 2) * ln.ROW * k), np.zeros((k, 9))
+    data = flat.reshape(n + 2, ln.ROW, k)
     top, link, end = data[0], data[1 : n + 1], data[n + 1]
-    ln.load(chain_of(links), flat)
+    chain = chain_of(links)
+    ln.load(width, chain, flat)
     for j, state in enumerate(states):
-        link[:, ln.Q + j], link[:, ln.W + j], base[j, :7] = state
-    end[ln.STEP : ln.STEP + ln.LANES], top[ln.EXTERNAL : ln.EXTERNAL + ln.LANES] = steps, torques
-    ln.euler(chain_of(links), flat, base, dry)
+        link[:, ln.Q, j], link[:, ln.W, j], base[j, :7] = state
+        base[j, :2] -= chain.gx, chain.gy
+    end[ln.STEP], top[ln.EXTERNAL] = steps, torques
+    ln.euler(width, flat, base, chain.reaction, chain.dry_rate, dry)
     for j, (state, h, torque) in enumerate(zip(states, steps, torques, strict=True)):
         want = dense.accelerations(links, *state, torque=torque, h=h)
         w_end = state.w + h * np.asarray(want.alpha, float)
         # 1e-10 relative on the accelerations as for the single sweep; the end state scales them by the step.
         atol = 1e-10 * h * float(np.abs(want.alpha).max())
-        np.testing.assert_allclose(link[:, ln.W + j], w_end, rtol=1e-14, atol=atol)
-        np.testing.assert_allclose(link[:, ln.Q + j], state.q + h * w_end, rtol=1e-14, atol=h * atol)
+        np.testing.assert_allclose(link[:, ln.W, j], w_end, rtol=1e-14, atol=atol)
+        np.testing.assert_allclose(link[:, ln.Q, j], state.q + h * w_end, rtol=1e-14, atol=h * atol)
         velocity, rate = state.base[5:7], state.base[3]
         power = float(want.force @ velocity + want.torque * rate) + torque * state.w[0]
         scale = float(np.abs(want.force) @ np.abs(velocity)) + abs(float(want.torque) * rate)
-        assert top[ln.WORK + j] == pytest.approx(h * power, abs=1e-10 * h * scale)
+        assert top[ln.WORK, j] == pytest.approx(h * power, abs=1e-10 * h * scale)
         lost = dense.dissipation(links, state.q, state.w, (state.base[4], rate))
         # Terms of either sign with printed friction; 1e-10 of their usual size as everywhere.
-        assert top[ln.DISSIPATED + j] == pytest.approx(h * lost, abs=1e-10 * h * max(abs(lost), 1e-2))
+        assert top[ln.DISSIPATED, j] == pytest.approx(h * lost, abs=1e-10 * h * max(abs(lost), 1e-2))

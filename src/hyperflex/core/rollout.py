@@ -30,10 +30,13 @@ class Progress(NamedTuple):
 
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
     mark: Array  # (2 n + 2,) the state before the first step that was cut short to end at `stop`
-    clock: Array  # (7,) see the names below; MARK_T is -inf while no step has been cut
+    clock: Array  # (CLOCK,) see the names below; MARK_T is -inf while no step has been cut
 
 
-T, STEP, MARK_T, MARK_STEP, INDEX, TAKEN, REJECTED = range(7)
+# AFTER: first step that succeeded after the last switch, where the motion is least smooth; tried first at the next one
+# FRESH: 1.0 from a switch until a step has succeeded behind it
+T, STEP, AFTER, FRESH, MARK_T, MARK_STEP, MARK_AFTER, MARK_FRESH, INDEX, TAKEN, REJECTED = range(11)
+CLOCK = 11
 LARGEST_STEP = 0.25  # s
 SMALLEST_STEP = 1e-10  # s
 SHARE = 0.02  # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
@@ -110,6 +113,13 @@ def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def switched(clock):  # type: ignore[no-untyped-def]
+    """Note that the motion switches here: the next step is no longer than what succeeded after the last switch."""
+    clock[STEP] = min(clock[STEP], clock[AFTER])
+    clock[FRESH] = 1.0
+
+
+@kernel
 def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no-untyped-def]
     """Run until ``limits.stop`` or until the budget is spent; O(n) a step.
 
@@ -131,9 +141,9 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
     dys = np.empty((3, 2 * n + 2))
     stage = np.empty((3, 2 * n + 2))
     work = np.empty((n, 8))
-    base = np.zeros((ln.LANES, 9))
-    lanes = np.zeros((n + 2) * ln.ROW)
-    ln.load(chain, lanes)
+    base = np.zeros((len(ln.COLUMNS), 9))
+    lanes = np.zeros((n + 2) * ln.ROW * len(ln.COLUMNS))
+    ln.load(ln.COLUMNS, chain, lanes)
     while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= clock[T]:
         y_out[int(clock[INDEX])] = y
         clock[INDEX] += 1
@@ -153,7 +163,7 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
             marked = True
             mark[:] = y
             clock[MARK_T] = t
-            clock[MARK_STEP] = clock[STEP]
+            clock[MARK_STEP : MARK_FRESH + 1] = clock[STEP : FRESH + 1]
         if limits.fixed > 0.0:
             runge_kutta(chain, drive, part, t, step, y, out, stage, work)
             size = 0.0 if np.abs(out[: 2 * n]).max() < np.inf else np.inf
@@ -193,6 +203,11 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
         if limits.fixed == 0.0:
             grown = step * min(3.0, 0.9 * max(size, 1e-12) ** (-1.0 / table.order))
             clock[STEP] = max(grown, clock[STEP]) if cut else grown
+            if clock[FRESH] == 1.0:
+                clock[AFTER] = clock[STEP]
+                clock[FRESH] = 0.0
+            if t_new >= part.end:
+                switched(clock)
     if clock[T] < limits.stop:
         return status.RUNNING
     return status.OK

@@ -18,7 +18,7 @@ class Scheme(NamedTuple):
     """Extrapolated linearly implicit Euler of fixed order p: column j takes j substeps, j = 1..p, packed into lanes."""
 
     order: int
-    column: npt.NDArray[np.int64]  # (rounds, LANES) column that a lane works on in a round, 0: idle
+    column: npt.NDArray[np.int64]  # (rounds, lanes) column that a lane works on in a round, 0: idle
     best: npt.NDArray[np.float64]  # (p + 1,) weights of the columns in the result of order p
     other: npt.NDArray[np.float64]  # (p + 1,) in the result of order p - 1 beside it, for the error estimate
 
@@ -30,8 +30,9 @@ def scheme(order: int) -> Scheme:
         best[j] = math.prod(j / (j - k) for k in range(1, order + 1) if k != j)
         if j > 1:
             other[j] = math.prod(j / (j - k) for k in range(2, order + 1) if k != j)
-    column = np.zeros((order, ln.LANES), dtype=np.int64)
-    for lane in range(ln.LANES):  # lane 0: column p; then p - j with j, which together take p substeps as well
+    lanes = len(ln.COLUMNS)
+    column = np.zeros((order, lanes), dtype=np.int64)
+    for lane in range(lanes):  # lane 0: column p; then p - j with j, which together take p substeps as well
         long = order - lane
         short = order - long
         if long >= short and long > 0:
@@ -43,52 +44,55 @@ def scheme(order: int) -> Scheme:
 
 @kernel
 def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):  # type: ignore[no-untyped-def]
-    """Take one extrapolated step from y at time t; O(p^2 n / LANES).
+    """Take one extrapolated step from y at time t; O(p^2 n / lanes).
 
     Parameters
     ----------
     chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
     y, out, error : (2 n + 2,) state, new state (out), its difference to the result of one order less (out)
-    lanes : ((n + 2) ROW,), loaded with the chain's parameters
-    base : (LANES, 9) scratch
+    lanes : ((n + 2) ROW lanes,), loaded with the chain's parameters
+    base : (lanes, 9) scratch
     """
+    k = len(ln.COLUMNS)
     n = chain.length.size
     has_dry = False
     for i in range(n):
         has_dry = has_dry or chain.dry[i] != 0.0
     out[:] = y  # the weights, up to 389 in size, multiply increments: their rounding must not scale the state itself
     error[:] = 0.0
-    done = np.zeros(ln.LANES, dtype=np.int64)
+    done = np.zeros(k, dtype=np.int64)
     rounds = table.column.shape[0]
-    for k in range(rounds):
-        for j in range(ln.LANES):
-            col = table.column[k, j]
-            if col > 0 and (k == 0 or table.column[k - 1, j] != col):  # a column begins
+    for turn in range(rounds):
+        for j in range(k):
+            col = table.column[turn, j]
+            if col > 0 and (turn == 0 or table.column[turn - 1, j] != col):  # a column begins
                 for i in range(n):
-                    lanes[(i + 1) * ln.ROW + ln.Q + j] = y[i]
-                    lanes[(i + 1) * ln.ROW + ln.W + j] = y[n + i]
-                lanes[ln.WORK + j] = y[2 * n]
-                lanes[ln.DISSIPATED + j] = y[2 * n + 1]
+                    lanes[((i + 1) * ln.ROW + ln.Q) * k + j] = y[i]
+                    lanes[((i + 1) * ln.ROW + ln.W) * k + j] = y[n + i]
+                lanes[ln.WORK * k + j] = y[2 * n]
+                lanes[ln.DISSIPATED * k + j] = y[2 * n + 1]
                 done[j] = 0
             h = step / col if col > 0 else 0.0
-            lanes[(n + 1) * ln.ROW + ln.STEP + j] = h
-            lanes[ln.EXTERNAL + j] = base_state(drive, part, t + done[j] * h, base[j])
+            lanes[((n + 1) * ln.ROW + ln.STEP) * k + j] = h
+            lanes[ln.EXTERNAL * k + j] = base_state(drive, part, t + done[j] * h, base[j])
+            base[j, 0] -= chain.gx
+            base[j, 1] -= chain.gy
             done[j] += 1
-        ln.euler(chain, lanes, base, has_dry)
-        for j in range(ln.LANES):
-            col = table.column[k, j]
-            if col > 0 and (k == rounds - 1 or table.column[k + 1, j] != col):  # a column is complete
+        ln.euler(ln.COLUMNS, lanes, base, chain.reaction, chain.dry_rate, has_dry)
+        for j in range(k):
+            col = table.column[turn, j]
+            if col > 0 and (turn == rounds - 1 or table.column[turn + 1, j] != col):  # a column is complete
                 best = table.best[col]
                 gap = best - table.other[col]
                 for i in range(n):
-                    dq = lanes[(i + 1) * ln.ROW + ln.Q + j] - y[i]
-                    dw = lanes[(i + 1) * ln.ROW + ln.W + j] - y[n + i]
+                    dq = lanes[((i + 1) * ln.ROW + ln.Q) * k + j] - y[i]
+                    dw = lanes[((i + 1) * ln.ROW + ln.W) * k + j] - y[n + i]
                     out[i] += best * dq
                     out[n + i] += best * dw
                     error[i] += gap * dq
                     error[n + i] += gap * dw
-                work = lanes[ln.WORK + j] - y[2 * n]
-                dissipated = lanes[ln.DISSIPATED + j] - y[2 * n + 1]
+                work = lanes[ln.WORK * k + j] - y[2 * n]
+                dissipated = lanes[ln.DISSIPATED * k + j] - y[2 * n + 1]
                 out[2 * n] += best * work
                 out[2 * n + 1] += best * dissipated
                 error[2 * n] += gap * work

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -16,15 +17,17 @@ from hyperflex.core import rollout, status
 from hyperflex.core.chain import Chain
 from hyperflex.core.drive import TORQUE, Drive
 from hyperflex.core.jit import announce_compilation
-from hyperflex.core.rollout import INDEX, MARK_STEP, MARK_T, STEP, Limits, Progress, T
+from hyperflex.core.rollout import AFTER, FRESH, INDEX, MARK_FRESH, MARK_T, STEP, Limits, Progress, T
 from hyperflex.core.steppers import scheme
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Setup
+from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import runge_kutta_limit
 from hyperflex.trajectory import State
 
 ORDER = 7  # of the extrapolation; its columns fill four lanes without a gap
 FIRST_STEP = 0.01  # s, tried first; error control does the rest
+# A run is refused when its energy balance is off by more than this part of the energy that went through it.
+ENERGY_ALLOWANCE = 0.02
 BUDGET = 2000  # steps between two looks at progress and Ctrl-C
 
 Control = Callable[[float, float, float, Array, Array], float]
@@ -74,17 +77,21 @@ def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, li
     n = chain.length.size
     y = np.zeros(2 * n + 2)
     y[:n], y[n : 2 * n] = start
-    clock = np.zeros(7)
-    clock[T], clock[STEP], clock[MARK_T] = t[0], FIRST_STEP, -np.inf
+    clock = np.zeros(rollout.CLOCK)
+    clock[T], clock[STEP], clock[AFTER], clock[MARK_T] = t[0], FIRST_STEP, np.inf, -np.inf
     return Rollout(chain, drive, limits, Progress(y, y.copy(), clock), t, np.full((t.size, 2 * n + 2), np.nan))
+
+
+def lever(chain: Chain) -> Array:
+    """Return how far a link's angle moves mass (n,), m: the larger of its length and its radius of gyration."""
+    gyration = np.sqrt(chain.inertia / np.maximum(chain.mass, 1e-300) + chain.com**2)
+    return np.maximum(chain.length, np.where(chain.mass > 0.0, np.minimum(gyration, 1e3 * chain.length), 0.0))
 
 
 def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET) -> Limits:
     """Return the bounds of a run until `stop`, s; refuses an unstable Runge-Kutta step."""
-    gyration = np.sqrt(chain.inertia / np.maximum(chain.mass, 1e-300) + chain.com**2)
-    lever = np.maximum(chain.length, np.where(chain.mass > 0.0, np.minimum(gyration, 1e3 * chain.length), 0.0))
     if setup.step is None:
-        return Limits(stop, setup.tol, lever, 0.0, budget)
+        return Limits(stop, setup.tol, lever(chain), 0.0, budget)
     longest = runge_kutta_limit(chain)
     if setup.step > longest:
         raise InvalidInput(
@@ -93,7 +100,7 @@ def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET) -> Lim
             allowed=f"at most {longest:.3e} s for this rope",
             fix="Take a smaller step, or method='extrapolation', which has no such limit",
         )
-    return Limits(stop, setup.tol, lever, setup.step, budget)
+    return Limits(stop, setup.tol, lever(chain), setup.step, budget)
 
 
 def resume(run: Rollout, state: State, setup: Setup) -> None:
@@ -105,10 +112,11 @@ def resume(run: Rollout, state: State, setup: Setup) -> None:
         raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")
     if saved.get("fingerprint") == fingerprint(run, setup):
         y[:] = saved["mark"]
-        clock[T], clock[STEP] = saved["mark_time"], saved["mark_step"]
+        clock[T : FRESH + 1] = saved["mark_clock"]
     elif saved:
         y[:] = saved["y"]
-        clock[T], clock[STEP] = state.t, state.step
+        clock[T : FRESH + 1] = saved["clock"]
+        rollout.switched(clock)
     else:  # made by hand: a torque-driven arm starts where the set-up says
         own = 1 if setup.torque_driven else 0
         y[own:n] = checks.array("state q", state.q, (n - own,), unit="rad")
@@ -123,7 +131,7 @@ def final_state(run: Rollout, setup: Setup) -> State:
     own = 1 if setup.torque_driven else 0
     y, mark, clock = run.progress
     if clock[MARK_T] == -np.inf:  # no step was cut: the run stands where one ended
-        mark, clock[MARK_T], clock[MARK_STEP] = y, clock[T], clock[STEP]
+        mark, clock[MARK_T : MARK_FRESH + 1] = y, clock[T : FRESH + 1]
     return State(
         t=run.time,
         q=y[own:n].copy(),
@@ -134,8 +142,8 @@ def final_state(run: Rollout, setup: Setup) -> State:
         checkpoint={
             "y": y.copy(),
             "mark": mark.copy(),
-            "mark_time": float(clock[MARK_T]),
-            "mark_step": float(clock[MARK_STEP]),
+            "mark_clock": clock[MARK_T : MARK_FRESH + 1].copy(),
+            "clock": clock[T : FRESH + 1].copy(),
             "fingerprint": fingerprint(run, setup),
         },
     )
@@ -193,9 +201,39 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
     return code, np.array(times), np.array(torques)
 
 
+def balanced(rope: Rope, kinetic: Array, potential: Array, work: Array, dissipated: Array) -> npt.NDArray[np.int64]:
+    """Return the number of leading samples whose energy balance holds.
+
+    Parameters
+    ----------
+    rope : Rope
+        Sets the scale of a run in which hardly anything happens.
+    kinetic, potential, work, dissipated : (..., T) float64
+        J; the first sample is what the balance is drawn against.
+
+    Returns
+    -------
+    (...,) int64
+    """
+    energy = kinetic + potential
+    change = energy - energy[..., :1]
+    error = change - (work - work[..., :1]) + (dissipated - dissipated[..., :1])
+
+    def peak(value: Array) -> Array:
+        return np.maximum.accumulate(np.abs(value), axis=-1)
+
+    scale = peak(work) + peak(dissipated) + peak(kinetic) + peak(change)
+    # a rope that hardly moves has no scale of its own: compare with a fall through a hundredth of its length
+    floor = 0.01 * rope.total_mass * rope.total_length * float(np.hypot(*rope.gravity))
+    bad = ~(np.abs(error) <= ENERGY_ALLOWANCE * (scale + floor) + 1e-300)
+    return np.where(bad.any(axis=-1), bad.argmax(axis=-1), bad.shape[-1])
+
+
 @contextmanager
-def progress_bar(begin: float, end: float, wanted: bool) -> Iterator[Callable[[float], None] | None]:
-    """Show a bar of the simulated time on standard error, if it is wanted."""
+def progress_bar(
+    begin: float, end: float, wanted: bool, what: str = "simulating"
+) -> Iterator[Callable[[float], None] | None]:
+    """Show a bar from begin to end on standard error, if it is wanted; yields what to call with where the work is."""
     if not wanted:
         yield None
         return
@@ -203,5 +241,5 @@ def progress_bar(begin: float, end: float, wanted: bool) -> Iterator[Callable[[f
     from rich.progress import Progress as Bar
 
     with Bar(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("simulating", total=end - begin)
+        task = bar.add_task(what, total=end - begin)
         yield lambda t: bar.update(task, completed=t - begin)

@@ -19,6 +19,7 @@ from hyperflex.motion import Motion, hold
 from hyperflex.simulation.run import (
     Control,
     Rollout,
+    balanced,
     controlled,
     final_state,
     finish,
@@ -30,8 +31,6 @@ from hyperflex.simulation.run import (
 from hyperflex.trajectory import State, Trajectory
 
 SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose
-# A run is refused when its energy balance is off by more than this part of the energy that went through it.
-ENERGY_ALLOWANCE = 0.02
 INTERRUPTED = "interrupted"
 
 
@@ -253,7 +252,11 @@ def _conclude(run: Rollout, setup: Setup, code: int, name: str, throw: bool) -> 
     """Work out everything that a trajectory shows, and check the energy balance."""
     message = "" if name == "ok" else str(_failure(code, run)) if code != status.RUNNING else f"at t = {run.time:g} s"
     result = _trajectory(run, setup, run.done, name, message)
-    good = _balanced(result)
+    good = int(
+        balanced(
+            setup.rope, result.kinetic_energy, result.potential_energy, result.motor_work, result.dissipated_energy
+        )
+    )
     if good < run.done:
         code, name = status.ENERGY, status.NAMES[status.ENERGY]
         message = f"stopped at t = {result.t[good]:.6g} s ({name}): {status.ADVICE[code]}."
@@ -263,17 +266,6 @@ def _conclude(run: Rollout, setup: Setup, code: int, name: str, throw: bool) -> 
     elif code not in (status.OK, status.RUNNING) and throw:
         raise _failure(code, run)
     return result
-
-
-def _balanced(run: Trajectory) -> int:
-    """Number of leading samples whose energy balance holds."""
-    exchanged = np.maximum.accumulate(np.abs(run.motor_work)) + np.maximum.accumulate(np.abs(run.dissipated_energy))
-    energy = run.kinetic_energy + run.potential_energy
-    scale = exchanged + np.maximum.accumulate(run.kinetic_energy) + np.maximum.accumulate(np.abs(energy - energy[:1]))
-    # a rope that hardly moves has no scale of its own: compare with a fall through a hundredth of its length
-    floor = 0.01 * run.setup.rope.total_mass * run.setup.rope.total_length * float(np.hypot(*run.setup.rope.gravity))
-    bad = ~(np.abs(run.energy_error) <= ENERGY_ALLOWANCE * (scale + floor) + 1e-300)
-    return int(np.argmax(bad)) if bad.any() else run.t.size
 
 
 def _trajectory(run: Rollout, setup: Setup, count: int, name: str, message: str) -> Trajectory:

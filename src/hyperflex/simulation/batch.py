@@ -1,0 +1,326 @@
+"""Many rollouts at once: members side by side in SIMD lanes, blocks of members on threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core import batch as core
+from hyperflex.core import status
+from hyperflex.core.batch import Members, Terms
+from hyperflex.core.chain import Chain
+from hyperflex.core.drive import Drive
+from hyperflex.core.jit import announce_compilation
+from hyperflex.core.lanes import MEMBERS
+from hyperflex.core.steppers import scheme
+from hyperflex.errors import InvalidInput
+from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
+from hyperflex.motion import Motion
+from hyperflex.simulation.run import balanced, lever, progress_bar
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+ORDER = 5  # where lanes are full, few cheap columns beat the high order that a lone rollout gets for nothing
+# Members of a block: at least BLOCKS blocks a thread, to balance the load and to be interrupted; few enough that the
+# states in work stay small; enough to keep the lanes full.
+BLOCKS = 4
+LARGEST_BLOCK = 4 * len(MEMBERS)
+INTERRUPTED = "interrupted"
+# name: (dimensions after member and time, units, long name)
+KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "tip": (("axis",), "m", "position of the tip"),
+    "q": (("link",), "rad", "absolute link angle"),
+    "qd": (("link",), "rad/s", "link rate"),
+    "motor_work": ((), "J", "work done by the motor and the moving base since the start"),
+    "dissipated_energy": ((), "J", "energy lost to friction since the start"),
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Batch:
+    """Results of many rollouts; row m belongs to member m.
+
+    Attributes
+    ----------
+    t : (T,) float64
+        Output times, s.
+    values : dict of str to array
+        What was kept, each (M, T, ...); NaN from where a member failed.
+    status : tuple of str
+        ``"ok"`` or the name of the failure, (M,).
+    reached : (M,) float64
+        Time that each member reached, s.
+    """
+
+    t: Array
+    values: dict[str, Array]
+    status: tuple[str, ...]
+    reached: Array
+
+    def __getattr__(self, name: str) -> Array:
+        try:
+            return self.values[name]
+        except KeyError:
+            raise AttributeError(f"{name!r} was not kept; kept: {', '.join(self.values)}") from None
+
+    @property
+    def failed(self) -> list[int]:
+        """Numbers of the members that did not finish."""
+        return [m for m, name in enumerate(self.status) if name != "ok"]
+
+    def why(self, member: int) -> str:
+        """Return what went wrong with a member, and advice; empty if nothing did."""
+        name = self.status[member]
+        advice = {status.NAMES[code]: text for code, text in status.ADVICE.items()}.get(name, "")
+        return (
+            ""
+            if name == "ok"
+            else f"stopped at t = {self.reached[member]:.6g} s ({name})" + (advice and f": {advice}.")
+        )
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """The batch as an ``xarray.Dataset`` with the dimensions member, time, link and axis."""
+        import xarray as xr
+
+        variables: dict[str, Any] = {
+            name: (("member", "time", *KEPT[name][0]), value, {"units": KEPT[name][1], "long_name": KEPT[name][2]})
+            for name, value in self.values.items()
+        }
+        variables["status"] = ("member", np.array(self.status))
+        variables["reached"] = ("member", self.reached, {"units": "s", "long_name": "time reached"})
+        coords = {"time": ("time", self.t, {"units": "s"}), "axis": ("axis", np.array(["x", "y"]))}
+        return xr.Dataset(variables, coords, attrs={"source": "simulated"})
+
+
+def simulate_batch(
+    ropes: Rope | Sequence[Rope],
+    motions: Motion | Sequence[Motion] | None = None,
+    *,
+    arm: Arm | None = None,
+    duration: float,
+    q0: npt.ArrayLike | None = None,
+    qd0: npt.ArrayLike | None = None,
+    t_eval: npt.ArrayLike | None = None,
+    tol: float = DEFAULT_TOL,
+    step: float | None = None,
+    keep: Sequence[str] = ("tip",),
+    threads: int | None = None,
+    progress: bool = False,
+) -> Batch:
+    """Simulate many ropes, motions or initial states at once.
+
+    Parameters
+    ----------
+    ropes : Rope or sequence of Rope
+        One for all members, or one each. All must have the same number of links, friction model and dry rate.
+    motions : Motion or sequence of Motion, optional
+        One for all members, or one each.
+    arm, duration, tol
+        As in :func:`hyperflex.simulate`; the same for all members.
+    q0, qd0 : (n,) or (M, n) array_like, optional
+        Angles, rad, and rates, rad/s, at the start.
+    t_eval : (T,) array_like, optional
+        Times of the output, s; by default the end alone. A step ends at each of them, so ask for what you need.
+    step : float, optional
+        A step chosen beforehand, s, without error control.
+    keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy"}
+        What to keep; memory is (M, T) times this, beside the blocks in work.
+    threads : int, optional
+        By default one a processor. Results do not depend on it.
+    progress : bool
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    Batch
+        A member that fails is reported in ``status``; the others stand. After Ctrl-C the finished members are there
+        and the others have the status "interrupted".
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used, or the members do not fit together.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> rests = [0.3, 0.4, 0.5, 0.6]
+    >>> batch = hf.simulate_batch(cable, [hf.swings(t_rest=r) for r in rests], arm=hf.Arm(), duration=5.0)
+    >>> batch.tip.shape
+    (4, 1, 2)
+    """
+    keep = tuple(checks.choice("keep", name, tuple(KEPT)) for name in keep)
+    setups = _setups(ropes, motions, arm, duration, tol)
+    chains = [setup.chain() for setup in setups]
+    drives = [setup.drive() for setup in setups]
+    starts = _starts(setups, q0, qd0)
+    t = checks.times("t_eval", [setups[0].duration] if t_eval is None else t_eval)
+    if t[0] <= 0.0 or t[-1] > setups[0].duration:
+        raise InvalidInput("t_eval leaves the run", got=[float(t[0]), float(t[-1])], allowed=f"0 < t <= {duration:g} s")
+    members = _members(chains, drives, starts)
+    table = scheme(ORDER)
+    chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
+    has_dry = any(bool(chain.dry.any()) for chain in chains)
+    first = chains[0]
+    terms = Terms(0.0, setups[0].tol, first.reaction, first.dry_rate, has_dry, chosen, table.best, table.other)
+    workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
+    work = _Work(members, terms, t, keep, setups)
+    announce_compilation()
+    return work.run(workers, progress)
+
+
+class _Work:
+    """The blocks of a batch and where their results go."""
+
+    def __init__(self, members: Members, terms: Terms, t: Array, keep: tuple[str, ...], setups: list[Setup]) -> None:
+        self.members, self.terms, self.t = members, terms, t
+        self.ropes = [setup.rope for setup in setups]
+        count, _, n = members.links.shape
+        sizes = {"link": n, "axis": 2}
+        self.values = {name: np.full((count, t.size, *(sizes[dim] for dim in KEPT[name][0])), np.nan) for name in keep}
+        self.codes = np.full(count, -1)
+        self.reached = np.zeros(count)
+        self.base = _base_positions([setup.drive() for setup in setups], t) if "tip" in keep else None
+
+    def block(self, low: int, high: int) -> int:
+        """Run members low..high - 1 and keep what is wanted of them."""
+        n = self.members.links.shape[2]
+        y = np.full((high - low, self.t.size, 2 * n + 2), np.nan)
+        codes, reached = np.full(high - low, -1), np.zeros(high - low)
+        core.run_block(self.members, self.terms, low, high, self.t, y, codes, reached)
+        rows = slice(low, high)
+        self.check_energy(low, high, y, codes, reached)
+        for name, target in self.values.items():
+            if name == "tip" and self.base is not None:
+                length = self.members.links[rows, core.LENGTH][:, None, :]
+                q = y[:, :, :n]
+                reach = np.stack([(length * np.sin(q)).sum(axis=2), -(length * np.cos(q)).sum(axis=2)], axis=2)
+                target[rows] = self.base[rows] + reach
+            else:
+                target[rows] = y[:, :, _columns(name, n)]
+        self.reached[rows] = reached
+        self.codes[rows] = codes
+        return high - low
+
+    def check_energy(self, low: int, high: int, y: Array, codes: npt.NDArray[np.int64], reached: Array) -> None:
+        """Mark members whose energy balance fails, and forget what they show from there on."""
+        times = np.append(self.terms.begin, self.t)
+        states = np.concatenate([self.members.start[low:high, None], y], axis=1)
+        kinetic, potential = np.empty((high - low, times.size)), np.empty((high - low, times.size))
+        core.energy_block(self.members, self.terms, low, high, times, states, kinetic, potential)
+        n = self.members.links.shape[2]
+        for m in np.flatnonzero(codes == status.OK):
+            work, lost = states[m, :, 2 * n], states[m, :, 2 * n + 1]
+            good = int(balanced(self.ropes[low + m], kinetic[m], potential[m], work, lost))
+            if good < times.size:
+                codes[m], reached[m] = status.ENERGY, times[good]
+                y[m, good - 1 :] = np.nan
+
+    def run(self, workers: int, progress: bool) -> Batch:
+        """Run all blocks on threads; Ctrl-C keeps what is finished."""
+        count = self.codes.size
+        even = -(-count // (workers * BLOCKS * len(MEMBERS))) * len(MEMBERS)
+        size = min(max(len(MEMBERS), even), LARGEST_BLOCK)
+        with ThreadPoolExecutor(workers) as pool, progress_bar(0, count, progress, "members") as report:
+            futures: list[Future[int]] = [
+                pool.submit(self.block, low, min(low + size, count)) for low in range(0, count, size)
+            ]
+            try:
+                finished = 0
+                for future in futures:
+                    finished += future.result()
+                    if report is not None:
+                        report(finished)
+            except KeyboardInterrupt:
+                for future in futures:
+                    future.cancel()
+        names = tuple(status.NAMES[int(code)] if code >= 0 else INTERRUPTED for code in self.codes)
+        return Batch(self.t, self.values, names, self.reached)
+
+
+def _columns(name: str, n: int) -> slice | int:
+    return {"q": slice(0, n), "qd": slice(n, 2 * n), "motor_work": 2 * n, "dissipated_energy": 2 * n + 1}[name]
+
+
+def _setups(
+    ropes: Rope | Sequence[Rope],
+    motions: Motion | Sequence[Motion] | None,
+    arm: Arm | None,
+    duration: float,
+    tol: float,
+) -> list[Setup]:
+    rope_list = [ropes] if isinstance(ropes, Rope) else list(ropes)
+    motion_list = [motions] if motions is None or isinstance(motions, Motion) else list(motions)
+    count = max(len(rope_list), len(motion_list))
+    if not rope_list or not motion_list or {len(rope_list), len(motion_list)} - {1, count}:
+        raise InvalidInput(
+            "ropes and motions do not fit together",
+            got=[len(rope_list), len(motion_list)],
+            allowed="one for all members, or as many of both",
+        )
+    common = {(rope.n_links, rope.friction_model, rope.dry_rate) for rope in rope_list}
+    if len(common) > 1:
+        raise InvalidInput(
+            "ropes of a batch differ in links, friction model or dry rate",
+            got=sorted(common),
+            allowed="the same for all",
+            fix="Run one batch for each kind",
+        )
+    return [
+        Setup(rope_list[m % len(rope_list)], motion_list[m % len(motion_list)], arm, duration=duration, tol=tol)
+        for m in range(count)
+    ]
+
+
+def _starts(setups: list[Setup], q0: npt.ArrayLike | None, qd0: npt.ArrayLike | None) -> Array:
+    count, n = len(setups), setups[0].rope.n_links
+    result = np.zeros((count, 2 * n + 2))
+    result[:, :n] = np.array([setup.rope.hanging_angle for setup in setups])[:, None]
+    for name, value, columns in (("q0", q0, slice(0, n)), ("qd0", qd0, slice(n, 2 * n))):
+        if value is not None:
+            shape = (n,) if np.ndim(value) == 1 else (count, n)
+            result[:, columns] = checks.array(name, value, shape)
+    return result
+
+
+def _members(chains: list[Chain], drives: list[Drive], starts: Array) -> Members:
+    links = np.stack(
+        [
+            np.stack([c.length, c.mass, c.com, c.inertia, c.viscous, c.stiffness, c.rest, c.dry, lever(c)])
+            for c in chains
+        ]
+    )
+    whole = np.array(
+        [[c.tip_mass, c.gx, c.gy, d.arm_length, d.torque_limit] for c, d in zip(chains, drives, strict=True)]
+    )
+    padding = np.zeros((1, *drives[0].coef.shape[1:]))
+    return Members(
+        links,
+        whole,
+        starts,
+        np.concatenate([d.breaks for d in drives]),
+        np.concatenate([part for d in drives for part in (d.coef, padding)]),
+        np.array([d.loop for d in drives]),
+        np.concatenate([[0], np.cumsum([d.breaks.size for d in drives])]),
+    )
+
+
+def _base_positions(drives: list[Drive], t: Array) -> Array:
+    """Positions of the first joints (M, T, 2), m."""
+    result = np.empty((len(drives), t.size, 2))
+    for m, drive in enumerate(drives):
+        motion = Motion(drive.breaks, drive.coef, drive.switch, drive.loop)
+        angle = motion.angle(t)
+        result[m] = motion.point(t) + drive.arm_length * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    return result

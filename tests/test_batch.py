@@ -1,0 +1,204 @@
+"""Batches: equal to single runs, the same for any number of threads, whole when a member fails or the user stops."""
+
+from __future__ import annotations
+
+import _thread
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.core import batch as core
+from hyperflex.errors import InvalidInput
+from hyperflex.simulation import batch as simulation_batch
+
+ARM = hf.Arm(length=0.1)
+
+
+def family(count: int, n: int = 8, seed: int = 0, **others: object) -> tuple[list[hf.Rope], list[hf.Motion]]:
+    """Ropes and motions with every parameter drawn within 20 %."""
+    rng = np.random.default_rng(seed)
+    ropes, motions = [], []
+    for _ in range(count):
+        u = rng.uniform(0.8, 1.2, 6)
+        ropes.append(
+            hf.Rope(
+                length=0.1 * u[0] * rng.uniform(0.8, 1.2, n),
+                mass=0.005 * u[1] * rng.uniform(0.8, 1.2, n),
+                friction=2e-4 * u[2],
+                stiffness=1e-3 * u[3],
+                tip_mass=0.01 * u[4],
+                **others,  # type: ignore[arg-type]
+            )
+        )
+        motions.append(hf.swings(0.6 * u[5], 0.4 * u[0]))
+    return ropes, motions
+
+
+@pytest.mark.parametrize(
+    "others",
+    [{}, {"friction_model": "printed"}, {"dry_friction": 1e-4, "dry_rate": 0.1}],
+    ids=["relative", "printed", "dry"],
+)
+def test_members_equal_single_runs(others: dict[str, object]) -> None:
+    ropes, motions = family(19, **others)  # more than the lanes, and not a multiple of them
+    t = np.array([0.4, 1.0])
+    batch = hf.simulate_batch(
+        ropes,
+        motions,
+        arm=ARM,
+        duration=1.0,
+        t_eval=t,
+        tol=1e-7,
+        keep=("tip", "q", "qd", "motor_work", "dissipated_energy"),
+    )
+    assert batch.failed == []
+    for m, (rope, motion) in enumerate(zip(ropes, motions, strict=True)):
+        run = hf.simulate(rope, motion, arm=ARM, duration=1.0, t_eval=t, tol=1e-8)
+        # Some forty steps of 1e-7 m each, in a rope of 0.8 m whose motion doubles small errors a few times in a second.
+        np.testing.assert_allclose(batch.tip[m], run.tip, rtol=0, atol=2e-5)
+        np.testing.assert_allclose(batch.q[m], run.q, rtol=0, atol=1e-3)
+        np.testing.assert_allclose(batch.qd[m], run.qd, rtol=0, atol=5e-2)
+        # Energies of some 0.1 J.
+        np.testing.assert_allclose(batch.motor_work[m], run.motor_work, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(batch.dissipated_energy[m], run.dissipated_energy, rtol=0, atol=1e-5)
+
+
+def test_results_do_not_depend_on_threads_or_neighbours() -> None:
+    ropes, motions = family(70)
+    one = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.5, threads=1)
+    three = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.5, threads=3)
+    np.testing.assert_array_equal(one.tip, three.tip)
+    alone = hf.simulate_batch(ropes[41], motions[41], arm=ARM, duration=0.5)
+    np.testing.assert_array_equal(one.tip[41], alone.tip[0])
+
+
+def test_start_states_and_sampled_motions() -> None:
+    rope = family(1)[0][0]
+    motion = hf.sampled([0.0, 0.2, 0.5, 0.8], [0.0, 0.3, -0.2, 0.1])
+    q0 = np.random.default_rng(1).normal(size=(3, 8))
+    batch = hf.simulate_batch(rope, [motion] * 3, arm=ARM, duration=1.0, q0=q0, qd0=np.ones(8), tol=1e-7)
+    for m in range(3):
+        run = hf.simulate(rope, motion, arm=ARM, duration=1.0, q0=q0[m], qd0=np.ones(8), t_eval=[1.0], tol=1e-8)
+        # Wild starts: errors of 1e-7 m a step grow a hundredfold within the second.
+        np.testing.assert_allclose(batch.tip[m], run.tip, rtol=0, atol=1e-4)
+
+
+def test_a_chosen_step_is_taken() -> None:
+    ropes, motions = family(3)
+    coarse = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.5, step=0.02)
+    fine = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.5, step=0.01)
+    exact = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.5, tol=1e-9)
+    errors = [np.abs(b.tip - exact.tip).max() for b in (coarse, fine)]
+    assert errors[1] < errors[0] / 8  # order 5 would give 32; half its logarithm shows that the step counts
+
+
+def test_a_failing_member_fails_alone() -> None:
+    ropes, motions = family(20)
+    qd0 = np.zeros((20, 8))
+    qd0[7] = 1e200  # its square is not a number any more
+    batch = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.3, qd0=qd0)
+    assert batch.failed == [7]
+    assert batch.status[7] == "step too small"
+    assert "t = 0 s" in batch.why(7)
+    assert batch.why(6) == ""
+    assert np.isnan(batch.tip[7]).all()
+    good = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.3)
+    keep = np.arange(20) != 7
+    np.testing.assert_array_equal(batch.tip[keep], good.tip[keep])
+
+
+def test_an_energy_balance_that_fails_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    ropes, motions = family(20)
+    run = core.run_block
+
+    def falsified(
+        members: core.Members, terms: core.Terms, low: int, high: int, t: object, y: np.ndarray, *rest: object
+    ) -> None:
+        run(members, terms, low, high, t, y, *rest)
+        if low <= 5 < high:
+            y[5 - low, :, -2] += 1.0  # J of motor work that was never done
+
+    monkeypatch.setattr(core, "run_block", falsified)
+    batch = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.3)
+    assert batch.failed == [5]
+    assert batch.status[5] == "energy not balanced"
+    assert np.isnan(batch.tip[5]).all()
+
+
+def test_memory_is_that_of_what_is_kept() -> None:
+    ropes, motions = family(512)
+    t = np.linspace(0.01, 0.2, 400)
+
+    def peak(count: int) -> int:
+        tracemalloc.start()
+        batch = hf.simulate_batch(ropes[:count], motions[:count], arm=ARM, duration=0.2, t_eval=t, threads=1)
+        used = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert batch.tip.nbytes == count * t.size * 2 * 8
+        return used - batch.tip.nbytes
+
+    hf.simulate_batch(ropes[:1], motions[:1], arm=ARM, duration=0.2)  # compile first
+    states = 256 * t.size * 18 * 8  # bytes that all states of 256 more members would take
+    # Set-ups and parameters of a member take about 5 kB, beside 58 kB for its states at 400 times.
+    assert peak(512) - peak(256) < 0.3 * states
+
+
+def test_ctrl_c_keeps_finished_members(monkeypatch: pytest.MonkeyPatch) -> None:
+    ropes, motions = family(64)
+    whole = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.3, threads=1)
+    run = simulation_batch._Work.block
+
+    def interrupted(self: simulation_batch._Work, low: int, high: int) -> int:
+        if low >= 32:
+            _thread.interrupt_main()
+            return high - low
+        return run(self, low, high)
+
+    monkeypatch.setattr(simulation_batch._Work, "block", interrupted)
+    batch = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.3, threads=1)
+    assert batch.status[:32] == ("ok",) * 32
+    assert batch.status[32:] == ("interrupted",) * 32
+    np.testing.assert_array_equal(batch.tip[:32], whole.tip[:32])
+    assert np.isnan(batch.tip[32:]).all()
+
+
+def test_dataset_is_labelled() -> None:
+    ropes, motions = family(2)
+    data = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.2, keep=("tip", "q")).dataset
+    assert data.tip.dims == ("member", "time", "axis")
+    assert data.q.dims == ("member", "time", "link")
+    assert data.tip.attrs["units"] == "m"
+    assert list(data.status.values) == ["ok", "ok"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"ropes": []}, "ropes and motions"),
+        ({"ropes": family(3)[0]}, "ropes and motions"),
+        ({"ropes": [family(1)[0][0], family(1, n=9)[0][0]]}, "differ in links"),
+        ({"keep": ("wind",)}, "keep"),
+        ({"t_eval": [0.0, 0.1]}, "t_eval"),
+        ({"t_eval": [0.2, 0.1]}, "t_eval"),
+        ({"t_eval": [9.0]}, "t_eval"),
+        ({"q0": np.zeros((3, 8))}, "q0"),
+        ({"qd0": np.full(8, np.nan)}, "qd0"),
+        ({"step": 0.0}, "step"),
+        ({"threads": 0}, "threads"),
+        ({"duration": -1.0}, "duration"),
+    ],
+)
+def test_bad_input(change: dict[str, object], words: str) -> None:
+    ropes, motions = family(2)
+    arguments: dict[str, object] = {"ropes": ropes, "motions": motions, "arm": ARM, "duration": 0.3} | change
+    with pytest.raises(InvalidInput, match=words):
+        hf.simulate_batch(**arguments)  # type: ignore[arg-type]
+
+
+def test_what_was_not_kept_is_named() -> None:
+    ropes, motions = family(1)
+    batch = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.1)
+    with pytest.raises(AttributeError, match="kept: tip"):
+        _ = batch.q
