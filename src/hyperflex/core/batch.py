@@ -14,7 +14,7 @@ import numpy.typing as npt
 from hyperflex.core import lanes as ln
 from hyperflex.core import status
 from hyperflex.core.chain import Array, Chain, energies, sincos
-from hyperflex.core.drive import ANGLE, TORQUE, X, Y, polynomial
+from hyperflex.core.drive import ANGLE, ROUNDING, TORQUE, X, Y, polynomial
 from hyperflex.core.jit import kernel
 from hyperflex.core.rollout import LARGEST_STEP, SHARE, SMALLEST_STEP
 
@@ -81,6 +81,7 @@ def piece(members, m, t, coef, lane):  # type: ignore[no-untyped-def]
     first = members.first[m]
     count = members.first[m + 1] - first - 1
     breaks = members.breaks[first : first + count + 1]
+    t += ROUNDING * (1.0 + abs(t))  # as in drive.segment
     if t < breaks[0] or (t >= breaks[count] and members.loop[m] < 0):  # standing still
         j = 0 if t < breaks[0] else count - 1
         lane[ORIGIN] = t
@@ -307,6 +308,8 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
             step = lane[j, WANTED]
             end = min(lane[j, END], t_out[index[j]])
             cut = lane[j, TIME] + step * (1.0 + 1e-9) >= end
+            if cut and step < SMALLEST_STEP and size < np.inf:
+                size = 0.0  # as in rollout.run
             if size <= 1.0:
                 accept(lanes, n, j, energy)
                 lane[j, TIME] = end if cut else lane[j, TIME] + step

@@ -11,7 +11,7 @@ from hyperflex.core.chain import sincos
 from hyperflex.core.jit import inlined, kernel
 
 ANGLE, X, Y, TORQUE = 0, 1, 2, 3  # channels of Drive.coef
-_ROUNDING = 1e-12  # relative; some thousand times that of the arithmetic
+ROUNDING = 1e-12  # relative; some thousand times that of the arithmetic
 
 
 class Drive(NamedTuple):
@@ -45,7 +45,7 @@ def segment(drive, t):  # type: ignore[no-untyped-def]
     """Return the Segment that begins at or before t and ends after it; at a switch, within rounding, the later."""
     breaks = drive.breaks
     k = breaks.size - 1
-    t += _ROUNDING * (1.0 + abs(t))  # cycles are sums and products: the same instant comes out in several ways
+    t += ROUNDING * (1.0 + abs(t))  # cycles are sums and products: the same instant comes out in several ways
     if t < breaks[0]:
         return Segment(-np.inf, breaks[0], 0.0, 0, -1)
     offset = 0.0
