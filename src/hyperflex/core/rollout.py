@@ -21,6 +21,8 @@ class Limits(NamedTuple):
     stop: float  # s, run until here
     tol: float  # m, error allowed in the position of any joint, of a step and of SHARE seconds
     lever: Array  # (n,) m, how far a link's angle moves mass: the larger of its length and its radius of gyration
+    reach: float  # m, length of the chain
+    fall: float  # J, weight times length: the scale of the chain's energy at rest
     fixed: float  # s, fixed Runge-Kutta step; 0.0: extrapolation with error control
     budget: int  # steps of one call, so that callers can show progress and be interrupted
 
@@ -39,6 +41,8 @@ T, STEP, AFTER, FRESH, MARK_T, MARK_STEP, MARK_AFTER, MARK_FRESH, INDEX, TAKEN, 
 CLOCK = 11
 LARGEST_STEP = 0.25  # s
 SMALLEST_STEP = 1e-10  # s
+ENERGY = 10.0  # see error_norm
+TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
 SHARE = 0.02  # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
 
 
@@ -59,7 +63,11 @@ _SUMS = _hermite(1)  # (6, 6): value and first derivative
 
 @kernel
 def error_norm(chain, limits, y, error, step):  # type: ignore[no-untyped-def]
-    """Largest error of any joint's position, and of its velocity times the step, in units of what is allowed."""
+    """Error of a step in units of what is allowed: of any joint's position, of its velocity times the step, of energy.
+
+    Work and dissipation may err by ENERGY tol / reach of the chain's energy. Without that bound sharp dry friction,
+    which hardly moves a joint while it changes sign, would leave the energy balance unchecked.
+    """
     n = chain.length.size
     x = vx = z = vz = worst = 0.0
     for i in range(n):
@@ -73,7 +81,9 @@ def error_norm(chain, limits, y, error, step):  # type: ignore[no-untyped-def]
         worst = max(worst, x * x + z * z, vx * vx + vz * vz)
         if not (worst < np.inf):
             return np.inf
-    return math.sqrt(worst) / (limits.tol * min(1.0, step / SHARE))
+    kinetic, _ = energies(chain, y[:n], y[n : 2 * n], (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    energy = abs(error[2 * n] - error[2 * n + 1]) * limits.reach / (ENERGY * (limits.fall + kinetic) + TINY)
+    return max(math.sqrt(worst), energy) / (limits.tol * min(1.0, step / SHARE))
 
 
 @kernel
@@ -119,6 +129,81 @@ def switched(clock):  # type: ignore[no-untyped-def]
     clock[FRESH] = 1.0
 
 
+class Scratch(NamedTuple):
+    """Working arrays of a run."""
+
+    out: Array  # (2 n + 2,) state after the step
+    error: Array  # (2 n + 2,)
+    ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives
+    dys: Array
+    stage: Array  # (3, 2 n + 2)
+    work: Array  # (n, 8)
+    base: Array  # (lanes, 9)
+    lanes: Array  # ((n + 2) ROW lanes,)
+
+
+@kernel
+def scratch(chain):  # type: ignore[no-untyped-def]
+    """Working arrays for a chain, its parameters loaded into the lanes."""
+    n = chain.length.size
+    lanes = np.zeros((n + 2) * ln.ROW * len(ln.COLUMNS))
+    ln.load(ln.COLUMNS, chain, lanes)
+    return Scratch(
+        np.empty(2 * n + 2),
+        np.zeros(2 * n + 2),
+        np.empty((3, 2 * n + 2)),
+        np.empty((3, 2 * n + 2)),
+        np.empty((3, 2 * n + 2)),
+        np.empty((n, 8)),
+        np.zeros((len(ln.COLUMNS), 9)),
+        lanes,
+    )
+
+
+@kernel
+def advance(chain, drive, part, table, fixed, t, step, y, out, room):  # type: ignore[no-untyped-def]
+    """Take one step of the wanted integrator from y at t to `out`; `room` is a Scratch."""
+    if fixed > 0.0:
+        runge_kutta(chain, drive, part, t, step, y, out, room.stage, room.work)
+    else:
+        extrapolate(chain, drive, part, table, t, step, y, out, room.error, room.lanes, room.base)
+
+
+@kernel
+def write_until(clock, t_out, t, y, y_out):  # type: ignore[no-untyped-def]
+    """Write state y to every output up to time t that is not written yet."""
+    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= t:
+        y_out[int(clock[INDEX])] = y
+        clock[INDEX] += 1
+
+
+@kernel
+def write_between(chain, drive, part, table, fixed, clock, step, room, t_out, y, y_out):  # type: ignore[no-untyped-def]
+    """Write the outputs strictly within the step from y at clock[T] to ``room.out``."""
+    t = clock[T]
+    end = t + step
+    if clock[INDEX] >= t_out.size or t_out[int(clock[INDEX])] >= end:
+        return
+    ys, dys = room.ys, room.dys
+    ys[0], ys[2] = y, room.out
+    advance(chain, drive, part, table, fixed, t, 0.5 * step, y, ys[1], room)
+    for k in range(3):
+        rates(chain, drive, part, t + 0.5 * k * step, ys[k], dys[k], room.work)
+    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+        index = int(clock[INDEX])
+        interpolate(2.0 * (t_out[index] - t) / step - 1.0, step, ys, dys, y_out[index])
+        clock[INDEX] += 1
+
+
+@kernel
+def mark_here(progress):  # type: ignore[no-untyped-def]
+    """Remember the state from which an unbroken run would go on (unless an earlier one is remembered)."""
+    clock = progress.clock
+    if clock[MARK_T] == -np.inf:
+        progress.mark[:] = progress.y
+        clock[MARK_T : MARK_FRESH + 1] = clock[T : FRESH + 1]
+
+
 @kernel
 def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no-untyped-def]
     """Run until ``limits.stop`` or until the budget is spent; O(n) a step.
@@ -133,22 +218,11 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
     -------
     int : OK, RUNNING (call again), STEP_TOO_SMALL or NOT_FINITE; `progress` tells how far it came.
     """
-    n = chain.length.size
-    y, mark, clock = progress.y, progress.mark, progress.clock
-    out = np.empty(2 * n + 2)
-    error = np.zeros(2 * n + 2)
-    ys = np.empty((3, 2 * n + 2))
-    dys = np.empty((3, 2 * n + 2))
-    stage = np.empty((3, 2 * n + 2))
-    work = np.empty((n, 8))
-    base = np.zeros((len(ln.COLUMNS), 9))
-    lanes = np.zeros((n + 2) * ln.ROW * len(ln.COLUMNS))
-    ln.load(ln.COLUMNS, chain, lanes)
-    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= clock[T]:
-        y_out[int(clock[INDEX])] = y
-        clock[INDEX] += 1
+    y, clock = progress.y, progress.clock
+    room = scratch(chain)
+    fixed = limits.fixed
+    write_until(clock, t_out, clock[T], y, y_out)
     part = segment(drive, clock[T])
-    marked = clock[MARK_T] > -np.inf
     for _ in range(limits.budget):
         t = clock[T]
         if t >= limits.stop:
@@ -156,51 +230,33 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
         if t >= part.end:
             part = segment(drive, t)
         end = min(part.end, limits.stop)
-        wanted = limits.fixed if limits.fixed > 0.0 else min(clock[STEP], LARGEST_STEP)
+        wanted = fixed if fixed > 0.0 else min(clock[STEP], LARGEST_STEP)
         cut = t + wanted * (1.0 + 1e-9) >= end
         step = end - t if cut else wanted
-        if cut and limits.stop < part.end and not marked:
-            marked = True
-            mark[:] = y
-            clock[MARK_T] = t
-            clock[MARK_STEP : MARK_FRESH + 1] = clock[STEP : FRESH + 1]
-        if limits.fixed > 0.0:
-            runge_kutta(chain, drive, part, t, step, y, out, stage, work)
-            size = 0.0 if np.abs(out[: 2 * n]).max() < np.inf else np.inf
+        if cut and limits.stop < part.end:
+            mark_here(progress)
+        advance(chain, drive, part, table, fixed, t, step, y, room.out, room)
+        clock[TAKEN] += 1
+        if fixed > 0.0:
+            size = 0.0 if np.abs(room.out).max() < np.inf else np.inf
         else:
-            extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base)
-            size = error_norm(chain, limits, out, error, step)
+            size = error_norm(chain, limits, room.out, room.error, step)
             if cut and step < SMALLEST_STEP and size < np.inf:
                 size = 0.0  # an end a few rounding errors away: there is nothing to control
-        clock[TAKEN] += 1
         if not (size <= 1.0):
             clock[REJECTED] += 1
-            shrink = 0.2 if not (size < np.inf) else max(0.2, 0.9 * size ** (-1.0 / table.order))
-            clock[STEP] = step * shrink
-            if limits.fixed > 0.0:
+            clock[STEP] = step * (max(0.2, 0.9 * size ** (-1.0 / table.order)) if size < np.inf else 0.2)
+            if fixed > 0.0:
                 return status.NOT_FINITE
             if clock[STEP] < SMALLEST_STEP:
                 return status.STEP_TOO_SMALL
             continue
         t_new = end if cut else t + step
-        if clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < t_new:
-            ys[0], ys[2] = y, out
-            if limits.fixed > 0.0:
-                runge_kutta(chain, drive, part, t, 0.5 * step, y, ys[1], stage, work)
-            else:
-                extrapolate(chain, drive, part, table, t, 0.5 * step, y, ys[1], error, lanes, base)
-            for k in range(3):
-                rates(chain, drive, part, t + 0.5 * k * step, ys[k], dys[k], work)
-            while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < t_new:
-                index = int(clock[INDEX])
-                interpolate(2.0 * (t_out[index] - t) / step - 1.0, step, ys, dys, y_out[index])
-                clock[INDEX] += 1
-        y[:] = out
+        write_between(chain, drive, part, table, fixed, clock, t_new - t, room, t_out, y, y_out)
+        y[:] = room.out
         clock[T] = t_new
-        while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= t_new:
-            y_out[int(clock[INDEX])] = y
-            clock[INDEX] += 1
-        if limits.fixed == 0.0:
+        write_until(clock, t_out, t_new, y, y_out)
+        if fixed == 0.0:
             grown = step * min(3.0, 0.9 * max(size, 1e-12) ** (-1.0 / table.order))
             clock[STEP] = max(grown, clock[STEP]) if cut else grown
             if clock[FRESH] == 1.0:
@@ -208,9 +264,7 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
                 clock[FRESH] = 0.0
             if t_new >= part.end:
                 switched(clock)
-    if clock[T] < limits.stop:
-        return status.RUNNING
-    return status.OK
+    return status.RUNNING if clock[T] < limits.stop else status.OK
 
 
 @kernel

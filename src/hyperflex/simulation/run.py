@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -90,8 +91,11 @@ def lever(chain: Chain) -> Array:
 
 def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET) -> Limits:
     """Return the bounds of a run until `stop`, s; refuses an unstable Runge-Kutta step."""
+    weight = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy)
+    reach = float(chain.length.sum())
+    bounds = Limits(stop, setup.tol, lever(chain), reach, weight * reach, setup.step or 0.0, budget)
     if setup.step is None:
-        return Limits(stop, setup.tol, lever(chain), 0.0, budget)
+        return bounds
     longest = runge_kutta_limit(chain)
     if setup.step > longest:
         raise InvalidInput(
@@ -100,7 +104,7 @@ def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET) -> Lim
             allowed=f"at most {longest:.3e} s for this rope",
             fix="Take a smaller step, or method='extrapolation', which has no such limit",
         )
-    return Limits(stop, setup.tol, lever(chain), setup.step, budget)
+    return bounds
 
 
 def resume(run: Rollout, state: State, setup: Setup) -> None:
