@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hyperflex.cli import output
+
+if TYPE_CHECKING:
+    from hyperflex.report.demo import DemoReport
 
 _SHOWN = ("parameter", "identified", "95 % interval", "mapped truth", "inside")
 
@@ -20,49 +23,58 @@ def demo(
 
     The recording comes with the package and is simulated, with a finer chain than the one identified, and noise.
     """
-    from hyperflex.report.demo import held_out_rms, write_demo
+    from hyperflex.report.demo import write_demo
 
     with output.spinner(json) as tell:
         report = write_demo(out, tell)
-    found = report.demo
     if json:
-        parameters = {
-            each.name: {
-                "unit": each.unit,
-                "guess": each.guess,
-                "value": each.value,
-                "sd": each.sd,
-                "interval_95": each.interval,
-                "mapped_truth": each.mapped,
-                "covered": each.covered,
-                "plain_cut": each.cut,
-            }
-            for each in found.parameters
+        output.print_json(_figures(report))
+    else:
+        _show(report)
+
+
+def _figures(report: DemoReport) -> dict[str, Any]:
+    """Return what the demo found, for JSON."""
+    from hyperflex.report.demo import held_out_rms
+
+    found = report.demo
+    parameters = {
+        each.name: {
+            "unit": each.unit,
+            "guess": each.guess,
+            "value": each.value,
+            "sd": each.sd,
+            "interval_95": each.interval,
+            "mapped_truth": each.mapped,
+            "covered": each.covered,
+            "plain_cut": each.cut,
         }
-        result = {
-            "source": "simulated",
-            "files": report.files,
-            "status": found.identification.status,
-            "parameters": parameters,
-            "held_out_rms_rad": held_out_rms(found),
-            "angle_noise_rad": found.angle_noise.mean(),
-            "greatest_x_m": abs(found.cast.tip[:, 0]).max(),
-            "greatest_x_of_the_rope_m": abs(found.reference.tip[:, 0]).max(),
-        }
-        output.print_json(result)
-        return
-    shown = [report.parameters.header.index(name) for name in _SHOWN]
-    output.print_table(_SHOWN, [[row[k] for k in shown] for row in report.parameters.rows])
-    noise = 1e3 * float(found.angle_noise.mean())
+        for each in found.parameters
+    }
+    return {
+        "source": "simulated",
+        "files": report.files,
+        "status": found.identification.status,
+        "parameters": parameters,
+        "held_out_rms_rad": held_out_rms(found),
+        "angle_noise_rad": found.angle_noise.mean(),
+        "greatest_x_m": abs(found.cast.tip[:, 0]).max(),
+        "greatest_x_of_the_rope_m": abs(found.reference.tip[:, 0]).max(),
+    }
+
+
+def _show(report: DemoReport) -> None:
+    """Print what the demo found and what to look at."""
+    table, figures = report.parameters, _figures(report)
+    shown = [table.header.index(name) for name in _SHOWN]
+    output.print_table(_SHOWN, [[row[k] for k in shown] for row in table.rows])
+    error, noise = 1e3 * figures["held_out_rms_rad"], 1e3 * figures["angle_noise_rad"]
     output.print_pairs(
         "Everything here is simulated",
         [
-            (
-                "prediction error 1 s ahead, held out",
-                f"{1e3 * held_out_rms(found):.1f} mrad (camera noise {noise:.1f})",
-            ),
-            ("greatest reach of the cast", f"{abs(found.cast.tip[:, 0]).max():.2f} m"),
-            ("the same of the rope itself", f"{abs(found.reference.tip[:, 0]).max():.2f} m"),
+            ("prediction error 1 s ahead, held out", f"{error:.1f} mrad (camera noise {noise:.1f})"),
+            ("greatest reach of the cast", f"{figures['greatest_x_m']:.2f} m"),
+            ("the same of the rope itself", f"{figures['greatest_x_of_the_rope_m']:.2f} m"),
         ],
     )
     output.print_pairs(

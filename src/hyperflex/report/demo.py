@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hyperflex import files
-from hyperflex.paper.casting import T_MOVE, T_REST
+from hyperflex.paper.casting import T_MOVE, T_REST, casting_arm
 from hyperflex.paper.claims import WINDOW
 from hyperflex.paper.demo import INTERVAL, Demo, run_demo
 from hyperflex.report.animation import animate
@@ -178,40 +178,38 @@ def _summary(demo: Demo, parameters: TextTable, reaches: TextTable) -> str:
     return "\n\n".join(parts)
 
 
-def _write_page(
-    path: Path, demo: Demo, pictures: dict[str, bytes], film: bytes, parameters: TextTable, reaches: TextTable
-) -> None:
+def _in_short(demo: Demo) -> Section:
     covered = sum(each.covered for each in demo.parameters)
-    gap = abs(demo.cast.tip[:, 0]).max() - abs(demo.reference.tip[:, 0]).max()
+    reach, own = float(np.abs(demo.cast.tip[:, 0]).max()), float(np.abs(demo.reference.tip[:, 0]).max())
     tiles = (
         (f"{covered} of {len(demo.parameters)}", "95 % intervals hold the mapped truth"),
         (f"{1e3 * held_out_rms(demo):.1f} mrad", "prediction error 1 s ahead, on data that the fit has not seen"),
         (f"{1e3 * float(demo.angle_noise.mean()):.1f} mrad", "noise of a measured angle, for comparison"),
-        (
-            f"{1e2 * abs(gap):.1f} cm",
-            f"between the greatest reaches of the two casts ({abs(demo.cast.tip[:, 0]).max():.2f} m)",
-        ),
+        (f"{1e2 * abs(reach - own):.1f} cm", f"between the greatest reaches of the two casts ({reach:.2f} m)"),
     )
-    rope = demo.identification.rope
+    rope, recording = demo.identification.rope, demo.recording
     setup = (
-        f"Rope: {rope.total_length:g} m, {rope.total_mass:g} kg. Recording: {demo.recording.t.size} frames over "
-        f"{demo.recording.duration:g} s, {demo.recording.n_links + 1} markers, the first "
-        f"{demo.identification.settings['fitted_to']:.1f} s fitted. Cast: arm of 105 mm, half a turn in {T_MOVE:g} s, "
-        f"rest {T_REST['success']:g} s, through the bottom."
+        f"Rope: {rope.total_length:g} m, {rope.total_mass:g} kg. Recording: {recording.t.size} frames over "
+        f"{recording.duration:g} s, {recording.n_links + 1} markers, the first "
+        f"{demo.identification.settings['fitted_to']:.1f} s fitted. Cast: arm of {1e3 * casting_arm().length:g} mm, "
+        f"half a turn in {T_MOVE:g} s, rest {T_REST['success']:g} s, through the bottom."
+    )
+    return Section("In short", tiles=tiles, text=(setup,))
+
+
+def _write_page(
+    path: Path, demo: Demo, pictures: dict[str, bytes], film: bytes, parameters: TextTable, reaches: TextTable
+) -> None:
+    shown = (
+        Picture(film, "The identified rope, cast from rest by the paper's motion; simulated."),
+        Picture(pictures["strobe"], "One stroke of the arm late in the cast, early instants dark, late ones bright."),
+        Picture(pictures["casts"], "Tip to the side: the identified chain beside the rope that made the recording."),
     )
     sections = [
-        Section("In short", tiles=tiles, text=(setup,)),
+        _in_short(demo),
         Section(
             "The cast",
-            pictures=(
-                Picture(film, "The identified rope, cast from rest by the paper's motion; simulated."),
-                Picture(
-                    pictures["strobe"], "One stroke of the arm late in the cast, early instants dark, late ones bright."
-                ),
-                Picture(
-                    pictures["casts"], "Tip to the side: the identified chain beside the rope that made the recording."
-                ),
-            ),
+            pictures=shown,
             table=reaches,
             notes=("The table gives the greatest |x| of the tip in each 2 s, m.",),
         ),
