@@ -61,6 +61,12 @@ def test_equations_that_the_code_names_are_in_the_models_page() -> None:
     assert named_there <= known
 
 
+def test_page_on_the_command_line_is_what_help_prints() -> None:
+    from docs import generate_cli
+
+    assert (ROOT / "docs" / "cli.md").read_text("utf-8") == generate_cli.page(), "run python docs/generate_cli.py"
+
+
 def test_site_builds_and_needs_no_network(tmp_path: Path) -> None:
     run = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],

@@ -1,0 +1,42 @@
+"""Write docs/cli.md from what the commands print under ``--help``: ``python docs/generate_cli.py``."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+PAGE = Path(__file__).parent / "cli.md"
+HEAD = """\
+# Command line
+
+Every command takes `--json`: it then prints one JSON object on standard output and nothing else there. Progress and
+complaints go to standard error. Exit codes: 0 done, 2 refused or failed with a message, 130 interrupted.
+
+This page is what `--help` prints (`python docs/generate_cli.py` writes it).
+"""
+
+
+def help_of(*command: str) -> str:
+    """Return what ``hyperflex COMMAND --help`` prints, 96 columns wide."""
+    code = "import sys; sys.argv[0] = 'hyperflex'; from hyperflex.cli import main; main()"
+    plain = os.environ | {"COLUMNS": "96", "NO_COLOR": "1", "TERM": "dumb"}
+    call = [sys.executable, "-c", code, *command, "--help"]
+    text = subprocess.run(call, env=plain, capture_output=True, text=True, check=True).stdout
+    return "\n".join(line.rstrip() for line in text.strip().splitlines())
+
+
+def page() -> str:
+    """Return the whole page."""
+    from hyperflex.cli.app import app
+
+    parts = [HEAD, f"```text\n{help_of()}\n```\n"]
+    for command in app.registered_commands:
+        name = command.name or command.callback.__name__.replace("_", "-")
+        parts.append(f"## hyperflex {name}\n\n```text\n{help_of(name)}\n```\n")
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
