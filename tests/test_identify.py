@@ -168,10 +168,18 @@ def test_gaps_uneven_times_and_markers() -> None:
         assert np.isfinite(result.residual_rms).all()
 
 
-def test_a_poor_guess_arrives_at_the_same_place(free_swing: Recording, fitted: Identification) -> None:
-    guess = Rope(length=DOUBLE.length, mass=[0.1, 0.1], friction=1e-2)
+POOR_GUESSES = {
+    "masses and friction": DOUBLE.replace(mass=[0.1, 0.1], com=0.1, inertia=1e-2, friction=1e-2),
+    "hardly moves": DOUBLE.replace(mass=[0.1, 0.03], com=0.05, inertia=1e-5, friction=3e-2),
+    "upside down": DOUBLE.replace(mass=[0.03, 0.1], inertia=3e-3, friction=1e-2),
+}
+
+
+@pytest.mark.parametrize("guess", POOR_GUESSES.values(), ids=POOR_GUESSES.keys())
+def test_a_poor_guess_arrives_at_the_same_place(free_swing: Recording, fitted: Identification, guess: Rope) -> None:
     window = fitted.settings["window"]  # the usual length depends on the guess
-    result = identify(free_swing, guess, ["inertia", "com", "friction"], window=window)
+    result = identify(free_swing, guess, ["inertia", "com", "mass", "friction"], window=window)
+    assert result.status == "converged"
     for name, value in fitted.ratios.items():  # convergence stops at a small part of the sd
         np.testing.assert_allclose(result.ratios[name], value, atol=0.2 * float(fitted.ratio_sd[name].max()))
 
@@ -260,7 +268,11 @@ def test_windows_keep_to_their_span_and_thinning_to_its_limit() -> None:
     # a small swing's period: sqrt of inertia over p g, for a rod of length l it is 2 pi sqrt(2 l / 3 g), times 1.2
     rod = Rope(length=[0.6], mass=[0.1])
     slow = Recording([0.0, 1.0, 2.0], [[0.1], [0.0], [0.1]])
-    np.testing.assert_allclose(usual_length(slow, rod), max(8.0, 1.2 * 2 * np.pi * np.sqrt(0.4 / 9.81)))
+    assert usual_length(slow, rod) == 8.0  # eight samples, be they as far apart as here
+    t = np.linspace(0.0, 4.0, 4001)
+    period = 2.0 * np.pi * np.sqrt(0.4 / 9.81)
+    assert usual_length(Recording(t, 0.1 * np.cos(5.0 * t)[:, None]), rod) == pytest.approx(1.2 * period)
+    assert usual_length(Recording(t, 40.0 * t[:, None]), rod) == pytest.approx(8.0 / 40.0)  # no more than 8 rad
 
 
 def test_states_are_eliminated_exactly() -> None:

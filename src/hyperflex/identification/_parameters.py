@@ -124,6 +124,13 @@ class Parameters:
                 column[list(parameter.links)] = value  # type: ignore[index]
         return self.guess.replace(**changes)
 
+    def possible(self, x: Array) -> Rope | None:
+        """Return the rope, or None where x describes none (a link without any inertia, a mass beyond all numbers)."""
+        try:
+            return self.rope(x)
+        except InvalidInput:
+            return None
+
 
 def lumped(rope: Rope) -> tuple[Array, Array]:
     """Return what the motion depends on besides lengths and friction: first and second moments about the joints.

@@ -46,7 +46,9 @@ class Plant:
     def residual(self, rope: Rope, window: Window, state: Array, precision: float = PRECISION) -> Array | None:
         """Return weighted prediction errors (m n,), 0 in gaps."""
         q = self.predict(rope, window.t, state, precision)
-        return None if q is None else ((q - window.y) * window.weight).ravel()
+        if q is None or not np.isfinite(q).all():
+            return None
+        return ((q - window.y) * window.weight).ravel()
 
 
 @dataclass
@@ -188,7 +190,7 @@ def _linearise(plant: Plant, parameters: Parameters, windows: Sequence[Window], 
     for k in range(len(parameters)):
         moved = at.x.copy()
         moved[k] += steps[k]
-        ropes.append(parameters.rope(moved))
+        ropes.append(parameters.possible(moved) or rope)
     result = []
     for window, state, residual in zip(windows, at.states, at.residuals, strict=True):
         slope = state_jacobian(plant, rope, window, state, residual)
@@ -231,7 +233,8 @@ def _improve(
             state - np.linalg.lstsq(slope, right + shared @ move, rcond=None)[0]
             for state, (slope, shared, right) in zip(best.states, padded, strict=True)
         ]
-        residuals = _residuals(plant, parameters.rope(best.x + move), windows, tried)
+        rope = parameters.possible(best.x + move)
+        residuals = None if rope is None else _residuals(plant, rope, windows, tried)
         if residuals is not None and sum(r @ r for r in residuals) <= before:
             best.x, best.states, best.residuals = best.x + move, tried, residuals
             return max(0.1 * damping, LEAST_DAMPING)

@@ -38,7 +38,7 @@ def fit_in_stages(plant: Plant, parameters: Parameters, recording: Recording, le
             if not _enough(parameters, windows):
                 continue
         try:
-            usable, states = _starts(plant, parameters, windows, x)
+            usable, states = _starts(plant, parameters, windows, x, refine=bool(done))
             found = fit(plant, parameters, usable, x, states, report=_with_window(report, part))
         except KeyboardInterrupt:
             if not done:
@@ -66,8 +66,13 @@ def _with_window(report: Report, part: float) -> Report:
     return lambda entry: report(entry | {"window": part})
 
 
-def _starts(plant: Plant, parameters: Parameters, windows: list[Window], x: Array) -> tuple[list[Window], list[Array]]:
-    """Return the windows that can be simulated, with their states fitted at the parameters x."""
+def _starts(
+    plant: Plant, parameters: Parameters, windows: list[Window], x: Array, *, refine: bool
+) -> tuple[list[Window], list[Array]]:
+    """Return the windows that can be simulated, with their states as the data show them.
+
+    With `refine` the states are fitted at the parameters x. Not at the guess: a wrong guess would bend them its way.
+    """
     if not _enough(parameters, windows):
         raise InvalidInput(
             "the recording has too few samples for this fit",
@@ -78,7 +83,7 @@ def _starts(plant: Plant, parameters: Parameters, windows: list[Window], x: Arra
     rope = parameters.rope(x)
     kept, states = [], []
     for window in windows:
-        found = fit_state(plant, rope, window, first_state(window))
+        found = fit_state(plant, rope, window, first_state(window), rounds=30 if refine else 0)
         if found is not None:
             kept.append(window)
             states.append(found[0])

@@ -37,8 +37,8 @@ class Recording:
     noise : array_like (T, C), (C,) or float, optional
         Standard deviation of each sample, in the unit of `data`. Left out when it is not known.
     rates : array_like (T, n), rad/s, optional
-        Angular rates that came with the angles. They serve as first guesses only: rates in files are mostly computed
-        from the angles, so they are no further measurement.
+        Angular rates that came with the angles. Readers check units by them. They are not fitted: rates in files are
+        mostly computed from the angles, so they are no further measurement.
     convention : str
         What was declared and converted on reading; filled in when empty.
     name, source : str
