@@ -10,6 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.core import batch as core
+from hyperflex.core import members
 from hyperflex.errors import InvalidInput
 from hyperflex.simulation import batch as simulation_batch
 
@@ -114,9 +115,9 @@ def test_an_energy_balance_that_fails_is_reported(monkeypatch: pytest.MonkeyPatc
     run = core.run_block
 
     def falsified(
-        members: core.Members, terms: core.Terms, low: int, high: int, t: object, y: np.ndarray, *rest: object
+        every: members.Members, terms: members.Terms, low: int, high: int, t: object, y: np.ndarray, *rest: object
     ) -> None:
-        run(members, terms, low, high, t, y, *rest)
+        run(every, terms, low, high, t, y, *rest)
         if low <= 5 < high:
             y[5 - low, :, -2] += 1.0  # J of motor work that was never done
 

@@ -10,7 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.simulation import angles
-from hyperflex.simulation.run import finish, limits, prepare
+from hyperflex.simulation.rollouts import finish, limits, prepare
 
 ARM = hf.Arm(length=0.105)
 STOP, END = 1.0, 2.5  # s; at 1.0 s the arm rests in the middle of a stretch, at no switch

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 
 from hyperflex.core.chain import link_step, sincos
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import inlined, kernel
 
 COLUMNS = (0,) * 4
 MEMBERS = (0,) * 16
@@ -76,6 +76,62 @@ def dry_friction(width, lanes, dry_rate):  # type: ignore[no-untyped-def]
             row[(AT + SLOPE) * k + j] = row[(AT + DRY) * k + j] / dry_rate * (1.0 - u * u)
 
 
+@inlined
+def load_joint(row, k, j, h, first, reaction):  # type: ignore[no-untyped-def]
+    """Torque and slope of a link's joint as ``link_step`` takes them, and the friction work of the step."""
+    stiffness = row[(AT + STIFFNESS) * k + j]
+    w = row[(AT + W) * k + j]
+    rate = w - row[(UP + W) * k + j]
+    bend = row[(AT + Q) * k + j] - row[(UP + Q) * k + j] - row[(AT + REST) * k + j]
+    spring = -stiffness * (bend + h * rate)
+    friction = row[(AT + TORQUE) * k + j] - row[(AT + VISCOUS) * k + j] * rate
+    kappa = h * (row[(AT + VISCOUS) * k + j] + row[(AT + SLOPE) * k + j])
+    soft = h * h * stiffness
+    external = first * row[(UP + EXTERNAL) * k + j]
+    joint = (friction + spring + external, reaction * friction + spring, kappa + soft, reaction * kappa + soft)
+    return joint, h * friction * (w - reaction * row[(UP + W) * k + j])
+
+
+@inlined
+def load_answer(row, k, j):  # type: ignore[no-untyped-def]
+    """What the chain beyond answers, as ``link_step`` takes it."""
+    return (
+        row[(DOWN + AXX) * k + j],
+        row[(DOWN + AXY) * k + j],
+        row[(DOWN + AYX) * k + j],
+        row[(DOWN + AYY) * k + j],
+        row[(DOWN + FX) * k + j],
+        row[(DOWN + FY) * k + j],
+        row[(DOWN + BX) * k + j],
+        row[(DOWN + BY) * k + j],
+        row[(DOWN + UX) * k + j],
+        row[(DOWN + UY) * k + j],
+        row[(DOWN + S) * k + j],
+        row[(DOWN + BETA) * k + j],
+    )
+
+
+@inlined
+def store_answer(row, k, j, at, back):  # type: ignore[no-untyped-def]
+    """Keep what ``link_step`` returned."""
+    row[(AT + AXX) * k + j] = at[0]
+    row[(AT + AXY) * k + j] = at[1]
+    row[(AT + AYX) * k + j] = at[2]
+    row[(AT + AYY) * k + j] = at[3]
+    row[(AT + FX) * k + j] = at[4]
+    row[(AT + FY) * k + j] = at[5]
+    row[(AT + BX) * k + j] = at[6]
+    row[(AT + BY) * k + j] = at[7]
+    row[(AT + UX) * k + j] = at[8]
+    row[(AT + UY) * k + j] = at[9]
+    row[(AT + S) * k + j] = at[10]
+    row[(AT + BETA) * k + j] = at[11]
+    row[(AT + RD) * k + j] = back[0]
+    row[(AT + EX) * k + j] = back[1]
+    row[(AT + EY) * k + j] = back[2]
+    row[(AT + KD) * k + j] = back[3]
+
+
 @kernel
 def sweep(width, lanes, reaction):  # type: ignore[no-untyped-def]
     """From tip to motor: the answer of the chain at each joint (M.8)-(M.13), and the friction work of the step.
@@ -84,74 +140,26 @@ def sweep(width, lanes, reaction):  # type: ignore[no-untyped-def]
     """
     k = len(width)
     n = lanes.size // (ROW * k) - 2
-    for back in range(n):
-        i = n - back
+    for way in range(n):
+        i = n - way
         first = 1.0 if i == 1 else 0.0  # link 0 bears the external torque
         row = lanes[(i - 1) * ROW * k : (i + 2) * ROW * k]
         for j in range(k):
             h = row[(DOWN + STEP) * k + j]
-            stiffness = row[(AT + STIFFNESS) * k + j]
+            joint, lost = load_joint(row, k, j, h, first, reaction)
+            link = (
+                row[(AT + LENGTH) * k + j],
+                row[(AT + MA) * k + j],
+                row[(AT + INERTIA) * k + j],
+                row[(AT + MASS) * k + j],
+            )
             w = row[(AT + W) * k + j]
-            rate = w - row[(UP + W) * k + j]
-            spring = -stiffness * (row[(AT + Q) * k + j] - row[(UP + Q) * k + j] - row[(AT + REST) * k + j] + h * rate)
-            friction = row[(AT + TORQUE) * k + j] - row[(AT + VISCOUS) * k + j] * rate
-            kappa = h * (row[(AT + VISCOUS) * k + j] + row[(AT + SLOPE) * k + j])
             sin, cos = sincos(row[(AT + Q) * k + j])
-            soft = h * h * stiffness
-            at, way_back = link_step(
-                (
-                    row[(AT + LENGTH) * k + j],
-                    row[(AT + MA) * k + j],
-                    row[(AT + INERTIA) * k + j],
-                    row[(AT + MASS) * k + j],
-                ),
-                (
-                    friction + spring + first * row[(UP + EXTERNAL) * k + j],
-                    reaction * friction + spring,
-                    kappa + soft,
-                    reaction * kappa + soft,
-                ),
-                sin,
-                cos,
-                w * w,
-                (
-                    row[(DOWN + AXX) * k + j],
-                    row[(DOWN + AXY) * k + j],
-                    row[(DOWN + AYX) * k + j],
-                    row[(DOWN + AYY) * k + j],
-                    row[(DOWN + FX) * k + j],
-                    row[(DOWN + FY) * k + j],
-                    row[(DOWN + BX) * k + j],
-                    row[(DOWN + BY) * k + j],
-                    row[(DOWN + UX) * k + j],
-                    row[(DOWN + UY) * k + j],
-                    row[(DOWN + S) * k + j],
-                    row[(DOWN + BETA) * k + j],
-                ),
-            )
-            row[(AT + AXX) * k + j], row[(AT + AXY) * k + j], row[(AT + AYX) * k + j], row[(AT + AYY) * k + j] = (
-                at[0],
-                at[1],
-                at[2],
-                at[3],
-            )
-            row[(AT + FX) * k + j], row[(AT + FY) * k + j], row[(AT + BX) * k + j], row[(AT + BY) * k + j] = (
-                at[4],
-                at[5],
-                at[6],
-                at[7],
-            )
-            row[(AT + UX) * k + j], row[(AT + UY) * k + j], row[(AT + S) * k + j], row[(AT + BETA) * k + j] = (
-                at[8],
-                at[9],
-                at[10],
-                at[11],
-            )
-            row[(AT + RD) * k + j], row[(AT + EX) * k + j], row[(AT + EY) * k + j], row[(AT + KD) * k + j] = way_back
+            at, back = link_step(link, joint, sin, cos, w * w, load_answer(row, k, j))
+            store_answer(row, k, j, at, back)
             row[(AT + STEP) * k + j] = h
             row[(AT + SIN) * k + j] = sin
             row[(AT + COS) * k + j] = cos
-            lost = h * friction * (w - reaction * row[(UP + W) * k + j])
             row[(AT + DISSIPATED) * k + j] = row[(DOWN + DISSIPATED) * k + j] - lost
 
 

@@ -15,16 +15,16 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import batch as core
 from hyperflex.core import status
-from hyperflex.core.batch import Members, Terms
 from hyperflex.core.chain import Chain
 from hyperflex.core.drive import Drive
 from hyperflex.core.jit import announce_compilation
 from hyperflex.core.lanes import MEMBERS
+from hyperflex.core.members import LENGTH, Members, Terms, energy_block
 from hyperflex.core.steppers import scheme
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.run import balanced, lever, progress_bar
+from hyperflex.simulation.rollouts import balanced, lever, progress_bar
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -203,7 +203,7 @@ class _Work:
         self.check_energy(low, high, y, codes, reached)
         for name, target in self.values.items():
             if name == "tip" and self.base is not None:
-                length = self.members.links[rows, core.LENGTH][:, None, :]
+                length = self.members.links[rows, LENGTH][:, None, :]
                 q = y[:, :, :n]
                 reach = np.stack([(length * np.sin(q)).sum(axis=2), -(length * np.cos(q)).sum(axis=2)], axis=2)
                 target[rows] = self.base[rows] + reach
@@ -218,7 +218,7 @@ class _Work:
         times = np.append(self.terms.begin, self.t)
         states = np.concatenate([self.members.start[low:high, None], y], axis=1)
         kinetic, potential = np.empty((high - low, times.size)), np.empty((high - low, times.size))
-        core.energy_block(self.members, self.terms, low, high, times, states, kinetic, potential)
+        energy_block(self.members, self.terms, low, high, times, states, kinetic, potential)
         n = self.members.links.shape[2]
         for m in np.flatnonzero(codes == status.OK):
             work, lost = states[m, :, 2 * n], states[m, :, 2 * n + 1]
@@ -250,7 +250,8 @@ class _Work:
 
 
 def _columns(name: str, n: int) -> slice | int:
-    return {"q": slice(0, n), "qd": slice(n, 2 * n), "motor_work": 2 * n, "dissipated_energy": 2 * n + 1}[name]
+    columns: dict[str, slice | int] = {"q": slice(0, n), "qd": slice(n, 2 * n), "motor_work": 2 * n}
+    return columns.get(name, 2 * n + 1)
 
 
 def _setups(

@@ -18,6 +18,7 @@ from hyperflex.core import rollout, status
 from hyperflex.core.chain import Chain
 from hyperflex.core.drive import TORQUE, Drive
 from hyperflex.core.jit import announce_compilation
+from hyperflex.core.members import FIRST_STEP
 from hyperflex.core.rollout import AFTER, FRESH, INDEX, MARK_FRESH, MARK_T, STEP, Limits, Progress, T
 from hyperflex.core.steppers import scheme
 from hyperflex.errors import InvalidInput
@@ -26,7 +27,6 @@ from hyperflex.simulation.stability import runge_kutta_limit
 from hyperflex.trajectory import State
 
 ORDER = 7  # of the extrapolation; its columns fill four lanes without a gap
-FIRST_STEP = 0.01  # s, tried first; error control does the rest
 # A run is refused when its energy balance is off by more than this part of the energy that went through it.
 ENERGY_ALLOWANCE = 0.02
 BUDGET = 2000  # steps between two looks at progress and Ctrl-C
@@ -230,7 +230,7 @@ def balanced(rope: Rope, kinetic: Array, potential: Array, work: Array, dissipat
     # a rope that hardly moves has no scale of its own: compare with a fall through a hundredth of its length
     floor = 0.01 * rope.total_mass * rope.total_length * float(np.hypot(*rope.gravity))
     bad = ~(np.abs(error) <= ENERGY_ALLOWANCE * (scale + floor) + 1e-300)
-    return np.where(bad.any(axis=-1), bad.argmax(axis=-1), bad.shape[-1])
+    return np.asarray(np.where(bad.any(axis=-1), bad.argmax(axis=-1), bad.shape[-1]))
 
 
 @contextmanager

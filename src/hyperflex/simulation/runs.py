@@ -16,7 +16,7 @@ from hyperflex.core.drive import TORQUE
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion, hold
-from hyperflex.simulation.run import (
+from hyperflex.simulation.rollouts import (
     Control,
     Rollout,
     balanced,
