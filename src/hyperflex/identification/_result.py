@@ -98,11 +98,11 @@ class Identification:
         return result
 
     def to_json(self, path: PathLike) -> None:
-        """Write :meth:`summary` as JSON, wholly or not at all. Raises FileProblem when it cannot be written."""
+        """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""
         files.write_text(path, json.dumps(self.summary(), indent=2, allow_nan=False) + "\n")
 
     def to_toml(self, path: PathLike) -> None:
-        """Write the rope as TOML, readable by ``Rope.from_toml``, with the figures in a table ``[identification]``."""
+        """Write the rope to `path`, readable by ``Rope.from_toml``, with the figures in ``[identification]``."""
         content = self.summary()
         rope = content.pop("rope")
         files.write_toml(path, {"rope": rope, "identification": _without_none(content)})

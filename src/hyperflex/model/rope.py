@@ -232,7 +232,7 @@ class Rope:
         return float(np.arctan2(gx, -gy)) if (gx or gy) else 0.0
 
     def replace(self, **changes: Any) -> Rope:
-        """Return a rope with some fields changed; com and inertia stay as they are unless named."""
+        """Return a rope with the fields named in `changes` replaced; com and inertia stay unless named."""
         unknown = set(changes) - {f.name for f in fields(self)}
         if unknown:
             raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(type(self)))
@@ -296,12 +296,12 @@ class Rope:
         return cls(**content)
 
     def to_toml(self, path: str | Path) -> None:
-        """Write the rope to a TOML file, wholly or not at all."""
+        """Write the rope to the TOML file `path`, wholly or not at all."""
         files.write_toml(path, {"rope": self.table()})
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Rope:
-        """Read a rope from the ``[rope]`` table of a TOML file.
+        """Read a rope from the ``[rope]`` table of the TOML file `path`.
 
         Raises
         ------

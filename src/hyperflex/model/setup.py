@@ -155,8 +155,8 @@ class Setup:
         return files.dumps_toml(content)
 
     @classmethod
-    def loads(cls, text: str, name: str = "the set-up") -> Setup:
-        """Build a set-up from TOML text; `name` stands for it in messages."""
+    def loads(cls, text: str, name: str = "the set-up", folder: Path | None = None) -> Setup:
+        """Build a set-up from TOML text; `name` stands for it in messages, files named in it lie in `folder`."""
         content = files.loads_toml(text, name)
         names = {f.name for f in fields(cls)}
         if set(content) - names or "rope" not in content:
@@ -169,20 +169,20 @@ class Setup:
             content["arm"] = Arm.from_table(content["arm"])
         for motion in ("motion", "torque"):
             if motion in content:
-                content[motion] = from_spec(content[motion])
+                content[motion] = from_spec(content[motion], folder)
         return cls(**content)
 
     def to_toml(self, path: str | Path) -> None:
-        """Write the set-up to a TOML file, wholly or not at all."""
+        """Write the set-up to the TOML file `path`, wholly or not at all."""
         files.write_text(path, self.dumps())
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Setup:
-        """Read a set-up from a TOML file; motion files named in it are looked for beside it.
+        """Read a set-up from the TOML file `path`; motion files named in it (kind = "file") are looked for beside it.
 
         Raises
         ------
         FileProblem, InvalidInput
             If the file cannot be read or does not describe a set-up.
         """
-        return cls.loads(files.read_text(path), str(path))
+        return cls.loads(files.read_text(path), str(path), Path(path).parent)

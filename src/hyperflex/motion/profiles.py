@@ -51,7 +51,13 @@ def _stroke(
 
 
 def hold(angle: float = 0.0) -> Motion:
-    """Return a motion that keeps the arm at `angle` (rad; 0 hangs down) for ever."""
+    """Return a motion that keeps the arm where it is for ever.
+
+    Parameters
+    ----------
+    angle : float
+        Arm angle, rad; 0 hangs down.
+    """
     angle = checks.number("angle", angle, unit="rad")
     coef = np.zeros((1, CHANNELS, POWERS))
     coef[0, ANGLE, 0] = angle
@@ -139,12 +145,28 @@ def sampled(t: npt.ArrayLike, angle: npt.ArrayLike) -> Motion:
 
 
 def moving_point(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike) -> Motion:
-    """Return a motion of the pivot itself through positions x, y (T,), m, at times t (T,), s, as cubic splines."""
+    """Return a motion of the pivot itself, as cubic splines that start and end at rest.
+
+    Parameters
+    ----------
+    t : (T,) array_like
+        Increasing times, s, at least two.
+    x, y : (T,) array_like
+        Displacement of the pivot, m.
+    """
     return _spline(t, {X: ("x", x), Y: ("y", y)}, "moving point")
 
 
 def torque_profile(t: npt.ArrayLike, torque: npt.ArrayLike) -> Motion:
-    """Return a motor torque (T,), N m, that runs straight between its samples at times t (T,), s, and is 0 outside."""
+    """Return a motor torque that runs straight between its samples and is 0 outside.
+
+    Parameters
+    ----------
+    t : (T,) array_like
+        Increasing times, s, at least two.
+    torque : (T,) array_like
+        Motor torque, N m.
+    """
     time = checks.times("t", t, least=2)
     values = checks.array("torque", torque, (time.size,), unit="N m")
     coef = np.zeros((time.size - 1, CHANNELS, POWERS))

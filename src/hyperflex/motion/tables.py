@@ -17,6 +17,10 @@ from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 def read_motion(path: str | Path) -> Motion:
     """Read a sampled arm motion from a CSV file with the columns ``t`` (s) and ``angle`` (rad).
 
+    Parameters
+    ----------
+    path : str or Path
+
     Raises
     ------
     InvalidInput
@@ -28,8 +32,8 @@ def read_motion(path: str | Path) -> Motion:
     return profiles.sampled(table[:, 0], table[:, 1])
 
 
-def from_spec(spec: Mapping[str, Any]) -> Motion:
-    """Build the motion that a ``[motion]`` table of a TOML file describes (the inverse of ``Motion.spec``)."""
+def from_spec(spec: Mapping[str, Any], folder: Path | None = None) -> Motion:
+    """Build the motion that a ``[motion]`` table describes; a file that it names lies in `folder` (or where one is)."""
     makers = {
         "hold": profiles.hold,
         "move": profiles.move,
@@ -41,6 +45,8 @@ def from_spec(spec: Mapping[str, Any]) -> Motion:
         "file": read_motion,
     }
     rest = {key: value for key, value in spec.items() if key not in ("kind", "delay")}
+    if folder is not None and spec.get("kind") == "file" and isinstance(rest.get("path"), str):
+        rest["path"] = folder / rest["path"]
     maker = makers[checks.choice("motion kind", spec.get("kind"), tuple(makers))]
     try:
         motion: Motion = maker(**rest)  # type: ignore[operator]

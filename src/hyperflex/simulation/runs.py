@@ -76,10 +76,15 @@ def simulate(
         casting is of the order of ten times as much (docs/models.md).
     method : {"extrapolation", "rk4"}
         The linearly implicit extrapolation with error control, or classical Runge-Kutta with a fixed `step`, s, as a
-        check; a step beyond its stability limit is refused.
+        check; a step beyond its stability limit is refused. The limit holds for a rope that hangs: one that whips about
+        with little friction may need less.
+    step : float, optional
+        Of ``"rk4"``, s.
     torque : Motion, float or callable, optional
         Drives the arm by a torque, N m: a ``torque_profile``, a constant, or ``torque(t, arm_angle, arm_rate, q, qd)``
-        called at `control_rate`, Hz, and held in between.
+        called at the control rate and held in between.
+    control_rate : float, optional
+        How often a torque callback is called, Hz.
     arm_angle0, arm_rate0 : float
         Start of a torque-driven arm, rad and rad/s.
     state : State, optional
