@@ -171,6 +171,8 @@ def test_gaps_uneven_times_and_markers() -> None:
 POOR_GUESSES = {
     "masses and friction": DOUBLE.replace(mass=[0.1, 0.1], com=0.1, inertia=1e-2, friction=1e-2),
     "hardly moves": DOUBLE.replace(mass=[0.1, 0.03], com=0.05, inertia=1e-5, friction=3e-2),
+    "top-heavy": DOUBLE.replace(mass=[0.12, 0.74], com=[0.17, 0.02], inertia=[3.7e-3, 1.3e-5], friction=[8e-3, 5e-5]),
+    "stuck above": DOUBLE.replace(mass=[0.044, 0.024], com=[0.14, 0.055], inertia=6e-4, friction=[7e-2, 2e-5]),
     "upside down": DOUBLE.replace(mass=[0.03, 0.1], inertia=3e-3, friction=1e-2),
 }
 

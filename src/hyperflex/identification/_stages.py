@@ -13,7 +13,7 @@ from hyperflex.identification._shooting import Fit, Plant, Report, fit, fit_stat
 from hyperflex.identification._windows import FEWEST, Window, cut, first_state, thin
 from hyperflex.recording import Recording
 
-STAGES = (8, 3)  # windows this many times shorter come first
+STAGES = (8,)  # windows this many times shorter come first
 STAGE_WINDOWS = 40  # of the short ones, spread over the recording
 
 
