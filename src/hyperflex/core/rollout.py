@@ -11,7 +11,7 @@ from hyperflex.core import lanes as ln
 from hyperflex.core import status
 from hyperflex.core.chain import Array, accelerations, energies, sincos
 from hyperflex.core.drive import base_state, segment
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import inlined, kernel
 from hyperflex.core.steppers import extrapolate, rates, runge_kutta
 
 
@@ -42,6 +42,7 @@ CLOCK = 11
 LARGEST_STEP = 0.25  # s
 SMALLEST_STEP = 1e-10  # s
 ENERGY = 10.0  # see error_norm
+RESOLVED = 0.5  # of dry_rate, see sign_change
 TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
 SHARE = 0.02  # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
 
@@ -84,6 +85,42 @@ def error_norm(chain, limits, y, error, step):  # type: ignore[no-untyped-def]
     kinetic, _ = energies(chain, y[:n], y[n : 2 * n], (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     energy = abs(error[2 * n] - error[2 * n + 1]) * limits.reach / (ENERGY * (limits.fall + kinetic) + TINY)
     return max(math.sqrt(worst), energy) / (limits.tol * min(1.0, step / SHARE))
+
+
+@inlined
+def sign_change(dry, dry_rate, rate, rate_after, step, lever, inertia):  # type: ignore[no-untyped-def]
+    """How far a joint's dry friction may lead a step astray, m, if its change of sign is not resolved; else 0.
+
+    Within the stick zone of the smoothed law the implicit columns creep alike, whatever their number of substeps, and
+    agree on a wrong result. So a step over which the rate changes by more than RESOLVED of the zone's width must not
+    matter: the error of the linearised torque, acting on the link's own inertia for the whole step.
+    """
+    if abs(rate_after - rate) <= RESOLVED * dry_rate:
+        return 0.0
+    u = math.tanh(rate / dry_rate)
+    linear = u + (1.0 - u * u) * (rate_after - rate) / dry_rate
+    return 0.5 * lever * dry * abs(math.tanh(rate_after / dry_rate) - linear) * step * step / inertia
+
+
+@kernel
+def dry_norm(chain, drive, part, limits, t, step, y, out, base):  # type: ignore[no-untyped-def]
+    """Largest such error of any joint in units of what is allowed; `base` is (9,) scratch."""
+    n = chain.length.size
+    worst = 0.0
+    base_state(drive, part, t, base)
+    up = base[3]
+    base_state(drive, part, t + step, base)
+    up_after = base[3]
+    for i in range(n):
+        w, w_after = y[n + i], out[n + i]
+        if chain.dry[i] != 0.0:
+            inertia = chain.inertia[i] + chain.mass[i] * chain.com[i] * chain.com[i]
+            if i == n - 1:
+                inertia += chain.tip_mass * chain.length[i] * chain.length[i]
+            far = sign_change(chain.dry[i], chain.dry_rate, w - up, w_after - up_after, step, limits.lever[i], inertia)
+            worst = max(worst, far)
+        up, up_after = w, w_after
+    return worst / (limits.tol * min(1.0, step / SHARE))
 
 
 @kernel
@@ -221,6 +258,7 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
     y, clock = progress.y, progress.clock
     room = scratch(chain)
     fixed = limits.fixed
+    has_dry = chain.dry.any()
     write_until(clock, t_out, clock[T], y, y_out)
     part = segment(drive, clock[T])
     for _ in range(limits.budget):
@@ -241,6 +279,8 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
             size = 0.0 if np.abs(room.out).max() < np.inf else np.inf
         else:
             size = error_norm(chain, limits, room.out, room.error, step)
+            if has_dry:
+                size = max(size, dry_norm(chain, drive, part, limits, t, step, y, room.out, room.base[0]))
             if cut and step < SMALLEST_STEP and size < np.inf:
                 size = 0.0  # an end a few rounding errors away: there is nothing to control
         if not (size <= 1.0):

@@ -55,9 +55,7 @@ def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):
     """
     k = len(ln.COLUMNS)
     n = chain.length.size
-    has_dry = False
-    for i in range(n):
-        has_dry = has_dry or chain.dry[i] != 0.0
+    has_dry = chain.dry.any()
     out[:] = y  # the weights, up to 389 in size, multiply increments: their rounding must not scale the state itself
     error[:] = 0.0
     done = np.zeros(k, dtype=np.int64)
