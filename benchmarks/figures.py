@@ -1,0 +1,65 @@
+"""The benchmarks' pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+Points = Sequence[tuple[float, float]]
+MARKERS = "osD^vP*X<>"
+COLOURS = ("#d1495b", "#e08e1b", "#00798c", "#30638e", "#6a4c93", "#8d6346", "#5b8c5a", "#666666")
+
+
+def work_precision(groups: Mapping[tuple[str, str], Points], good: float, path: Path) -> None:
+    """Draw time (ms per simulated second) against error (mm): a colour for each simulator, a line for each method."""
+    axes = _axes()
+    axes.axvspan(good, 1e6, color="#f0f0f0", zorder=0)
+    axes.axvline(good, color="#999999", lw=1, ls="--", zorder=1)
+    colours: dict[str, str] = {}
+    for k, ((simulator, method), points) in enumerate(groups.items()):
+        colour = colours.setdefault(simulator, COLOURS[len(colours) % len(COLOURS)])
+        _line(axes, points, f"{simulator}: {method}", MARKERS[k % len(MARKERS)], colour)
+    errors = [x for points in groups.values() for x, _ in points]
+    axes.set_xlim(0.3 * min(errors), 4.0 * max(errors))
+    axes.text(good, 0.02, f" {good:g} mm", transform=axes.get_xaxis_transform(), color="#777777")
+    axes.set_xlabel("error of the tip, the larger of those at 2 s and 5 s, mm")
+    axes.set_ylabel("ms per simulated second")
+    _save(axes, "The paper's cast, 50 links: work against precision", path)
+
+
+def against_links(groups: Mapping[str, Points], title: str, label: str, path: Path) -> None:
+    """Draw a cost against the number of links."""
+    axes = _axes()
+    for k, (name, points) in enumerate(groups.items()):
+        _line(axes, points, name, MARKERS[k % len(MARKERS)], COLOURS[k % len(COLOURS)])
+    axes.set_xlabel("number of links n")
+    axes.set_ylabel(label)
+    _save(axes, title, path)
+
+
+def _axes() -> Axes:
+    figure = Figure(figsize=(8.5, 7.5), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.grid(True, which="major", color="#dddddd", lw=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    return axes
+
+
+def _line(axes: Axes, points: Points, label: str, marker: str, colour: str) -> None:
+    """Draw points in the order of their first coordinate; hollow, so that one shows through another."""
+    x, y = zip(*sorted(points), strict=True)
+    axes.plot(x, y, color=colour, marker=marker, ms=8, mfc="none", mew=1.6, lw=1.0, label=label)
+
+
+def _save(axes: Axes, title: str, path: Path) -> None:
+    axes.set_title(title, loc="left")
+    axes.figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    axes.figure.savefig(path)

@@ -1,0 +1,28 @@
+"""hyperflex itself, as a user calls it: checks, output, energies and the energy guard are part of the time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cast import Cast, Contestant
+
+import hyperflex as hf
+from hyperflex.checks import Array
+from hyperflex.simulation.stability import runge_kutta_limit
+
+NAME = "hyperflex"
+ARM = "prescribed exactly: the arm's end moves the first joint and its angle turns it; restart at every switch"
+TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)  # m
+
+
+def run(cast: Cast, **how: object) -> Array:
+    """Return the tip (T, 2)."""
+    return hf.simulate(cast.rope, cast.motion, arm=cast.arm, duration=cast.duration, t_eval=cast.times, **how).tip
+
+
+def contestants(cast: Cast, quick: bool) -> Iterator[Contestant]:
+    """The tolerance is the only knob; and classical Runge-Kutta on the same kernel, to part method from kernel."""
+    for tol in TOLERANCES[1:3] if quick else TOLERANCES:
+        yield Contestant(NAME, "extrapolation", f"tol {tol:g} m", lambda tol=tol: run(cast, tol=tol), adaptive=True)
+    step = 0.99 * runge_kutta_limit(cast.rope.chain())
+    yield Contestant(f"{NAME}, explicit", "rk4", f"step {step:.3g} s", lambda: run(cast, method="rk4", step=step))
