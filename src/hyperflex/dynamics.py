@@ -108,7 +108,7 @@ def bias(
 def partial_linearization(
     rope: Rope, arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike, arm_angle: float, arm_rate: float
 ) -> PartialLinearization:
-    """Return A_u and B_u of (2), and what (3) needs, by three O(n) sweeps.
+    """Return A_u and B_u of (2), and what (3) needs, by two O(n) sweeps.
 
     Parameters
     ----------
@@ -138,7 +138,8 @@ def torque_from_input(linear: PartialLinearization, u: float) -> float:
 
 def _joined(rope: Rope, value: npt.ArrayLike, name: str, unit: str, arm: Arm | None, own: float) -> Array:
     links = checks.array(name, value, (rope.n_links,), unit=unit)
-    return links if arm is None else np.append(checks.number(f"arm {name}", own, unit=unit), links)
+    arm_name = "arm_angle" if name == "q" else "arm_rate"
+    return links if arm is None else np.append(checks.number(arm_name, own, unit=unit), links)
 
 
 def _driven(

@@ -231,6 +231,8 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
     member = np.full(k, -1)
     index = np.zeros(k, dtype=np.int64)
     coming = low
+    for i in range(1, n + 1):  # idle lanes are swept too: an inertia keeps their numbers finite
+        lanes[(i * ln.ROW + ln.INERTIA) * k : (i * ln.ROW + ln.INERTIA + 1) * k] = 1.0
     while True:
         for j in range(k):
             if member[j] < 0 and coming < high:

@@ -79,11 +79,14 @@ def error_norm(chain, limits, y, error, step):  # type: ignore[no-untyped-def]
         z += sin * a
         vx += cos * b
         vz += sin * b
-        worst = max(worst, x * x + z * z, vx * vx + vz * vz)
-        if not (worst < np.inf):
+        position, velocity = x * x + z * z, vx * vx + vz * vz
+        if not (position + velocity < np.inf):  # also where it is not a number, which max would pass over
             return np.inf
+        worst = max(worst, position, velocity)
     kinetic, _ = energies(chain, y[:n], y[n : 2 * n], (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     energy = abs(error[2 * n] - error[2 * n + 1]) * limits.reach / (ENERGY * (limits.fall + kinetic) + TINY)
+    if not (energy < np.inf):
+        return np.inf
     return max(math.sqrt(worst), energy) / (limits.tol * min(1.0, step / SHARE))
 
 
@@ -223,6 +226,10 @@ def write_between(chain, drive, part, table, fixed, clock, step, room, t_out, y,
         return
     ys, dys = room.ys, room.dys
     ys[0], ys[2] = y, room.out
+    while clock[FRESH] == 1.0 and clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+        index = int(clock[INDEX])
+        advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, y_out[index], room)
+        clock[INDEX] += 1
     advance(chain, drive, part, table, fixed, t, 0.5 * step, y, ys[1], room)
     for k in range(3):
         rates(chain, drive, part, t + 0.5 * k * step, ys[k], dys[k], room.work)

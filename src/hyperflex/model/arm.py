@@ -19,7 +19,9 @@ from hyperflex.model.rope import Rope
 class Arm:
     """A rigid arm on the motor's shaft; the rope hangs from its tip.
 
-    With a prescribed motion only `length` and `pivot` matter; inertia and friction matter where a torque drives it.
+    Where a torque drives it, it is a link of the chain. With a prescribed motion the rope feels `length` and `pivot`
+    alone; inertia, mass and friction then only add to the motor torque that is reported, not to work and energies,
+    which are the rope's.
 
     Parameters
     ----------

@@ -139,6 +139,8 @@ class Motion:
         The integration restarts at `at`; a jump of the arm angle or of the pivot is refused.
         """
         at = checks.number("time of the change", at, unit="s")
+        if not isinstance(other, Motion):
+            raise InvalidInput("what follows is not a motion", got=other, allowed="a Motion, such as hold(angle)")
         for name, one, two in (
             ("arm angle", self.angle(at), other.angle(at)),
             ("pivot x", self.point(at)[..., 0], other.point(at)[..., 0]),

@@ -70,4 +70,6 @@ def to_spec(motion: Motion) -> dict[str, Any]:
 
 def _from_pieces(breaks: list[float], coef: list[float], switch: list[bool], loop: int) -> Motion:
     flat = checks.array("coef", coef, (-1,))
+    if flat.size != (np.size(breaks) - 1) * CHANNELS * POWERS:
+        raise InvalidInput("coef has the wrong size", got=flat.size, allowed=f"{CHANNELS * POWERS} numbers a piece")
     return Motion(np.array(breaks), flat.reshape(-1, CHANNELS, POWERS), np.array(switch), loop)

@@ -67,10 +67,10 @@ class Batch:
     reached: Array
 
     def __getattr__(self, name: str) -> Array:
-        try:
-            return self.values[name]
-        except KeyError:
-            raise AttributeError(f"{name!r} was not kept; kept: {', '.join(self.values)}") from None
+        values = self.__dict__.get("values", {})  # empty while a copy is being made
+        if name not in values:
+            raise AttributeError(f"{name!r} was not kept; kept: {', '.join(values)}")
+        return np.asarray(values[name])
 
     @property
     def failed(self) -> list[int]:
@@ -126,7 +126,8 @@ def simulate_batch(
     motions : Motion or sequence of Motion, optional
         One for all members, or one each.
     arm, duration, tol
-        As in :func:`hyperflex.simulate`; the same for all members.
+        As in :func:`hyperflex.simulate`; the same for all members. The energy account does not shorten the steps here;
+        it is checked at the outputs.
     q0, qd0 : (n,) or (M, n) array_like, optional
         Angles, rad, and rates, rad/s, at the start.
     t_eval : (T,) array_like, optional

@@ -11,17 +11,16 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core import rollout, status
+from hyperflex.core import status
 from hyperflex.core.drive import TORQUE
-from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
+from hyperflex.errors import InvalidInput
+from hyperflex.model import DEFAULT_TOL, METHODS, Arm, Rope, Setup
 from hyperflex.motion import Motion, hold
+from hyperflex.simulation.outcome import conclude, failure
 from hyperflex.simulation.rollouts import (
     Control,
     Rollout,
-    balanced,
     controlled,
-    final_state,
     finish,
     limits,
     prepare,
@@ -89,7 +88,7 @@ def simulate(
         Start of a torque-driven arm, rad and rad/s.
     state : State, optional
         Go on from where another run ended (``trajectory.state``). With everything else equal, the result is bit for bit
-        that of a run that was not stopped.
+        that of a run that was not stopped. (A torque callback's instants count from where the run goes on.)
     throw : bool
         False returns the part that holds, with its ``status`` and ``message``, where True raises. Ctrl-C then ends the
         run with the status "interrupted".
@@ -99,6 +98,8 @@ def simulate(
     Returns
     -------
     Trajectory
+        Its ``qdd`` follows from (1) at each state. In a fine rope friction turns an error of the rates into one of the
+        accelerations 4 eta / J times as large: for n of some hundreds ask for a tight `tol` if you need them.
 
     Raises
     ------
@@ -123,6 +124,11 @@ def simulate(
     control = torque if callable(torque) else None
     if isinstance(rope, Setup):
         setup = rope
+        _nothing_beside_setup(
+            {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "step": step, "torque": torque},
+            {"arm_angle0": arm_angle0 != 0.0, "arm_rate0": arm_rate0 != 0.0, "tol": tol != DEFAULT_TOL},
+            {"method": method != METHODS[0], "control_rate": control_rate is not None},
+        )
     else:
         setup = Setup(
             rope,
@@ -143,10 +149,10 @@ def simulate(
         raise InvalidInput("state is not a State", got=state, allowed="trajectory.state of an earlier run, or None")
     begin = 0.0 if state is None else checks.number("state t", state.t, unit="s")
     t = _output_times(t_eval, begin, begin + length)
+    skip = int(t[0] > begin)  # the energy account starts where the run does, whether or not that is asked for
     chain = setup.chain()
     bounds = limits(setup, chain, begin + length)
-    run = prepare(chain, setup.drive(), setup.start(), np.append(begin, t), bounds)
-    run.t, run.y = t, run.y[1:]
+    run = prepare(chain, setup.drive(), setup.start(), np.append(begin, t) if skip else t, bounds)
     if state is not None:
         resume(run, state, setup)
     code, name = status.OK, status.NAMES[status.OK]
@@ -161,7 +167,7 @@ def simulate(
         if throw:
             raise
         code, name = status.RUNNING, INTERRUPTED
-    return _conclude(run, setup, code, name, throw)
+    return conclude(run, setup, code, name, throw=throw, skip=skip)
 
 
 def angles(
@@ -199,9 +205,21 @@ def angles(
     run = prepare(chain, setup.drive(), (q0, qd0), t, limits(setup, chain, float(t[-1]), 1_000_000))
     code = finish(run)
     if code != status.OK:
-        raise _failure(code, run)
+        raise failure(code, run)
     n = chain.length.size
     return run.y[:, :n], run.y[:, n : 2 * n]
+
+
+def _nothing_beside_setup(values: dict[str, Any], *changed: dict[str, bool]) -> None:
+    given = [name for name, value in values.items() if value is not None]
+    given += [name for flags in changed for name, flag in flags.items() if flag]
+    if given:
+        raise InvalidInput(
+            "arguments beside a whole set-up",
+            got=given,
+            allowed="duration, t_eval, state, throw, progress",
+            fix="Put them into the set-up: dataclasses.replace(setup, ...)",
+        )
 
 
 def _missing_duration() -> float:
@@ -241,84 +259,3 @@ def _output_times(t_eval: npt.ArrayLike | None, begin: float, end: float) -> Arr
     if t[0] < begin or t[-1] > end:
         raise InvalidInput("t_eval leaves the run", got=[float(t[0]), float(t[-1])], allowed=f"{begin:g} to {end:g} s")
     return t
-
-
-def _failure(code: int, run: Rollout) -> SimulationError:
-    n = run.chain.length.size
-    rates = np.abs(run.progress.y[n : 2 * n])
-    where = (
-        f"fastest link: {int(np.nanargmax(rates))} at {np.nanmax(rates):.3g} rad/s" if np.isfinite(rates).any() else ""
-    )
-    message = f"stopped at t = {run.time:.6g} s ({status.NAMES[code]}; {where}): {status.ADVICE[code]}."
-    return SimulationError(message, status=status.NAMES[code], time=run.time)
-
-
-def _conclude(run: Rollout, setup: Setup, code: int, name: str, throw: bool) -> Trajectory:
-    """Work out everything that a trajectory shows, and check the energy balance."""
-    message = "" if name == "ok" else str(_failure(code, run)) if code != status.RUNNING else f"at t = {run.time:g} s"
-    result = _trajectory(run, setup, run.done, name, message)
-    good = int(
-        balanced(
-            setup.rope, result.kinetic_energy, result.potential_energy, result.motor_work, result.dissipated_energy
-        )
-    )
-    if good < run.done:
-        code, name = status.ENERGY, status.NAMES[status.ENERGY]
-        message = f"stopped at t = {result.t[good]:.6g} s ({name}): {status.ADVICE[code]}."
-        if throw:
-            raise SimulationError(message, status=name, time=float(result.t[good]))
-        result = _trajectory(run, setup, good, name, message)
-    elif code not in (status.OK, status.RUNNING) and throw:
-        raise _failure(code, run)
-    return result
-
-
-def _trajectory(run: Rollout, setup: Setup, count: int, name: str, message: str) -> Trajectory:
-    n = run.chain.length.size
-    t, y = run.t[:count], run.y[:count]
-    qdd, base, scalars = np.empty((count, n)), np.empty((count, 9)), np.empty((count, 5))
-    rollout.observe(run.chain, run.drive, t, y, qdd, base, scalars)
-    q, qd = y[:, :n], y[:, n : 2 * n]
-    if setup.torque_driven and setup.arm is not None:
-        angle, rate = q[:, 0], qd[:, 0]
-        sin, cos, arm_length = np.sin(angle), np.cos(angle), setup.arm.length
-        place = base[:, 7:9] + arm_length * np.stack([sin, -cos], axis=1)
-        velocity = base[:, 5:7] + (arm_length * rate)[:, None] * np.stack([cos, sin], axis=1)
-        q, qd, qdd = q[:, 1:], qd[:, 1:], qdd[:, 1:]
-        torque = np.clip(setup.torque.torque(t), -setup.arm.torque_limit, setup.arm.torque_limit)  # type: ignore[union-attr]
-    else:
-        angle, rate, place, velocity = base[:, 4], base[:, 3], base[:, 7:9], base[:, 5:7]
-        torque = _motor_torque(setup, angle, rate, base[:, 2], scalars)
-    return Trajectory(
-        t=t,
-        q=q,
-        qd=qd,
-        qdd=qdd,
-        base=place,
-        base_velocity=velocity,
-        arm_angle=angle,
-        arm_rate=rate,
-        kinetic_energy=scalars[:, 0],
-        potential_energy=scalars[:, 1],
-        dissipated_energy=y[:, 2 * n + 1],
-        motor_work=y[:, 2 * n],
-        motor_torque=torque,
-        setup=setup,
-        state=final_state(run, setup),
-        status=name,
-        message=message,
-        attrs={"method": setup.method, "tol": setup.tol},
-    )
-
-
-def _motor_torque(setup: Setup, angle: Array, rate: Array, acceleration: Array, scalars: Array) -> Array:
-    """Torque (T,) that turns a prescribed arm: for the rope, and for the arm's own inertia, weight and friction."""
-    arm = setup.arm
-    if arm is None:
-        return np.zeros(angle.size)
-    gx, gy = setup.rope.gravity
-    own = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
-    own += arm.dry_friction * np.tanh(rate / setup.rope.dry_rate)
-    weight = -arm.mass * arm.com * (gx * np.cos(angle) + gy * np.sin(angle))
-    pull = arm.length * (np.cos(angle) * scalars[:, 2] + np.sin(angle) * scalars[:, 3])
-    return np.asarray(scalars[:, 4] + pull + own + weight)

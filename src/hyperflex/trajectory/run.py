@@ -30,7 +30,11 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "kinetic_energy": ((), "J", "kinetic energy"),
     "potential_energy": ((), "J", "potential energy: gravity and joint stiffness"),
     "dissipated_energy": ((), "J", "energy lost to friction since the start of the run"),
-    "motor_work": ((), "J", "work done by the motor and the moving base since the start of the run"),
+    "motor_work": (
+        (),
+        "J",
+        "work done on the rope (and on a torque-driven arm) since the start of the run",
+    ),
     "motor_torque": ((), "N m", "torque of the motor"),
 }
 DERIVED: dict[str, tuple[tuple[str, ...], str, str]] = {

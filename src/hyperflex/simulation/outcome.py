@@ -1,0 +1,128 @@
+"""What a finished rollout shows: energies checked, status codes turned into errors with advice, a Trajectory made."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.core import rollout, status
+from hyperflex.errors import SimulationError
+from hyperflex.model import Setup
+from hyperflex.simulation.rollouts import Rollout, balanced, final_state
+from hyperflex.trajectory import State, Trajectory
+
+
+def failure(code: int, run: Rollout) -> SimulationError:
+    """Return the error that a status code stands for: when, where and what to try."""
+    n = run.chain.length.size
+    rates = np.abs(run.progress.y[n : 2 * n])
+    where = (
+        f"fastest link: {int(np.nanargmax(rates))} at {np.nanmax(rates):.3g} rad/s" if np.isfinite(rates).any() else ""
+    )
+    message = f"stopped at t = {run.time:.6g} s ({status.NAMES[code]}; {where}): {status.ADVICE[code]}."
+    return SimulationError(message, status=status.NAMES[code], time=run.time)
+
+
+def conclude(run: Rollout, setup: Setup, code: int, name: str, *, throw: bool, skip: int) -> Trajectory:
+    """Work out everything that a trajectory shows, and check the energy balance from the start to where the run ended.
+
+    Parameters
+    ----------
+    run, setup : Rollout, Setup
+    code, name : int, str
+        Status code, and what the trajectory calls it.
+    throw : bool
+        Raise a failure instead of returning the part that holds.
+    skip : int
+        Rows at the beginning of the run's output that nobody asked for (the start).
+    """
+    message = "" if name == "ok" else str(failure(code, run)) if code != status.RUNNING else f"at t = {run.time:g} s"
+    good, bad_time = _balanced_rows(run, setup)
+    if good < run.done or bad_time is not None:
+        code, name = status.ENERGY, status.NAMES[status.ENERGY]
+        message = f"stopped at t = {bad_time:.6g} s ({name}): {status.ADVICE[code]}."
+        if throw:
+            raise SimulationError(message, status=name, time=float(bad_time or 0.0))
+        return _trajectory(run, setup, skip, good, name, message, _state_at(run, setup, good))
+    if code not in (status.OK, status.RUNNING) and throw:
+        raise failure(code, run)
+    return _trajectory(run, setup, skip, run.done, name, message, final_state(run, setup))
+
+
+def _balanced_rows(run: Rollout, setup: Setup) -> tuple[int, float | None]:
+    """Number of leading output rows whose energy balance holds, and the time of the first state for which it fails."""
+    n = run.chain.length.size
+    t = np.append(run.t[: run.done], run.time)
+    y = np.concatenate([run.y[: run.done], run.progress.y[None]])
+    scalars = np.empty((t.size, 5))
+    rollout.observe(run.chain, run.drive, t, y, np.empty((t.size, n)), np.empty((t.size, 9)), scalars)
+    good = int(balanced(setup.rope, scalars[:, 0], scalars[:, 1], y[:, 2 * n], y[:, 2 * n + 1]))
+    return min(good, run.done), None if good == t.size else float(t[good])
+
+
+def _state_at(run: Rollout, setup: Setup, count: int) -> State:
+    """State of the last output that holds; a run that goes on from it begins anew there."""
+    n = run.chain.length.size
+    own = 1 if setup.torque_driven else 0
+    row = max(count, 1) - 1
+    y = run.y[row]
+    return State(
+        t=float(run.t[row]),
+        q=y[own:n].copy(),
+        qd=y[n + own : 2 * n].copy(),
+        work=float(y[2 * n]),
+        dissipated=float(y[2 * n + 1]),
+    )
+
+
+def _trajectory(run: Rollout, setup: Setup, skip: int, count: int, name: str, message: str, state: State) -> Trajectory:
+    """Trajectory of the output rows skip..count - 1."""
+    n = run.chain.length.size
+    t, y = run.t[skip:count], run.y[skip:count]
+    count = t.size
+    qdd, base, scalars = np.empty((count, n)), np.empty((count, 9)), np.empty((count, 5))
+    rollout.observe(run.chain, run.drive, t, y, qdd, base, scalars)
+    q, qd = y[:, :n], y[:, n : 2 * n]
+    if setup.torque_driven and setup.arm is not None:
+        angle, rate = q[:, 0], qd[:, 0]
+        sin, cos, arm_length = np.sin(angle), np.cos(angle), setup.arm.length
+        place = base[:, 7:9] + arm_length * np.stack([sin, -cos], axis=1)
+        velocity = base[:, 5:7] + (arm_length * rate)[:, None] * np.stack([cos, sin], axis=1)
+        q, qd, qdd = q[:, 1:], qd[:, 1:], qdd[:, 1:]
+        torque = np.clip(setup.torque.torque(t), -setup.arm.torque_limit, setup.arm.torque_limit)  # type: ignore[union-attr]
+    else:
+        angle, rate, place, velocity = base[:, 4], base[:, 3], base[:, 7:9], base[:, 5:7]
+        torque = _motor_torque(setup, angle, rate, base[:, 2], scalars)
+    return Trajectory(
+        t=t,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        base=place,
+        base_velocity=velocity,
+        arm_angle=angle,
+        arm_rate=rate,
+        kinetic_energy=scalars[:, 0],
+        potential_energy=scalars[:, 1],
+        dissipated_energy=y[:, 2 * n + 1],
+        motor_work=y[:, 2 * n],
+        motor_torque=torque,
+        setup=setup,
+        state=state,
+        status=name,
+        message=message,
+        attrs={"method": setup.method, "tol": setup.tol},
+    )
+
+
+def _motor_torque(setup: Setup, angle: Array, rate: Array, acceleration: Array, scalars: Array) -> Array:
+    """Torque (T,) that turns a prescribed arm: for the rope, and for the arm's own inertia, weight and friction."""
+    arm = setup.arm
+    if arm is None:
+        return np.zeros(angle.size)
+    gx, gy = setup.rope.gravity
+    own = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
+    own += arm.dry_friction * np.tanh(rate / setup.rope.dry_rate)
+    weight = -arm.mass * arm.com * (gx * np.cos(angle) + gy * np.sin(angle))
+    pull = arm.length * (np.cos(angle) * scalars[:, 2] + np.sin(angle) * scalars[:, 3])
+    return np.asarray(scalars[:, 4] + pull + own + weight)
