@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import _thread
+import copy
+import pickle
 import tracemalloc
 
 import numpy as np
@@ -203,3 +205,11 @@ def test_what_was_not_kept_is_named() -> None:
     batch = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.1)
     with pytest.raises(AttributeError, match="kept: tip"):
         _ = batch.q
+
+
+def test_a_batch_can_be_copied_and_sent() -> None:
+    ropes, motions = family(2)
+    batch = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.1)
+    for other in (copy.deepcopy(batch), pickle.loads(pickle.dumps(batch))):
+        np.testing.assert_array_equal(other.tip, batch.tip)
+        assert other.status == batch.status

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import hyperflex as hf
 from hyperflex.errors import InvalidInput
 
 ROPE = hf.Rope(length=[0.1, 0.2, 0.3], mass=[0.1 / 3, 0.02, 0.01], friction=1 / 7e4, tip_mass=0.1, name='a "rope"')
+PIECES = '[motion]\nkind = "pieces"\nbreaks = [0.0, 1.0]\ncoef = [1.0]\nswitch = [true, true]\nloop = -1\n'
 TABLE = "[rope]\nn_links = 10\ntotal_length = 1.0\ntotal_mass = 0.05\n"
 
 
@@ -47,6 +49,11 @@ def test_totals_are_shared_out(tmp_path: Path) -> None:
     assert rope == hf.Rope.uniform(length=1.0, mass=0.05, n_links=10)
 
 
+def test_arrays_tell_the_number_of_links() -> None:
+    setup = hf.Setup.loads("[rope]\nlength = [0.1, 0.2]\nmass = [0.01, 0.02]\n")
+    assert setup.rope == hf.Rope(length=[0.1, 0.2], mass=[0.01, 0.02])
+
+
 def test_motion_file_is_found_beside_the_setup(tmp_path: Path) -> None:
     (tmp_path / "arm.csv").write_text("t,angle\n0.0,0.0\n0.5,1.0\n")
     (tmp_path / "setup.toml").write_text(
@@ -61,9 +68,17 @@ def test_motion_file_is_found_beside_the_setup(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("", "rope"),
+        ("[rope]\nn_links = 50\nlength = 2.0\nmass = 0.125\n", "length is one number for 50 links.*total_length"),
+        ("[rope]\nlength = [0.1, 0.1]\nmass = [0.1]\n", "mass"),
+        ("[rope]\nn_links = 3\nlength = [0.1, 0.1]\ntotal_mass = 0.1\n", "n_links"),
+        ("[rope]\ntotal_length = 1.0\ntotal_mass = 0.1\n", "lacks n_links"),
+        (
+            TABLE + '[motion]\nkind = "pieces"\nbreaks = [0.0, 1.0]\ncoef = [1.0]\nswitch = [true, true]\nloop = -1\n',
+            "coef",
+        ),
         ("[rope]\nn_links = 10\n", "length"),
-        ("[rope]\nn_links = 0\nlength = 0.1\nmass = 0.1\n", "n_links"),
-        (TABLE + "length = 0.1\n", "both total_length and length"),
+        ("[rope]\nn_links = 0\nlink_length = 0.1\nlink_mass = 0.1\n", "n_links"),
+        (TABLE + "link_length = 0.1\n", "length 2 times"),
         (TABLE + "weight = 3.0\n", "weight"),
         (TABLE.replace("0.05", "-0.05"), "-0.05"),
         ("rope = 3\n", "not a table"),
@@ -76,3 +91,13 @@ def test_motion_file_is_found_beside_the_setup(tmp_path: Path) -> None:
 def test_bad_tables(text: str, words: str) -> None:
     with pytest.raises(InvalidInput, match=words):
         hf.Setup.loads(text)
+
+
+def test_the_files_of_the_documentation_are_read(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "how-to" / "files.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```toml\n(.*?)```", page, re.S)
+    setup = hf.Setup.loads(blocks[0])
+    assert setup.rope == hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    assert setup.motion == hf.swings(t_move=0.73, t_rest=0.53)
+    (tmp_path / "guess.toml").write_text(blocks[1])
+    assert hf.Rope.from_toml(tmp_path / "guess.toml").n_links == 2

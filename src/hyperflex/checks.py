@@ -35,11 +35,13 @@ def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infi
     return result
 
 
-def count(name: str, value: object, *, least: int = 1) -> int:
-    """Return `value` as an integer of at least `least`."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise InvalidInput(f"{name} is not a usable count", got=value, allowed=f"a whole number >= {least}")
-    return int(value)
+def count(name: str, value: object, *, least: int = 1, most: int | None = None) -> int:
+    """Return `value` as an integer of at least `least` and at most `most`."""
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or value < least or (most is not None and value > most):  # type: ignore[operator]
+        allowed = f"a whole number >= {least}" if most is None else f"a whole number from {least} to {most}"
+        raise InvalidInput(f"{name} is not a usable count", got=value, allowed=allowed)
+    return int(value)  # type: ignore[call-overload, no-any-return]
 
 
 def array(

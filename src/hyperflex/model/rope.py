@@ -16,6 +16,7 @@ from hyperflex.core.chain import Chain
 from hyperflex.errors import InvalidInput
 
 GRAVITY = (0.0, -9.81)  # m/s^2
+MOST_LINKS = 100_000  # far beyond use; a slip of the pen must not fill the memory
 FrictionModel = Literal["relative", "printed"]
 FRICTION_MODELS = ("relative", "printed")
 
@@ -30,6 +31,8 @@ _LINK_FIELDS: dict[str, tuple[checks.Sign, str]] = {
     "stiffness": ("nonnegative", "N m/rad"),
     "rest_angle": ("any", "rad"),
 }
+
+_TOTALS = ("length", "mass")  # of the whole rope or of each link: a file says which
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -201,7 +204,7 @@ class Rope:
         >>> f"{cable.inertia[0]:.3e}"
         '3.372e-07'
         """
-        n = checks.count("n_links", n_links)
+        n = checks.count("n_links", n_links, most=MOST_LINKS)
         total = checks.number("length", length, sign="positive", unit="m")
         weight = checks.number("mass", mass, sign="nonnegative", unit="kg")
         link_mass = np.full(n, weight / n)
@@ -269,7 +272,9 @@ class Rope:
         content: dict[str, Any] = {"name": self.name, "n_links": self.n_links}
         for name in _LINK_FIELDS:
             value = getattr(self, name)
-            content[name] = float(value[0]) if (value == value[0]).all() else value.tolist()
+            alike = bool((value == value[0]).all())
+            key = f"link_{name}" if alike and name in _TOTALS else name
+            content[key] = float(value[0]) if alike else value.tolist()
         content["tip_mass"] = self.tip_mass
         content["gravity"] = self.gravity.tolist()
         content["friction_model"] = self.friction_model
@@ -279,20 +284,38 @@ class Rope:
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> Rope:
-        """Build a rope from a ``[rope]`` table: ``n_links`` and per-link values, or total_length and total_mass."""
+        """Build a rope from a ``[rope]`` table, see docs/how-to/files.md.
+
+        Length and mass are arrays with one entry a link, or ``total_length`` and ``total_mass`` of the whole rope, or
+        ``link_length`` and ``link_mass`` of each of ``n_links`` equal links.
+        """
         content = dict(table)
-        n = checks.count("rope n_links", content.pop("n_links", None))
-        for total, each in (("total_length", "length"), ("total_mass", "mass")):
-            if total in content:
-                if each in content:
-                    raise InvalidInput(f"both {total} and {each} are given", got=content[total], allowed="one of them")
-                content[each] = checks.number(f"rope {total}", content.pop(total), sign="nonnegative") / n
-        unknown = set(content) - {f.name for f in fields(cls)}
-        if unknown or not {"length", "mass"} <= set(content):
-            raise InvalidInput("rope table does not fit", got=sorted(content), allowed="length, mass; " + _names(cls))
-        for name, (sign, unit) in _LINK_FIELDS.items():
-            if name in content and np.ndim(content[name]) == 0:
-                content[name] = np.full(n, checks.number(f"rope {name}", content[name], sign=sign, unit=unit))
+        known = {f.name for f in fields(cls)} | {"n_links"} | {f"{k}_{t}" for k in ("total", "link") for t in _TOTALS}
+        if unknown := set(content) - known:
+            raise InvalidInput("rope table does not fit", got=sorted(unknown), allowed=", ".join(sorted(known)))
+        sizes = [np.size(content[name]) for name in _LINK_FIELDS if np.ndim(content.get(name, 0.0)) == 1]
+        if "n_links" not in content and not sizes:
+            raise InvalidInput("rope table lacks n_links", allowed="n_links = 50, or arrays with one entry a link")
+        n = checks.count("rope n_links", content.pop("n_links", sizes[0] if sizes else None), most=MOST_LINKS)
+        for name in _TOTALS:
+            given = [key for key in (name, f"total_{name}", f"link_{name}") if key in content]
+            if len(given) != 1:
+                allowed = f"one of {name} (array), total_{name}, link_{name}"
+                raise InvalidInput(f"rope table tells the {name} {len(given)} times", got=given, allowed=allowed)
+            value = content.pop(given[0])
+            if given[0] == name and np.ndim(value) == 0 and n > 1:
+                raise InvalidInput(
+                    f"rope {name} is one number for {n} links",
+                    got=value,
+                    allowed=f"total_{name} for the whole rope, link_{name} for each link, or an array",
+                )
+            if np.ndim(value) == 0:
+                sign, unit = _LINK_FIELDS[name]
+                single = checks.number(f"rope {given[0]}", value, sign=sign, unit=unit)
+                value = np.full(n, single / n if given[0].startswith("total") else single)
+            content[name] = value
+        if np.size(content["length"]) != n:
+            raise InvalidInput("rope n_links differs from its arrays", got=[n, np.size(content["length"])])
         return cls(**content)
 
     def to_toml(self, path: str | Path) -> None:

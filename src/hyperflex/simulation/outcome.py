@@ -38,15 +38,17 @@ def conclude(run: Rollout, setup: Setup, code: int, name: str, *, throw: bool, s
     """
     message = "" if name == "ok" else str(failure(code, run)) if code != status.RUNNING else f"at t = {run.time:g} s"
     good, bad_time = _balanced_rows(run, setup)
-    if good < run.done or bad_time is not None:
+    failed = code not in (status.OK, status.RUNNING)
+    if bad_time is not None and not (failed and good == 0):
         code, name = status.ENERGY, status.NAMES[status.ENERGY]
         message = f"stopped at t = {bad_time:.6g} s ({name}): {status.ADVICE[code]}."
         if throw:
             raise SimulationError(message, status=name, time=float(bad_time or 0.0))
         return _trajectory(run, setup, skip, good, name, message, _state_at(run, setup, good))
-    if code not in (status.OK, status.RUNNING) and throw:
+    if failed and throw:
         raise failure(code, run)
-    return _trajectory(run, setup, skip, run.done, name, message, final_state(run, setup))
+    state = _state_at(run, setup, good) if failed else final_state(run, setup)
+    return _trajectory(run, setup, skip, good, name, message, state)
 
 
 def _balanced_rows(run: Rollout, setup: Setup) -> tuple[int, float | None]:

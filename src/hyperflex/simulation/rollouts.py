@@ -190,9 +190,8 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
     while run.time < stop and code == status.OK:
         y = run.progress.y
         now = run.time
-        wanted = float(control(now, float(y[0]), float(y[n]), y[1:n].copy(), y[n + 1 : 2 * n].copy()))
-        if not np.isfinite(wanted):
-            raise InvalidInput(f"torque callback at t = {now:g} s", got=wanted, allowed="a finite torque in N m")
+        answer = control(now, float(y[0]), float(y[n]), y[1:n].copy(), y[n + 1 : 2 * n].copy())
+        wanted = checks.number(f"torque callback at t = {now:g} s", answer, unit="N m")
         times.append(now)
         torques.append(float(np.clip(wanted, -torque_limit, torque_limit)))
         count += 1

@@ -122,6 +122,8 @@ def simulate(
     True
     """
     control = torque if callable(torque) else None
+    if not isinstance(rope, (Rope, Setup)):
+        raise InvalidInput("rope is not a rope", got=rope, allowed="a Rope or a whole Setup")
     if isinstance(rope, Setup):
         setup = rope
         _nothing_beside_setup(
