@@ -186,6 +186,57 @@ def test_csv_declares_itself_in_header_or_notes(tmp_path: Path) -> None:
         read_recording(csv(tmp_path, "t [ms],th1 [deg],th2", np.column_stack([table, data])))
 
 
+def test_csv_notes_declare_wrapping_and_noise(tmp_path: Path) -> None:
+    t = np.linspace(0.0, 2.0, 201)
+    angle = 8.0 * t
+    table = np.column_stack([t, (angle + math.pi) % (2 * math.pi) - math.pi])
+    notes = "# time_unit: s\n# unit: rad\n# wrapped: True\n# noise: 0.01\n"
+    path = csv(tmp_path, "t,th1", table, notes)
+    found = read_recording(path)
+    np.testing.assert_allclose(found.data[:, 0], angle, atol=1e-12)  # rounding
+    assert found.noise is not None
+    np.testing.assert_array_equal(found.noise, 0.01)
+    assert read_recording(path, noise=0.01, wrapped=True).noise is not None
+    for argument in ({"noise": 0.02}, {"wrapped": False}):
+        with pytest.raises(InvalidInput, match=f"declares {next(iter(argument))} = .*argument something else"):
+            read_recording(path, **argument)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="noise twice"):
+        read_recording(csv(tmp_path, "t,th1,sd_th1", np.column_stack([table, t + 1.0]), notes))
+    two = csv(tmp_path, "t,th1,th2", np.column_stack([t, angle, angle]), notes.replace("0.01", "0.01, 0.02"))
+    noise = read_recording(two).noise
+    assert noise is not None
+    np.testing.assert_array_equal(noise[7], [0.01, 0.02])
+
+
+BAD_NOTES = {
+    "wrapped: maybe": "'true', 'yes', 'false', 'no'",
+    "noise: -1": "'noise' has the wrong sign",
+    "noise: low": "'noise' is not a number",
+    "scale: 0": "'scale' has the wrong sign",
+    "zero: left": "'hanging', 'up'",
+    "units: deg": r"# units: deg.*time_unit.*wrapped, noise",
+    "y axis: up": "looks like a declaration",
+    "angle unit: deg": "looks like a declaration",
+    "sence: -x": "looks like a declaration",
+    "max_rate: 500": "looks like a declaration",
+}
+
+
+@pytest.mark.parametrize(("note", "match"), BAD_NOTES.items(), ids=BAD_NOTES.keys())
+def test_csv_notes_that_would_be_lost_are_refused(tmp_path: Path, note: str, match: str) -> None:
+    t, data, _ = swing(n=1)
+    path = csv(tmp_path, "t [s],th1 [rad]", np.column_stack([t, data]), f"# {note}\n")
+    with pytest.raises(InvalidInput, match=match):
+        read_recording(path)
+
+
+def test_csv_comments_are_no_declarations(tmp_path: Path) -> None:
+    t, data, _ = swing(n=1)
+    notes = "# swing of Tuesday\n# name: lab\n# source: own\n# time: 12:30\n# date: 1 May\n# camera: 200 Hz\n"
+    path = csv(tmp_path, "t [s],th1 [rad]", np.column_stack([t, data]), notes)
+    np.testing.assert_array_equal(read_recording(path).data, data)
+
+
 def test_csv_markers_in_pixels_and_frames(tmp_path: Path) -> None:
     t, angles, _ = swing()
     markers = places(angles, np.array([0.2, 0.1]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Sequence
 from typing import cast
@@ -9,7 +10,7 @@ from typing import cast
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, read_notes, read_table
-from hyperflex.recording._declare import METRES, RADIANS, SECONDS, Raw
+from hyperflex.recording._declare import METRES, OPTIONS, RADIANS, SECONDS, Raw
 from hyperflex.recording._recording import Kind
 
 _ANGLE = re.compile(r"(?:th|theta|q)_?(\d+)\Z")
@@ -18,8 +19,11 @@ _PLACE = re.compile(r"([xy])_?(\d+)\Z")
 _NOISE = re.compile(r"sd_(.+)\Z")
 _WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\Z")
 _RATE_UNIT = re.compile(r"(\w+)/s\Z")
-_NUMBERS = {"frame_rate", "scale"}
-_NOTES = ("time_unit", "unit", "frame_rate", "y_axis", "scale", "zero", "sense", "angles")
+_NUMBERS = {"frame_rate": "frames/s", "scale": "m per pixel"}
+_TRUTH = {"true": True, "yes": True, "false": False, "no": False}
+_WORDS = {"unit": (*RADIANS, *METRES, "px"), **OPTIONS}
+_NOTES = (*_WORDS, *_NUMBERS, "wrapped", "noise")
+_ARGUMENTS = {"kind", "columns", "max_rate"}  # only the caller can say these
 
 
 def read(path: PathLike, time: str, kind: str | None, columns: Sequence[str] | None) -> Raw:
@@ -36,6 +40,8 @@ def read(path: PathLike, time: str, kind: str | None, columns: Sequence[str] | N
         )
     found = _named(path, columns, at, kind) if columns is not None else _known(path, plain, time, kind)
     data_kind, data, rates, noise = found
+    if noise and "noise" in declared:
+        raise InvalidInput(f"{path} gives its noise twice", got=[*noise, "# noise: .."], fix="Remove one of them")
     _declare_units(path, declared, units, time, data, rates)
     return Raw(
         t=table[:, at[time]],
@@ -52,14 +58,40 @@ def _notes(path: PathLike) -> dict[str, object]:
     """Return what the ``# key: value`` lines before the header declare."""
     declared: dict[str, object] = {}
     for key, value in read_notes(path).items():
+        what = f"{path}: the note {key!r}"
         if key in _NUMBERS:
-            try:
-                declared[key] = float(value)
-            except ValueError:
-                raise InvalidInput(f"{path}: the note {key!r} is not a number", got=value) from None
-        elif key in _NOTES:
-            declared[key] = value
+            declared[key] = checks.number(what, _number(what, value), sign="positive", unit=_NUMBERS[key])
+        elif key == "noise":
+            numbers = [checks.number(what, _number(what, part), sign="positive") for part in value.split(",")]
+            declared[key] = numbers[0] if len(numbers) == 1 else numbers
+        elif key == "wrapped":
+            declared[key] = _TRUTH[checks.choice(what, value.lower(), tuple(_TRUTH))]
+        elif key in _WORDS:
+            declared[key] = checks.choice(what, value, _WORDS[key])
+        elif _looks_like_declaration(key):
+            raise InvalidInput(
+                f"{path} has a note that looks like a declaration but is none",
+                got=f"# {key}: {value}",
+                allowed=", ".join(_NOTES),
+                fix="Correct its name, or reword it if it is a mere comment",
+            )
     return declared
+
+
+def _number(what: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidInput(f"{what} is not a number", got=text) from None
+
+
+def _looks_like_declaration(key: str) -> bool:
+    """Tell misspelt or reworded declarations (``units``, ``y axis``, ``angle unit``) from comments with a colon."""
+    plain = re.sub(r"[\s_-]+", "_", key)
+    words = plain.split("_")
+    about_units = len(words) <= 3 and not {"unit", "units"}.isdisjoint(words)
+    # 0.75: one letter more, less or other in a word of five ("sence"), but not other words ("note", "source")
+    return plain in _ARGUMENTS or about_units or bool(difflib.get_close_matches(plain, _NOTES, 1, 0.75))
 
 
 def _units(header: list[str]) -> tuple[list[str], dict[str, str]]:

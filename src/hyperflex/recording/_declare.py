@@ -72,14 +72,29 @@ def settle(raw: Raw, given: Arguments) -> Recording:
     said = _Said(raw, given)
     said.require_all()
     t = _seconds(raw, said)
-    noise = given.noise if given.noise is not None else raw.noise
-    spread = None if noise is None else per_sample(noise, raw.data)
+    spread = _spread(raw, given)
     convert = _angles if raw.kind == "angles" else _markers
     data, spread, rates, convention = convert(raw, said, spread)
     recording = Recording(t, data, raw.kind, spread, rates, raw.convention or convention, raw.name, raw.source)
     if recording.kind == "angles":
         _check_speed(recording, checks.number("max_rate", given.max_rate, sign="positive", unit="rad/s"))
     return recording
+
+
+def _spread(raw: Raw, given: Arguments) -> Array | None:
+    """Return the noise of each sample: the caller's, which must not contradict a note, or the file's."""
+    note, columns = raw.declared.get("noise"), raw.noise
+    own = per_sample(note, raw.data) if note is not None else None if columns is None else per_sample(columns, raw.data)
+    if given.noise is None:
+        return own
+    spread = per_sample(given.noise, raw.data)
+    if note is not None and not np.array_equal(spread, per_sample(note, raw.data)):
+        raise InvalidInput(
+            f"{raw.source} declares noise = {note!r}, the argument something else",
+            got=given.noise,
+            fix="Leave noise out, or mend the file",
+        )
+    return spread
 
 
 class _Said:
