@@ -337,6 +337,16 @@ def test_wrong_units_are_noticed_where_they_can_be(tmp_path: Path) -> None:
         read_recording(slow, time_unit="s", unit="rad")
 
 
+def test_missing_rows_do_not_look_like_wrong_units(tmp_path: Path) -> None:
+    t, data, rates = swing(n=1, samples=1000)
+    kept = np.r_[0:100, 500:600]  # 2 s are missing, in which the link swings to and fro
+    holed = csv(tmp_path, "t,th1,w1", np.column_stack([t, data, rates])[kept])
+    np.testing.assert_array_equal(read_recording(holed, time_unit="s", unit="rad").t, t[kept])
+    mixed = csv(tmp_path, "t,th1,w1", np.column_stack([t, np.degrees(0.1 * data), 0.1 * rates])[kept])
+    with pytest.raises(InvalidInput, match=r"change 57.* times as fast"):
+        read_recording(mixed, time_unit="s", unit="rad")
+
+
 def test_wrapped_angles_are_unwrapped_only_when_declared(tmp_path: Path) -> None:
     t = np.linspace(0.0, 2.0, 201)
     angle = 8.0 * t
@@ -544,6 +554,14 @@ BAD_MATS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
+def test_mat_pieces_may_lie_apart(tmp_path: Path) -> None:
+    content = mat_content(2)
+    for piece in content["Time_vad"].ravel():
+        piece += 2.0
+    recording = read_recording(mat(tmp_path, content))
+    np.testing.assert_allclose(np.diff(recording.t).max(), 2.005, rtol=1e-12)  # one step of 5 ms more; rounding
+
+
 @pytest.mark.parametrize(("content", "match"), BAD_MATS.values(), ids=BAD_MATS.keys())
 def test_other_mat_files_are_refused(tmp_path: Path, content: dict[str, Any], match: str) -> None:
     with pytest.raises(InvalidInput, match=match):
@@ -578,6 +596,15 @@ def test_real_mat_files_agree_with_their_csv_copies(data_dir: Path) -> None:
         copy = read_recording(data_dir / folder / "angles_1kHz.csv", time_unit="s", unit="rad")
         np.testing.assert_allclose(original.t, copy.t, atol=1e-9)  # the copy is rounded to 1 ms, which the steps are
         np.testing.assert_allclose(original.data, copy.data, atol=5.1e-7)  # the copy is rounded to 1e-6 rad
+
+
+def test_a_real_recording_may_lack_two_seconds(data_dir: Path, tmp_path: Path) -> None:
+    lines = (data_dir / "multiarm_triple" / "angles_1kHz.csv").read_text().splitlines(keepends=True)
+    path = tmp_path / "holed.csv"
+    path.write_text("".join([*lines[:8001], *lines[10001:]]))
+    recording = read_recording(path, time_unit="s", unit="rad")
+    assert recording.t.size == len(lines) - 1 - 2000
+    np.testing.assert_allclose(np.diff(recording.t).max(), 2.001, rtol=1e-9)  # times are written to 1 ms
 
 
 def test_real_markers_agree_with_the_angles_they_came_from(data_dir: Path) -> None:
