@@ -31,7 +31,7 @@ docs: $(INSTALLED) ## the documentation, into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "Open site/index.html"
 
-bench: $(INSTALLED) ## speed and accuracy, beside MuJoCo in the same run
+bench: $(INSTALLED) ## speed and accuracy, beside other simulators in the same run
 	$(BIN)/python benchmarks/run.py
 
 clean: ## remove what the other targets made, except .venv

@@ -131,7 +131,7 @@ def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
     """State at theta in -1..1 within a step from its values ys (3, 2 n + 2) and derivatives dys at -1, 0, 1.
 
     Angles follow the polynomial of degree 8 through angles, rates and accelerations; rates are its derivative; work
-    and dissipation follow one of degree 5. The error is far below that of the step itself (docs/models.md).
+    and dissipation follow one of degree 5. Not for the step behind a switch, where friction settles (docs/models.md).
     """
     n = (ys.shape[1] - 2) // 2
     half = 0.5 * step

@@ -1,0 +1,33 @@
+"""Short rollouts and batches through every kernel of the run loop; without the compiler too, to check bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+
+ROPE = hf.Rope(length=[0.1, 0.2, 0.15], mass=[0.03, 0.02, 0.01], friction=1e-3, stiffness=1e-3, tip_mass=0.01)
+DRY = ROPE.replace(dry_friction=1e-3, dry_rate=0.1)
+ARM = hf.Arm(length=0.1)
+MOTION = hf.swings(0.2, 0.05)
+T = np.array([0.01, 0.1004, 0.15, 0.2, 0.23, 0.3])
+
+
+@pytest.mark.parametrize("rope", [ROPE, DRY, ROPE.replace(friction_model="printed")], ids=["viscous", "dry", "printed"])
+def test_both_integrators_agree(rope: hf.Rope) -> None:
+    kept = {"arm": ARM, "duration": 0.3, "t_eval": T}
+    run = hf.simulate(rope, MOTION, tol=1e-8, **kept)
+    check = hf.simulate(rope, MOTION, method="rk4", step=1e-4, **kept)
+    # some thirty steps of 1e-8 m in links of 0.1 m, in a motion that doubles small errors; RK4 errs less
+    np.testing.assert_allclose(run.q, check.q, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(run.motor_work, check.motor_work, rtol=0, atol=1e-7)
+    assert np.abs(run.energy_error).max() < 1e-7
+
+
+def test_members_agree_with_the_single_run() -> None:
+    batch = hf.simulate_batch([ROPE] * 3, MOTION, arm=ARM, duration=0.3, t_eval=T, tol=1e-8, keep=("q",))
+    run = hf.simulate(ROPE, MOTION, arm=ARM, duration=0.3, t_eval=T, tol=1e-8)
+    assert batch.failed == []
+    for q in batch.q:
+        np.testing.assert_allclose(q, run.q, rtol=0, atol=1e-6)  # as above
