@@ -14,25 +14,11 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.core.chain import Chain
 from hyperflex.errors import InvalidInput
+from hyperflex.model.rope_table import LINK_FIELDS, MOST_LINKS, from_table, to_table
 
 GRAVITY = (0.0, -9.81)  # m/s^2
-MOST_LINKS = 100_000  # far beyond use; a slip of the pen must not fill the memory
 FrictionModel = Literal["relative", "printed"]
 FRICTION_MODELS = ("relative", "printed")
-
-# per-link fields: (sign, unit)
-_LINK_FIELDS: dict[str, tuple[checks.Sign, str]] = {
-    "length": ("positive", "m"),
-    "mass": ("nonnegative", "kg"),
-    "com": ("any", "m"),
-    "inertia": ("nonnegative", "kg m^2"),
-    "friction": ("nonnegative", "N m s/rad"),
-    "dry_friction": ("nonnegative", "N m"),
-    "stiffness": ("nonnegative", "N m/rad"),
-    "rest_angle": ("any", "rad"),
-}
-
-_TOTALS = ("length", "mass")  # of the whole rope or of each link: a file says which
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -130,7 +116,7 @@ class Rope:
         )
 
         def per_link(name: str, value: npt.ArrayLike) -> Array:
-            sign, unit = _LINK_FIELDS[name]
+            sign, unit = LINK_FIELDS[name]
             result = checks.array(f"rope {name}", value, (n,), sign=sign, unit=unit, scalar=True)
             object.__setattr__(self, name, result)
             return result
@@ -269,54 +255,13 @@ class Rope:
 
     def table(self) -> dict[str, Any]:
         """Return the ``[rope]`` table of a TOML file; equal entries are written once."""
-        content: dict[str, Any] = {"name": self.name, "n_links": self.n_links}
-        for name in _LINK_FIELDS:
-            value = getattr(self, name)
-            alike = bool((value == value[0]).all())
-            key = f"link_{name}" if alike and name in _TOTALS else name
-            content[key] = float(value[0]) if alike else value.tolist()
-        content["tip_mass"] = self.tip_mass
-        content["gravity"] = self.gravity.tolist()
-        content["friction_model"] = self.friction_model
-        content["radius"] = self.radius
-        content["dry_rate"] = self.dry_rate
-        return content
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return to_table(self.n_links, values)
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> Rope:
-        """Build a rope from a ``[rope]`` table, see docs/how-to/files.md.
-
-        Length and mass are arrays with one entry a link, or ``total_length`` and ``total_mass`` of the whole rope, or
-        ``link_length`` and ``link_mass`` of each of ``n_links`` equal links.
-        """
-        content = dict(table)
-        known = {f.name for f in fields(cls)} | {"n_links"} | {f"{k}_{t}" for k in ("total", "link") for t in _TOTALS}
-        if unknown := set(content) - known:
-            raise InvalidInput("rope table does not fit", got=sorted(unknown), allowed=", ".join(sorted(known)))
-        sizes = [np.size(content[name]) for name in _LINK_FIELDS if np.ndim(content.get(name, 0.0)) == 1]
-        if "n_links" not in content and not sizes:
-            raise InvalidInput("rope table lacks n_links", allowed="n_links = 50, or arrays with one entry a link")
-        n = checks.count("rope n_links", content.pop("n_links", sizes[0] if sizes else None), most=MOST_LINKS)
-        for name in _TOTALS:
-            given = [key for key in (name, f"total_{name}", f"link_{name}") if key in content]
-            if len(given) != 1:
-                allowed = f"one of {name} (array), total_{name}, link_{name}"
-                raise InvalidInput(f"rope table tells the {name} {len(given)} times", got=given, allowed=allowed)
-            value = content.pop(given[0])
-            if given[0] == name and np.ndim(value) == 0 and n > 1:
-                raise InvalidInput(
-                    f"rope {name} is one number for {n} links",
-                    got=value,
-                    allowed=f"total_{name} for the whole rope, link_{name} for each link, or an array",
-                )
-            if np.ndim(value) == 0:
-                sign, unit = _LINK_FIELDS[name]
-                single = checks.number(f"rope {given[0]}", value, sign=sign, unit=unit)
-                value = np.full(n, single / n if given[0].startswith("total") else single)
-            content[name] = value
-        if np.size(content["length"]) != n:
-            raise InvalidInput("rope n_links differs from its arrays", got=[n, np.size(content["length"])])
-        return cls(**content)
+        """Build a rope from a ``[rope]`` table, see docs/how-to/files.md."""
+        return cls(**from_table(table, [f.name for f in fields(cls)]))
 
     def to_toml(self, path: str | Path) -> None:
         """Write the rope to the TOML file `path`, wholly or not at all."""
