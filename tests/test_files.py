@@ -198,6 +198,49 @@ def test_bad_tables_are_refused_with_their_place(
         files.read_table(table(tmp_path, text))
 
 
+FULL = {
+    "fixed": ["0.474113", "-0.480021", "10.500000", "-0.474113"],
+    "exponents": ["4.741130e-01", "-1.200000e-05", "3.000000e+00", "-4.741130e-01"],
+    "shortest": ["0.4741130012345", "0.1", "12.48002100071", "-0.380021987001", "0.47411"],
+    "varying": ["0", "0.25", "0.5", "0.75", "1"],
+    "whole": ["640", "639", "97", "64"],
+    "gap": ["0.25", "", "0.50", "nan"],
+}
+
+
+@pytest.mark.parametrize("cells", FULL.values(), ids=FULL.keys())
+def test_a_full_last_cell_needs_no_line_feed(tmp_path: Path, cells: list[str]) -> None:
+    text = "t,th1\n" + "\n".join(f"{k},{cell}" for k, cell in enumerate(cells))
+    _, values = files.read_table(table(tmp_path, text))
+    np.testing.assert_array_equal(values[:, 1], [float(cell or "nan") for cell in cells])
+
+
+CUT = {
+    "fixed": ([f"{0.474113 - 0.01 * k:.6f}" for k in range(60)], "-0.474113"),
+    "exponents": (["4.741130e-01", "-1.200000e-05", "3.000000e+00"], "-4.741130e-01"),
+    "whole": (["640", "639", "638", "-641"], "-640"),
+}
+
+
+@pytest.mark.parametrize(("cells", "last"), CUT.values(), ids=CUT.keys())
+def test_a_number_cut_off_anywhere_is_refused(tmp_path: Path, cells: list[str], last: str) -> None:
+    text = "t,th1\n" + "".join(f"{k},{cell}\n" for k, cell in enumerate(cells)) + "9,"
+    for length in range(1, len(last)):
+        with pytest.raises(InvalidInput, match=f"line {len(cells) + 2}.*cut off"):
+            files.read_table(table(tmp_path, text + last[:length]))
+        whole = last[:length].rstrip("-e.+")
+        if whole:  # with a line feed it is what it is
+            assert files.read_table(table(tmp_path, f"{text}{whole}\n"))[1][-1, 1] == float(whole)
+    assert files.read_table(table(tmp_path, text + last))[1][-1, 1] == float(last)
+
+
+def test_a_long_number_cut_off_in_a_column_of_shortest_forms_is_refused(tmp_path: Path) -> None:
+    text = "t,th1\n" + "".join(f"{k},{math.sin(k)!r}\n" for k in range(200))  # sin(0) is written 0.0
+    with pytest.raises(InvalidInput, match=r"line 202.*add a line feed if it is whole"):
+        files.read_table(table(tmp_path, text + f"200,{math.sin(200)!r}"[:12]))
+    assert files.read_table(table(tmp_path, text + f"200,{math.sin(200)!r}"))[1][-1, 1] == math.sin(200)
+
+
 def test_missing_files_and_folders_are_named(tmp_path: Path) -> None:
     with pytest.raises(FileProblem, match=r"no table .*gone\.csv"):
         files.read_table(tmp_path / "gone.csv")

@@ -13,6 +13,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.files._reading import read_text
 from hyperflex.files._writing import PathLike, atomic
 
+_CUT = "The file ends within this line: it was probably cut off; get it again"
+
 
 def read_table(path: PathLike) -> tuple[list[str], Array]:
     """Read a CSV table of numbers with one header line.
@@ -36,7 +38,8 @@ def read_table(path: PathLike) -> tuple[list[str], Array]:
         When the file is missing, empty, binary or not UTF-8.
     InvalidInput
         When there is no header or no row, names repeat, a row has too few or too many cells, or a cell is no number
-        (line and column are named), or when another separator is used.
+        (line and column are named), when another separator is used, or when the file ends, without a line feed, in a
+        number with fewer digits than its column has: most likely it was cut off there.
     """
     text = read_text(path, "table")
     rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
@@ -51,6 +54,8 @@ def read_table(path: PathLike) -> tuple[list[str], Array]:
     values = np.empty((len(rows) - 1, len(names)))
     for k, (number, line) in enumerate(rows[1:]):
         values[k] = _row(path, number, _cells(line), names, cut and k == len(rows) - 2)
+    if cut:
+        _check_end(path, rows[-1][0], [_cells(line)[-1].strip() for _, line in rows[1:]])
     return names, values
 
 
@@ -144,7 +149,7 @@ def _is_number(cell: str) -> bool:
 def _row(path: PathLike, number: int, row: list[str], names: list[str], cut: bool) -> list[float]:
     """Return one row of numbers; `cut` says that it is the last line and has no line feed."""
     if len(row) != len(names) or (cut and not row[-1].strip()):
-        why = "The file ends within this line: it was cut off, get it again" if cut else "Mend or remove the line"
+        why = _CUT if cut else "Mend or remove the line"
         if len(row) > len(names):
             why = "If numbers are written with a decimal comma, write them with a point"
         raise InvalidInput(
@@ -161,4 +166,27 @@ def _row(path: PathLike, number: int, row: list[str], names: list[str], cut: boo
             f"{path}, line {number}, column {names[column]!r}, is not a number",
             got=row[column],
             allowed="a number with a decimal point, or nothing for a gap",
+            fix=_CUT if cut and column == len(row) - 1 else "",
         ) from None
+
+
+def _check_end(path: PathLike, number: int, cells: list[str]) -> None:
+    """Refuse the last cell of a file without a final line feed when it seems to be the first part of a number.
+
+    Writers give a column the same decimals, or all that a number needs; either way a cell far shorter than the others
+    is rare. So it is refused when at most one in 20 of the others is as short.
+    """
+    *others, last = [cell.lstrip("+-") for cell in cells]
+    others = [cell for cell in others if cell[:1].isdigit() or cell[:1] == "."]
+    if len(others) < 3 or not (last[:1].isdigit() or last[:1] == "."):
+        return
+    decimals = [len(cell.partition(".")[2]) for cell in others]
+    whole = not any(decimals)
+    usual = [len(cell) for cell in others] if whole else decimals
+    size = len(last) if whole else len(last.partition(".")[2])
+    if sum(one <= size for one in usual) <= len(usual) / 20:
+        raise InvalidInput(
+            f"{path}, line {number}, ends the file in a shorter number than its column has",
+            got=cells[-1],
+            fix=f"{_CUT}, or add a line feed if it is whole",
+        )
