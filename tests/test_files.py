@@ -146,6 +146,46 @@ def test_targets_that_cannot_be_written_are_named(tmp_path: Path) -> None:
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
 
 
+@pytest.mark.parametrize("error", [FileNotFoundError(errno.ENOENT, "No such file"), OSError(errno.EIO, "I/O error")])
+def test_a_folder_that_takes_no_files_is_told_by_the_users_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: OSError
+) -> None:
+    def refuse(path: object, *_: object) -> int:
+        error.filename = str(path)
+        raise error
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(FileProblem) as caught:
+        files.write_text(tmp_path / "out.txt", "text")
+    assert str(caught.value).startswith(f"{tmp_path / 'out.txt'} could not be written")
+    assert ".part" not in str(caught.value)
+    assert "Errno" not in str(caught.value)
+
+
+def test_reasons_that_name_the_temporary_file_name_the_users(tmp_path: Path) -> None:
+    def lock() -> None:
+        with files.atomic_path(tmp_path / "out.nc") as part:
+            raise OSError(f"cannot lock {part.name}")  # as HDF5 puts it
+
+    with pytest.raises(FileProblem, match=r"written: cannot lock out\.nc\. Nothing was"):
+        lock()
+
+
+def test_another_file_missing_within_the_block_is_named(tmp_path: Path) -> None:
+    with (
+        pytest.raises(FileProblem, match=r"out\.txt could not be written.*other\.txt"),
+        files.atomic(tmp_path / "out.txt"),
+    ):
+        (tmp_path / "other.txt").read_text()
+
+
+@pytest.mark.parametrize("path", [None, 3, b"out.txt", "out\0.txt"])
+def test_what_is_no_path_is_refused(path: object) -> None:
+    for use in (files.read_text, lambda path: files.write_text(path, "text")):
+        with pytest.raises(InvalidInput, match="is no path"):
+            use(path)  # type: ignore[operator]
+
+
 def test_other_errors_pass_through_unchanged(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="mass"), files.atomic(tmp_path / "out.txt"):
         raise InvalidInput("mass is negative")

@@ -366,6 +366,25 @@ def test_unsorted_and_infinite_samples_are_named(tmp_path: Path) -> None:
             read_recording(csv(tmp_path, "t,th1", table), time_unit="s", unit="rad")
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", ["t", "th1", "w1", "sd_th1"])
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_huge_numbers_are_named_without_warnings(tmp_path: Path, name: str, wrapped: bool) -> None:
+    t, data, rates = swing(n=1)
+    table = np.column_stack([t, data, rates, np.full(t.size, 1e-3)])
+    column = ["t", "th1", "w1", "sd_th1"].index(name)
+    table[-2:, column] = -1e308, 1e308
+    path = csv(tmp_path, "t,th1,w1,sd_th1", table)
+    with pytest.raises(InvalidInput, match=r"\[398(, 0)?\] cannot be used: got -1e\+308"):
+        read_recording(path, time_unit="min", unit="turn", wrapped=wrapped)
+
+
+@pytest.mark.parametrize("path", [None, 3, b"swing.csv", "swing\0.csv"])
+def test_what_is_no_path_is_refused(path: Any) -> None:
+    with pytest.raises(InvalidInput, match="path of the recording is no path"):
+        read_recording(path)
+
+
 def test_other_suffixes_and_missing_files(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="no known suffix"):
         read_recording(tmp_path / "swing.xlsx")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from hyperflex.errors import FileProblem
-from hyperflex.files._writing import PathLike
+from hyperflex.files._writing import PathLike, as_path
 
 
 def read_bytes(path: PathLike, what: str = "file") -> bytes:
@@ -15,9 +13,11 @@ def read_bytes(path: PathLike, what: str = "file") -> bytes:
     ------
     FileProblem
         When it is missing, a folder, not readable or empty.
+    InvalidInput
+        When `path` is no path at all, e.g. None.
     """
     try:
-        content = Path(path).read_bytes()
+        content = as_path(path, what).read_bytes()
     except FileNotFoundError:
         raise FileProblem(f"There is no {what} {path}. Check the name and the folder.") from None
     except IsADirectoryError:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from hyperflex.errors import FileProblem, HyperflexError
+from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
 
 PathLike = str | os.PathLike[str]
 
@@ -51,11 +51,11 @@ def atomic_path(path: PathLike) -> Iterator[Path]:
     except HyperflexError:
         raise
     except OSError as error:
-        raise _write_problem(target, error) from error
+        raise _write_problem(target, part, error) from error
     except RuntimeError as error:  # HDF5 reports a full disk like this when it closes a file
         if not _NO_SPACE_TEXT.search(str(error)):
             raise
-        raise _write_problem(target, error) from error
+        raise _write_problem(target, part, error) from error
     finally:
         part.unlink(missing_ok=True)
 
@@ -95,6 +95,13 @@ def atomic(path: PathLike, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
         yield file
 
 
+def as_path(path: PathLike, what: str = "file") -> Path:
+    """Return `path` as a Path; InvalidInput when it is none (`what` names the kind of file in the message)."""
+    if not isinstance(path, (str, os.PathLike)) or "\0" in os.fspath(path):
+        raise InvalidInput(f"the path of the {what} is no path", got=path, allowed="a file name as str or pathlib.Path")
+    return Path(path)
+
+
 def write_text(path: PathLike, text: str) -> None:
     """Write `text` (UTF-8) to `path`, wholly or not at all. Raises FileProblem as :func:`atomic_path` does."""
     with atomic(path) as file:
@@ -103,7 +110,7 @@ def write_text(path: PathLike, text: str) -> None:
 
 def _target(path: PathLike) -> Path:
     """Return the real path to write to, or say why it cannot be written."""
-    target = Path(os.path.realpath(path))
+    target = Path(os.path.realpath(as_path(path)))
     try:
         kind = target.stat().st_mode
     except FileNotFoundError:
@@ -131,11 +138,17 @@ def _settle(part: Path, target: Path) -> None:
     part.replace(target)
 
 
-def _write_problem(target: Path, error: OSError | RuntimeError) -> FileProblem:
+def _write_problem(target: Path, part: Path, error: OSError | RuntimeError) -> FileProblem:
     """Turn a system error into one that says what happened to the user's file."""
     stands = "The earlier file still stands unchanged" if target.exists() else "Nothing was written"
     if getattr(error, "errno", None) in _NO_SPACE or _NO_SPACE_TEXT.search(str(error)):
         return FileProblem(f"{target} could not be written: no space left. {stands}. Free some space and try again.")
     if isinstance(error, PermissionError):
         return FileProblem(f"{target} could not be written: no permission. {stands}. Give a path you may write to.")
-    return FileProblem(f"{target} could not be written: {error}. {stands}.")
+    ours = getattr(error, "filename", None) in (None, str(part))
+    if isinstance(error, FileNotFoundError) and ours:
+        return FileProblem(
+            f"{target} could not be written: its folder takes no new files. {stands}. Give another path."
+        )
+    reason = (ours and getattr(error, "strerror", None)) or str(error).replace(part.name, target.name)
+    return FileProblem(f"{target} could not be written: {reason}. {stands}.")

@@ -21,6 +21,7 @@ RADIANS = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "turn": 2.0 * math.
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 FASTEST = 300.0  # rad/s, 48 turns a second: faster than any pendulum or rope link seen in recordings so far
 LONG = 3.5  # usual steps; up to two missing rows leave the slope of a well sampled swing readable
+HUGE = 1e60  # no measurement; larger ones overflow where products of angles, rates and times are squared
 
 OPTIONS: dict[str, tuple[str, ...]] = {
     "time_unit": (*SECONDS, "frame"),
@@ -72,6 +73,7 @@ def settle(raw: Raw, given: Arguments) -> Recording:
     """Return `raw` as a Recording, or say what has not been declared."""
     said = _Said(raw, given)
     said.require_all()
+    _check_size(raw)
     t = _seconds(raw, said)
     spread = _spread(raw, given)
     convert = _angles if raw.kind == "angles" else _markers
@@ -80,6 +82,19 @@ def settle(raw: Raw, given: Arguments) -> Recording:
     if recording.kind == "angles":
         _check_speed(recording, checks.number("max_rate", given.max_rate, sign="positive", unit="rad/s"))
     return recording
+
+
+def _check_size(raw: Raw) -> None:
+    """Refuse infinite and absurdly large numbers before anything is computed with them."""
+    for name, values in (("t", raw.t), ("data", raw.data), ("rates", raw.rates), ("noise", raw.noise)):
+        bad = np.argwhere(np.abs(values) > HUGE) if values is not None else np.empty((0, 0))
+        if values is not None and bad.size:
+            place = tuple(int(k) for k in bad[0])
+            raise InvalidInput(
+                f"{raw.source}: {name}{list(place)} cannot be used",
+                got=float(values[place]),
+                allowed=f"finite numbers up to {HUGE:g} in size (NaN marks a gap)",
+            )
 
 
 def _spread(raw: Raw, given: Arguments) -> Array | None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike
+from hyperflex.files import PathLike, as_path
 from hyperflex.recording import _csv, _matfile, _netcdf
 from hyperflex.recording._declare import FASTEST, Arguments, settle
 from hyperflex.recording._recording import Recording
@@ -96,7 +95,8 @@ def read_recording(
     >>> recording.t.tolist(), recording.data[:, 0].round(4).tolist()
     ([0.0, 0.01, 0.02], [0.5236, 0.5219, 0.5166])
     """
-    suffix = Path(path).suffix.lower()
+    file = as_path(path, "recording")
+    suffix = file.suffix.lower()
     if suffix in (".csv", ".txt"):
         raw = _csv.read(path, time, kind, columns)
     elif suffix in (".nc", ".mat"):
@@ -110,4 +110,4 @@ def read_recording(
     given = Arguments(
         time_unit, unit, frame_rate, y_axis, scale, zero, sense, angles, wrapped, noise=noise, max_rate=max_rate
     )
-    return settle(replace(raw, name=name or raw.name or Path(path).stem), given)
+    return settle(replace(raw, name=name or raw.name or file.stem), given)
