@@ -17,7 +17,8 @@ from hyperflex.identification._prediction import predict
 from hyperflex.identification._result import Identification
 from hyperflex.identification._shooting import Fit, Plant, Report
 from hyperflex.identification._stages import fit_in_stages
-from hyperflex.identification._uncertainty import Information, judge, ratio_spread, ratios, verdict
+from hyperflex.identification._uncertainty import Information, judge, ratio_spread, ratios
+from hyperflex.identification._verdict import failed_predictions, verdict
 from hyperflex.identification._windows import (
     Window,
     check_motion,
@@ -209,7 +210,7 @@ def _result(
     rms = np.sqrt(np.nanmean(residuals**2, axis=0))
     ratio_sd = ratio_spread(parameters, information)
     words = verdict(parameters, information, rope, ratio_sd)
-    words += _poor(windows, rms)
+    words += _poor(windows, rms) + failed_predictions(held_out)
     return Identification(
         rope=rope,
         values=_by_name(parameters, rope, parameters.values(found.x)),

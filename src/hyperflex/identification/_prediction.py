@@ -28,7 +28,8 @@ class HeldOut:
     lead, ahead : float, s
         Time on which each state was fitted, and time predicted without data.
     t (m,), measured (m, n), predicted (m, n)
-        All predicted samples, for drawing; NaN in gaps. Where no prediction could be made it is inf, and so is the rms.
+        All predicted samples, for drawing; measured is NaN in gaps. A stretch that could not be predicted, or whose
+        prediction does not stay finite, is inf throughout, and so is its rms and that of all.
     """
 
     rms: Array
@@ -40,6 +41,11 @@ class HeldOut:
     measured: Array
     predicted: Array
 
+    @property
+    def failed(self) -> Array:
+        """Where predictions start that failed, s."""
+        return self.starts[np.isinf(self.window_rms).any(axis=1)]
+
 
 def predict(plant: Plant, rope: Rope, recording: Recording, lead: float = 0.5, ahead: float = 1.0) -> HeldOut | None:
     """Predict a recording of angles piece by piece.
@@ -50,6 +56,12 @@ def predict(plant: Plant, rope: Rope, recording: Recording, lead: float = 0.5, a
     Returns
     -------
     HeldOut, or None where the recording is too short for one prediction.
+
+    Notes
+    -----
+    Recordings with more than 200 samples in `lead` are decimated first (every k-th sample is picked): the states are
+    fitted to, and the rms taken over, what is left. All samples count alike in both: the recording's noise is not used
+    as a weight.
     """
     recording = recording.decimate(thin(recording, lead))
     t, slack = recording.t, 1e-9 + 1e-6 * ahead
@@ -67,7 +79,7 @@ def predict(plant: Plant, rope: Rope, recording: Recording, lead: float = 0.5, a
         starts.append(float(start))
         times.append(t[after])
         measured.append(recording.data[after])
-        predicted.append(np.full(measured[-1].shape, np.inf) if q is None else q[1:])
+        predicted.append(q[1:] if q is not None and np.isfinite(q).all() else np.full(measured[-1].shape, np.inf))
     if not starts:
         return None
     errors = [p - m for p, m in zip(predicted, measured, strict=True)]
@@ -84,7 +96,7 @@ def predict(plant: Plant, rope: Rope, recording: Recording, lead: float = 0.5, a
 
 
 def _rms(error: Array) -> Array:
-    """Return the root mean square (n,) of errors (m, n), gaps left out; NaN where there is nothing."""
+    """Return the root mean square (n,) of errors (m, n), gaps (NaN) left out; NaN where there is nothing."""
     known = ~np.isnan(error)
     with np.errstate(invalid="ignore", divide="ignore"):
         result: Array = np.sqrt((np.where(known, error, 0.0) ** 2).sum(axis=0) / known.sum(axis=0))

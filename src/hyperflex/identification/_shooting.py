@@ -23,6 +23,8 @@ PRECISION = 1e-9  # tolerance of a rollout over the rope's length, far below any
 NUDGE = 1e-5  # rad, difference in the initial state for derivatives
 LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
 ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their sd
+SHORT = 1.0  # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
+LEFT = 1e-6  # damping for what the linear model has left to gain: parameters that do not act promise nothing
 Report = Callable[[dict[str, float]], None]
 
 
@@ -125,6 +127,7 @@ class _Linear:
 
     state: Array
     shared: Array
+    known: bool = True  # False: no rollout near its state succeeds, and the derivatives are set to 0
 
 
 def fit(
@@ -158,13 +161,14 @@ def fit(
         for number in range(rounds):
             before = best.cost
             linear = _linearise(plant, parameters, windows, best)
-            damping = _improve(plant, parameters, windows, best, linear, damping)
+            promised = _promise(parameters, best, linear)
+            damping, free = _improve(plant, parameters, windows, best, linear, damping)
             gain = (before - best.cost) / before if before > 0.0 else 0.0
             best.history.append({"round": number, "cost": best.cost, "gain": gain, "damping": damping})
             if report is not None:
                 report(best.history[-1])
-            if gain < min(1e-4, ENOUGH / count):
-                best.converged = True
+            if gain < (enough := min(1e-4, ENOUGH / count)):
+                best.converged = free or promised < enough * before
                 break
     except KeyboardInterrupt:
         best.interrupted = True
@@ -194,12 +198,13 @@ def _linearise(plant: Plant, parameters: Parameters, windows: Sequence[Window], 
     result = []
     for window, state, residual in zip(windows, at.states, at.residuals, strict=True):
         slope = state_jacobian(plant, rope, window, state, residual)
+        known = True
         others = [other for each in ropes if (other := plant.residual(each, window, state)) is not None]
         if slope is None or len(others) < len(ropes):
             slope = np.zeros((residual.size, state.size))  # a window on the brink: leave it as it is in this round
-            others = [residual] * len(ropes)
+            others, known = [residual] * len(ropes), False
         shared = np.stack([(other - residual) / s for other, s in zip(others, steps, strict=True)], axis=1)
-        result.append(_Linear(slope, shared))
+        result.append(_Linear(slope, shared, known))
     return result
 
 
@@ -209,37 +214,66 @@ def reduce(slope: Array, shared: Array, residual: Array) -> tuple[Array, Array]:
     return shared - basis @ (basis.T @ shared), residual - basis @ (basis.T @ residual)
 
 
+@dataclass
+class _Step:
+    """A step of the linear model: of the parameters (P,) and of each window's state (2n,)."""
+
+    shared: Array
+    states: list[Array]
+
+
+def _step(parameters: Parameters, at: Fit, linear: list[_Linear], damping: float) -> _Step:
+    """Return the damped step of least squares within the bounds."""
+    root = np.sqrt(damping)
+    width = np.sqrt(sum((each.shared**2).sum(axis=0) for each in linear)) + 1e-12
+    matrix, gradient = np.diag((root * width) ** 2), np.zeros(at.x.size)
+    padded = []
+    for each, residual in zip(linear, at.residuals, strict=True):
+        size = np.sqrt((each.state**2).sum(axis=0)) + 1e-12
+        slope = np.vstack([each.state, np.diag(root * size)])
+        shared = np.vstack([each.shared, np.zeros((size.size, at.x.size))])
+        right = np.append(residual, np.zeros(size.size))
+        left, rest = reduce(slope, shared, right)
+        matrix += left.T @ left
+        gradient += left.T @ rest
+        padded.append((slope, shared, right))
+    move = _bounded(matrix, gradient, at.x, parameters.lower)
+    states = [-np.linalg.lstsq(slope, right + shared @ move, rcond=None)[0] for slope, shared, right in padded]
+    return _Step(move, states)
+
+
+def _promise(parameters: Parameters, at: Fit, linear: list[_Linear]) -> float:
+    """Return by how much the cost would fall if the model were linear; inf where no window has derivatives."""
+    if not any(each.known for each in linear):
+        return float("inf")
+    step = _step(parameters, at, linear, LEFT)
+    left = 0.0
+    for each, residual, state in zip(linear, at.residuals, step.states, strict=True):
+        ahead = residual + each.state @ state + each.shared @ step.shared
+        left += float(ahead @ ahead)
+    return at.cost - left
+
+
 def _improve(
     plant: Plant, parameters: Parameters, windows: Sequence[Window], best: Fit, linear: list[_Linear], damping: float
-) -> float:
-    """Take one accepted step (or none, when no damping helps); `best` is changed in place. Return the damping."""
-    lower, before = parameters.lower, best.cost
-    sizes = [np.sqrt((each.state**2).sum(axis=0)) + 1e-12 for each in linear]
-    width = np.sqrt(sum((each.shared**2).sum(axis=0) for each in linear)) + 1e-12
+) -> tuple[float, bool]:
+    """Take one accepted step (or none, when no damping helps); `best` is changed in place.
+
+    Return the damping for the next round, and whether a step was taken that damping did not much shorten.
+    """
+    before = best.cost
     while damping < MOST_DAMPING:
-        root = np.sqrt(damping)
-        matrix, gradient = np.diag((root * width) ** 2), np.zeros(best.x.size)
-        padded = []
-        for each, size, residual in zip(linear, sizes, best.residuals, strict=True):
-            slope = np.vstack([each.state, np.diag(root * size)])
-            shared = np.vstack([each.shared, np.zeros((size.size, best.x.size))])
-            right = np.append(residual, np.zeros(size.size))
-            left, rest = reduce(slope, shared, right)
-            matrix += left.T @ left
-            gradient += left.T @ rest
-            padded.append((slope, shared, right))
-        move = _bounded(matrix, gradient, best.x, lower)
-        tried = [
-            state - np.linalg.lstsq(slope, right + shared @ move, rcond=None)[0]
-            for state, (slope, shared, right) in zip(best.states, padded, strict=True)
-        ]
-        rope = parameters.possible(best.x + move)
-        residuals = None if rope is None else _residuals(plant, rope, windows, tried)
+        step = _step(parameters, best, linear, damping)
+        x = best.x + step.shared
+        states = [state + move for state, move in zip(best.states, step.states, strict=True)]
+        rope = parameters.possible(x)
+        residuals = None if rope is None else _residuals(plant, rope, windows, states)
         if residuals is not None and sum(r @ r for r in residuals) <= before:
-            best.x, best.states, best.residuals = best.x + move, tried, residuals
-            return max(0.1 * damping, LEAST_DAMPING)
+            best.x, best.states, best.residuals = x, states, residuals
+            free = damping <= SHORT and any(each.known for each in linear)
+            return max(0.1 * damping, LEAST_DAMPING), free
         damping = max(10.0 * damping, 1e-6)
-    return 1e-3
+    return 1e-3, False
 
 
 def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification._parameters import FORMS, Parameters, lumped
+from hyperflex.identification._parameters import Parameters, lumped
 from hyperflex.identification._shooting import PRECISION, Fit, Plant, reduce, state_nudges
 from hyperflex.identification._windows import Window
 from hyperflex.model import Rope
@@ -98,16 +98,24 @@ def _at_parameter(
 
 
 def _central(function: Callable[[Array], Array | None], at: Array, steps: Array, lower: Array) -> Array | None:
-    """Return derivatives by central differences, one-sided at a lower bound; None where the function has no value."""
+    """Return derivatives by central differences; None where the function has no value.
+
+    At a lower bound three points on the allowed side take their place. Two would err in the first order of the step,
+    enough to turn directions that cannot be known into ones that touch a weakly known parameter.
+    """
     columns = []
     for k, step in enumerate(steps):
-        up, down = at.copy(), at.copy()
-        up[k] += step
-        down[k] = max(at[k] - step, lower[k])
-        above, below = function(up), function(down)
-        if above is None or below is None:
+        one, other = at.copy(), at.copy()
+        one[k] += step
+        bounded = at[k] - step < lower[k]
+        other[k] += 2.0 * step if bounded else -step
+        values = [function(one), function(other), function(at) if bounded else None]
+        near, far, middle = values
+        if near is None or far is None or (bounded and middle is None):
             return None
-        columns.append((above - below) / (up[k] - down[k]))
+        columns.append(
+            (near - far) / (2.0 * step) if middle is None else (4.0 * near - far - 3.0 * middle) / (2.0 * step)
+        )
     return np.stack(columns, axis=1)
 
 
@@ -170,32 +178,3 @@ def _wide_ratios(rope: Rope) -> dict[str, Array]:
     """Return the ratios with those that are 0."""
     p, _ = lumped(rope)
     return ratios(rope) | {"dry/p1": rope.dry_friction / p[0], "k/p1": rope.stiffness / p[0]}
-
-
-def verdict(parameters: Parameters, information: Information, rope: Rope, spreads: dict[str, Array]) -> list[str]:
-    """Return in words what the recording can and cannot tell."""
-    said: list[str] = []
-    count = information.unknown.shape[1]
-    part = np.sqrt((information.unknown**2).sum(axis=1)) if count else np.zeros(len(parameters))
-    hidden = dict.fromkeys(p.name for p, share in zip(parameters.all, part, strict=True) if share > TOUCHED)
-    if count:
-        lost = [name for name, sd in spreads.items() if np.isinf(sd).any()]
-        what = "One common factor" if count == 1 else f"{count} combinations"
-        said.append(
-            f"{what} of {', '.join(hidden)} cannot be known from this motion (no known force or torque acts); their "
-            "values are one choice of many that move alike. "
-            + (f"Not even these ratios are known: {', '.join(lost)}." if lost else "The ratios over p1 are known.")
-            + " To fix the values, weigh the links and leave mass and com out of free."
-        )
-    else:
-        said.append("All free parameters can be known from this motion, given those that were held.")
-    sd = information.spread(np.diag(parameters.slopes(information.x)))
-    values = parameters.values(information.x)
-    for parameter, value, spread in zip(parameters.all, values, sd, strict=True):
-        if parameter.form == "nonnegative" and value == 0.0:
-            said.append(f"{parameter.label} went to 0, the least allowed: the data show none of it.")
-        elif FORMS[parameter.name] != "linear" and np.isfinite(spread) and spread > 0.5 * value:
-            said.append(f"{parameter.label} is hardly known: {value:.3g} with a standard deviation of {spread:.2g}.")
-    if "inertia" in {p.name for p in parameters.all} and (rope.inertia == 0.0).any():
-        said.append("An inertia at 0 may mean that the masses held do not fit: put 'mass' into free as well.")
-    return said

@@ -1,0 +1,131 @@
+"""In words: what a recording can tell about the free parameters, what it cannot, and what looks wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification._parameters import FORMS, SHARE, Parameters, lumped
+from hyperflex.identification._prediction import HeldOut
+from hyperflex.identification._uncertainty import TOUCHED, Information
+from hyperflex.model import Rope
+
+PARALLEL = 0.1  # part of a direction that may lie outside of others for it to count as one of them
+
+
+def verdict(parameters: Parameters, information: Information, rope: Rope, spreads: dict[str, Array]) -> list[str]:
+    """Return in words what the recording can and cannot tell.
+
+    Parameters
+    ----------
+    parameters, information
+        What was free, and what the windows tell about it.
+    rope : Rope
+        As fitted.
+    spreads : dict of str to ndarray (n,)
+        Standard deviations of the ratios over p1.
+    """
+    return _unknown(parameters, information, spreads) + _values(parameters, information, rope)
+
+
+def failed_predictions(held_out: HeldOut | None) -> list[str]:
+    """Return a warning where held-out stretches could not be predicted."""
+    if held_out is None or held_out.failed.size == 0:
+        return []
+    starts = ", ".join(f"{start:.4g}" for start in held_out.failed)
+    text = (
+        f"{held_out.failed.size} of {held_out.starts.size} held-out predictions failed (from t = {starts} s): the "
+        "identified rope cannot be simulated there, and the prediction error counts as infinite."
+    )
+    return [text]
+
+
+def scaling(parameters: Parameters, x: Array) -> Array | None:
+    """Return the direction (P,) in which all moments, frictions and stiffnesses grow alike, or None if there is none.
+
+    In units of ``parameters.widths``, of length 1. It is the one that leaves the motion as it is where no known force
+    acts: d/dx of p, J (about the joint), viscous friction, dry friction and stiffness equals their own value, the
+    lengths between joints stay. Torques weigh as little as they act: one that is held hides no common factor of the
+    moments, it only limits it.
+    """
+    now, fixed = _scaled(parameters.rope(x)), np.abs(_scaled(parameters.rope(x)))
+    n = parameters.guess.n_links
+    sizes = np.concatenate([np.full(n, part.max() or 1.0) for part in fixed.reshape(-1, n)])
+    weights = np.concatenate([np.ones(3 * n), np.full(3 * n, SHARE)]) / sizes
+    columns = []
+    for k, step in enumerate(1e-6 * parameters.widths):
+        up = x.copy()
+        up[k] += step
+        columns.append((_scaled(parameters.rope(up)) - now) / step * parameters.widths[k])
+    wanted = np.where(np.arange(6 * n) // n == 2, 0.0, now) * weights
+    matrix = np.stack(columns, axis=1) * weights[:, None]
+    found: Array = np.linalg.lstsq(matrix, wanted, rcond=1e-8)[0]
+    away = (matrix @ found - wanted)[: 3 * n]
+    length = float(np.linalg.norm(found))
+    if np.linalg.norm(away) > PARALLEL * np.linalg.norm(wanted[: 3 * n]) or length == 0.0:
+        return None
+    return found / length
+
+
+def _scaled(rope: Rope) -> Array:
+    """Return p, J, lengths between joints, viscous friction, dry friction, stiffness in one row (6 n,)."""
+    between = np.append(rope.length[:-1], 0.0)
+    return np.concatenate([*lumped(rope), between, rope.friction, rope.dry_friction, rope.stiffness])
+
+
+def _unknown(parameters: Parameters, information: Information, spreads: dict[str, Array]) -> list[str]:
+    """Return what cannot be known: a common factor, parameters that do not act, and those that act alike."""
+    unknown = information.unknown
+    if unknown.shape[1] == 0:
+        return ["All free parameters can be known from this motion, given those that were held."]
+    common = scaling(parameters, information.x)
+    if common is not None and np.linalg.norm(common - unknown @ (unknown.T @ common)) > PARALLEL:
+        common = None
+    others = unknown if common is None else unknown - np.outer(common, common @ unknown)
+    idle = np.sqrt((others**2).sum(axis=1)) > 1.0 - TOUCHED
+    shares = np.sqrt((unknown**2).sum(axis=1))
+    free = zip(parameters.all, shares, idle, strict=True)
+    names = ", ".join(dict.fromkeys(p.name for p, share, alone in free if share > TOUCHED and not alone))
+    count = unknown.shape[1] - int(idle.sum())
+    said = [_together(names, count, spreads, common is not None)] if count else []
+    said.extend(
+        f"{label} cannot be known: it does not act in this motion, and its value means nothing. Leave it out of free, "
+        "or record a motion in which it acts."
+        for label, alone in zip(parameters.labels, idle, strict=True)
+        if alone
+    )
+    return said
+
+
+def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -> str:
+    """Return what to say of `count` directions in which several parameters cannot be told apart."""
+    lost = [name for name, sd in spreads.items() if np.isinf(sd).any()]
+    known = f"Not even these ratios are known: {', '.join(lost)}." if lost else "The ratios over p1 are known."
+    if common:
+        what = "One common factor" if count == 1 else f"{count} combinations"
+        return (
+            f"{what} of {names} cannot be known from this motion (no known force or torque acts); their values are one "
+            f"choice of many that move alike. {known} To fix the values, weigh the links and leave mass and com out of "
+            "free."
+        )
+    what = "One combination" if count == 1 else f"{count} combinations"
+    return (
+        f"{what} of {names} cannot be known: these parameters act alike in this motion and cannot be told apart; their "
+        f"values are one choice of many. {known} To fix the values, leave out of free what you can measure otherwise, "
+        "or record a motion in which they act differently."
+    )
+
+
+def _values(parameters: Parameters, information: Information, rope: Rope) -> list[str]:
+    """Return what looks odd about single values."""
+    said = []
+    sd = information.spread(np.diag(parameters.slopes(information.x)))
+    values = parameters.values(information.x)
+    for parameter, value, spread in zip(parameters.all, values, sd, strict=True):
+        if parameter.form == "nonnegative" and value == 0.0:
+            said.append(f"{parameter.label} went to 0, the least allowed: the data show none of it.")
+        elif FORMS[parameter.name] != "linear" and np.isfinite(spread) and spread > 0.5 * value:
+            said.append(f"{parameter.label} is hardly known: {value:.3g} with a standard deviation of {spread:.2g}.")
+    if "inertia" in {p.name for p in parameters.all} and (rope.inertia == 0.0).any():
+        said.append("An inertia at 0 may mean that the masses held do not fit: put 'mass' into free as well.")
+    return said
