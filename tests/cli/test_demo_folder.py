@@ -11,6 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import FileProblem
 from hyperflex.report.demo import held_out_rms, write_demo
+from hyperflex.report.identified import prediction_figure
 
 
 def test_the_folder_is_complete(demo_report):
@@ -39,6 +40,12 @@ def test_intervals_cover_the_mapped_truth_and_exclude_the_guess(demo_report):
         assert low < each.mapped < high, each
         assert each.covered
         assert not low < each.guess < high, each
+
+
+def test_links_of_the_prediction_are_counted_from_1(demo_report):
+    demo = demo_report.demo
+    figure = prediction_figure(demo.recording, demo.identification, (0, 9))
+    assert [axis.get_title("left") for axis in figure.axes] == ["link 1 of 10", "link 10 of 10 (the tip)"]
 
 
 def test_a_parameter_outside_its_interval_is_told(demo_report):

@@ -37,11 +37,14 @@ def test_an_unknown_figure_is_refused(hyperflex_json, tmp_path):
     assert not (tmp_path / "paper").exists()
 
 
-def test_ctrl_c_while_drawing_leaves_only_whole_files(hyperflex, tmp_path, monkeypatch):
+def test_ctrl_c_while_drawing_leaves_the_folder_as_it_was(hyperflex, tmp_path, monkeypatch):
     def interrupted(_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(reproduce.casting, "fig10", interrupted)
-    code, out, _ = hyperflex("reproduce", "fig9", "fig10", "-o", tmp_path)
+    (tmp_path / "fig9.png").write_text("earlier")
+    code, out, err = hyperflex("reproduce", "fig9", "fig10", "-o", tmp_path)
     assert (code, out) == (130, "")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["fig9.csv", "fig9.png"]
+    assert err.startswith("hyperflex: Interrupted")
+    assert [path.name for path in tmp_path.iterdir()] == ["fig9.png"]
+    assert (tmp_path / "fig9.png").read_text() == "earlier"

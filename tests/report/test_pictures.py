@@ -162,3 +162,17 @@ def test_arms_of_fig9_reach_half_a_turn():
     for axis in casting.fig9(paper.casts()).axes:
         for line in axis.get_lines():
             assert np.ptp(line.get_ydata()) == pytest.approx(180.0, abs=1e-9)
+
+
+def test_figures_that_cut_spikes_off_say_where_and_how_high_they_are():
+    casts = paper.casts()
+    greatest_r = max(cast.spiral.r.max() for cast in casts.values())
+    greatest_v = max(np.abs(cast.spiral.scaled_velocity).max() for cast in casts.values())
+    for figure, axis, greatest in (
+        (casting.fig11(casts), 0, greatest_r),
+        (casting.fig12(casts), 0, greatest_v),
+    ):
+        top = figure.axes[axis].get_ylim()[1]
+        assert greatest > top  # else there is nothing to say
+        assert f"cut off at {top:g} m" in figure.get_supxlabel()
+        assert f"{greatest:.1f} m" in figure.get_supxlabel()

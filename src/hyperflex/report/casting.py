@@ -20,7 +20,7 @@ _NAME: dict[Outcome, str] = {
     "success": f"success (rest {T_REST['success']:.2f} s)",
     "failure": f"failure, inferred (rest {T_REST['failure']:.2f} s)",
 }
-_R_TOP = 3.0  # m, whip spikes of r are cut off here so that its steps can be seen
+_TOP = 3.0  # m, whip spikes of r and of the portrait are cut off here so that the steps can be seen
 
 
 def fig9(casts: Casts) -> Figure:
@@ -73,9 +73,11 @@ def fig11(casts: Casts) -> Figure:
                 _line(row[1], cast, cast.spiral.theta, outcome)
             swing = (success.arm_angle - success.arm_angle.min()) / np.ptp(success.arm_angle)
             row[0].plot(success.t, 0.35 * swing - 0.45, color=GREY, lw=0.8)
-            row[0].set(ylim=(-0.55, _R_TOP), ylabel="r, m", title=reading.title)
+            row[0].set(ylim=(-0.55, _TOP), ylabel="r, m", title=reading.title)
             row[1].set(ylabel="theta, rad")
         _finish(figure, axes, "Spiral coordinates, simulated (Fig. 11)")
+        greatest = max(float(cast.spiral.r.max()) for cast in casts.values())
+        _cut_note(figure, f"r is cut off at {_TOP:g} m: the tip cracks like a whip, and r spikes to {greatest:.1f} m")
     return figure
 
 
@@ -99,22 +101,30 @@ def fig12(casts: Casts) -> Figure:
             fontsize=9.5,
             color=INK,
         )
+        greatest = max(float(np.abs(cast.spiral.scaled_velocity).max()) for cast in casts.values())
+        _cut_note(
+            figure, f"cut off at {_TOP:g} m: the tip cracks like a whip, and |c dx/dt| spikes to {greatest:.1f} m"
+        )
     return figure
+
+
+def _cut_note(figure: Figure, text: str) -> None:
+    """Say at the foot of a figure what its axes leave out."""
+    figure.supxlabel(f"Note: {text}; the CSV file is not cut off.", x=0.01, ha="left", fontsize=8.0, color=INK)
 
 
 def _portrait(axis: Any, cast: Cast, colour: str) -> None:
     from matplotlib.collections import LineCollection
 
-    limit = 3.0
     angle = np.linspace(0.0, 2.0 * np.pi, 181)
-    for radius in np.arange(0.5, 3.1, 0.5):
+    for radius in np.arange(0.5, _TOP + 0.1, 0.5):
         axis.plot(radius * np.cos(angle), radius * np.sin(angle), color="#dfe3e9", lw=0.7, zorder=0)
     portrait = cast.portrait
     axis.add_collection(LineCollection(portrait.resting, colors=colour, linewidths=0.6, alpha=0.8))
     axis.add_collection(LineCollection(portrait.moving, colors=colour, linewidths=1.9, alpha=0.75))
     axis.plot(*portrait.starts.T, "o", ms=4.0, mfc="white", mec=INK, mew=0.9)
     axis.plot(*portrait.ends.T, "x", ms=4.5, mec=INK, mew=1.1)
-    axis.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
+    axis.set(xlim=(-_TOP, _TOP), ylim=(-_TOP, _TOP), aspect="equal")
     axis.grid(False)
 
 

@@ -13,7 +13,7 @@ from hyperflex.paper.casting import T_MOVE, T_REST, casting_arm
 from hyperflex.paper.claims import WINDOW
 from hyperflex.paper.demo import INTERVAL, Demo, run_demo
 from hyperflex.report.animation import animate
-from hyperflex.report.folder import output_folder
+from hyperflex.report.folder import whole_folder
 from hyperflex.report.identified import casts_figure, parameters_figure, prediction_figure
 from hyperflex.report.page import Picture, Section, write_page
 from hyperflex.report.strobe import strobe
@@ -60,7 +60,7 @@ def write_demo(directory: str | Path, tell: Tell = lambda _: None) -> DemoReport
     Parameters
     ----------
     directory : str or Path
-        Folder to write to; made if it is not there.
+        Folder to write to, whole or not at all; made if it is not there, other files in it stay.
     tell : callable
         Told in words what is being done.
 
@@ -73,23 +73,24 @@ def write_demo(directory: str | Path, tell: Tell = lambda _: None) -> DemoReport
     FileProblem
         The folder cannot be made or written to.
     """
-    folder = output_folder(directory)
-    demo = run_demo(tell)
+    with whole_folder(directory) as stage:
+        demo = run_demo(tell)
+        parameters, reaches = _parameters_table(demo), _reaches_table(demo)
+        written = _write(stage, demo, parameters, reaches, tell)
+    return DemoReport({kind: Path(directory) / name for kind, name in written.items()}, demo, parameters, reaches)
+
+
+def _write(folder: Path, demo: Demo, parameters: TextTable, reaches: TextTable, tell: Tell) -> dict[str, str]:
+    """Write everything to `folder`; return the names of the files by what they are."""
     tell("drawing")
-    middle = demo.recording.n_links // 2
-    pictures = {
-        "prediction": png(prediction_figure(demo.recording, demo.identification, (middle, demo.recording.n_links - 1))),
-        "parameters": png(parameters_figure(demo.parameters)),
-        "strobe": png(strobe(demo.cast, start=10.1, end=11.35, count=60, title="identified rope, cast (simulated)")),
-        "casts": png(casts_figure(demo)),
-    }
-    written = {name: folder / f"{name}.png" for name in pictures}
-    for name, content in pictures.items():
-        with files.atomic(written[name], "wb") as file:
+    pictures = _pictures(demo)
+    names = {kind: f"{kind}.png" for kind in pictures}
+    names |= {"film": "cast.gif", "cast": "cast.nc", "rope": "rope.toml"}
+    names |= {"identification": "identification.json", "summary": "summary.md", "page": "report.html"}
+    written = {kind: folder / name for kind, name in names.items()}
+    for kind, content in pictures.items():
+        with files.atomic(written[kind], "wb") as file:
             file.write(content)
-    written |= {"film": folder / "cast.gif", "cast": folder / "cast.nc", "rope": folder / "rope.toml"}
-    written |= {"identification": folder / "identification.json", "summary": folder / "summary.md"}
-    written["page"] = folder / "report.html"
     animate(
         demo.cast,
         written["film"],
@@ -102,11 +103,20 @@ def write_demo(directory: str | Path, tell: Tell = lambda _: None) -> DemoReport
     demo.cast.to_netcdf(written["cast"])
     demo.identification.to_toml(written["rope"])
     demo.identification.to_json(written["identification"])
-    parameters, reaches = _parameters_table(demo), _reaches_table(demo)
     files.write_text(written["summary"], _summary(demo, parameters, reaches))
-    film = written["film"].read_bytes()
-    _write_page(written["page"], demo, pictures, film, parameters, reaches)
-    return DemoReport(written, demo, parameters, reaches)
+    _write_page(written["page"], demo, pictures, written["film"].read_bytes(), parameters, reaches)
+    return names
+
+
+def _pictures(demo: Demo) -> dict[str, bytes]:
+    """Return the PNGs by name."""
+    last = demo.recording.n_links - 1
+    return {
+        "prediction": png(prediction_figure(demo.recording, demo.identification, ((last + 1) // 2, last))),
+        "parameters": png(parameters_figure(demo.parameters)),
+        "strobe": png(strobe(demo.cast, start=10.1, end=11.35, count=60, title="identified rope, cast (simulated)")),
+        "casts": png(casts_figure(demo)),
+    }
 
 
 def held_out_rms(demo: Demo) -> float:

@@ -1,25 +1,100 @@
-"""The folder that a report goes to."""
+"""The folder that a report goes to: all of its files or none."""
 
 from __future__ import annotations
 
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from hyperflex.errors import FileProblem
 
 
-def output_folder(directory: str | Path) -> Path:
-    """Return `directory` as a folder that exists, making it and its parents if need be.
+@contextmanager
+def whole_folder(directory: str | Path) -> Iterator[Path]:
+    """Give a temporary folder to write to; move its files to `directory` when the block ends well.
+
+    Parameters
+    ----------
+    directory : str or Path
+        Where the files shall stand in the end; made with its parents if need be. Other files there stay, files of the
+        same names are replaced at the end.
+
+    Yields
+    ------
+    pathlib.Path
+        An empty folder on the same disk. It is removed if the block raises anything, KeyboardInterrupt included; what
+        stands at `directory` is then as it was.
 
     Raises
     ------
     FileProblem
-        There is a file of that name, or no permission to make the folder.
+        There is a file of that name, no permission, no space, or a folder in the way of one of the files.
     """
-    folder = Path(directory)
+    target = Path(os.path.realpath(directory))
+    stage = _stage(target)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError):
-        raise FileProblem(f"{folder} is or lies under a file, not a folder. Give the name of a folder.") from None
+        yield stage
+        _move(stage, target)
+    except FileProblem as error:
+        raise FileProblem(str(error).replace(str(stage), str(target))) from error
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+
+
+def _stage(target: Path) -> Path:
+    """Make the temporary folder, in `target` or, where that is not there yet, in the nearest folder above it."""
+    try:
+        base = next(path for path in (target, *target.parents) if path.exists())
+        if not base.is_dir():
+            raise FileProblem(f"{target} is or lies under a file, not a folder. Give the name of a folder.")
+        stage = base / f".hyperflex.{secrets.token_hex(4)}.part"
+        stage.mkdir()
+    except FileProblem:
+        raise
     except OSError as error:
-        raise FileProblem(f"The folder {folder} cannot be made: {error.strerror}. Give another one.") from error
-    return folder
+        raise _problem(target, error) from error
+    return stage
+
+
+def _move(stage: Path, target: Path) -> None:
+    """Put the files of `stage` in place; on any failure put everything back as it was."""
+    names = sorted(path.name for path in stage.iterdir())
+    for name in names:
+        if (target / name).is_dir():
+            raise FileProblem(f"{target / name} is a folder where a file shall go. Nothing was written. Move it away.")
+    try:
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            stage.rename(target)
+            return
+        (stage / "earlier").mkdir()
+        for name in names:
+            if os.path.lexists(target / name):
+                (target / name).rename(stage / "earlier" / name)
+            (stage / name).rename(target / name)
+    except OSError as error:
+        _put_back(names, stage, target)
+        raise _problem(target, error) from error
+    except BaseException:
+        _put_back(names, stage, target)
+        raise
+
+
+def _put_back(names: list[str], stage: Path, target: Path) -> None:
+    """Undo as much of a move as was done, by what stands where."""
+    if not stage.exists():  # interrupted just after it became the target: whole
+        return
+    for name in names:
+        if not (stage / name).exists():
+            (target / name).replace(stage / name)
+        if os.path.lexists(stage / "earlier" / name):
+            (stage / "earlier" / name).replace(target / name)
+
+
+def _problem(target: Path, error: OSError) -> FileProblem:
+    return FileProblem(
+        f"The folder {target} cannot be made or filled: {error.strerror}. Nothing was written. Give another one."
+    )

@@ -26,7 +26,7 @@ def prediction_figure(recording: Recording, found: Identification, links: tuple[
     found : Identification
         What was made of it.
     links : tuple of int
-        Which links, one panel each, link 0 nearest the motor.
+        Which links, one panel each, link 0 nearest the motor; the titles count from 1.
     """
     angles = recording.angles()
     fitted = _fitted(angles, found)
@@ -41,9 +41,8 @@ def prediction_figure(recording: Recording, found: Identification, links: tuple[
                 _gaps(axis, held.t, held.predicted[:, link], color=RED, lw=1.6, label="predicted without data")
                 axis.axvspan(found.settings["fitted_to"], angles.t[-1], color=RED, alpha=0.05, lw=0)
             axis.set_ylabel("angle, rad")
-            axis.set_title(
-                f"link {link} of {recording.n_links}" + (" (the tip)" if link == recording.n_links - 1 else "")
-            )
+            tip = " (the tip)" if link == recording.n_links - 1 else ""
+            axis.set_title(f"link {link + 1} of {recording.n_links}{tip}")
         axes[-1].set(xlabel="time, s", xlim=(angles.t[0], angles.t[-1]))
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper right", ncols=3, fontsize=8.5)
         figure.suptitle(recording.name, x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK)

@@ -9,7 +9,7 @@ from pathlib import Path
 from hyperflex import checks, files, paper
 from hyperflex.paper import OUTCOMES, T_MOVE, T_REST, Claim, cable, casting_arm
 from hyperflex.report import casting
-from hyperflex.report.folder import output_folder
+from hyperflex.report.folder import whole_folder
 from hyperflex.report.page import Picture, Section, write_page
 from hyperflex.report.style import png
 from hyperflex.report.tables import claims_table, markdown, reaches_table, verdicts
@@ -53,7 +53,7 @@ def reproduce(
     names : sequence of {"fig9", "fig10", "fig11", "fig12", "all"}
         Which figures.
     directory : str or Path
-        Folder to write to; made if it is not there.
+        Folder to write to, whole or not at all; made if it is not there, other files in it stay.
     progress : callable, optional
         Told in words what is being done.
 
@@ -70,11 +70,19 @@ def reproduce(
     """
     chosen = [checks.choice("figure", name, (*FIGURES, "all")) for name in names]
     wanted = [name for name in FIGURES if "all" in chosen or name in chosen]
-    folder = output_folder(directory)
     tell = progress or (lambda _: None)
+    with whole_folder(directory) as stage:
+        names, claims = _write(wanted, stage, tell)
+    return Reproduction(tuple(Path(directory) / name for name in names), claims)
+
+
+def _write(
+    wanted: Sequence[str], folder: Path, tell: Callable[[str], None]
+) -> tuple[tuple[str, ...], tuple[Claim, ...]]:
+    """Write everything to `folder`; return the names of the files, in order, and the claims."""
     tell("simulating the casts")
     casts = paper.casts()
-    written: list[Path] = []
+    written: list[str] = []
     pictures = []
     for name in wanted:
         tell(f"drawing {name}")
@@ -87,12 +95,12 @@ def reproduce(
             folder / f"{name}.csv", list(table.columns), list(zip(*columns, strict=True)), notes=table.notes
         )
         pictures.append(Picture(content, _CAPTIONS[name]))
-        written += [folder / f"{name}.png", folder / f"{name}.csv"]
+        written += [f"{name}.png", f"{name}.csv"]
     tell("measuring the claims")
     claims = tuple(paper.claims())
     files.write_text(folder / "claims.md", _claims_text(claims))
     _write_page(folder / "report.html", pictures, claims)
-    return Reproduction((*written, folder / "claims.md", folder / "report.html"), claims)
+    return (*written, "claims.md", "report.html"), claims
 
 
 def _claims_text(claims: Sequence[Claim]) -> str:
