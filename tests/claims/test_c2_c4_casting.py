@@ -59,6 +59,16 @@ def test_c3_theta_is_straight_for_the_success(reading):
     assert claim.measured <= 1.0
 
 
+@each_reading
+def test_c3_reports_the_failures_straightness_beside_the_success(reading):
+    swing = cast(reading, "failure").spiral
+    late = swing.t >= 2.0
+    correlation = np.corrcoef(swing.t[late], swing.theta[late])[0, 1]  # its square is R^2 of a straight line
+    note = straight_phase(reading).note
+    assert f"the failure's R^2, for information: {correlation**2:.4f}" in note
+    assert ("does not tell the two apart" in note) == (correlation**2 >= 0.995)
+
+
 @pytest.mark.parametrize("reading", [r for r in READINGS if r.path == "over"], ids=lambda reading: reading.key)
 def test_c4_r_rises_at_one_phase_over_the_top(reading):
     # Threshold 0.9: phases within about a fourteenth of the half cycle (one standard deviation). Found: 0.92, 0.93.

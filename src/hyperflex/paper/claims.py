@@ -89,14 +89,28 @@ def success_over_failure(reading: Reading) -> Claim:
 
 
 def straight_phase(reading: Reading) -> Claim:
-    """C3: theta(t) of (11) is a straight line for the success; R^2 of the linear fit from 2 s on."""
-    swing = cast(reading, "success").spiral
-    late = swing.t >= SETTLED
-    slope, offset = np.polyfit(swing.t[late], swing.theta[late], 1)
-    residual = swing.theta[late] - (slope * swing.t[late] + offset)
-    straightness = 1.0 - residual.var() / swing.theta[late].var()
-    note = f"slope {slope:.3f} rad/s, 1/c = {1.0 / swing.c:.3f} rad/s; rms off the line {residual.std():.2f} rad"
-    return Claim("C3", "theta(t) is straight from 2 s on: R^2", reading, float(straightness), STRAIGHTNESS, note)
+    """C3: theta(t) of (11) is a straight line for the success; R^2 of the linear fit from 2 s on.
+
+    Notes the failure's R^2 too and whether it would pass: then straightness does not tell a success from a failure.
+    """
+    straightness, slope, off = straight_fit(cast(reading, "success"))
+    failure = straight_fit(cast(reading, "failure"))[0]
+    rate = 1.0 / cast(reading, "success").spiral.c
+    tells = "below the threshold" if failure < STRAIGHTNESS else "would pass too: this does not tell the two apart"
+    note = (
+        f"the failure's R^2, for information: {failure:.4f}, {tells}; "
+        f"slope {slope:.3f} rad/s, 1/c = {rate:.3f} rad/s; rms off the line {off:.2f} rad"
+    )
+    return Claim("C3", "theta(t) is straight from 2 s on: R^2", reading, straightness, STRAIGHTNESS, note)
+
+
+def straight_fit(subject: Cast) -> tuple[float, float, float]:
+    """Return R^2, slope (rad/s) and rms residual (rad) of the straight line fitted to theta from 2 s on."""
+    late = subject.t >= SETTLED
+    t, theta = subject.t[late], subject.spiral.theta[late]
+    slope, offset = np.polyfit(t, theta, 1)
+    residual = theta - (slope * t + offset)
+    return float(1.0 - residual.var() / theta.var()), float(slope), float(residual.std())
 
 
 def steady_step_phase(reading: Reading) -> Claim:
