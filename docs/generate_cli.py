@@ -12,7 +12,12 @@ HEAD = """\
 # Command line
 
 Every command takes `--json`: it then prints one JSON object on standard output and nothing else there. Progress and
-complaints go to standard error. Exit codes: 0 done, 2 refused or failed with a message, 130 interrupted.
+complaints go to standard error. A command that fails prints `{"error": ..., "type": ...}` under `--json`; Ctrl-C gives
+`"error": "interrupted"`.
+
+Exit codes: 0 done, 1 a bug in hyperflex (with a traceback on standard error), 2 refused or failed with a message, 3 the
+fit of `identify` did not converge (the rope is written and marked so), 130 interrupted. Files, and the folders of
+`reproduce` and `demo`, are written whole or not at all; an output that is one of the inputs is refused.
 
 This page is what `--help` prints (`python docs/generate_cli.py` writes it).
 """

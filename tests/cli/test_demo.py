@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -36,12 +37,32 @@ def test_demo_as_json(hyperflex_json, ready, tmp_path):
         assert parameter["covered"] == (low <= parameter["mapped_truth"] <= high), name
 
 
-def test_ctrl_c_in_the_demo(hyperflex, monkeypatch, tmp_path):
+def test_ctrl_c_in_the_demo(hyperflex, hyperflex_json, monkeypatch, tmp_path):
     def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(demo, "write_demo", interrupted)
-    assert hyperflex("demo", "-o", tmp_path)[:2] == (130, "")
+    code, out, err = hyperflex("demo", "-o", tmp_path)
+    assert (code, out) == (130, "")
+    assert err.startswith("hyperflex: Interrupted")
+    code, result = hyperflex_json("demo", "-o", tmp_path)
+    assert code == 130
+    assert result["error"] == "interrupted"
+
+
+def test_a_bug_is_one_json_object_and_a_traceback_on_standard_error(hyperflex, monkeypatch, tmp_path):
+    def broken(*_):
+        raise ZeroDivisionError("by nought")
+
+    monkeypatch.setattr(demo, "write_demo", broken)
+    code, out, err = hyperflex("demo", "-o", tmp_path, "--json")
+    result = json.loads(out)
+    assert code == 1
+    assert set(result) == {"error", "type"}
+    assert result["type"] == "ZeroDivisionError"
+    assert "by nought" in result["error"]
+    assert "Traceback" in err
+    assert hyperflex("demo", "-o", tmp_path)[:2] == (1, "")
 
 
 def test_a_fit_that_was_interrupted_is_no_demo(hyperflex, monkeypatch, tmp_path):

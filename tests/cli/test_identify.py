@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import json
+import signal
 
 import numpy as np
 import pytest
@@ -69,11 +72,52 @@ def test_ctrl_c_keeps_the_best_so_far_and_exits_with_130(hyperflex_json, swing, 
     whole = identification.identify
 
     def interrupted(*arguments, **options):
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
         return dataclasses.replace(whole(*arguments, **options), status="interrupted")
 
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
-    code, result = hyperflex_json("identify", swing / "swing.csv", *arguments)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the tests' own parent has set
+    try:
+        code, result = hyperflex_json("identify", swing / "swing.csv", *arguments)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert code == 130
-    assert result["status"] == "interrupted"
+    assert result["error"] == result["status"] == "interrupted"
     assert files.read_toml(swing / "rope.toml")["identification"]["status"] == "interrupted"
+
+
+def test_a_fit_that_did_not_converge_is_written_marked_and_exits_with_3(hyperflex, swing, monkeypatch):
+    whole = identification.identify
+
+    def unsettled(*arguments, **options):
+        return dataclasses.replace(whole(*arguments, **options), status="not converged")
+
+    monkeypatch.setattr(identification, "identify", unsettled)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments)
+    assert code == 3
+    assert "not converged" in "".join(out.splitlines()[:2])
+    assert files.read_toml(swing / "rope.toml")["identification"]["status"] == "not converged"
+    code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments, "--json")
+    assert code == 3
+    assert next(iter(json.loads(out).items())) == ("status", "not converged")
+
+
+@pytest.mark.parametrize("taken", ["swing.csv", "guess.toml"])
+def test_no_input_is_overwritten(hyperflex, swing, taken):
+    before = (swing / taken).read_bytes()
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / taken, *DECLARED)
+    code, out, err = hyperflex("identify", swing / "swing.csv", *arguments)
+    assert (code, out) == (2, "")
+    assert "is one of the inputs" in err
+    assert (swing / taken).read_bytes() == before
+
+
+def test_a_wrong_suffix_is_refused(hyperflex, swing):
+    arguments = ("--rope", swing / "guess.toml", "-o", swing / "rope.nc", *DECLARED)
+    code, _, err = hyperflex("identify", swing / "swing.csv", *arguments)
+    assert code == 2
+    assert ".toml" in err
+    assert not (swing / "rope.nc").exists()

@@ -42,7 +42,7 @@ def test_errors_are_one_json_object_and_exit_code_2(hyperflex_json, tmp_path, mo
     monkeypatch.chdir(tmp_path)
     code, result = hyperflex_json(*arguments)
     assert code == 2
-    assert set(result) == {"error", "kind"}
+    assert set(result) == {"error", "type"}
     assert list(tmp_path.iterdir()) == []
 
 
@@ -54,7 +54,7 @@ def test_errors_without_json_go_to_standard_error(hyperflex, setup_file, tmp_pat
 
 
 def test_a_bad_setup_is_explained(hyperflex, tmp_path):
-    (tmp_path / "bad.toml").write_text('duration = -1.0\n[rope]\nn_links = 2\nlength = 1.0\nmass = "heavy"\n')
+    (tmp_path / "bad.toml").write_text('duration = -1.0\n[rope]\nlength = [0.5, 0.5]\nmass = "heavy"\n')
     code, _, err = hyperflex("simulate", tmp_path / "bad.toml", "-o", tmp_path / "bad.nc")
     assert code == 2
     assert "mass" in err
@@ -66,6 +66,26 @@ def test_ctrl_c_exits_with_130_and_leaves_nothing(hyperflex, setup_file, tmp_pat
         raise KeyboardInterrupt
 
     monkeypatch.setattr(simulation, "simulate", interrupted)
-    code, out, _ = hyperflex("simulate", setup_file, "-o", tmp_path / "cast.nc")
+    code, out, err = hyperflex("simulate", setup_file, "-o", tmp_path / "cast.nc")
     assert (code, out) == (130, "")
+    assert err.startswith("hyperflex: Interrupted")
+    assert err.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["cast.toml"]
+
+
+@pytest.mark.parametrize("name", ["cast.toml", "link.nc", "hard.nc"])
+def test_the_setup_is_never_overwritten(hyperflex, setup_file, tmp_path, name):
+    (tmp_path / "link.nc").symlink_to(setup_file)
+    (tmp_path / "hard.nc").hardlink_to(setup_file)
+    before = setup_file.read_bytes()
+    code, out, err = hyperflex("simulate", setup_file, "-o", tmp_path / name)
+    assert (code, out) == (2, "")
+    assert "is one of the inputs" in err
+    assert setup_file.read_bytes() == before
+
+
+def test_a_wrong_suffix_is_refused(hyperflex, setup_file, tmp_path):
+    code, _, err = hyperflex("simulate", setup_file, "-o", tmp_path / "cast.csv")
+    assert code == 2
+    assert ".nc" in err
+    assert not (tmp_path / "cast.csv").exists()

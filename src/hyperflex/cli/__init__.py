@@ -6,7 +6,14 @@ import sys
 
 
 def main() -> None:
-    """Run the command line and exit with its code: 0 done, 2 refused or failed with a message, 130 interrupted."""
-    from hyperflex.cli.app import run
+    """Run the command line and exit with its code, see :func:`hyperflex.cli.app.run`."""
+    try:
+        from hyperflex.cli.app import run
 
-    sys.exit(run(sys.argv[1:]))
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:  # while the program was still being loaded
+        sys.stderr.write("hyperflex: Interrupted before any work began.\n")
+        if "--json" in sys.argv:
+            sys.stdout.write('{"error": "interrupted", "type": "Interrupted"}\n')
+        code = 130
+    sys.exit(code)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import traceback
 from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
 
 from hyperflex import __version__
-from hyperflex.cli import output
+from hyperflex.cli import interrupts, output
 from hyperflex.cli.demo import demo
 from hyperflex.cli.identify import identify
 from hyperflex.cli.reproduce import reproduce
@@ -41,7 +44,11 @@ def hyperflex(
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Robots that use a rope as an arm: simulate it, identify it, cast it."""
+    """Robots that use a rope as an arm: simulate it, identify it, cast it.
+
+    Exit codes: 0 done, 1 a bug in hyperflex, 2 refused or failed with a message, 3 the fit did not converge, 130
+    interrupted.
+    """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
@@ -57,19 +64,35 @@ def run(arguments: Sequence[str]) -> int:
     Returns
     -------
     int
-        Exit code: 0 done, 2 refused or failed with a message on standard error, 130 interrupted.
+        Exit code: 0 done, 1 a bug in hyperflex (or the reader of a pipe went away), 2 refused or failed with a message
+        on standard error, 3 the fit did not converge, 130 interrupted.
     """
     as_json = "--json" in arguments
     try:
-        code = typer.main.get_command(app).main(args=list(arguments), prog_name="hyperflex", standalone_mode=False)
-        return int(code or 0)
+        return _invoke(arguments)
+    except KeyboardInterrupt:
+        return output.interrupted("Interrupted; nothing was left half written.", {}, as_json=as_json)
     except HyperflexError as error:
         return output.complain(str(error), type(error).__name__, output.REFUSED, as_json=as_json)
-    except (KeyboardInterrupt, typer.Abort):
-        return output.complain(
-            "Interrupted; nothing was left half written.", "Interrupted", output.INTERRUPTED, as_json=as_json
-        )
     except _PARSER_ERROR as error:
         worded = getattr(error, "format_message", None)
         message = worded() if worded else str(error)
         return output.complain(f"{message} See hyperflex --help.", "UsageError", output.REFUSED, as_json=as_json)
+    except BrokenPipeError:  # whoever read standard output went away: nothing is left to be said to them
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return output.FAILED
+    except Exception as error:  # noqa: BLE001 last resort: even a bug must not break the promise of --json
+        traceback.print_exc()
+        message = f"{str(error) or 'no message'}. This is a bug in hyperflex; please report it with the lines above."
+        return output.complain(message, type(error).__name__, output.FAILED, as_json=as_json)
+
+
+def _invoke(arguments: Sequence[str]) -> int:
+    """Run one command without the parser's own handling of errors, which swallows Ctrl-C; return its exit code."""
+    command = typer.main.get_command(app)
+    try:
+        with interrupts.told_apart(), command.make_context("hyperflex", list(arguments)) as context:
+            command.invoke(context)
+    except typer.Exit as stop:
+        return int(stop.exit_code)
+    return 0

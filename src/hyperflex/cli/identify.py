@@ -8,13 +8,12 @@ from typing import Annotated
 import typer
 
 from hyperflex.cli import output
-from hyperflex.cli.output import INTERRUPTED
 
 
 def identify(
     recording: Annotated[Path, typer.Argument(help="CSV, NetCDF or .mat file of angles or markers.")],
     rope: Annotated[Path, typer.Option("--rope", help="TOML file with the first guess.")],
-    out: Annotated[Path, typer.Option("--output", "-o", help="TOML file to write the identified rope to.")],
+    out: Annotated[Path, typer.Option("--output", "-o", help="File to write the identified rope to, .toml.")],
     free: Annotated[
         list[str] | None, typer.Option(help="What to identify; give it several times. [default: inertia, friction]")
     ] = None,
@@ -38,11 +37,14 @@ def identify(
     """Identify a rope from a recording.
 
     Units, axes and frame rate are declared by the file or by the options, never guessed.
+
+    The exit code is 3 if the fit did not converge; the rope is written all the same, marked as not converged.
     """
     from hyperflex.identification import identify as run
     from hyperflex.model import Rope
     from hyperflex.recording import read_recording
 
+    output.check_destination(out, ".toml", [recording, rope])
     measured = read_recording(
         recording,
         kind=kind,
@@ -68,10 +70,15 @@ def identify(
         progress=output.watched(json),
     )
     result.to_toml(out)
+    summary = {"status": result.status, "output": out, **result.summary()}
+    if result.status == "interrupted":  # the best so far is written, and says what it is
+        words = f"Interrupted; the best so far is in {out}, marked as interrupted."
+        raise typer.Exit(output.interrupted(words, summary, as_json=json))
     if json:
-        output.print_json({"output": out, **result.summary()})
+        output.print_json(summary)
     else:
+        output.print_pairs("Fit", [("status", result.status)])
         output.console().print(str(result), markup=False)
         output.print_pairs("Written", [("rope and figures", str(out))])
-    if result.status == "interrupted":  # the best so far is written, and says what it is
-        raise typer.Exit(INTERRUPTED)
+    if result.status != "converged":
+        raise typer.Exit(output.NOT_CONVERGED)

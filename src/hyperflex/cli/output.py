@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
+from hyperflex.errors import InvalidInput
+
 if TYPE_CHECKING:
     from rich.console import Console
 
-REFUSED, INTERRUPTED = 2, 130  # exit codes
+FAILED, REFUSED, NOT_CONVERGED, INTERRUPTED = 1, 2, 3, 130  # exit codes
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
 
 
@@ -29,8 +31,39 @@ def complain(message: str, kind: str, code: int, *, as_json: bool) -> int:
     """Say what went wrong on standard error, and as a JSON object if that was asked for; return `code`."""
     sys.stderr.write(f"hyperflex: {message}\n")
     if as_json:
-        print_json({"error": message, "kind": kind})
+        print_json({"error": message, "type": kind})
     return code
+
+
+def interrupted(message: str, left: Mapping[str, Any], *, as_json: bool) -> int:
+    """Say on standard error that Ctrl-C was met, and as JSON, with what was `left`, if asked for; return the code."""
+    sys.stderr.write(f"hyperflex: {message}\n")
+    if as_json:
+        print_json({"error": "interrupted", "type": "Interrupted", "message": message, **left})
+    return INTERRUPTED
+
+
+def check_destination(out: Path, suffix: str, inputs: Sequence[Path]) -> None:
+    """Refuse, before any work, an output of another kind than `suffix` or one that is among the inputs."""
+    for path in inputs:
+        if _exists(out) and _exists(path) and out.samefile(path):
+            raise InvalidInput(
+                "the output is one of the inputs and would overwrite it",
+                got=str(out),
+                allowed=f"a file other than {path}",
+                fix="Give another name with -o",
+            )
+    if out.suffix.lower() != suffix:
+        raise InvalidInput(
+            "the output has the wrong suffix", got=str(out), allowed=f"a name ending in {suffix}", fix="Change -o"
+        )
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a name that is too long, say; whoever opens it will tell
+        return False
 
 
 def console() -> Console:

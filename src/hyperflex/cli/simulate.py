@@ -12,7 +12,7 @@ from hyperflex.cli import output
 
 def simulate(
     setup: Annotated[Path, typer.Argument(help="TOML file with rope, arm, motion and duration.")],
-    out: Annotated[Path, typer.Option("--output", "-o", help="NetCDF file to write.")],
+    out: Annotated[Path, typer.Option("--output", "-o", help="NetCDF file to write, .nc.")],
     duration: Annotated[float | None, typer.Option(help="Simulated time, s, in place of the file's.")] = None,
     json: output.Json = False,
 ) -> None:
@@ -22,6 +22,7 @@ def simulate(
     from hyperflex.model import Setup
     from hyperflex.simulation import simulate as run
 
+    output.check_destination(out, ".nc", [setup])
     trajectory = run(Setup.from_toml(setup), duration=duration, progress=output.watched(json))
     trajectory.to_netcdf(out)
     worked = float(np.ptp(trajectory.motor_work) + np.ptp(trajectory.kinetic_energy + trajectory.potential_energy))
