@@ -19,7 +19,14 @@ from hyperflex.identification._parameters import Parameters
 from hyperflex.identification._prediction import predict
 from hyperflex.identification._shooting import Fit, Plant, fit, fit_state, reduce
 from hyperflex.identification._uncertainty import Information, autocorrelation, judge, ratio_spread
-from hyperflex.identification._verdict import failed_predictions, scaling, verdict
+from hyperflex.identification._verdict import (
+    failed_predictions,
+    not_arrived,
+    not_noise,
+    other_lengths,
+    scaling,
+    verdict,
+)
 from hyperflex.identification._windows import Window, cut, first_state, thin, usual_length
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import swings
@@ -260,7 +267,7 @@ POOR_GUESSES = {
 
 @pytest.mark.parametrize("guess", POOR_GUESSES.values(), ids=POOR_GUESSES.keys())
 def test_a_poor_guess_arrives_at_the_same_place(free_swing: Recording, fitted: Identification, guess: Rope) -> None:
-    window = fitted.settings["window"]  # the usual length depends on the guess
+    window = fitted.settings["window"]
     result = identify(free_swing, guess, ["inertia", "com", "mass", "friction"], window=window)
     assert result.status == "converged"
     for name, value in fitted.ratios.items():  # convergence stops at a small part of the sd
@@ -280,15 +287,17 @@ def test_twins_by_a_finer_chain_are_told_apart_by_their_residuals() -> None:
     assert result.settings["autocorrelation"] > 3.0  # model error is smooth in time, and the sd allow for it
 
 
-def test_correlated_noise_widens_the_uncertainty(free_swing: Recording, fitted: Identification) -> None:
+def test_correlated_noise_widens_the_uncertainty(free_swing: Recording) -> None:
     clean = simulate(DOUBLE, duration=8.0, t_eval=free_swing.t, tol=1e-9, **START).q
     noise = np.random.default_rng(2).standard_normal(clean.shape)
     for k in range(1, clean.shape[0]):
         noise[k] = 0.9 * noise[k - 1] + np.sqrt(1.0 - 0.9**2) * noise[k]
-    result = identify(Recording(free_swing.t, clean + NOISE * noise), GUESS, ["inertia", "com", "friction"])
+    free = ["inertia", "com", "friction"]
+    white = identify(free_swing, GUESS, free, window=2.0)
+    result = identify(Recording(free_swing.t, clean + NOISE * noise), GUESS, free, window=2.0)
     within(result.ratios, result.ratio_sd, ratios(DOUBLE))
     # An autocorrelation of 0.9^k stretches the sd of a mean by sqrt(1.9 / 0.1) = 4.4; windows take some of it away.
-    wider = result.ratio_sd["J/p1"] / fitted.ratio_sd["J/p1"]
+    wider = result.ratio_sd["J/p1"] / white.ratio_sd["J/p1"]
     assert (wider > 2.5).all()
     assert (wider < 5.0).all()
 
@@ -628,3 +637,25 @@ def test_importing_the_package_leaves_scipy_alone() -> None:
     script = "import sys, hyperflex.recording, hyperflex.files; print('scipy' in sys.modules, 'h5py' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["False", "False"]
+
+
+def test_the_window_does_not_depend_on_the_guess() -> None:
+    t = np.linspace(0.0, 10.0, 501)
+    recording = Recording(t, 0.1 * np.cos(5.0 * t)[:, None])
+    guess = Rope(length=[0.3], mass=[0.1])
+    other = guess.replace(inertia=[1.0], com=[0.01], friction=1.0)
+    assert usual_length(recording, guess) == usual_length(recording, other)
+
+
+def test_the_verdict_leads_with_what_is_wrong() -> None:
+    assert not_arrived("converged") == []
+    assert not_arrived("not converged")[0].startswith("The fit is not converged")
+    assert not_noise(1.0) == []
+    assert "no noise" in not_noise(50.0)[0]
+
+
+def test_a_wrong_scale_of_the_markers_is_noticed() -> None:
+    places = np.array([[0.0, 0.0, 0.0, -0.3], [0.0, 0.0, 0.1, -0.28]])
+    markers = Recording([0.0, 0.1], places, kind="markers")
+    assert other_lengths(markers, Rope(length=[0.3], mass=[0.1])) == []
+    assert "0.2987 for 0.2 m" in other_lengths(markers, Rope(length=[0.2], mass=[0.1]))[0]

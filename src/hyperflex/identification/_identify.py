@@ -18,7 +18,7 @@ from hyperflex.identification._result import Identification
 from hyperflex.identification._shooting import Fit, Plant, Report
 from hyperflex.identification._stages import fit_in_stages
 from hyperflex.identification._uncertainty import Information, judge, ratio_spread, ratios
-from hyperflex.identification._verdict import failed_predictions, verdict
+from hyperflex.identification._verdict import failed_predictions, not_arrived, not_noise, other_lengths, verdict
 from hyperflex.identification._windows import (
     Window,
     check_motion,
@@ -63,7 +63,8 @@ def identify(
         ``tip_mass``, ``gravity_angle`` (rad; turns gravity, for a camera that is not level). ``friction[2]`` frees one
         link only, ``friction:shared`` one value for all links.
     window : float, s, optional
-        Length of the windows. By default a small swing's period of the guess, or shorter where links turn fast.
+        Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope, or less
+        where links turn fast; it does not depend on the guess of what is free.
     train : float, s, optional
         Fit the samples with t < train and predict the rest; ``inf`` fits all. By default the first 80 % is fitted if
         the rest is long enough for a prediction, else all.
@@ -124,7 +125,7 @@ def identify(
         settings["dry_rate"] = rope.dry_rate
     settings |= {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
     settings |= {"autocorrelation": information.correlation, "seconds": time.monotonic() - began}
-    return _result(parameters, information, found, windows, held_out, settings)
+    return _result(parameters, information, found, windows, held_out, settings, other_lengths(recording, rope_guess))
 
 
 def _checked(recording: Recording, rope: Rope) -> Recording:
@@ -199,8 +200,9 @@ def _result(
     windows: list[Window],
     held_out: Any,
     settings: dict[str, Any],
+    remarks: list[str],
 ) -> Identification:
-    """Put everything together."""
+    """Put everything together; `remarks` join the verdict."""
     rope, slopes = parameters.rope(found.x), parameters.slopes(found.x)
     spreads = information.spread(np.diag(slopes))
     weights = np.concatenate([w.weight for w in windows])
@@ -209,8 +211,9 @@ def _result(
         residuals = np.where(weights > 0.0, -flat / weights, np.nan)
     rms = np.sqrt(np.nanmean(residuals**2, axis=0))
     ratio_sd = ratio_spread(parameters, information)
-    words = verdict(parameters, information, rope, ratio_sd)
-    words += _poor(windows, rms) + failed_predictions(held_out)
+    status = "interrupted" if found.interrupted else "converged" if found.converged else "not converged"
+    words = not_arrived(status) + verdict(parameters, information, rope, ratio_sd)
+    words += _poor(windows, rms) + not_noise(information.correlation) + failed_predictions(held_out) + remarks
     return Identification(
         rope=rope,
         values=_by_name(parameters, rope, parameters.values(found.x)),
@@ -227,7 +230,7 @@ def _result(
         covariance=information.covariance * np.outer(slopes, slopes),
         singular_values=information.singular,
         settings=settings,
-        status="interrupted" if found.interrupted else "converged" if found.converged else "not converged",
+        status=status,
         history=tuple(found.history),
     )
 

@@ -9,7 +9,10 @@ from hyperflex.identification._parameters import FORMS, SHARE, Parameters, lumpe
 from hyperflex.identification._prediction import HeldOut
 from hyperflex.identification._uncertainty import TOUCHED, Information
 from hyperflex.model import Rope
+from hyperflex.recording import Recording
 
+CORRELATED = 10.0  # samples
+LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a link
 PARALLEL = 0.1  # part of a direction that may lie outside of others for it to count as one of them
 
 
@@ -26,6 +29,39 @@ def verdict(parameters: Parameters, information: Information, rope: Rope, spread
         Standard deviations of the ratios over p1.
     """
     return _unknown(parameters, information, spreads) + _values(parameters, information, rope)
+
+
+def not_arrived(status: str) -> list[str]:
+    """Return what to know before any figure is read, where a fit did not converge."""
+    if status == "converged":
+        return []
+    text = (
+        f"The fit is {status}: its values, ratios and deviations are where it stood, not what the data say. Give a "
+        "better guess, shorter windows or fewer free parameters."
+    )
+    return [text]
+
+
+def not_noise(correlation: float) -> list[str]:
+    """Return a warning where the residuals hang together over many samples."""
+    if correlation <= CORRELATED:
+        return []
+    text = (
+        f"The residuals are no noise (they hang together over {correlation:.0f} samples): the model leaves something "
+        "out, and parameters, friction above all, may be off by more than their deviations say."
+    )
+    return [text]
+
+
+def other_lengths(recording: Recording, rope: Rope) -> list[str]:
+    """Return a warning where the distances of the markers are not the link lengths that the rope was given."""
+    if recording.kind != "markers":
+        return []
+    measured = recording.link_lengths()
+    if (np.abs(measured / rope.length - 1.0) <= LENGTHS_AGREE).all():
+        return []
+    lengths = ", ".join(f"{seen:.4g} for {given:.4g}" for seen, given in zip(measured, rope.length, strict=True))
+    return [f"The markers lie {lengths} m apart: check their scale, or the link lengths. The angles do not show it."]
 
 
 def failed_predictions(held_out: HeldOut | None) -> list[str]:

@@ -8,12 +8,12 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification._parameters import lumped
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
 DENSEST = 200  # samples a window; more of them repeat what their neighbours say and only cost time
 FEWEST = 8  # samples a window, where the recording allows it
+PART = 1.2  # periods
 TURN = 8.0  # rad a link may turn within a window, as rms rate times time: beyond it fits find false minima
 STILL = 1e-3  # rad, a recording that moves less holds no dynamics
 
@@ -36,14 +36,15 @@ class Window:
 
 
 def usual_length(recording: Recording, rope: Rope) -> float:
-    """Return a window length (s): a small swing's period of the guess, shorter where links turn fast."""
-    p, inertia = lumped(rope)
+    """Return a window length (s): a small swing of a rod as long as the rope, or less where links turn fast.
+
+    It depends on what is known (lengths, gravity), not on the guess of what is not: nor does the fit, then.
+    """
     gravity = float(np.hypot(*rope.gravity))
-    slow = np.abs(p) * gravity > 0.0
-    period = float((2.0 * np.pi * np.sqrt(inertia[slow] / (np.abs(p[slow]) * gravity))).max()) if slow.any() else 1.0
+    period = 2.0 * np.pi * float(np.sqrt(2.0 * rope.total_length / (3.0 * gravity))) if gravity > 0.0 else 1.0
     fastest = float(rms_rates(recording).max())
     spacing = float(np.median(np.diff(recording.t)))
-    return max(min(1.2 * period, TURN / fastest if fastest > 0.0 else np.inf), FEWEST * spacing)
+    return max(min(PART * period, TURN / fastest if fastest > 0.0 else np.inf), FEWEST * spacing)
 
 
 def rms_rates(recording: Recording) -> Array:
