@@ -80,13 +80,14 @@ def test_single_pendulum(data_dir: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("run", "masses"), [(16, (0.1, 0.1)), (16, (0.3, 0.1)), (6, (0.1, 0.1))], ids=["16", "16, other guess", "6"]
+    ("run", "masses"), [(16, (0.1, 0.1)), (16, (0.05, 0.03)), (6, (0.1, 0.1))], ids=["16", "16, other guess", "6"]
 )
 def test_double_pendulum_from_video_markers(data_dir: Path, run: int, masses: tuple[float, ...]) -> None:
     path = data_dir / "ibm_double_pendulum" / f"run{run:02d}_500Hz.csv"
     recording = read_recording(path, time_unit="s", unit="m", y_axis="up")
     guess = Rope(length=recording.link_lengths(), mass=masses, friction=1e-5)
     result = identify(recording, guess, [*FREE, "gravity_angle"], window=0.2, train=np.inf)
+    assert result.status == "converged"  # the bottom is rough: dry friction at its bound, and too little to gain
     found = [*result.ratios["J/p1"], result.ratios["p/p1"][1]]
     np.testing.assert_allclose(found, [0.0905, 0.00686, 0.1019], rtol=0.05)  # 5 %: as the task asks; it is within 1 %
     assert result.residual_rms_all < 3e-3  # the markers' own noise is about 2.5 mrad

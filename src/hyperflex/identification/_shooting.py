@@ -24,6 +24,7 @@ NUDGE = 1e-5  # rad, difference in the initial state for derivatives
 LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
 ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their sd
 SHORT = 1.0  # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
+ROUGH = 1e-3  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
 LEFT = 1e-6  # damping for what the linear model has left to gain: parameters that do not act promise nothing
 Report = Callable[[dict[str, float]], None]
 
@@ -168,7 +169,7 @@ def fit(
             if report is not None:
                 report(best.history[-1])
             if gain < (enough := min(1e-4, ENOUGH / count)):
-                best.converged = free or promised < enough * before
+                best.converged = free or promised < max(enough, ROUGH) * before
                 break
     except KeyboardInterrupt:
         best.interrupted = True
