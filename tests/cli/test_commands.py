@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -58,13 +59,13 @@ def test_the_installed_program_keeps_standard_output_clean(tmp_path):
 
 
 def test_ctrl_c_while_the_program_is_loaded_says_so(monkeypatch, capsys):
-    class Stop:
-        def find_spec(self, name, *_):
-            if name == "hyperflex.cli.app":
-                raise KeyboardInterrupt
+    def stop_there(name, *_):
+        if name == "hyperflex.cli.app":
+            raise KeyboardInterrupt
 
+    finder = SimpleNamespace(find_spec=stop_there)
     monkeypatch.delitem(sys.modules, "hyperflex.cli.app")
-    monkeypatch.setattr(sys, "meta_path", [Stop(), *sys.meta_path])
+    monkeypatch.setattr(sys, "meta_path", [finder, *sys.meta_path])
     monkeypatch.setattr(sys, "argv", ["hyperflex", "demo", "--json"])
     with pytest.raises(SystemExit) as stop:
         cli.main()
