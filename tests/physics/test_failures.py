@@ -84,6 +84,14 @@ def test_a_failed_run_hands_over_the_state_of_the_part_that_holds() -> None:
     np.testing.assert_array_equal(part.state.qd, part.qd[-1])
 
 
+def test_the_arm_of_a_failed_run_is_handed_over_too() -> None:
+    kept = {"arm": ARM, "torque": 0.0, "duration": 0.1}
+    part = hf.simulate(cable(), arm_angle0=0.7, arm_rate0=0.3, tol=1e-30, throw=False, **kept)
+    assert part.status == "step too small"
+    more = hf.simulate(cable(), state=part.state, **kept)
+    assert (more.arm_angle[0], more.arm_rate[0]) == (part.arm_angle[-1], part.arm_rate[-1]) != (0.0, 0.0)
+
+
 def test_a_step_that_is_not_a_number_is_not_taken() -> None:
     setup = hf.Setup(cable(), duration=1.0)
     chain = setup.chain()

@@ -6,6 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.core import rollout, status
+from hyperflex.core.members import FIRST_STEP
 from hyperflex.errors import SimulationError
 from hyperflex.model import Setup
 from hyperflex.simulation.rollouts import Rollout, balanced, final_state
@@ -74,6 +75,7 @@ def _state_at(run: Rollout, setup: Setup, count: int) -> State:
         qd=y[n + own : 2 * n].copy(),
         work=float(y[2 * n]),
         dissipated=float(y[2 * n + 1]),
+        checkpoint={"y": y.copy(), "clock": np.array([run.t[row], FIRST_STEP, np.inf, 0.0])},  # T to FRESH
     )
 
 
