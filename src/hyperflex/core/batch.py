@@ -12,10 +12,9 @@ import numpy as np
 from hyperflex.core import lanes as ln
 from hyperflex.core import status
 from hyperflex.core.chain import sincos
-from hyperflex.core.drive import ANGLE, polynomial
 from hyperflex.core.jit import kernel
-from hyperflex.core.members import AFTER, END, FRESH, ORIGIN, STEP, TIME, TIP_MASS, WANTED, base_motion, enter, piece
-from hyperflex.core.rollout import LARGEST_STEP, SHARE, SMALLEST_STEP, sign_change
+from hyperflex.core.members import AFTER, END, FRESH, ORIGIN, STEP, TIME, WANTED, base_motion, enter, piece
+from hyperflex.core.rollout import LARGEST_STEP, SHARE, SMALLEST_STEP
 
 
 @kernel
@@ -98,7 +97,7 @@ def extrapolate_lanes(members, terms, member, lane, coef, energy, lanes, base): 
                 if member[j] >= 0:
                     since = lane[j, TIME] - lane[j, ORIGIN] + s * step[j]
                     lanes[ln.EXTERNAL * k + j] = base_motion(coef[j], since, members.whole[member[j]], base[j])
-            ln.euler(ln.MEMBERS, lanes, base, terms.reaction, terms.dry_rate, terms.has_dry)
+            ln.euler(ln.MEMBERS, terms.bears, lanes, base)
         end_column(ln.MEMBERS, lanes, terms.best[col], terms.best[col] - terms.other[col])
         for j in range(k):
             energy[j, 2] += terms.best[col] * lanes[ln.WORK * k + j]
@@ -142,30 +141,6 @@ def judge(terms, lanes, n, j, lane):  # type: ignore[no-untyped-def]
     if terms.fixed > 0.0 or step < SMALLEST_STEP:  # so short only where it is cut: nothing to control
         return 0.0
     return math.sqrt(worst) / (terms.tol * min(1.0, step / SHARE))
-
-
-@kernel
-def judge_dry(terms, lanes, n, j, lane, coef, tip_mass):  # type: ignore[no-untyped-def]
-    """Error that unresolved dry friction may make in lane j's step, as ``rollout.dry_norm``; ``coef`` (4, 6)."""
-    k = len(ln.MEMBERS)
-    step = lane[WANTED]
-    since = lane[TIME] - lane[ORIGIN]
-    up = polynomial(coef[ANGLE], since)[1]
-    up_after = polynomial(coef[ANGLE], since + step)[1]
-    worst = 0.0
-    for i in range(1, n + 1):
-        row = lanes[i * ln.ROW * k : (i + 1) * ln.ROW * k]
-        w = row[ln.W_START * k + j]
-        w_after = w + row[ln.W_SUM * k + j]
-        dry = row[ln.DRY * k + j]
-        if dry != 0.0:
-            inertia = row[ln.INERTIA * k + j]
-            if i == n:
-                inertia += tip_mass * row[ln.LENGTH * k + j] * row[ln.LENGTH * k + j]
-            lever = row[ln.LEVER * k + j]
-            worst = max(worst, sign_change(dry, terms.dry_rate, w - up, w_after - up_after, step, lever, inertia))
-        up, up_after = w, w_after
-    return worst / (terms.tol * min(1.0, step / SHARE))
 
 
 @kernel
@@ -248,9 +223,6 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
             m = member[j] - low
             end = min(lane[j, END], t_out[index[j]])
             size = judge(terms, lanes, n, j, lane[j])
-            if terms.has_dry and terms.fixed == 0.0:
-                tip_mass = members.whole[member[j], TIP_MASS]
-                size = max(size, judge_dry(terms, lanes, n, j, lane[j], coef[j], tip_mass))
             code = settle(terms, lane[j], end, size)
             if code == status.OK:
                 accept(lanes, n, j, energy)

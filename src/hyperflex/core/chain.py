@@ -32,53 +32,55 @@ class Chain(NamedTuple):
     tip_mass: float
     gx: float
     gy: float
-    reaction: float  # 1.0: friction acts back on the parent link; 0.0: as printed in the paper's (4)
-    dry_rate: float  # rad/s, width of the smoothed Coulomb law dry * tanh(rate / dry_rate)
+    bears: tuple[int, ...]  # as many entries as links bear a joint's friction: MUTUAL or PRINTED
 
 
-_TWO_OVER_PI = 2.0 / math.pi
+# The compiler knows the length of a tuple, so each friction model gets kernels of its own.
+MUTUAL = (0, 0)  # the link and its parent
+PRINTED = (0,)  # the link alone, as printed in the paper's (4)
+
+_ONE_OVER_PI = 1.0 / math.pi
 _ROUND = 6755399441055744.0  # 1.5 * 2**52: adding and taking it away rounds to the nearest integer
-# pi / 2 in three parts; the first two have so few bits that a whole multiple of up to 2**20 of them is exact
-_PIO2_A = float.fromhex("0x1.921fb50000000p+0")
-_PIO2_B = float.fromhex("0x1.110b460000000p-26")
-_PIO2_C = float.fromhex("0x1.1a62633145c07p-54")
+# pi in three parts; the first two have so few bits that a whole multiple of up to 2**20 of them is exact
+_PI_A = float.fromhex("0x1.921fb50000000p+1")
+_PI_B = float.fromhex("0x1.110b460000000p-25")
+_PI_C = float.fromhex("0x1.1a62633145c07p-53")
 
 
 @inlined
 def sincos(x):  # type: ignore[no-untyped-def]
     """Sine and cosine of x (rad), |x| < 1e6, error below 3e-16 absolute; unlike libm's it runs in SIMD lanes.
 
-    The argument is reduced to |y| <= pi / 4 and the Taylor series is summed up to y**15 and y**16, whose first
-    neglected terms are 5e-17 and 3e-18.
+    The argument is reduced to |y| <= pi / 2 by k half turns. (sin y - y) / y**3 and (cos y - 1 + y**2 / 2) / y**4 are
+    polynomials in y**2 of degree 7 and 6, fitted there to the least greatest error (2e-18 and 6e-17 in the result).
     """
-    k = (x * _TWO_OVER_PI + _ROUND) - _ROUND
-    y = ((x - k * _PIO2_A) - k * _PIO2_B) - k * _PIO2_C
-    j = k - 4.0 * ((k * 0.25 + _ROUND) - _ROUND)  # quadrant: -2, -1, 0, 1 or 2
+    k = (x * _ONE_OVER_PI + _ROUND) - _ROUND
+    y = ((x - k * _PI_A) - k * _PI_B) - k * _PI_C
+    odd = k - 2.0 * ((k * 0.5 + _ROUND) - _ROUND)  # -1 or 1 for an odd number of half turns, else 0
+    sign = 1.0 - 2.0 * odd * odd
     z = y * y
-    s = -1.0 / 1307674368000.0
-    s = s * z + 1.0 / 6227020800.0
-    s = s * z - 1.0 / 39916800.0
-    s = s * z + 1.0 / 362880.0
-    s = s * z - 1.0 / 5040.0
-    s = s * z + 1.0 / 120.0
-    s = s * z - 1.0 / 6.0
+    s = 2.7313970680544804e-15
+    s = s * z - 7.643966058026537e-13
+    s = s * z + 1.6058977158119707e-10
+    s = s * z - 2.5052107614049077e-08
+    s = s * z + 2.755731921913234e-06
+    s = s * z - 0.0001984126984125481
+    s = s * z + 0.008333333333333316
+    s = s * z - 0.16666666666666666
     s = s * z * y + y
-    c = 1.0 / 20922789888000.0
-    c = c * z - 1.0 / 87178291200.0
-    c = c * z + 1.0 / 479001600.0
-    c = c * z - 1.0 / 3628800.0
-    c = c * z + 1.0 / 40320.0
-    c = c * z - 1.0 / 720.0
-    c = c * z + 1.0 / 24.0
+    c = 4.646439229147203e-14
+    c = c * z - 1.1466252669080595e-11
+    c = c * z + 2.0876681574932355e-09
+    c = c * z - 2.755731857363305e-07
+    c = c * z + 2.480158729891546e-05
+    c = c * z - 0.0013888888888884772
+    c = c * z + 0.04166666666666666
     c = c * z * z - 0.5 * z + 1.0
-    p = j * j
-    cj = 1.0 - p * (7.0 - p) / 6.0  # cos(j pi / 2) and sin(j pi / 2), exact, without a branch
-    sj = j * (4.0 - p) / 3.0
-    return s * cj + c * sj, c * cj - s * sj
+    return sign * s, sign * c
 
 
 @inlined
-def link_step(link, joint, sin, cos, rate2, beyond):  # type: ignore[no-untyped-def]
+def link_step(link, joint, free, share, sin, cos, rate2, beyond):  # type: ignore[no-untyped-def]
     """One link of the sweep from tip to motor, (M.8)-(M.12).
 
     Parameters
@@ -86,6 +88,10 @@ def link_step(link, joint, sin, cos, rate2, beyond):  # type: ignore[no-untyped-
     link : (length, mass * com, inertia about the motor-side joint, mass)
     joint : (T, T_back, kappa, kappa_back)
         Joint torque T - kappa (alpha - alpha_up) on this link, N m; the part ``_back`` of it acts on the parent.
+    free : float
+        1.0; 0.0 for a stuck joint, which bears any torque, so that alpha = alpha_up.
+    share : float
+        Part of the torque of a stuck joint that acts on the parent: 1.0, or 0.0 for the printed friction model.
     sin, cos, rate2 : float
         Of this link's angle; its squared angular rate.
     beyond : (axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta)
@@ -96,102 +102,117 @@ def link_step(link, joint, sin, cos, rate2, beyond):  # type: ignore[no-untyped-
     -------
     at : tuple
         The same answer at this link's motor-side joint.
-    back : (r / D, ex / D, ey / D, kappa / D)
-        For the way back: alpha = r / D - (e / D).p + (kappa / D) alpha_up.
+    back : (r inv, ex inv, ey inv, k, inv)
+        For the way back: alpha = inv (r - e.p) + k alpha_up, with inv = 1 / D and k = kappa / D; 0 and 1 if stuck.
+
+    Where friction is mutual, axy = ayx and f = u; callers pass the same value twice and the compiler does the rest.
+    Sums are grouped so that what comes late, the answer of the link beyond, enters last.
     """
     length, ma, inertia, mass = link
     torque, torque_back, kappa, kappa_back = joint
     axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = beyond
-    anx = axx * cos + axy * sin
-    any_ = ayx * cos + ayy * sin
-    adx = axx * sin - axy * cos
-    ady = ayx * sin - ayy * cos
-    inv = 1.0 / (inertia + kappa + s + length * (length * (cos * anx + sin * any_) + cos * (fx + ux) + sin * (fy + uy)))
-    ex = ma * cos + length * (axx * cos + ayx * sin) + ux  # moment on this link for a unit acceleration of its joint
-    ey = ma * sin + length * (axy * cos + ayy * sin) + uy
-    gx = (ma * cos + length * anx + fx) * inv  # force at the joint for a unit moment on this link
-    gy = (ma * sin + length * any_ + fy) * inv
-    r = (
-        torque
-        - beta
-        - length * (cos * bx + sin * by)
-        + length * rate2 * (length * (cos * adx + sin * ady) + ux * sin - uy * cos)
-    )
-    kd = kappa_back * inv
+    lc = length * cos
+    ls = length * sin
+    lx = lc * axx + ls * axy
+    ly = lc * ayx + ls * ayy
+    gx = ma * cos + lx + fx  # force at the motor-side joint for a unit acceleration of this link
+    gy = ma * sin + ly + fy
+    ex = ma * cos + (lc * axx + ls * ayx) + ux  # moment on this link for a unit acceleration of its joint
+    ey = ma * sin + (lc * axy + ls * ayy) + uy
+    own = inertia + s
+    cross = lc * (fx + ux) + ls * (fy + uy)
+    rigid = (own + cross) + (lc * lx + ls * ly)  # D without kappa
+    inv = free / (((own + kappa) + cross) + (lc * lx + ls * ly))
+    lock = 1.0 - free
+    k = kappa * inv + lock
+    k_back = kappa_back * inv + share * lock
+    hx = rate2 * (ls * axx - lc * axy) - bx
+    hy = rate2 * (ls * ayx - lc * ayy) - by
+    r = torque - beta + (lc * hx + ls * hy) + rate2 * (ls * ux - lc * uy)
+    turn = r * inv
+    pull = ma * rate2
     at = (
-        axx + mass - gx * ex,
-        axy - gx * ey,
-        ayx - gy * ex,
-        ayy + mass - gy * ey,
-        gx * kappa,
-        gy * kappa,
-        bx - rate2 * (length * adx + ma * sin) + gx * r,
-        by - rate2 * (length * ady - ma * cos) + gy * r,
-        kd * ex,
-        kd * ey,
-        kappa_back - kd * kappa,
-        torque_back - kd * r,
+        axx + mass - (gx * ex) * inv,
+        axy - (gx * ey) * inv,
+        ayx - (gy * ex) * inv,
+        ayy + mass - (gy * ey) * inv,
+        gx * k,
+        gy * k,
+        gx * turn - hx - pull * sin,
+        gy * turn - hy + pull * cos,
+        k_back * ex,
+        k_back * ey,
+        k_back * rigid,
+        torque_back - k_back * r,
     )
-    return at, (r * inv, ex * inv, ey * inv, kappa * inv)
+    return at, (turn, ex * inv, ey * inv, k, inv)
 
 
 @inlined
-def joint_torque(chain, i, angle, rate, h):  # type: ignore[no-untyped-def]
+def mutual(beyond):  # type: ignore[no-untyped-def]
+    """Return the answer as it is where a joint's friction acts on both links: symmetric, so half of it is known."""
+    axx, axy, _, ayy, fx, fy, bx, by, _, _, s, beta = beyond
+    return axx, axy, axy, ayy, fx, fy, bx, by, fx, fy, s, beta
+
+
+@inlined
+def joint_torque(chain, share, i, angle, rate, h, grip):  # type: ignore[no-untyped-def]
     """Torque of joint i at relative angle and rate, as ``link_step`` wants it; h > 0 makes it implicit over a step h.
 
     Returns (T, T_back, kappa, kappa_back), N m and kg m^2.
     """
-    friction = -chain.viscous[i] * rate
-    slope = chain.viscous[i]
-    if chain.dry[i] != 0.0:
-        u = math.tanh(rate / chain.dry_rate)
-        friction -= chain.dry[i] * u
-        slope += chain.dry[i] / chain.dry_rate * (1.0 - u * u)
+    friction = -chain.viscous[i] * rate - chain.dry[i] * grip
     k = chain.stiffness[i]
     spring = -k * (angle - chain.rest[i] + h * rate)
-    return (
-        friction + spring,
-        chain.reaction * friction + spring,
-        h * slope + h * h * k,
-        chain.reaction * h * slope + h * h * k,
-    )
+    slope = h * chain.viscous[i]
+    soft = h * h * k
+    return friction + spring, share * friction + spring, slope + soft, share * slope + soft
 
 
 @kernel
-def accelerations(chain, q, w, base, torque, h, alpha, work):  # type: ignore[no-untyped-def]
+def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ignore[no-untyped-def]
     """Angular accelerations of all links by one sweep to the motor and one back; O(n).
 
     Parameters
     ----------
     chain : Chain
     q, w : (n,) angles, rad, and rates, rad/s
+    grip : (n,) sense in which each joint slips, 1.0 or -1.0; 0.0: it is stuck. Without dry friction 1.0
     base : (7,) acceleration x, y of the first joint, m/s^2; alpha, rate, angle of the parent; velocity x, y, m/s
     torque : float, external torque on link 0, N m
     h : float, 0.0 for the exact accelerations of (1); a step, s, for implicit joints (M.13)
     alpha : (n,) out, rad/s^2
-    work : (n, 8) scratch
+    work : (8 n,) scratch
 
     Returns
     -------
     (Fx, Fy, N) : force on the rope at its first joint, N, and torque through that joint without `torque`, N m.
     """
     n = q.size
+    share = len(chain.bears) - 1.0
+    for i in range(n):  # by hand: assigning a slice costs a tenth of the whole sweep
+        work[i] = q[i]
+    for i in range(n):  # a loop of its own over one array: it runs in SIMD lanes
+        sin, cos = sincos(work[i])
+        work[n + i] = sin
+        work[2 * n + i] = cos
     zero = 0.0
     at = (chain.tip_mass, zero, zero, chain.tip_mass, zero, zero, zero, zero, zero, zero, zero, zero)
-    for k in range(n):
-        i = n - 1 - k
+    for way in range(n):
+        i = n - 1 - way
         angle = q[i] - (q[i - 1] if i > 0 else base[4])
         rate = w[i] - (w[i - 1] if i > 0 else base[3])
-        t, t_back, kappa, kappa_back = joint_torque(chain, i, angle, rate, h)
+        t, t_back, kappa, kappa_back = joint_torque(chain, share, i, angle, rate, h, grip[i])
         if i == 0:
             t += torque
         ma = chain.mass[i] * chain.com[i]
         link = (chain.length[i], ma, chain.inertia[i] + ma * chain.com[i], chain.mass[i])
-        sin, cos = sincos(q[i])
-        at, back = link_step(link, (t, t_back, kappa, kappa_back), sin, cos, w[i] * w[i], at)
-        work[i, 0], work[i, 1], work[i, 2], work[i, 3] = back
-        work[i, 4] = sin
-        work[i, 5] = cos
+        joint = (t, t_back, kappa, kappa_back)
+        if share == 1.0:
+            at = mutual(at)
+        at, back = link_step(link, joint, grip[i] * grip[i], share, work[n + i], work[2 * n + i], w[i] * w[i], at)
+        o = 3 * n + 4 * i
+        work[o], work[o + 1], work[o + 2], work[o + 3], _ = back
     px = base[0] - chain.gx
     py = base[1] - chain.gy
     up = base[2]
@@ -199,25 +220,25 @@ def accelerations(chain, q, w, base, torque, h, alpha, work):  # type: ignore[no
     fy = at[2] * px + at[3] * py + at[5] * up + at[7]
     moment = at[8] * px + at[9] * py + at[10] * up + at[11]
     for i in range(n):
-        up = work[i, 0] - work[i, 1] * px - work[i, 2] * py + work[i, 3] * up
+        o = 3 * n + 4 * i
+        up = work[o] - work[o + 1] * px - work[o + 2] * py + work[o + 3] * up
         alpha[i] = up
         rate2 = w[i] * w[i]
-        px += chain.length[i] * (work[i, 5] * up - work[i, 4] * rate2)
-        py += chain.length[i] * (work[i, 4] * up + work[i, 5] * rate2)
+        px += chain.length[i] * (work[2 * n + i] * up - work[n + i] * rate2)
+        py += chain.length[i] * (work[n + i] * up + work[2 * n + i] * rate2)
     return fx, fy, moment
 
 
 @kernel
-def friction_power(chain, w, base_rate):  # type: ignore[no-untyped-def]
-    """Power that friction takes from the chain at rates w (n,), rad/s, and parent's rate; W."""
+def friction_power(chain, w, grip, base_rate):  # type: ignore[no-untyped-def]
+    """Power that friction takes from the chain at rates w (n,), rad/s, slip senses grip (n,), and parent's rate; W."""
     power = 0.0
+    share = len(chain.bears) - 1.0
     up = base_rate
     for i in range(w.size):
         rate = w[i] - up
-        torque = chain.viscous[i] * rate
-        if chain.dry[i] != 0.0:
-            torque += chain.dry[i] * math.tanh(rate / chain.dry_rate)
-        power += torque * (w[i] - chain.reaction * up)
+        torque = chain.viscous[i] * rate + chain.dry[i] * grip[i]
+        power += torque * (w[i] - share * up)
         up = w[i]
     return power
 

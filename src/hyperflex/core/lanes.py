@@ -13,9 +13,7 @@ lane j. The number of lanes is the length of a tuple, which the compiler knows. 
 
 from __future__ import annotations
 
-import math
-
-from hyperflex.core.chain import link_step, sincos
+from hyperflex.core.chain import link_step, mutual, sincos
 from hyperflex.core.jit import inlined, kernel
 
 COLUMNS = (0,) * 4
@@ -23,9 +21,9 @@ MEMBERS = (0,) * 16
 
 # parameters of a link
 LENGTH, MA, INERTIA, MASS, VISCOUS, STIFFNESS, REST, DRY = range(8)
-# state; dry friction torque and its slope; sine, cosine; (r, ex, ey, kappa) / D for the way back; step
-Q, W, TORQUE, SLOPE, SIN, COS, RD, EX, EY, KD, STEP = range(8, 19)
-# on the way to the motor: the answer at the motor-side joint
+# state, with the sense of slipping (0: stuck); sine, cosine; (r inv, ex inv, ey inv, k, inv) for the way back; step
+GRIP, Q, W, SIN, COS, RD, EX, EY, KD, INV, STEP = range(8, 19)
+# on the way to the motor: the answer at the motor-side joint; AYX, UX and UY are not used where friction is mutual
 AXX, AXY, AYX, AYY, FX, FY, BX, BY, UX, UY, S, BETA = range(19, 31)
 # on the way back: acceleration of the far joint (less gravity), and of the link
 PX, PY, ALPHA = range(31, 34)
@@ -56,6 +54,7 @@ def load(width, chain, lanes):  # type: ignore[no-untyped-def]
             row[STIFFNESS * k + j] = chain.stiffness[i]
             row[REST * k + j] = chain.rest[i]
             row[DRY * k + j] = chain.dry[i]
+            row[GRIP * k + j] = 1.0
     tip = lanes[(n + 1) * ROW * k : (n + 2) * ROW * k]
     tip[:] = 0.0
     for j in range(k):
@@ -64,81 +63,81 @@ def load(width, chain, lanes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def dry_friction(width, lanes, dry_rate):  # type: ignore[no-untyped-def]
-    """Smoothed Coulomb torque of every joint (TORQUE) and its slope (SLOPE); without it both stay zero."""
+def set_grip(width, lanes, grip):  # type: ignore[no-untyped-def]
+    """Set how each joint slips in every lane, (n,) as in ``chain.accelerations``."""
     k = len(width)
-    n = lanes.size // (ROW * k) - 2
-    for i in range(1, n + 1):
-        row = lanes[(i - 1) * ROW * k : (i + 1) * ROW * k]
+    for i in range(grip.size):
         for j in range(k):
-            u = math.tanh((row[(AT + W) * k + j] - row[(UP + W) * k + j]) / dry_rate)
-            row[(AT + TORQUE) * k + j] = -row[(AT + DRY) * k + j] * u
-            row[(AT + SLOPE) * k + j] = row[(AT + DRY) * k + j] / dry_rate * (1.0 - u * u)
+            lanes[((i + 1) * ROW + GRIP) * k + j] = grip[i]
 
 
 @inlined
-def load_joint(row, k, j, h, first, reaction):  # type: ignore[no-untyped-def]
+def load_joint(row, k, j, h, first, share):  # type: ignore[no-untyped-def]
     """Torque and slope of a link's joint as ``link_step`` takes them, and the friction work of the step."""
     stiffness = row[(AT + STIFFNESS) * k + j]
     w = row[(AT + W) * k + j]
     rate = w - row[(UP + W) * k + j]
     bend = row[(AT + Q) * k + j] - row[(UP + Q) * k + j] - row[(AT + REST) * k + j]
     spring = -stiffness * (bend + h * rate)
-    friction = row[(AT + TORQUE) * k + j] - row[(AT + VISCOUS) * k + j] * rate
-    kappa = h * (row[(AT + VISCOUS) * k + j] + row[(AT + SLOPE) * k + j])
+    friction = -row[(AT + VISCOUS) * k + j] * rate - row[(AT + DRY) * k + j] * row[(AT + GRIP) * k + j]
+    slope = h * row[(AT + VISCOUS) * k + j]
     soft = h * h * stiffness
     external = first * row[(UP + EXTERNAL) * k + j]
-    joint = (friction + spring + external, reaction * friction + spring, kappa + soft, reaction * kappa + soft)
-    return joint, h * friction * (w - reaction * row[(UP + W) * k + j])
+    joint = (friction + spring + external, share * friction + spring, slope + soft, share * slope + soft)
+    return joint, h * friction * (w - share * row[(UP + W) * k + j])
 
 
 @inlined
-def load_answer(row, k, j):  # type: ignore[no-untyped-def]
-    """What the chain beyond answers, as ``link_step`` takes it."""
-    return (
-        row[(DOWN + AXX) * k + j],
-        row[(DOWN + AXY) * k + j],
-        row[(DOWN + AYX) * k + j],
-        row[(DOWN + AYY) * k + j],
-        row[(DOWN + FX) * k + j],
-        row[(DOWN + FY) * k + j],
-        row[(DOWN + BX) * k + j],
-        row[(DOWN + BY) * k + j],
-        row[(DOWN + UX) * k + j],
-        row[(DOWN + UY) * k + j],
-        row[(DOWN + S) * k + j],
-        row[(DOWN + BETA) * k + j],
+def load_answer(row, k, j, share, at):  # type: ignore[no-untyped-def]
+    """Answer of the row at offset ``at``, as ``link_step`` takes that of the link beyond."""
+    answer = (
+        row[(at + AXX) * k + j],
+        row[(at + AXY) * k + j],
+        row[(at + AYX) * k + j],
+        row[(at + AYY) * k + j],
+        row[(at + FX) * k + j],
+        row[(at + FY) * k + j],
+        row[(at + BX) * k + j],
+        row[(at + BY) * k + j],
+        row[(at + UX) * k + j],
+        row[(at + UY) * k + j],
+        row[(at + S) * k + j],
+        row[(at + BETA) * k + j],
     )
+    return mutual(answer) if share == 1.0 else answer
 
 
 @inlined
-def store_answer(row, k, j, at, back):  # type: ignore[no-untyped-def]
+def store_answer(row, k, j, share, at, back):  # type: ignore[no-untyped-def]
     """Keep what ``link_step`` returned."""
     row[(AT + AXX) * k + j] = at[0]
     row[(AT + AXY) * k + j] = at[1]
-    row[(AT + AYX) * k + j] = at[2]
     row[(AT + AYY) * k + j] = at[3]
     row[(AT + FX) * k + j] = at[4]
     row[(AT + FY) * k + j] = at[5]
     row[(AT + BX) * k + j] = at[6]
     row[(AT + BY) * k + j] = at[7]
-    row[(AT + UX) * k + j] = at[8]
-    row[(AT + UY) * k + j] = at[9]
     row[(AT + S) * k + j] = at[10]
     row[(AT + BETA) * k + j] = at[11]
+    if share == 0.0:  # else they are AXY, FX and FY
+        row[(AT + AYX) * k + j] = at[2]
+        row[(AT + UX) * k + j] = at[8]
+        row[(AT + UY) * k + j] = at[9]
     row[(AT + RD) * k + j] = back[0]
     row[(AT + EX) * k + j] = back[1]
     row[(AT + EY) * k + j] = back[2]
     row[(AT + KD) * k + j] = back[3]
+    row[(AT + INV) * k + j] = back[4]
 
 
 @kernel
-def sweep(width, lanes, reaction):  # type: ignore[no-untyped-def]
+def sweep(width, bears, lanes):  # type: ignore[no-untyped-def]
     """From tip to motor: the answer of the chain at each joint (M.8)-(M.13), and the friction work of the step.
 
     One large loop body on purpose: LLVM unrolls small loops over so few lanes before it looks for packed instructions.
     """
     k = len(width)
+    share = len(bears) - 1.0
     n = lanes.size // (ROW * k) - 2
     for way in range(n):
         i = n - way
@@ -146,17 +145,19 @@ def sweep(width, lanes, reaction):  # type: ignore[no-untyped-def]
         row = lanes[(i - 1) * ROW * k : (i + 2) * ROW * k]
         for j in range(k):
             h = row[(DOWN + STEP) * k + j]
-            joint, lost = load_joint(row, k, j, h, first, reaction)
+            joint, lost = load_joint(row, k, j, h, first, share)
             link = (
                 row[(AT + LENGTH) * k + j],
                 row[(AT + MA) * k + j],
                 row[(AT + INERTIA) * k + j],
                 row[(AT + MASS) * k + j],
             )
+            grip = row[(AT + GRIP) * k + j]
             w = row[(AT + W) * k + j]
             sin, cos = sincos(row[(AT + Q) * k + j])
-            at, back = link_step(link, joint, sin, cos, w * w, load_answer(row, k, j))
-            store_answer(row, k, j, at, back)
+            beyond = load_answer(row, k, j, share, DOWN)
+            at, back = link_step(link, joint, grip * grip, share, sin, cos, w * w, beyond)
+            store_answer(row, k, j, share, at, back)
             row[(AT + STEP) * k + j] = h
             row[(AT + SIN) * k + j] = sin
             row[(AT + COS) * k + j] = cos
@@ -192,35 +193,32 @@ def advance(width, lanes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def euler(width, lanes, base, reaction, dry_rate, has_dry):  # type: ignore[no-untyped-def]
+def euler(width, bears, lanes, base):  # type: ignore[no-untyped-def]
     """One linearly implicit Euler step in every lane, each of its own length.
 
     Parameters
     ----------
-    width : tuple whose length is the number of lanes, k
+    width, bears : tuples whose lengths are the number of lanes, k, and of links that bear a joint's friction
     lanes : ((n + 2) ROW k,), advanced in place. EXTERNAL (N m) is read from row 0, STEP (s) from the last row;
         WORK and DISSIPATED of row 0 grow
     base : (k, 9) motion of the first joint at the beginning of each lane's step, as ``drive.base_state`` writes it,
         with gravity taken off its acceleration
-    reaction, dry_rate : float, as in Chain
-    has_dry : bool, whether any joint has dry friction
     """
     k = len(width)
     top = lanes[: ROW * k]
     for j in range(k):
         top[W * k + j] = base[j, 3]
         top[Q * k + j] = base[j, 4]
-    if has_dry:
-        dry_friction(width, lanes, dry_rate)
-    sweep(width, lanes, reaction)
+    sweep(width, bears, lanes)
     row = lanes[ROW * k : 2 * ROW * k]
     for j in range(k):
         px = base[j, 0]
         py = base[j, 1]
         up = base[j, 2]
-        fx = row[AXX * k + j] * px + row[AXY * k + j] * py + row[FX * k + j] * up + row[BX * k + j]
-        fy = row[AYX * k + j] * px + row[AYY * k + j] * py + row[FY * k + j] * up + row[BY * k + j]
-        moment = row[UX * k + j] * px + row[UY * k + j] * py + row[S * k + j] * up + row[BETA * k + j]
+        axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = load_answer(lanes, k, j, len(bears) - 1.0, ROW)
+        fx = axx * px + axy * py + fx * up + bx
+        fy = ayx * px + ayy * py + fy * up + by
+        moment = ux * px + uy * py + s * up + beta
         power = fx * base[j, 5] + fy * base[j, 6] + moment * base[j, 3] + top[EXTERNAL * k + j] * row[W * k + j]
         top[WORK * k + j] += row[STEP * k + j] * power
         top[DISSIPATED * k + j] += row[DISSIPATED * k + j]

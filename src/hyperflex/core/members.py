@@ -30,9 +30,7 @@ class Terms(NamedTuple):
 
     begin: float  # s
     tol: float  # m
-    reaction: float
-    dry_rate: float
-    has_dry: bool
+    bears: tuple[int, ...]  # as in Chain
     fixed: float  # s, a step chosen beforehand; 0.0: error control
     best: Array  # (p + 1,) weights of the columns, as in Scheme
     other: Array
@@ -62,6 +60,7 @@ def enter(members, terms, m, lanes, j, lane, energy):  # type: ignore[no-untyped
         row[ln.STIFFNESS * k + j] = link[STIFFNESS, i]
         row[ln.REST * k + j] = link[REST, i]
         row[ln.DRY * k + j] = link[DRY, i]
+        row[ln.GRIP * k + j] = 1.0
         row[ln.LEVER * k + j] = link[LEVER, i]
         row[ln.Q_START * k + j] = members.start[m, i]
         row[ln.W_START * k + j] = members.start[m, n + i]
@@ -143,8 +142,7 @@ def energy_block(members, terms, low, high, t, y, kinetic, potential):  # type: 
             whole[TIP_MASS],
             whole[GRAVITY_X],
             whole[GRAVITY_Y],
-            terms.reaction,
-            terms.dry_rate,
+            terms.bears,
         )
         for k in range(t.size):
             piece(members, m, t[k], coef, lane)

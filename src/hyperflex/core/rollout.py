@@ -11,7 +11,7 @@ from hyperflex.core import lanes as ln
 from hyperflex.core import status
 from hyperflex.core.chain import Array, accelerations, energies, sincos
 from hyperflex.core.drive import base_state, segment
-from hyperflex.core.jit import inlined, kernel
+from hyperflex.core.jit import kernel
 from hyperflex.core.steppers import extrapolate, rates, runge_kutta
 
 
@@ -42,7 +42,6 @@ CLOCK = 11
 LARGEST_STEP = 0.25  # s
 SMALLEST_STEP = 1e-10  # s
 ENERGY = 10.0  # see error_norm
-RESOLVED = 0.5  # of dry_rate, see sign_change
 TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
 SHARE = 0.02  # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
 
@@ -88,42 +87,6 @@ def error_norm(chain, limits, y, error, step):  # type: ignore[no-untyped-def]
     if not (energy < np.inf):
         return np.inf
     return max(math.sqrt(worst), energy) / (limits.tol * min(1.0, step / SHARE))
-
-
-@inlined
-def sign_change(dry, dry_rate, rate, rate_after, step, lever, inertia):  # type: ignore[no-untyped-def]
-    """How far a joint's dry friction may lead a step astray, m, if its change of sign is not resolved; else 0.
-
-    Within the stick zone of the smoothed law the implicit columns creep alike, whatever their number of substeps, and
-    agree on a wrong result. So a step over which the rate changes by more than RESOLVED of the zone's width must not
-    matter: the error of the linearised torque, acting on the link's own inertia for the whole step.
-    """
-    if abs(rate_after - rate) <= RESOLVED * dry_rate:
-        return 0.0
-    u = math.tanh(rate / dry_rate)
-    linear = u + (1.0 - u * u) * (rate_after - rate) / dry_rate
-    return 0.5 * lever * dry * abs(math.tanh(rate_after / dry_rate) - linear) * step * step / inertia
-
-
-@kernel
-def dry_norm(chain, drive, part, limits, t, step, y, out, base):  # type: ignore[no-untyped-def]
-    """Largest such error of any joint in units of what is allowed; `base` is (9,) scratch."""
-    n = chain.length.size
-    worst = 0.0
-    base_state(drive, part, t, base)
-    up = base[3]
-    base_state(drive, part, t + step, base)
-    up_after = base[3]
-    for i in range(n):
-        w, w_after = y[n + i], out[n + i]
-        if chain.dry[i] != 0.0:
-            inertia = chain.inertia[i] + chain.mass[i] * chain.com[i] * chain.com[i]
-            if i == n - 1:
-                inertia += chain.tip_mass * chain.length[i] * chain.length[i]
-            far = sign_change(chain.dry[i], chain.dry_rate, w - up, w_after - up_after, step, limits.lever[i], inertia)
-            worst = max(worst, far)
-        up, up_after = w, w_after
-    return worst / (limits.tol * min(1.0, step / SHARE))
 
 
 @kernel
@@ -177,7 +140,8 @@ class Scratch(NamedTuple):
     ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives
     dys: Array
     stage: Array  # (3, 2 n + 2)
-    work: Array  # (n, 8)
+    work: Array  # (8 n,)
+    grip: Array  # (n,) as in chain.accelerations
     base: Array  # (lanes, 9)
     lanes: Array  # ((n + 2) ROW lanes,)
 
@@ -194,7 +158,8 @@ def scratch(chain):  # type: ignore[no-untyped-def]
         np.empty((3, 2 * n + 2)),
         np.empty((3, 2 * n + 2)),
         np.empty((3, 2 * n + 2)),
-        np.empty((n, 8)),
+        np.empty(8 * n),
+        np.ones(n),
         np.zeros((len(ln.COLUMNS), 9)),
         lanes,
     )
@@ -204,7 +169,7 @@ def scratch(chain):  # type: ignore[no-untyped-def]
 def advance(chain, drive, part, table, fixed, t, step, y, out, room):  # type: ignore[no-untyped-def]
     """Take one step of the wanted integrator from y at t to `out`; `room` is a Scratch."""
     if fixed > 0.0:
-        runge_kutta(chain, drive, part, t, step, y, out, room.stage, room.work)
+        runge_kutta(chain, drive, part, t, step, y, room.grip, out, room.stage, room.work)
     else:
         extrapolate(chain, drive, part, table, t, step, y, out, room.error, room.lanes, room.base)
 
@@ -232,7 +197,7 @@ def write_between(chain, drive, part, table, fixed, clock, step, room, t_out, y,
         clock[INDEX] += 1
     advance(chain, drive, part, table, fixed, t, 0.5 * step, y, ys[1], room)
     for k in range(3):
-        rates(chain, drive, part, t + 0.5 * k * step, ys[k], dys[k], room.work)
+        rates(chain, drive, part, t + 0.5 * k * step, ys[k], room.grip, dys[k], room.work)
     while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
         index = int(clock[INDEX])
         interpolate(2.0 * (t_out[index] - t) / step - 1.0, step, ys, dys, y_out[index])
@@ -265,7 +230,6 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
     y, clock = progress.y, progress.clock
     room = scratch(chain)
     fixed = limits.fixed
-    has_dry = chain.dry.any()
     write_until(clock, t_out, clock[T], y, y_out)
     part = segment(drive, clock[T])
     for _ in range(limits.budget):
@@ -286,8 +250,6 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
             size = 0.0 if np.abs(room.out).max() < np.inf else np.inf
         else:
             size = error_norm(chain, limits, room.out, room.error, step)
-            if has_dry:
-                size = max(size, dry_norm(chain, drive, part, limits, t, step, y, room.out, room.base[0]))
             if cut and step < SMALLEST_STEP and size < np.inf:
                 size = 0.0  # an end a few rounding errors away: there is nothing to control
         if not (size <= 1.0):
@@ -326,12 +288,12 @@ def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-unty
     scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m
     """
     n = chain.length.size
-    work = np.empty((n, 8))
+    work, grip = np.empty(8 * n), np.ones(n)
     for k in range(t.size):
         base = base_out[k]
         torque = base_state(drive, segment(drive, t[k]), t[k], base)
         q, w = y[k, :n], y[k, n : 2 * n]
-        fx, fy, moment = accelerations(chain, q, w, base[:7], torque, 0.0, qdd[k], work)
+        fx, fy, moment = accelerations(chain, q, w, grip, base[:7], torque, 0.0, qdd[k], work)
         kinetic, potential = energies(chain, q, w, (base[7], base[8], base[5], base[6], base[4], base[3]))
         scalars[k, 0], scalars[k, 1] = kinetic, potential
         scalars[k, 2], scalars[k, 3], scalars[k, 4] = fx, fy, moment + torque

@@ -50,12 +50,11 @@ def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):
     ----------
     chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
     y, out, error : (2 n + 2,) state, new state (out), its difference to the result of one order less (out)
-    lanes : ((n + 2) ROW lanes,), loaded with the chain's parameters
+    lanes : ((n + 2) ROW lanes,), loaded with the chain's parameters and the senses of slipping
     base : (lanes, 9) scratch
     """
     k = len(ln.COLUMNS)
     n = chain.length.size
-    has_dry = chain.dry.any()
     out[:] = y  # the weights, up to 389 in size, multiply increments: their rounding must not scale the state itself
     error[:] = 0.0
     done = np.zeros(k, dtype=np.int64)
@@ -76,7 +75,7 @@ def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):
             base[j, 0] -= chain.gx
             base[j, 1] -= chain.gy
             done[j] += 1
-        ln.euler(ln.COLUMNS, lanes, base, chain.reaction, chain.dry_rate, has_dry)
+        ln.euler(ln.COLUMNS, chain.bears, lanes, base)
         for j in range(k):
             col = table.column[turn, j]
             if col > 0 and (turn == rounds - 1 or table.column[turn + 1, j] != col):  # a column is complete
@@ -98,27 +97,27 @@ def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):
 
 
 @kernel
-def rates(chain, drive, part, t, y, dy, work):  # type: ignore[no-untyped-def]
-    """Exact time derivative of the state, written to dy (2 n + 2,); `work` is (n, 8) scratch."""
+def rates(chain, drive, part, t, y, grip, dy, work):  # type: ignore[no-untyped-def]
+    """Exact time derivative of the state, written to dy (2 n + 2,); `work` is (8 n,) scratch."""
     n = chain.length.size
     base = np.empty(9)
     torque = base_state(drive, part, t, base)
     w = y[n : 2 * n]
-    fx, fy, moment = accelerations(chain, y[:n], w, base[:7], torque, 0.0, dy[n : 2 * n], work)
+    fx, fy, moment = accelerations(chain, y[:n], w, grip, base[:7], torque, 0.0, dy[n : 2 * n], work)
     dy[:n] = w
     dy[2 * n] = fx * base[5] + fy * base[6] + moment * base[3] + torque * w[0]
-    dy[2 * n + 1] = friction_power(chain, w, base[3])
+    dy[2 * n + 1] = friction_power(chain, w, grip, base[3])
 
 
 @kernel
-def runge_kutta(chain, drive, part, t, step, y, out, stage, work):  # type: ignore[no-untyped-def]
-    """Take one classical fourth-order Runge-Kutta step; `stage` is (3, 2 n + 2) scratch, `work` (n, 8)."""
+def runge_kutta(chain, drive, part, t, step, y, grip, out, stage, work):  # type: ignore[no-untyped-def]
+    """Take one classical fourth-order Runge-Kutta step; `stage` is (3, 2 n + 2) scratch, `work` (8 n,)."""
     point, slope, total = stage[0], stage[1], stage[2]
-    rates(chain, drive, part, t, y, slope, work)
+    rates(chain, drive, part, t, y, grip, slope, work)
     total[:] = slope
     for k in range(3):
         part_step = step if k == 2 else 0.5 * step
         point[:] = y + part_step * slope
-        rates(chain, drive, part, t + part_step, point, slope, work)
+        rates(chain, drive, part, t + part_step, point, grip, slope, work)
         total += slope if k == 2 else 2.0 * slope
     out[:] = y + (step / 6.0) * total

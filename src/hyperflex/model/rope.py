@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
-from hyperflex.core.chain import Chain
+from hyperflex.core.chain import MUTUAL, PRINTED, Chain
 from hyperflex.errors import InvalidInput
 from hyperflex.model.rope_table import LINK_FIELDS, MOST_LINKS, from_table, to_table
 
@@ -249,8 +249,7 @@ class Rope:
             self.tip_mass,
             float(self.gravity[0]),
             float(self.gravity[1]),
-            1.0 if self.friction_model == "relative" else 0.0,
-            self.dry_rate,
+            MUTUAL if self.friction_model == "relative" else PRINTED,
         )
 
     def table(self) -> dict[str, Any]:

@@ -172,9 +172,7 @@ def simulate_batch(
     members = _members(chains, drives, starts)
     table = scheme(ORDER)
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
-    has_dry = any(bool(chain.dry.any()) for chain in chains)
-    first = chains[0]
-    terms = Terms(0.0, setups[0].tol, first.reaction, first.dry_rate, has_dry, chosen, table.best, table.other)
+    terms = Terms(0.0, setups[0].tol, chains[0].bears, chosen, table.best, table.other)
     workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
     work = _Work(members, terms, t, keep, setups)
     announce_compilation()

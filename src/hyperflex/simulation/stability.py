@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hyperflex.core.chain import Chain, mass_matrix
+from hyperflex.core.chain import MUTUAL, Chain, mass_matrix
 
 
 def runge_kutta_limit(chain: Chain) -> float:
@@ -21,8 +21,8 @@ def runge_kutta_limit(chain: Chain) -> float:
     mass = np.empty((n, n))
     mass_matrix(chain, np.zeros(n), mass)
     relative = np.eye(n) - np.eye(n, k=-1)
-    slope = chain.viscous + chain.dry / chain.dry_rate
-    back = relative.T if chain.reaction == 1.0 else np.eye(n)
+    slope = chain.viscous
+    back = relative.T if chain.bears == MUTUAL else np.eye(n)
     damping = back @ (slope[:, None] * relative)
     first_moment = chain.mass * chain.com + chain.length * _mass_beyond(chain)
     weight = math.hypot(chain.gx, chain.gy) * first_moment
