@@ -75,7 +75,7 @@ class Timed:
 def own(state: Case, h: float) -> Timed:
     """hyperflex's sweep, looped in compiled code; h = 0 is the explicit one."""
     n = state.q.size
-    chain, base, alpha, work = state.rope.chain(), np.zeros(7), np.empty(n), np.empty(8 * n)
+    chain, base, alpha, work = state.rope.chain(), np.zeros(7), np.empty(n), np.empty(6 * n)
     count = max(20, 200_000 // n)
 
     def run() -> Array:

@@ -30,7 +30,7 @@ def right_hand_side(cast: Cast) -> RightHandSide:
 
     @numba.njit(error_model="numpy")
     def derivative(t, y, inside):  # type: ignore[no-untyped-def]
-        dy, base, work = np.empty(2 * n), np.empty(9), np.empty(8 * n)
+        dy, base, work = np.empty(2 * n), np.empty(9), np.empty(6 * n)
         base_state(drive, segment(drive, inside), t, base)
         dy[:n] = y[n:]
         kernels.accelerations(chain, y[:n], y[n:], base[:7], 0.0, 0.0, dy[n:], work)

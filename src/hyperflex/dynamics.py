@@ -100,7 +100,7 @@ def bias(
     chain = rope.chain() if arm is None else arm.chain(rope)
     result = np.empty(angles.size)
     core.accelerations(
-        chain, angles, rates, np.ones(angles.size), np.zeros(7), 0.0, 0.0, result, np.empty(8 * angles.size)
+        chain, angles, rates, np.ones(angles.size), np.zeros(7), 0.0, 0.0, result, np.empty(6 * angles.size)
     )
     mass = np.empty((angles.size, angles.size))
     core.mass_matrix(chain, angles, mass)
@@ -162,7 +162,7 @@ def _driven(
         ]
     )
     qdd = np.empty(n)
-    fx, fy, moment = core.accelerations(rope.chain(), q, qd, np.ones(n), base, 0.0, 0.0, qdd, np.empty(8 * n))
+    fx, fy, moment = core.accelerations(rope.chain(), q, qd, np.ones(n), base, 0.0, 0.0, qdd, np.empty(6 * n))
     gx, gy = rope.gravity
     own = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
     own += arm.dry_friction * np.tanh(rate / rope.dry_rate) - arm.mass * arm.com * (gx * cos + gy * sin)

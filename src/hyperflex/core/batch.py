@@ -13,8 +13,26 @@ from hyperflex.core import lanes as ln
 from hyperflex.core import status
 from hyperflex.core.chain import sincos
 from hyperflex.core.jit import kernel
-from hyperflex.core.members import AFTER, END, FRESH, ORIGIN, STEP, TIME, WANTED, base_motion, enter, piece
-from hyperflex.core.rollout import LARGEST_STEP, SHARE, SMALLEST_STEP
+from hyperflex.core.members import (
+    AFTER,
+    BASE,
+    CLOCK,
+    END,
+    EXTERNAL,
+    FRESH,
+    LAST,
+    ORIGIN,
+    PATH,
+    SINCE,
+    SIZE,
+    STEP,
+    TIME,
+    WANTED,
+    base_motion,
+    enter,
+    piece,
+)
+from hyperflex.core.stepsize import LARGEST_STEP, SHARE, SMALLEST_STEP, fitted, longer, shorter
 
 
 @kernel
@@ -27,6 +45,8 @@ def begin_column(width, lanes, sums):  # type: ignore[no-untyped-def]
         for j in range(k):
             row[ln.Q * k + j] = row[ln.Q_START * k + j]
             row[ln.W * k + j] = row[ln.W_START * k + j]
+            row[ln.SIN * k + j] = row[ln.SIN_START * k + j]
+            row[ln.COS * k + j] = row[ln.COS_START * k + j]
         if sums:
             for j in range(k):
                 row[ln.Q_SUM * k + j] = 0.0
@@ -52,57 +72,60 @@ def end_column(width, lanes, best, gap):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def measure(width, lanes):  # type: ignore[no-untyped-def]
-    """Largest squared errors of any joint's position and velocity, left in WORST and WORST_V of the last link."""
+def measure(width, lanes, tip):  # type: ignore[no-untyped-def]
+    """Sine and cosine of the result, and the largest squared errors of any joint's position and velocity (in `tip`)."""
     k = len(width)
     n = lanes.size // (ln.ROW * k) - 2
+    for slot in range(ln.ERR_X, ln.WORST_V + 1):
+        tip[slot * k : (slot + 1) * k] = 0.0
     for i in range(1, n + 1):
-        row = lanes[(i - 1) * ln.ROW * k : (i + 1) * ln.ROW * k]
+        row = lanes[i * ln.ROW * k : (i + 1) * ln.ROW * k]
         for j in range(k):
-            sin, cos = sincos(row[(ln.AT + ln.Q_START) * k + j] + row[(ln.AT + ln.Q_SUM) * k + j])
-            a = row[(ln.AT + ln.LEVER) * k + j] * row[(ln.AT + ln.Q_GAP) * k + j]
-            b = row[(ln.AT + ln.LEVER) * k + j] * row[(ln.AT + ln.W_GAP) * k + j]
-            x = row[(ln.UP + ln.ERR_X) * k + j] + cos * a
-            y = row[(ln.UP + ln.ERR_Y) * k + j] + sin * a
-            vx = row[(ln.UP + ln.ERR_VX) * k + j] + cos * b
-            vy = row[(ln.UP + ln.ERR_VY) * k + j] + sin * b
-            row[(ln.AT + ln.ERR_X) * k + j] = x
-            row[(ln.AT + ln.ERR_Y) * k + j] = y
-            row[(ln.AT + ln.ERR_VX) * k + j] = vx
-            row[(ln.AT + ln.ERR_VY) * k + j] = vy
-            worst = row[(ln.UP + ln.WORST) * k + j]
-            worst_v = row[(ln.UP + ln.WORST_V) * k + j]
+            sin, cos = sincos(row[ln.Q_START * k + j] + row[ln.Q_SUM * k + j])
+            row[ln.SIN * k + j] = sin
+            row[ln.COS * k + j] = cos
+            a = row[ln.LEVER * k + j] * row[ln.Q_GAP * k + j]
+            b = row[ln.LEVER * k + j] * row[ln.W_GAP * k + j]
+            x = tip[ln.ERR_X * k + j] + cos * a
+            y = tip[ln.ERR_Y * k + j] + sin * a
+            vx = tip[ln.ERR_VX * k + j] + cos * b
+            vy = tip[ln.ERR_VY * k + j] + sin * b
+            tip[ln.ERR_X * k + j] = x
+            tip[ln.ERR_Y * k + j] = y
+            tip[ln.ERR_VX * k + j] = vx
+            tip[ln.ERR_VY * k + j] = vy
+            worst = tip[ln.WORST * k + j]
+            worst_v = tip[ln.WORST_V * k + j]
             position = x * x + y * y
             velocity = vx * vx + vy * vy
-            row[(ln.AT + ln.WORST) * k + j] = position if position > worst else worst
-            row[(ln.AT + ln.WORST_V) * k + j] = velocity if velocity > worst_v else worst_v
+            tip[ln.WORST * k + j] = position if position > worst else worst
+            tip[ln.WORST_V * k + j] = velocity if velocity > worst_v else worst_v
 
 
 @kernel
-def extrapolate_lanes(members, terms, member, lane, coef, energy, lanes, base):  # type: ignore[no-untyped-def]
+def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: ignore[no-untyped-def]
     """One extrapolated step in every lane, of the length WANTED; results stay in the sums of `lanes` and `energy`."""
     k = len(ln.MEMBERS)
-    n = members.links.shape[2]
-    step = lanes[((n + 1) * ln.ROW + ln.STEP) * k :]
     order = terms.best.size - 1
     energy[:, 2:] = 0.0
     for col in range(1, order + 1):
         begin_column(ln.MEMBERS, lanes, col == 1)
         for j in range(k):
-            step[j] = lane[j, WANTED] / col
+            tip[ln.STEP * k + j] = lane[j, WANTED] / col
             lanes[ln.WORK * k + j] = 0.0
-            lanes[ln.DISSIPATED * k + j] = 0.0
-        for s in range(col):
+            lanes[ln.LOST * k + j] = 0.0
+            path[SINCE * k + j] = lane[j, TIME] - lane[j, ORIGIN]
+        for _ in range(col):
+            base_motion(ln.MEMBERS, path)
             for j in range(k):
-                if member[j] >= 0:
-                    since = lane[j, TIME] - lane[j, ORIGIN] + s * step[j]
-                    lanes[ln.EXTERNAL * k + j] = base_motion(coef[j], since, members.whole[member[j]], base[j])
-            ln.euler(ln.MEMBERS, terms.bears, lanes, base)
+                tip[ln.EXTERNAL * k + j] = path[EXTERNAL * k + j]
+                path[SINCE * k + j] += tip[ln.STEP * k + j]
+            ln.euler(ln.MEMBERS, terms.bears, lanes, tip, path[BASE * k :].reshape(9, k))
         end_column(ln.MEMBERS, lanes, terms.best[col], terms.best[col] - terms.other[col])
         for j in range(k):
             energy[j, 2] += terms.best[col] * lanes[ln.WORK * k + j]
-            energy[j, 3] += terms.best[col] * lanes[ln.DISSIPATED * k + j]
-    measure(ln.MEMBERS, lanes)
+            energy[j, 3] += terms.best[col] * lanes[ln.LOST * k + j]
+    measure(ln.MEMBERS, lanes, tip)
 
 
 @kernel
@@ -113,6 +136,8 @@ def accept(lanes, n, j, energy):  # type: ignore[no-untyped-def]
         row = lanes[i * ln.ROW * k : (i + 1) * ln.ROW * k]
         row[ln.Q_START * k + j] += row[ln.Q_SUM * k + j]
         row[ln.W_START * k + j] += row[ln.W_SUM * k + j]
+        row[ln.SIN_START * k + j] = row[ln.SIN * k + j]
+        row[ln.COS_START * k + j] = row[ln.COS * k + j]
     energy[j, 0] += energy[j, 2]
     energy[j, 1] += energy[j, 3]
 
@@ -129,13 +154,11 @@ def write(lanes, n, j, energy, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def judge(terms, lanes, n, j, lane):  # type: ignore[no-untyped-def]
+def judge(terms, tip, j, step):  # type: ignore[no-untyped-def]
     """Error of lane j's step in units of what is allowed; 0 for a fixed step, inf where it is not finite."""
     k = len(ln.MEMBERS)
-    last = lanes[n * ln.ROW * k : (n + 1) * ln.ROW * k]
-    step = lane[WANTED]
-    finite = abs(last[ln.ERR_VX * k + j]) + abs(last[ln.ERR_VY * k + j]) < np.inf
-    worst = max(last[ln.WORST * k + j], step * step * last[ln.WORST_V * k + j])
+    finite = abs(tip[ln.ERR_VX * k + j]) + abs(tip[ln.ERR_VY * k + j]) < np.inf
+    worst = max(tip[ln.WORST * k + j], step * step * tip[ln.WORST_V * k + j])
     if not finite or not (worst < np.inf):
         return np.inf
     if terms.fixed > 0.0 or step < SMALLEST_STEP:  # so short only where it is cut: nothing to control
@@ -144,7 +167,7 @@ def judge(terms, lanes, n, j, lane):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def prepare(members, terms, member, lane, index, coef, t_out):  # type: ignore[no-untyped-def]
+def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[no-untyped-def]
     """Choose the length of every lane's next step (WANTED); returns the number of lanes at work."""
     busy = 0
     for j in range(member.size):
@@ -154,32 +177,35 @@ def prepare(members, terms, member, lane, index, coef, t_out):  # type: ignore[n
         busy += 1
         t = lane[j, TIME]
         if t >= lane[j, END]:
-            piece(members, member[j], t, coef[j], lane[j])
+            piece(members, member[j], t, path, j, lane[j])
             lane[j, STEP] = min(lane[j, STEP], lane[j, AFTER])
             lane[j, FRESH] = 1.0
-        end = min(lane[j, END], t_out[index[j]])
-        wanted = terms.fixed if terms.fixed > 0.0 else min(lane[j, STEP], LARGEST_STEP)
-        lane[j, WANTED] = end - t if t + wanted * (1.0 + 1e-9) >= end else wanted
+            lane[j, LAST] = 0.0
+        left = min(lane[j, END], t_out[index[j]]) - t
+        if terms.fixed > 0.0:
+            lane[j, WANTED] = min(terms.fixed, left)
+        else:
+            lane[j, WANTED] = fitted(min(lane[j, STEP], LARGEST_STEP), left)
     return busy
 
 
 @kernel
 def settle(terms, lane, end, size):  # type: ignore[no-untyped-def]
-    """Note a step of the error `size` in one lane's clock (7,) and choose the next; returns a status code."""
+    """Note a step of the error `size` in one lane's clock and choose the next; returns a status code."""
     order = terms.best.size - 1
     step = lane[WANTED]
     if size <= 1.0:
-        cut = lane[TIME] + step * (1.0 + 1e-9) >= end
-        lane[TIME] = end if cut else lane[TIME] + step
-        grown = step * min(3.0, 0.9 * max(size, 1e-12) ** (-1.0 / order))
-        lane[STEP] = max(grown, lane[STEP]) if cut else grown
+        lane[TIME] = end if step >= end - lane[TIME] else lane[TIME] + step
+        grown = longer(step, size, lane[LAST], lane[SIZE], order)
+        lane[STEP] = max(grown, lane[STEP]) if step < lane[STEP] else grown
+        lane[LAST], lane[SIZE] = step, size
         if lane[FRESH] == 1.0:
             lane[AFTER] = lane[STEP]
             lane[FRESH] = 0.0
         return status.OK
     if terms.fixed > 0.0:
         return status.NOT_FINITE
-    lane[STEP] = step * (max(0.2, 0.9 * size ** (-1.0 / order)) if size < np.inf else 0.2)
+    lane[STEP] = shorter(step, size, order)
     return status.STEP_TOO_SMALL if lane[STEP] < SMALLEST_STEP else status.RUNNING
 
 
@@ -198,10 +224,9 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
     """
     k = len(ln.MEMBERS)
     n = members.links.shape[2]
-    lanes = np.zeros((n + 2) * ln.ROW * k)
-    base = np.zeros((k, 9))
-    coef = np.zeros((k, 4, 6))
-    lane = np.zeros((k, 7))
+    lanes, tip = ln.rows(ln.MEMBERS, n)
+    path = np.zeros(PATH * k)
+    lane = np.zeros((k, CLOCK))
     energy = np.zeros((k, 4))  # work and dissipation at the start of the step, and their increments
     member = np.full(k, -1)
     index = np.zeros(k, dtype=np.int64)
@@ -212,17 +237,17 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
         for j in range(k):
             if member[j] < 0 and coming < high:
                 member[j], index[j] = coming, 0
-                enter(members, terms, coming, lanes, j, lane[j], energy[j])
+                enter(members, terms, coming, lanes, tip, path, j, lane[j], energy[j])
                 coming += 1
-        if prepare(members, terms, member, lane, index, coef, t_out) == 0:
+        if prepare(members, terms, member, lane, index, path, t_out) == 0:
             return
-        extrapolate_lanes(members, terms, member, lane, coef, energy, lanes, base)
+        extrapolate_lanes(members, terms, lane, energy, lanes, tip, path)
         for j in range(k):
             if member[j] < 0:
                 continue
             m = member[j] - low
             end = min(lane[j, END], t_out[index[j]])
-            size = judge(terms, lanes, n, j, lane[j])
+            size = judge(terms, tip, j, lane[j, WANTED])
             code = settle(terms, lane[j], end, size)
             if code == status.OK:
                 accept(lanes, n, j, energy)

@@ -156,6 +156,16 @@ def mutual(beyond):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def sines(q, out, at):  # type: ignore[no-untyped-def]
+    """Write the sines of q (n,), rad, to ``out`` from `at` on, and then the cosines; runs in SIMD lanes."""
+    n = q.size
+    for i in range(n):
+        sin, cos = sincos(q[i])
+        out[at + i] = sin
+        out[at + n + i] = cos
+
+
+@inlined
 def joint_torque(chain, share, i, angle, rate, h, grip):  # type: ignore[no-untyped-def]
     """Torque of joint i at relative angle and rate, as ``link_step`` wants it; h > 0 makes it implicit over a step h.
 
@@ -182,7 +192,7 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
     torque : float, external torque on link 0, N m
     h : float, 0.0 for the exact accelerations of (1); a step, s, for implicit joints (M.13)
     alpha : (n,) out, rad/s^2
-    work : (8 n,) scratch
+    work : (6 n,) scratch
 
     Returns
     -------
@@ -190,12 +200,7 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
     """
     n = q.size
     share = len(chain.bears) - 1.0
-    for i in range(n):  # by hand: assigning a slice costs a tenth of the whole sweep
-        work[i] = q[i]
-    for i in range(n):  # a loop of its own over one array: it runs in SIMD lanes
-        sin, cos = sincos(work[i])
-        work[n + i] = sin
-        work[2 * n + i] = cos
+    sines(q, work, 4 * n)
     zero = 0.0
     at = (chain.tip_mass, zero, zero, chain.tip_mass, zero, zero, zero, zero, zero, zero, zero, zero)
     for way in range(n):
@@ -210,8 +215,8 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
         joint = (t, t_back, kappa, kappa_back)
         if share == 1.0:
             at = mutual(at)
-        at, back = link_step(link, joint, grip[i] * grip[i], share, work[n + i], work[2 * n + i], w[i] * w[i], at)
-        o = 3 * n + 4 * i
+        at, back = link_step(link, joint, grip[i] * grip[i], share, work[4 * n + i], work[5 * n + i], w[i] * w[i], at)
+        o = 4 * i
         work[o], work[o + 1], work[o + 2], work[o + 3], _ = back
     px = base[0] - chain.gx
     py = base[1] - chain.gy
@@ -220,12 +225,12 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
     fy = at[2] * px + at[3] * py + at[5] * up + at[7]
     moment = at[8] * px + at[9] * py + at[10] * up + at[11]
     for i in range(n):
-        o = 3 * n + 4 * i
+        o = 4 * i
         up = work[o] - work[o + 1] * px - work[o + 2] * py + work[o + 3] * up
         alpha[i] = up
         rate2 = w[i] * w[i]
-        px += chain.length[i] * (work[2 * n + i] * up - work[n + i] * rate2)
-        py += chain.length[i] * (work[n + i] * up + work[2 * n + i] * rate2)
+        px += chain.length[i] * (work[5 * n + i] * up - work[4 * n + i] * rate2)
+        py += chain.length[i] * (work[4 * n + i] * up + work[5 * n + i] * rate2)
     return fx, fy, moment
 
 

@@ -9,9 +9,16 @@ overlap. So each loop touches one slice of three neighbouring rows, at offsets t
 for the parent, (AT + slot) * k + j for the link itself, (DOWN + slot) * k + j for the link beyond, with k lanes and
 lane j. The number of lanes is the length of a tuple, which the compiler knows. ``vdivpd`` in the assembly of
 :func:`sweep` shows that it worked (tests/core/test_lanes.py looks).
+
+What is handed from link to link, the answer on the way to the motor and the acceleration on the way back, stands in
+the links' own rows for COLUMNS. In wider lanes that would be more memory than the cache gives back in time, so there
+it stands in one place, the last row, which is an array of its own: with lanes enough, LLVM's test that two arrays do
+not overlap pays.
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 from hyperflex.core.chain import link_step, mutual, sincos
 from hyperflex.core.jit import inlined, kernel
@@ -25,21 +32,39 @@ LENGTH, MA, INERTIA, MASS, VISCOUS, STIFFNESS, REST, DRY = range(8)
 GRIP, Q, W, SIN, COS, RD, EX, EY, KD, INV, STEP = range(8, 19)
 # on the way to the motor: the answer at the motor-side joint; AYX, UX and UY are not used where friction is mutual
 AXX, AXY, AYX, AYY, FX, FY, BX, BY, UX, UY, S, BETA = range(19, 31)
-# on the way back: acceleration of the far joint (less gravity), and of the link
+# on the way back: acceleration of the far joint (less gravity), and of the link; `advance` hands them on
 PX, PY, ALPHA = range(31, 34)
-# friction work, summed up from the tip; of the lane as a whole, in row 0: torque on link 0, work put in
-DISSIPATED, EXTERNAL, WORK = range(34, 37)
-# extrapolation with whole rollouts in the lanes: state at the start, result and error estimate, lever of the link,
-# error of the far joint's position and velocity, and the largest squares of both so far
-Q_START, W_START, Q_SUM, W_SUM, Q_GAP, W_GAP, LEVER = range(37, 44)
-ERR_X, ERR_Y, ERR_VX, ERR_VY, WORST, WORST_V = range(44, 50)
-ROW = 50
+# friction work of a step, summed up from the tip; torque on link 0; of the lane as a whole, in row 0: work and loss
+DISSIPATED, EXTERNAL, WORK, LOST = range(34, 38)
+# extrapolation with whole rollouts in the lanes: state at the start, result and error estimate, lever of the link;
+# in the last row: error of the joint's position and velocity, and the largest squares of both so far
+Q_START, W_START, SIN_START, COS_START, Q_SUM, W_SUM, Q_GAP, W_GAP, LEVER = range(38, 47)
+ERR_X, ERR_Y, ERR_VX, ERR_VY, WORST, WORST_V = range(47, 53)
+ROW = 53
 UP, AT, DOWN = 0, ROW, 2 * ROW
 
 
 @kernel
-def load(width, chain, lanes):  # type: ignore[no-untyped-def]
-    """Copy the parameters of one chain into every lane of ``lanes`` ((n + 2) ROW,)."""
+def rows(width, n):  # type: ignore[no-untyped-def]
+    """Lanes ((n + 2) ROW k,) for n links, all zero, and their last row: part of them for COLUMNS, else an array apart.
+
+    They begin at the edge of a cache line: packed loads that cross one cost a fifth of the speed.
+    """
+    k = len(width)
+    size = (n + 2) * ROW * k
+    memory = np.zeros(size + 8)
+    begin = -(memory.ctypes.data // 8) % 8
+    lanes = memory[begin : begin + size]
+    if k > len(COLUMNS):
+        apart = np.zeros(ROW * k + 8)
+        begin = -(apart.ctypes.data // 8) % 8
+        return lanes, apart[begin : begin + ROW * k]
+    return lanes, lanes[size - ROW * k :]
+
+
+@kernel
+def load(width, chain, lanes, tip):  # type: ignore[no-untyped-def]
+    """Copy the parameters of one chain into every lane."""
     k = len(width)
     n = chain.length.size
     for i in range(n):
@@ -55,11 +80,8 @@ def load(width, chain, lanes):  # type: ignore[no-untyped-def]
             row[REST * k + j] = chain.rest[i]
             row[DRY * k + j] = chain.dry[i]
             row[GRIP * k + j] = 1.0
-    tip = lanes[(n + 1) * ROW * k : (n + 2) * ROW * k]
-    tip[:] = 0.0
     for j in range(k):
-        tip[AXX * k + j] = chain.tip_mass
-        tip[AYY * k + j] = chain.tip_mass
+        tip[MASS * k + j] = chain.tip_mass
 
 
 @kernel
@@ -72,7 +94,7 @@ def set_grip(width, lanes, grip):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def load_joint(row, k, j, h, first, share):  # type: ignore[no-untyped-def]
+def load_joint(row, k, j, h, external, share):  # type: ignore[no-untyped-def]
     """Torque and slope of a link's joint as ``link_step`` takes them, and the friction work of the step."""
     stiffness = row[(AT + STIFFNESS) * k + j]
     w = row[(AT + W) * k + j]
@@ -82,7 +104,6 @@ def load_joint(row, k, j, h, first, share):  # type: ignore[no-untyped-def]
     friction = -row[(AT + VISCOUS) * k + j] * rate - row[(AT + DRY) * k + j] * row[(AT + GRIP) * k + j]
     slope = h * row[(AT + VISCOUS) * k + j]
     soft = h * h * stiffness
-    external = first * row[(UP + EXTERNAL) * k + j]
     joint = (friction + spring + external, share * friction + spring, slope + soft, share * slope + soft)
     return joint, h * friction * (w - share * row[(UP + W) * k + j])
 
@@ -108,44 +129,46 @@ def load_answer(row, k, j, share, at):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def store_answer(row, k, j, share, at, back):  # type: ignore[no-untyped-def]
-    """Keep what ``link_step`` returned."""
-    row[(AT + AXX) * k + j] = at[0]
-    row[(AT + AXY) * k + j] = at[1]
-    row[(AT + AYY) * k + j] = at[3]
-    row[(AT + FX) * k + j] = at[4]
-    row[(AT + FY) * k + j] = at[5]
-    row[(AT + BX) * k + j] = at[6]
-    row[(AT + BY) * k + j] = at[7]
-    row[(AT + S) * k + j] = at[10]
-    row[(AT + BETA) * k + j] = at[11]
+def store_answer(row, k, j, share, at, answer):  # type: ignore[no-untyped-def]
+    """Keep an answer in the row at offset ``at``."""
+    row[(at + AXX) * k + j] = answer[0]
+    row[(at + AXY) * k + j] = answer[1]
+    row[(at + AYY) * k + j] = answer[3]
+    row[(at + FX) * k + j] = answer[4]
+    row[(at + FY) * k + j] = answer[5]
+    row[(at + BX) * k + j] = answer[6]
+    row[(at + BY) * k + j] = answer[7]
+    row[(at + S) * k + j] = answer[10]
+    row[(at + BETA) * k + j] = answer[11]
     if share == 0.0:  # else they are AXY, FX and FY
-        row[(AT + AYX) * k + j] = at[2]
-        row[(AT + UX) * k + j] = at[8]
-        row[(AT + UY) * k + j] = at[9]
-    row[(AT + RD) * k + j] = back[0]
-    row[(AT + EX) * k + j] = back[1]
-    row[(AT + EY) * k + j] = back[2]
-    row[(AT + KD) * k + j] = back[3]
-    row[(AT + INV) * k + j] = back[4]
+        row[(at + AYX) * k + j] = answer[2]
+        row[(at + UX) * k + j] = answer[8]
+        row[(at + UY) * k + j] = answer[9]
 
 
 @kernel
-def sweep(width, bears, lanes):  # type: ignore[no-untyped-def]
+def sweep(width, bears, lanes, tip):  # type: ignore[no-untyped-def]
     """From tip to motor: the answer of the chain at each joint (M.8)-(M.13), and the friction work of the step.
 
     One large loop body on purpose: LLVM unrolls small loops over so few lanes before it looks for packed instructions.
     """
     k = len(width)
+    one_place = k > len(COLUMNS)
     share = len(bears) - 1.0
     n = lanes.size // (ROW * k) - 2
+    for j in range(k):
+        mass = tip[MASS * k + j]
+        store_answer(tip, k, j, share, 0, (mass, 0.0, 0.0, mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        tip[DISSIPATED * k + j] = 0.0
     for way in range(n):
         i = n - way
         first = 1.0 if i == 1 else 0.0  # link 0 bears the external torque
-        row = lanes[(i - 1) * ROW * k : (i + 2) * ROW * k]
+        row = lanes[(i - 1) * ROW * k : (i + (1 if one_place else 2)) * ROW * k]
+        answers = tip if one_place else row
+        far, near = (0, 0) if one_place else (DOWN, AT)
         for j in range(k):
-            h = row[(DOWN + STEP) * k + j]
-            joint, lost = load_joint(row, k, j, h, first, share)
+            h = answers[(far + STEP) * k + j]
+            joint, lost = load_joint(row, k, j, h, first * answers[(far + EXTERNAL) * k + j], share)
             link = (
                 row[(AT + LENGTH) * k + j],
                 row[(AT + MA) * k + j],
@@ -154,26 +177,36 @@ def sweep(width, bears, lanes):  # type: ignore[no-untyped-def]
             )
             grip = row[(AT + GRIP) * k + j]
             w = row[(AT + W) * k + j]
-            sin, cos = sincos(row[(AT + Q) * k + j])
-            beyond = load_answer(row, k, j, share, DOWN)
+            sin = row[(AT + SIN) * k + j]
+            cos = row[(AT + COS) * k + j]
+            beyond = load_answer(answers, k, j, share, far)
             at, back = link_step(link, joint, grip * grip, share, sin, cos, w * w, beyond)
-            store_answer(row, k, j, share, at, back)
-            row[(AT + STEP) * k + j] = h
-            row[(AT + SIN) * k + j] = sin
-            row[(AT + COS) * k + j] = cos
-            row[(AT + DISSIPATED) * k + j] = row[(DOWN + DISSIPATED) * k + j] - lost
+            store_answer(answers, k, j, share, near, at)
+            row[(AT + RD) * k + j] = back[0]
+            row[(AT + EX) * k + j] = back[1]
+            row[(AT + EY) * k + j] = back[2]
+            row[(AT + KD) * k + j] = back[3]
+            answers[(near + DISSIPATED) * k + j] = answers[(far + DISSIPATED) * k + j] - lost
+            if not one_place:
+                row[(AT + INV) * k + j] = back[4]
+                row[(AT + STEP) * k + j] = h
+                row[(AT + EXTERNAL) * k + j] = row[(DOWN + EXTERNAL) * k + j]
 
 
 @kernel
-def advance(width, lanes):  # type: ignore[no-untyped-def]
-    """From motor to tip: accelerations, then w + h alpha and q + h w of the Euler step."""
+def advance(width, lanes, tip):  # type: ignore[no-untyped-def]
+    """From motor to tip: accelerations, then w + h alpha, q + h w and its sine and cosine for the next Euler step."""
     k = len(width)
+    one_place = k > len(COLUMNS)
     n = lanes.size // (ROW * k) - 2
     for i in range(1, n + 1):
         row = lanes[(i - 1) * ROW * k : (i + 1) * ROW * k]
+        place = tip if one_place else row
+        near, far = (0, 0) if one_place else (UP, AT)
         for j in range(k):
-            px = row[(UP + PX) * k + j]
-            py = row[(UP + PY) * k + j]
+            px = place[(near + PX) * k + j]
+            py = place[(near + PY) * k + j]
+            h = place[(far + STEP) * k + j]
             w = row[(AT + W) * k + j]
             length = row[(AT + LENGTH) * k + j]
             sin = row[(AT + SIN) * k + j]
@@ -182,47 +215,52 @@ def advance(width, lanes):  # type: ignore[no-untyped-def]
                 row[(AT + RD) * k + j]
                 - row[(AT + EX) * k + j] * px
                 - row[(AT + EY) * k + j] * py
-                + row[(AT + KD) * k + j] * row[(UP + ALPHA) * k + j]
+                + row[(AT + KD) * k + j] * place[(near + ALPHA) * k + j]
             )
-            row[(AT + ALPHA) * k + j] = alpha
-            row[(AT + PX) * k + j] = px + length * (cos * alpha - sin * w * w)
-            row[(AT + PY) * k + j] = py + length * (sin * alpha + cos * w * w)
-            w += row[(AT + STEP) * k + j] * alpha
+            place[(far + ALPHA) * k + j] = alpha
+            place[(far + PX) * k + j] = px + length * (cos * alpha - sin * w * w)
+            place[(far + PY) * k + j] = py + length * (sin * alpha + cos * w * w)
+            w += h * alpha
+            q = row[(AT + Q) * k + j] + h * w
             row[(AT + W) * k + j] = w
-            row[(AT + Q) * k + j] += row[(AT + STEP) * k + j] * w
+            row[(AT + Q) * k + j] = q
+            row[(AT + SIN) * k + j], row[(AT + COS) * k + j] = sincos(q)
 
 
 @kernel
-def euler(width, bears, lanes, base):  # type: ignore[no-untyped-def]
+def euler(width, bears, lanes, tip, base):  # type: ignore[no-untyped-def]
     """One linearly implicit Euler step in every lane, each of its own length.
 
     Parameters
     ----------
     width, bears : tuples whose lengths are the number of lanes, k, and of links that bear a joint's friction
-    lanes : ((n + 2) ROW k,), advanced in place. EXTERNAL (N m) is read from row 0, STEP (s) from the last row;
-        WORK and DISSIPATED of row 0 grow
-    base : (k, 9) motion of the first joint at the beginning of each lane's step, as ``drive.base_state`` writes it,
+    lanes : ((n + 2) ROW k,), advanced in place; WORK and LOST of row 0 grow
+    tip : (ROW k,) the last row, see :func:`rows`; EXTERNAL (N m) and STEP (s) are read from it
+    base : (9, k) motion of the first joint at the beginning of each lane's step, as ``drive.base_state`` writes it,
         with gravity taken off its acceleration
     """
     k = len(width)
     top = lanes[: ROW * k]
     for j in range(k):
-        top[W * k + j] = base[j, 3]
-        top[Q * k + j] = base[j, 4]
-    sweep(width, bears, lanes)
+        top[W * k + j] = base[3, j]
+        top[Q * k + j] = base[4, j]
+    sweep(width, bears, lanes, tip)
+    one_place = k > len(COLUMNS)
+    answers = tip if one_place else lanes[ROW * k : 2 * ROW * k]
+    start = answers if one_place else top
     row = lanes[ROW * k : 2 * ROW * k]
     for j in range(k):
-        px = base[j, 0]
-        py = base[j, 1]
-        up = base[j, 2]
-        axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = load_answer(lanes, k, j, len(bears) - 1.0, ROW)
+        px = base[0, j]
+        py = base[1, j]
+        up = base[2, j]
+        axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = load_answer(answers, k, j, len(bears) - 1.0, 0)
         fx = axx * px + axy * py + fx * up + bx
         fy = ayx * px + ayy * py + fy * up + by
         moment = ux * px + uy * py + s * up + beta
-        power = fx * base[j, 5] + fy * base[j, 6] + moment * base[j, 3] + top[EXTERNAL * k + j] * row[W * k + j]
-        top[WORK * k + j] += row[STEP * k + j] * power
-        top[DISSIPATED * k + j] += row[DISSIPATED * k + j]
-        top[PX * k + j] = px
-        top[PY * k + j] = py
-        top[ALPHA * k + j] = up
-    advance(width, lanes)
+        power = fx * base[5, j] + fy * base[6, j] + moment * base[3, j] + answers[EXTERNAL * k + j] * row[W * k + j]
+        top[WORK * k + j] += answers[STEP * k + j] * power
+        top[LOST * k + j] += answers[DISSIPATED * k + j]
+        start[PX * k + j] = px
+        start[PY * k + j] = py
+        start[ALPHA * k + j] = up
+    advance(width, lanes, tip)

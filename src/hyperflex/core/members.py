@@ -10,7 +10,8 @@ import numpy.typing as npt
 from hyperflex.core import lanes as ln
 from hyperflex.core.chain import Array, Chain, energies, sincos
 from hyperflex.core.drive import ANGLE, ROUNDING, TORQUE, X, Y, polynomial
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import inlined, kernel
+from hyperflex.core.stepsize import FIRST_STEP
 
 
 class Members(NamedTuple):
@@ -38,14 +39,16 @@ class Terms(NamedTuple):
 
 LENGTH, MASS, COM, INERTIA, VISCOUS, STIFFNESS, REST, DRY, LEVER = range(9)
 TIP_MASS, GRAVITY_X, GRAVITY_Y, ARM_LENGTH, TORQUE_LIMIT = range(5)
-# what a lane keeps about its member
-FIRST_STEP = 0.01  # s, tried first; error control does the rest
-TIME, STEP, AFTER, ORIGIN, END, WANTED, FRESH = range(7)
+# a lane's clock, s: as in rollout, with the piece of the drive that holds and the step wanted next
+TIME, STEP, AFTER, FRESH, LAST, SIZE, ORIGIN, END, WANTED, CLOCK = range(10)
+# What moves the first joints, in lanes: slot * k + lane. Coefficients of four channels, what hardly changes, the time
+# since the piece began; then the torque on link 0 and what ``drive.base_state`` gives, less gravity
+COEF, ARM, GX, GY, LIMIT, SINCE, EXTERNAL, BASE, PATH = 0, 24, 25, 26, 27, 28, 29, 30, 39
 
 
 @kernel
-def enter(members, terms, m, lanes, j, lane, energy):  # type: ignore[no-untyped-def]
-    """Put member m into lane j: parameters, state at the start, clock (7,) and energies (4,)."""
+def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore[no-untyped-def]
+    """Put member m into lane j: parameters, state at the start, clock (CLOCK,) and energies (4,)."""
     k = len(ln.MEMBERS)
     n = members.links.shape[2]
     link = members.links[m]
@@ -64,29 +67,43 @@ def enter(members, terms, m, lanes, j, lane, energy):  # type: ignore[no-untyped
         row[ln.LEVER * k + j] = link[LEVER, i]
         row[ln.Q_START * k + j] = members.start[m, i]
         row[ln.W_START * k + j] = members.start[m, n + i]
-    tip = lanes[(n + 1) * ln.ROW * k :]
-    tip[ln.AXX * k + j] = members.whole[m, TIP_MASS]
-    tip[ln.AYY * k + j] = members.whole[m, TIP_MASS]
+        row[ln.SIN_START * k + j], row[ln.COS_START * k + j] = sincos(members.start[m, i])
+    whole = members.whole[m]
+    tip[ln.MASS * k + j] = whole[TIP_MASS]
+    path[ARM * k + j], path[LIMIT * k + j] = whole[ARM_LENGTH], whole[TORQUE_LIMIT]
+    path[GX * k + j], path[GY * k + j] = whole[GRAVITY_X], whole[GRAVITY_Y]
     energy[0], energy[1] = members.start[m, 2 * n], members.start[m, 2 * n + 1]
+    lane[:] = 0.0
     lane[TIME], lane[STEP], lane[END], lane[AFTER] = terms.begin, FIRST_STEP, terms.begin, np.inf
 
 
 @kernel
-def piece(members, m, t, coef, lane):  # type: ignore[no-untyped-def]
+def piece(members, m, t, path, j, lane):  # type: ignore[no-untyped-def]
     """Find the piece of member m's drive that holds from t on; copies its coefficients, notes its origin and end."""
+    k = len(ln.MEMBERS)
+    which, still, lane[ORIGIN], lane[END] = find_piece(members, m, t)
+    for channel in range(4):
+        coef = members.coef[which, channel]
+        for power in range(6):
+            path[(COEF + channel * 6 + power) * k + j] = 0.0 if still >= 0.0 else coef[power]
+        if still >= 0.0 and channel != TORQUE:
+            path[(COEF + channel * 6) * k + j] = polynomial(coef, still)[0]
+
+
+@kernel
+def find_piece(members, m, t):  # type: ignore[no-untyped-def]
+    """Row of ``members.coef`` that holds for member m from t on, time at which it stands still there, origin and end.
+
+    The second is negative where the drive does not stand still.
+    """
     first = members.first[m]
     count = members.first[m + 1] - first - 1
     breaks = members.breaks[first : first + count + 1]
     t += ROUNDING * (1.0 + abs(t))  # as in drive.segment
     if t < breaks[0] or (t >= breaks[count] and members.loop[m] < 0):  # standing still
-        j = 0 if t < breaks[0] else count - 1
-        lane[ORIGIN] = t
-        lane[END] = breaks[0] if t < breaks[0] else np.inf
-        coef[:] = 0.0
-        since = 0.0 if t < breaks[0] else breaks[count] - breaks[count - 1]
-        for channel in range(TORQUE):
-            coef[channel, 0] = polynomial(members.coef[first + j, channel], since)[0]
-        return
+        if t < breaks[0]:
+            return first, 0.0, t, breaks[0]
+        return first + count - 1, breaks[count] - breaks[count - 1], t, np.inf
     offset = 0.0
     j = 0
     if t >= breaks[count]:
@@ -98,36 +115,49 @@ def piece(members, m, t, coef, lane):  # type: ignore[no-untyped-def]
         offset = cycle * period
     while j < count - 1 and offset + breaks[j + 1] <= t:
         j += 1
-    lane[ORIGIN] = offset + breaks[j]
-    lane[END] = offset + breaks[j + 1]
-    coef[:] = members.coef[first + j]
+    return first + j, -1.0, offset + breaks[j], offset + breaks[j + 1]
+
+
+@inlined
+def lane_polynomial(path, k, j, channel, t):  # type: ignore[no-untyped-def]
+    """Value, first and second derivative at t of a channel of lane j, as ``drive.polynomial``."""
+    i = (COEF + 6 * channel) * k + j
+    return polynomial((path[i], path[i + k], path[i + 2 * k], path[i + 3 * k], path[i + 4 * k], path[i + 5 * k]), t)
 
 
 @kernel
-def base_motion(coef, since, whole, base):  # type: ignore[no-untyped-def]
-    """Motion of the first joint `since` the piece began, less gravity, for ``lanes.euler``; returns the torque."""
-    angle, rate, alpha = polynomial(coef[ANGLE], since)
-    _, vx, ax = polynomial(coef[X], since)
-    _, vy, ay = polynomial(coef[Y], since)
-    torque = polynomial(coef[TORQUE], since)[0]
-    sin, cos = sincos(angle)
-    length = whole[ARM_LENGTH]
-    base[0] = ax + length * (cos * alpha - sin * rate * rate) - whole[GRAVITY_X]
-    base[1] = ay + length * (sin * alpha + cos * rate * rate) - whole[GRAVITY_Y]
-    base[2] = alpha
-    base[3] = rate
-    base[4] = angle
-    base[5] = vx + length * cos * rate
-    base[6] = vy + length * sin * rate
-    return min(max(torque, -whole[TORQUE_LIMIT]), whole[TORQUE_LIMIT])
+def base_motion(width, path):  # type: ignore[no-untyped-def]
+    """Torque on link 0 (EXTERNAL) and motion of the first joint (BASE) in every lane, at the time SINCE."""
+    k = len(width)
+    for j in range(k):
+        t = path[SINCE * k + j]
+        angle, rate, alpha = lane_polynomial(path, k, j, ANGLE, t)
+        x, vx, ax = lane_polynomial(path, k, j, X, t)
+        y, vy, ay = lane_polynomial(path, k, j, Y, t)
+        torque, _, _ = lane_polynomial(path, k, j, TORQUE, t)
+        limit = path[LIMIT * k + j]
+        torque = limit if torque > limit else torque
+        path[EXTERNAL * k + j] = -limit if torque < -limit else torque
+        sin, cos = sincos(angle)
+        length = path[ARM * k + j]
+        path[BASE * k + j] = ax + length * (cos * alpha - sin * rate * rate) - path[GX * k + j]
+        path[(BASE + 1) * k + j] = ay + length * (sin * alpha + cos * rate * rate) - path[GY * k + j]
+        path[(BASE + 2) * k + j] = alpha
+        path[(BASE + 3) * k + j] = rate
+        path[(BASE + 4) * k + j] = angle
+        path[(BASE + 5) * k + j] = vx + length * cos * rate
+        path[(BASE + 6) * k + j] = vy + length * sin * rate
+        path[(BASE + 7) * k + j] = x + length * sin
+        path[(BASE + 8) * k + j] = y - length * cos
 
 
 @kernel
-def energy_block(members, terms, low, high, t, y, kinetic, potential):  # type: ignore[no-untyped-def]
-    """Energies of members low..high - 1 at times t (T,) and states y (high - low, T, 2 n + 2); outputs (.., T), J."""
+def observe_block(members, terms, low, high, t, y, kinetic, potential, joint):  # type: ignore[no-untyped-def]
+    """Energies and first joints of members low..high - 1 at times t (T,) and states y (high - low, T, 2 n + 2).
+
+    Outputs: kinetic, potential (high - low, T), J; joint (high - low, T, 2), position of the first joint, m.
+    """
     n = members.links.shape[2]
-    coef = np.empty((4, 6))
-    lane = np.empty(7)
     for m in range(low, high):
         link, whole = members.links[m], members.whole[m]
         chain = Chain(
@@ -145,20 +175,18 @@ def energy_block(members, terms, low, high, t, y, kinetic, potential):  # type: 
             terms.bears,
         )
         for k in range(t.size):
-            piece(members, m, t[k], coef, lane)
-            since = t[k] - lane[ORIGIN]
-            angle, rate, _ = polynomial(coef[ANGLE], since)
-            x, vx, _ = polynomial(coef[X], since)
-            yy, vy, _ = polynomial(coef[Y], since)
+            which, still, origin, _ = find_piece(members, m, t[k])
+            since = still if still >= 0.0 else t[k] - origin
+            angle, rate, _ = polynomial(members.coef[which, ANGLE], since)
+            x, vx, _ = polynomial(members.coef[which, X], since)
+            yy, vy, _ = polynomial(members.coef[which, Y], since)
+            if still >= 0.0:
+                rate = vx = vy = 0.0
             sin, cos = sincos(angle)
             reach = whole[ARM_LENGTH]
-            base = (
-                x + reach * sin,
-                yy - reach * cos,
-                vx + reach * cos * rate,
-                vy + reach * sin * rate,
-                angle,
-                rate,
-            )
+            x += reach * sin
+            yy -= reach * cos
+            joint[m - low, k, 0], joint[m - low, k, 1] = x, yy
             state = y[m - low, k]
+            base = (x, yy, vx + reach * cos * rate, vy + reach * sin * rate, angle, rate)
             kinetic[m - low, k], potential[m - low, k] = energies(chain, state[:n], state[n : 2 * n], base)

@@ -9,10 +9,11 @@ import numpy as np
 
 from hyperflex.core import lanes as ln
 from hyperflex.core import status
-from hyperflex.core.chain import Array, accelerations, energies, sincos
+from hyperflex.core.chain import Array, accelerations, energies, sines
 from hyperflex.core.drive import base_state, segment
 from hyperflex.core.jit import kernel
 from hyperflex.core.steppers import extrapolate, rates, runge_kutta
+from hyperflex.core.stepsize import LARGEST_STEP, SHARE, SMALLEST_STEP, fitted, longer, shorter
 
 
 class Limits(NamedTuple):
@@ -32,18 +33,17 @@ class Progress(NamedTuple):
 
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
     mark: Array  # (2 n + 2,) the state before the first step that was cut short to end at `stop`
-    clock: Array  # (CLOCK,) see the names below; MARK_T is -inf while no step has been cut
+    clock: Array  # (CLOCK,) see the names below; the mark's time is -inf while no step has been cut
 
 
 # AFTER: first step that succeeded after the last switch, where the motion is least smooth; tried first at the next one
 # FRESH: 1.0 from a switch until a step has succeeded behind it
-T, STEP, AFTER, FRESH, MARK_T, MARK_STEP, MARK_AFTER, MARK_FRESH, INDEX, TAKEN, REJECTED = range(11)
-CLOCK = 11
-LARGEST_STEP = 0.25  # s
-SMALLEST_STEP = 1e-10  # s
+# LAST, SIZE: length and error of the last step that succeeded since the last switch; LAST is 0.0 where there is none
+# MARK: where these six stand again as they were at the mark
+T, STEP, AFTER, FRESH, LAST, SIZE, MARK = range(7)
+INDEX, TAKEN, REJECTED, CLOCK = range(2 * MARK, 2 * MARK + 4)
 ENERGY = 10.0  # see error_norm
 TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
-SHARE = 0.02  # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
 
 
 def _hermite(derivatives: int) -> Array:
@@ -62,16 +62,19 @@ _SUMS = _hermite(1)  # (6, 6): value and first derivative
 
 
 @kernel
-def error_norm(chain, limits, y, error, step):  # type: ignore[no-untyped-def]
+def error_norm(chain, limits, y, error, step, work):  # type: ignore[no-untyped-def]
     """Error of a step in units of what is allowed: of any joint's position, of its velocity times the step, of energy.
 
     Work and dissipation may err by ENERGY tol / reach of the chain's energy. Without that bound sharp dry friction,
-    which hardly moves a joint while it changes sign, would leave the energy balance unchecked.
+    which hardly moves a joint while it changes sign, would leave the energy balance unchecked. `work` is (6 n,)
+    scratch.
     """
     n = chain.length.size
+    sines(y[:n], work, 0)
     x = vx = z = vz = worst = 0.0
+    ux = uz = kinetic = 0.0  # velocity of the joint and the links' energy, both as seen from the chain's first joint
     for i in range(n):
-        sin, cos = sincos(y[i])
+        sin, cos = work[i], work[n + i]
         a = limits.lever[i] * error[i]
         b = limits.lever[i] * error[n + i] * step
         x += cos * a
@@ -82,7 +85,12 @@ def error_norm(chain, limits, y, error, step):  # type: ignore[no-untyped-def]
         if not (position + velocity < np.inf):  # also where it is not a number, which max would pass over
             return np.inf
         worst = max(worst, position, velocity)
-    kinetic, _ = energies(chain, y[:n], y[n : 2 * n], (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        w = y[n + i]
+        cx, cz = ux + chain.com[i] * cos * w, uz + chain.com[i] * sin * w
+        kinetic += 0.5 * (chain.mass[i] * (cx * cx + cz * cz) + chain.inertia[i] * w * w)
+        ux += chain.length[i] * cos * w
+        uz += chain.length[i] * sin * w
+    kinetic += 0.5 * chain.tip_mass * (ux * ux + uz * uz)
     energy = abs(error[2 * n] - error[2 * n + 1]) * limits.reach / (ENERGY * (limits.fall + kinetic) + TINY)
     if not (energy < np.inf):
         return np.inf
@@ -130,6 +138,7 @@ def switched(clock):  # type: ignore[no-untyped-def]
     """Note that the motion switches here: the next step is no longer than what succeeded after the last switch."""
     clock[STEP] = min(clock[STEP], clock[AFTER])
     clock[FRESH] = 1.0
+    clock[LAST] = 0.0
 
 
 class Scratch(NamedTuple):
@@ -140,28 +149,30 @@ class Scratch(NamedTuple):
     ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives
     dys: Array
     stage: Array  # (3, 2 n + 2)
-    work: Array  # (8 n,)
+    work: Array  # (6 n,)
     grip: Array  # (n,) as in chain.accelerations
-    base: Array  # (lanes, 9)
+    base: Array  # (9, lanes)
     lanes: Array  # ((n + 2) ROW lanes,)
+    tip: Array  # (ROW lanes,)
 
 
 @kernel
 def scratch(chain):  # type: ignore[no-untyped-def]
     """Working arrays for a chain, its parameters loaded into the lanes."""
     n = chain.length.size
-    lanes = np.zeros((n + 2) * ln.ROW * len(ln.COLUMNS))
-    ln.load(ln.COLUMNS, chain, lanes)
+    lanes, tip = ln.rows(ln.COLUMNS, n)
+    ln.load(ln.COLUMNS, chain, lanes, tip)
     return Scratch(
         np.empty(2 * n + 2),
         np.zeros(2 * n + 2),
         np.empty((3, 2 * n + 2)),
         np.empty((3, 2 * n + 2)),
         np.empty((3, 2 * n + 2)),
-        np.empty(8 * n),
+        np.empty(6 * n),
         np.ones(n),
-        np.zeros((len(ln.COLUMNS), 9)),
+        np.zeros((9, len(ln.COLUMNS))),
         lanes,
+        tip,
     )
 
 
@@ -171,7 +182,7 @@ def advance(chain, drive, part, table, fixed, t, step, y, out, room):  # type: i
     if fixed > 0.0:
         runge_kutta(chain, drive, part, t, step, y, room.grip, out, room.stage, room.work)
     else:
-        extrapolate(chain, drive, part, table, t, step, y, out, room.error, room.lanes, room.base)
+        extrapolate(chain, drive, part, table, t, step, y, out, room.error, room.lanes, room.tip, room.base, room.work)
 
 
 @kernel
@@ -208,9 +219,9 @@ def write_between(chain, drive, part, table, fixed, clock, step, room, t_out, y,
 def mark_here(progress):  # type: ignore[no-untyped-def]
     """Remember the state from which an unbroken run would go on (unless an earlier one is remembered)."""
     clock = progress.clock
-    if clock[MARK_T] == -np.inf:
+    if clock[MARK] == -np.inf:
         progress.mark[:] = progress.y
-        clock[MARK_T : MARK_FRESH + 1] = clock[T : FRESH + 1]
+        clock[MARK : 2 * MARK] = clock[:MARK]
 
 
 @kernel
@@ -240,21 +251,21 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
             part = segment(drive, t)
         end = min(part.end, limits.stop)
         wanted = fixed if fixed > 0.0 else min(clock[STEP], LARGEST_STEP)
-        cut = t + wanted * (1.0 + 1e-9) >= end
-        step = end - t if cut else wanted
-        if cut and limits.stop < part.end:
+        step = fitted(wanted, end - t) if fixed == 0.0 else min(wanted, end - t)
+        cut = step >= end - t
+        if step < wanted and limits.stop < part.end:
             mark_here(progress)
         advance(chain, drive, part, table, fixed, t, step, y, room.out, room)
         clock[TAKEN] += 1
         if fixed > 0.0:
             size = 0.0 if np.abs(room.out).max() < np.inf else np.inf
         else:
-            size = error_norm(chain, limits, room.out, room.error, step)
+            size = error_norm(chain, limits, room.out, room.error, step, room.work)
             if cut and step < SMALLEST_STEP and size < np.inf:
                 size = 0.0  # an end a few rounding errors away: there is nothing to control
         if not (size <= 1.0):
             clock[REJECTED] += 1
-            clock[STEP] = step * (max(0.2, 0.9 * size ** (-1.0 / table.order)) if size < np.inf else 0.2)
+            clock[STEP] = shorter(step, size, table.order)
             if fixed > 0.0:
                 return status.NOT_FINITE
             if clock[STEP] < SMALLEST_STEP:
@@ -266,8 +277,9 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
         clock[T] = t_new
         write_until(clock, t_out, t_new, y, y_out)
         if fixed == 0.0:
-            grown = step * min(3.0, 0.9 * max(size, 1e-12) ** (-1.0 / table.order))
-            clock[STEP] = max(grown, clock[STEP]) if cut else grown
+            grown = longer(step, size, clock[LAST], clock[SIZE], table.order)
+            clock[STEP] = max(grown, clock[STEP]) if step < wanted else grown
+            clock[LAST], clock[SIZE] = step, size
             if clock[FRESH] == 1.0:
                 clock[AFTER] = clock[STEP]
                 clock[FRESH] = 0.0
@@ -288,7 +300,7 @@ def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-unty
     scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m
     """
     n = chain.length.size
-    work, grip = np.empty(8 * n), np.ones(n)
+    work, grip = np.empty(6 * n), np.ones(n)
     for k in range(t.size):
         base = base_out[k]
         torque = base_state(drive, segment(drive, t[k]), t[k], base)

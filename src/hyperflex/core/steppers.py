@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.core import lanes as ln
-from hyperflex.core.chain import accelerations, friction_power
+from hyperflex.core.chain import accelerations, friction_power, sines
 from hyperflex.core.drive import base_state
 from hyperflex.core.jit import kernel
 
@@ -43,21 +43,23 @@ def scheme(order: int) -> Scheme:
 
 
 @kernel
-def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):  # type: ignore[no-untyped-def]
+def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, tip, base, trig):  # type: ignore[no-untyped-def]
     """Take one extrapolated step from y at time t; O(p^2 n / lanes).
 
     Parameters
     ----------
     chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
     y, out, error : (2 n + 2,) state, new state (out), its difference to the result of one order less (out)
-    lanes : ((n + 2) ROW lanes,), loaded with the chain's parameters and the senses of slipping
-    base : (lanes, 9) scratch
+    lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
+    base, trig : (9, lanes), (2 n,) scratch
     """
     k = len(ln.COLUMNS)
     n = chain.length.size
     out[:] = y  # the weights, up to 389 in size, multiply increments: their rounding must not scale the state itself
     error[:] = 0.0
     done = np.zeros(k, dtype=np.int64)
+    motion = np.empty(9)
+    sines(y[:n], trig, 0)
     rounds = table.column.shape[0]
     for turn in range(rounds):
         for j in range(k):
@@ -66,16 +68,20 @@ def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):
                 for i in range(n):
                     lanes[((i + 1) * ln.ROW + ln.Q) * k + j] = y[i]
                     lanes[((i + 1) * ln.ROW + ln.W) * k + j] = y[n + i]
+                    lanes[((i + 1) * ln.ROW + ln.SIN) * k + j] = trig[i]
+                    lanes[((i + 1) * ln.ROW + ln.COS) * k + j] = trig[n + i]
                 lanes[ln.WORK * k + j] = y[2 * n]
-                lanes[ln.DISSIPATED * k + j] = y[2 * n + 1]
+                lanes[ln.LOST * k + j] = y[2 * n + 1]
                 done[j] = 0
             h = step / col if col > 0 else 0.0
-            lanes[((n + 1) * ln.ROW + ln.STEP) * k + j] = h
-            lanes[ln.EXTERNAL * k + j] = base_state(drive, part, t + done[j] * h, base[j])
-            base[j, 0] -= chain.gx
-            base[j, 1] -= chain.gy
+            tip[ln.STEP * k + j] = h
+            tip[ln.EXTERNAL * k + j] = base_state(drive, part, t + done[j] * h, motion)
+            for s in range(9):
+                base[s, j] = motion[s]
+            base[0, j] -= chain.gx
+            base[1, j] -= chain.gy
             done[j] += 1
-        ln.euler(ln.COLUMNS, chain.bears, lanes, base)
+        ln.euler(ln.COLUMNS, chain.bears, lanes, tip, base)
         for j in range(k):
             col = table.column[turn, j]
             if col > 0 and (turn == rounds - 1 or table.column[turn + 1, j] != col):  # a column is complete
@@ -89,7 +95,7 @@ def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):
                     error[i] += gap * dq
                     error[n + i] += gap * dw
                 work = lanes[ln.WORK * k + j] - y[2 * n]
-                dissipated = lanes[ln.DISSIPATED * k + j] - y[2 * n + 1]
+                dissipated = lanes[ln.LOST * k + j] - y[2 * n + 1]
                 out[2 * n] += best * work
                 out[2 * n + 1] += best * dissipated
                 error[2 * n] += gap * work
@@ -98,7 +104,7 @@ def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, base):
 
 @kernel
 def rates(chain, drive, part, t, y, grip, dy, work):  # type: ignore[no-untyped-def]
-    """Exact time derivative of the state, written to dy (2 n + 2,); `work` is (8 n,) scratch."""
+    """Exact time derivative of the state, written to dy (2 n + 2,); `work` is (6 n,) scratch."""
     n = chain.length.size
     base = np.empty(9)
     torque = base_state(drive, part, t, base)
@@ -111,7 +117,7 @@ def rates(chain, drive, part, t, y, grip, dy, work):  # type: ignore[no-untyped-
 
 @kernel
 def runge_kutta(chain, drive, part, t, step, y, grip, out, stage, work):  # type: ignore[no-untyped-def]
-    """Take one classical fourth-order Runge-Kutta step; `stage` is (3, 2 n + 2) scratch, `work` (8 n,)."""
+    """Take one classical fourth-order Runge-Kutta step; `stage` is (3, 2 n + 2) scratch, `work` (6 n,)."""
     point, slope, total = stage[0], stage[1], stage[2]
     rates(chain, drive, part, t, y, grip, slope, work)
     total[:] = slope

@@ -19,7 +19,7 @@ from hyperflex.core.chain import Chain
 from hyperflex.core.drive import Drive
 from hyperflex.core.jit import announce_compilation
 from hyperflex.core.lanes import MEMBERS
-from hyperflex.core.members import LENGTH, Members, Terms, energy_block
+from hyperflex.core.members import LENGTH, Members, Terms, observe_block
 from hyperflex.core.steppers import scheme
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
@@ -30,10 +30,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 ORDER = 5  # where lanes are full, few cheap columns beat the high order that a lone rollout gets for nothing
-# Members of a block: at least BLOCKS blocks a thread, to balance the load and to be interrupted; few enough that the
-# states in work stay small; enough to keep the lanes full.
-BLOCKS = 4
-LARGEST_BLOCK = 4 * len(MEMBERS)
+# Members of a block: at least BLOCKS blocks a thread, to balance the load and to be interrupted; not more than keep the
+# states in work below some megabytes; not fewer than keep the lanes full, since the last ones of a block run alone.
+BLOCKS = 2
+LARGEST_BLOCK = 16 * len(MEMBERS)
+STATES = 1e6  # numbers that a block may hold in work
 INTERRUPTED = "interrupted"
 # name: (dimensions after member and time, units, long name)
 KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
@@ -190,7 +191,6 @@ class _Work:
         self.values = {name: np.full((count, t.size, *(sizes[dim] for dim in KEPT[name][0])), np.nan) for name in keep}
         self.codes = np.full(count, -1)
         self.reached = np.zeros(count)
-        self.base = _base_positions([setup.drive() for setup in setups], t) if "tip" in keep else None
 
     def block(self, low: int, high: int) -> int:
         """Run members low..high - 1 and keep what is wanted of them."""
@@ -199,25 +199,29 @@ class _Work:
         codes, reached = np.full(high - low, -1), np.zeros(high - low)
         core.run_block(self.members, self.terms, low, high, self.t, y, codes, reached)
         rows = slice(low, high)
-        self.check_energy(low, high, y, codes, reached)
+        joint = self.check_energy(low, high, y, codes, reached)
         for name, target in self.values.items():
-            if name == "tip" and self.base is not None:
+            if name == "tip":
                 length = self.members.links[rows, LENGTH][:, None, :]
                 q = y[:, :, :n]
                 reach = np.stack([(length * np.sin(q)).sum(axis=2), -(length * np.cos(q)).sum(axis=2)], axis=2)
-                target[rows] = self.base[rows] + reach
+                target[rows] = joint + reach
             else:
                 target[rows] = y[:, :, _columns(name, n)]
         self.reached[rows] = reached
         self.codes[rows] = codes
         return high - low
 
-    def check_energy(self, low: int, high: int, y: Array, codes: npt.NDArray[np.int64], reached: Array) -> None:
-        """Mark members whose energy balance fails, and forget what they show from there on."""
+    def check_energy(self, low: int, high: int, y: Array, codes: npt.NDArray[np.int64], reached: Array) -> Array:
+        """Mark members whose energy balance fails, and forget what they show from there on.
+
+        Returns the position of the first joint at the outputs (high - low, T, 2), m.
+        """
         times = np.append(self.terms.begin, self.t)
         states = np.concatenate([self.members.start[low:high, None], y], axis=1)
         kinetic, potential = np.empty((high - low, times.size)), np.empty((high - low, times.size))
-        energy_block(self.members, self.terms, low, high, times, states, kinetic, potential)
+        joint = np.empty((high - low, times.size, 2))
+        observe_block(self.members, self.terms, low, high, times, states, kinetic, potential, joint)
         n = self.members.links.shape[2]
         for m in np.flatnonzero(codes == status.OK):
             work, lost = states[m, :, 2 * n], states[m, :, 2 * n + 1]
@@ -225,12 +229,15 @@ class _Work:
             if good < times.size:
                 codes[m], reached[m] = status.ENERGY, times[good]
                 y[m, good - 1 :] = np.nan
+        return joint[:, 1:]
 
     def run(self, workers: int, progress: bool) -> Batch:
         """Run all blocks on threads; Ctrl-C keeps what is finished."""
         count = self.codes.size
         even = -(-count // (workers * BLOCKS * len(MEMBERS))) * len(MEMBERS)
-        size = min(max(len(MEMBERS), even), LARGEST_BLOCK)
+        states = self.t.size * (2 * self.members.links.shape[2] + 2)
+        held = int(STATES / states) // len(MEMBERS) * len(MEMBERS)
+        size = max(len(MEMBERS), min(even, LARGEST_BLOCK, held))
         with ThreadPoolExecutor(workers) as pool, progress_bar(0, count, progress, "members") as report:
             futures: list[Future[int]] = [
                 pool.submit(self.block, low, min(low + size, count)) for low in range(0, count, size)
@@ -314,13 +321,3 @@ def _members(chains: list[Chain], drives: list[Drive], starts: Array) -> Members
         np.array([d.loop for d in drives]),
         np.concatenate([[0], np.cumsum([d.breaks.size for d in drives])]),
     )
-
-
-def _base_positions(drives: list[Drive], t: Array) -> Array:
-    """Positions of the first joints (M, T, 2), m."""
-    result = np.empty((len(drives), t.size, 2))
-    for m, drive in enumerate(drives):
-        motion = Motion(drive.breaks, drive.coef, drive.switch, drive.loop)
-        angle = motion.angle(t)
-        result[m] = motion.point(t) + drive.arm_length * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-    return result

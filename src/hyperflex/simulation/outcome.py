@@ -6,10 +6,9 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.core import rollout, status
-from hyperflex.core.members import FIRST_STEP
 from hyperflex.errors import SimulationError
 from hyperflex.model import Setup
-from hyperflex.simulation.rollouts import Rollout, balanced, final_state
+from hyperflex.simulation.rollouts import Rollout, balanced, final_state, starting_clock
 from hyperflex.trajectory import State, Trajectory
 
 
@@ -75,7 +74,7 @@ def _state_at(run: Rollout, setup: Setup, count: int) -> State:
         qd=y[n + own : 2 * n].copy(),
         work=float(y[2 * n]),
         dissipated=float(y[2 * n + 1]),
-        checkpoint={"y": y.copy(), "clock": np.array([run.t[row], FIRST_STEP, np.inf, 0.0])},  # T to FRESH
+        checkpoint={"y": y.copy(), "clock": starting_clock(float(run.t[row]))},
     )
 
 

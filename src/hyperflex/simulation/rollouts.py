@@ -18,9 +18,9 @@ from hyperflex.core import rollout, status
 from hyperflex.core.chain import Chain
 from hyperflex.core.drive import TORQUE, Drive
 from hyperflex.core.jit import announce_compilation
-from hyperflex.core.members import FIRST_STEP
-from hyperflex.core.rollout import AFTER, FRESH, INDEX, MARK_FRESH, MARK_T, STEP, Limits, Progress, T
+from hyperflex.core.rollout import AFTER, INDEX, MARK, STEP, Limits, Progress, T
 from hyperflex.core.steppers import scheme
+from hyperflex.core.stepsize import FIRST_STEP
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import runge_kutta_limit
@@ -79,8 +79,16 @@ def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, li
     y = np.zeros(2 * n + 2)
     y[:n], y[n : 2 * n] = start
     clock = np.zeros(rollout.CLOCK)
-    clock[T], clock[STEP], clock[AFTER], clock[MARK_T] = t[0], FIRST_STEP, np.inf, -np.inf
+    clock[:MARK] = starting_clock(t[0])
+    clock[MARK] = -np.inf
     return Rollout(chain, drive, limits, Progress(y, y.copy(), clock), t, np.full((t.size, 2 * n + 2), np.nan))
+
+
+def starting_clock(t: float) -> Array:
+    """Return the clock (MARK,) of a run that begins at time t, s."""
+    clock = np.zeros(MARK)
+    clock[T], clock[STEP], clock[AFTER] = t, FIRST_STEP, np.inf
+    return clock
 
 
 def lever(chain: Chain) -> Array:
@@ -114,12 +122,19 @@ def resume(run: Rollout, state: State, setup: Setup) -> None:
     saved = state.checkpoint
     if saved and "y" in saved and np.size(saved["y"]) != 2 * n + 2:
         raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")
+    if saved and np.size(saved.get("clock", ())) != MARK:
+        raise InvalidInput(
+            "state was saved by another version",
+            got=np.size(saved.get("clock", ())),
+            allowed=f"a clock of {MARK} numbers",
+            fix="Give its q and qd: State(t=..., q=..., qd=...)",
+        )
     if saved.get("fingerprint") == fingerprint(run, setup):
         y[:] = saved["mark"]
-        clock[T : FRESH + 1] = saved["mark_clock"]
+        clock[:MARK] = saved["mark_clock"]
     elif saved:
         y[:] = saved["y"]
-        clock[T : FRESH + 1] = saved["clock"]
+        clock[:MARK] = saved["clock"]
         rollout.switched(clock)
     else:  # made by hand: a torque-driven arm starts where the set-up says
         own = 1 if setup.torque_driven else 0
@@ -134,8 +149,8 @@ def final_state(run: Rollout, setup: Setup) -> State:
     n = run.chain.length.size
     own = 1 if setup.torque_driven else 0
     y, mark, clock = run.progress
-    if clock[MARK_T] == -np.inf:  # no step was cut: the run stands where one ended
-        mark, clock[MARK_T : MARK_FRESH + 1] = y, clock[T : FRESH + 1]
+    if clock[MARK] == -np.inf:  # no step was cut: the run stands where one ended
+        mark, clock[MARK : 2 * MARK] = y, clock[:MARK]
     return State(
         t=run.time,
         q=y[own:n].copy(),
@@ -146,8 +161,8 @@ def final_state(run: Rollout, setup: Setup) -> State:
         checkpoint={
             "y": y.copy(),
             "mark": mark.copy(),
-            "mark_clock": clock[MARK_T : MARK_FRESH + 1].copy(),
-            "clock": clock[T : FRESH + 1].copy(),
+            "mark_clock": clock[MARK : 2 * MARK].copy(),
+            "clock": clock[:MARK].copy(),
             "fingerprint": fingerprint(run, setup),
         },
     )
@@ -164,7 +179,7 @@ def fingerprint(run: Rollout, setup: Setup) -> float:
 def finish(run: Rollout, report: Callable[[float], None] | None = None) -> int:
     """Run to the end and return the status code; `report` hears of the simulated time between budgets."""
     code = status.RUNNING
-    run.progress.clock[MARK_T] = -np.inf
+    run.progress.clock[MARK] = -np.inf
     while code == status.RUNNING:
         code = run.advance()
         if report is not None:

@@ -1,0 +1,58 @@
+"""How long a step may be: from its error, from the trend of the errors, and from what is left of the way."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hyperflex.core.jit import kernel
+
+FIRST_STEP: Final = 0.01  # s, tried first; error control does the rest
+LARGEST_STEP: Final = 0.25  # s
+SMALLEST_STEP: Final = 1e-10  # s
+SHARE: Final = 0.02  # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
+SAFETY: Final = 0.9
+MOST: Final = 3.0  # a step is at most so many times as long as the last one
+LEAST: Final = 0.2
+TINY: Final = 1e-12
+
+
+@kernel
+def fitted(wanted, left):  # type: ignore[no-untyped-def]
+    """Length of a step, s, where `wanted` is good and `left` is left: all of it, half of it, or what is wanted.
+
+    Two equal steps to an end are better than a good one and a stub.
+    """
+    if wanted * (1.0 + 1e-9) >= left:
+        return left
+    return 0.5 * left if wanted > 0.5 * left else wanted
+
+
+@kernel
+def longer(step, size, last, last_size, order):  # type: ignore[no-untyped-def]
+    """Length of the step after one that met the tolerance.
+
+    Parameters
+    ----------
+    step, size : float
+        Its length, s, and its error in units of what is allowed.
+    last, last_size : float
+        Of the step before; `last` is 0.0 where there is none of the same kind.
+    order : int
+        The error of a step of length h is proportional to h^order.
+
+    Notes
+    -----
+    If errors grow from step to step by a factor, they are expected to go on doing so (predictive control, Gustafsson
+    1994, doi:10.1145/198429.198437).
+    """
+    factor = SAFETY * max(size, TINY) ** (-1.0 / order)
+    if last > 0.0:
+        trend = (step / last) * (max(last_size, TINY) / max(size, TINY)) ** (1.0 / order)
+        factor *= min(1.0, trend)
+    return step * min(MOST, max(LEAST, factor))
+
+
+@kernel
+def shorter(step, size, order):  # type: ignore[no-untyped-def]
+    """Length of the next attempt after a step whose error was too large (`size` > 1, or not finite)."""
+    return step * (max(LEAST, SAFETY * size ** (-1.0 / order)) if size < float("inf") else LEAST)
