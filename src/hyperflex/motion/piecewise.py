@@ -35,7 +35,7 @@ class Motion:
     coef : (k, 4, 6) array
         Coefficients of the pieces for angle, x, y and torque, ascending powers of the time since the piece began.
     switch : (k + 1,) array of bool
-        Whether the acceleration (or torque) jumps at a break; the integration restarts there.
+        Whether the acceleration (or torque), or what it changes by, jumps at a break; the integration restarts there.
     loop : int
         The pieces from this one on repeat for ever after the last break; -1 if none do.
     spec : mapping

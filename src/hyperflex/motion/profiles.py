@@ -187,6 +187,5 @@ def _spline(t: npt.ArrayLike, channels: dict[int, tuple[str, npt.ArrayLike]], ki
         spline = CubicSpline(time, values, bc_type="clamped")
         coef[:, channel, :4] = spline.c[::-1].T
         spec[name] = values.tolist()
-    switch = np.zeros(time.size, dtype=np.bool_)
-    switch[[0, -1]] = True
-    return Motion(time, coef, switch, -1, spec)
+    # The third derivative jumps at every sample, and no error estimate of a step across such a jump can be believed.
+    return Motion(time, coef, np.ones(time.size, dtype=np.bool_), -1, spec)
