@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from hyperflex.model import Arm, Rope, Setup
     from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
-    from hyperflex.simulation import Batch, simulate, simulate_batch
+    from hyperflex.simulation import Batch, Predictability, predictability, simulate, simulate_batch
     from hyperflex.trajectory import State, Trajectory, read_trajectory
 
 __version__ = "0.1.0"
@@ -23,6 +23,7 @@ _HOMES = {
     "Batch": "simulation",
     "Identification": "identification",
     "Motion": "motion",
+    "Predictability": "simulation",
     "Recording": "recording",
     "Rope": "model",
     "Setup": "model",
@@ -32,6 +33,7 @@ _HOMES = {
     "identify": "identification",
     "move": "motion",
     "moving_point": "motion",
+    "predictability": "simulation",
     "read_motion": "motion",
     "read_recording": "recording",
     "read_trajectory": "trajectory",
@@ -47,6 +49,7 @@ __all__ = [
     "Batch",
     "Identification",
     "Motion",
+    "Predictability",
     "Recording",
     "Rope",
     "Setup",
@@ -57,6 +60,7 @@ __all__ = [
     "identify",
     "move",
     "moving_point",
+    "predictability",
     "read_motion",
     "read_recording",
     "read_trajectory",

@@ -37,6 +37,24 @@ def test_simulate_as_json(hyperflex_json, setup_file, tmp_path):
     assert result["output"] == str(tmp_path / "cast.nc")
 
 
+def test_simulate_tells_how_long_it_can_be_trusted(hyperflex, hyperflex_json, setup_file, tmp_path):
+    found = hf.predictability(hf.Setup.from_toml(setup_file))
+    for allowed, to_the_end in ((1e-5, False), (1.0, True)):  # an error of tol, 1e-5 m, grows by more than nothing
+        run = ("simulate", setup_file, "-o", tmp_path / "cast.nc", "--horizon", str(allowed))
+        _, result = hyperflex_json(*run)
+        assert result["trusted_to_the_end"] == to_the_end
+        assert result["horizon_s"] == min(1.0, found.horizon(allowed))
+        assert result["lyapunov_exponent_per_s"] == found.exponent()
+        assert ("to the end" in hyperflex(*run)[1]) == to_the_end
+
+
+def test_a_horizon_that_is_no_length_is_refused_before_the_run(hyperflex, setup_file, tmp_path):
+    code, _, err = hyperflex("simulate", setup_file, "-o", tmp_path / "cast.nc", "--horizon", "0")
+    assert code == 2
+    assert "--horizon" in err
+    assert not (tmp_path / "cast.nc").exists()
+
+
 @pytest.mark.parametrize("arguments", [("simulate", "nowhere.toml", "-o", "x.nc"), ("simulate", "nowhere.toml")])
 def test_errors_are_one_json_object_and_exit_code_2(hyperflex_json, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hyperflex import checks
 from hyperflex.cli import output
+
+if TYPE_CHECKING:
+    from hyperflex.model import Setup
 
 
 def simulate(
     setup: Annotated[Path, typer.Argument(help="TOML file with rope, arm, motion and duration.")],
     out: Annotated[Path, typer.Option("--output", "-o", help="NetCDF file to write, .nc.")],
     duration: Annotated[float | None, typer.Option(help="Simulated time, s, in place of the file's.")] = None,
+    horizon: Annotated[
+        float | None,
+        typer.Option(help="Tell, too, until when an error of tol made on the way stays below this, m (some 20 runs)."),
+    ] = None,
     json: output.Json = False,
 ) -> None:
     """Simulate a set-up and write the motion to NetCDF."""
@@ -23,7 +31,10 @@ def simulate(
     from hyperflex.simulation import simulate as run
 
     output.check_destination(out, ".nc", [setup])
-    trajectory = run(Setup.from_toml(setup), duration=duration, progress=output.watched(json))
+    if horizon is not None:
+        checks.number("--horizon", horizon, sign="positive", unit="m")
+    wanted = Setup.from_toml(setup)
+    trajectory = run(wanted, duration=duration, progress=output.watched(json))
     trajectory.to_netcdf(out)
     worked = float(np.ptp(trajectory.motor_work) + np.ptp(trajectory.kinetic_energy + trajectory.potential_energy))
     result = {
@@ -39,6 +50,8 @@ def simulate(
         "energy_error_J": np.abs(trajectory.energy_error).max(),
         "energy_moved_J": worked,
     }
+    trust = {} if horizon is None else _trust(wanted, duration, horizon)
+    result |= trust
     if json:
         output.print_json(result)
         return
@@ -50,6 +63,26 @@ def simulate(
             ("greatest |x| of the tip", f"{result['greatest_x_m']:.4f} m"),
             ("greatest motor torque", f"{result['greatest_torque_Nm']:.4g} N m"),
             ("energy error", f"{result['energy_error_J']:.2g} J of {worked:.3g} J moved"),
+            *([("trusted", _told(trust))] if trust else []),
             ("written", f"{out} ({trajectory.t.size} samples)"),
         ],
     )
+
+
+def _trust(setup: Setup, duration: float | None, allowed: float) -> dict[str, Any]:
+    """Until when an error of the set-up's tol stays below `allowed`, m."""
+    from hyperflex.simulation import predictability
+
+    found = predictability(setup, duration=duration)
+    end = found.horizon(allowed)
+    return {
+        "allowed_m": allowed,
+        "horizon_s": min(end, found.t[-1]),
+        "trusted_to_the_end": end > found.t[-1],
+        "lyapunov_exponent_per_s": found.exponent(),
+    }
+
+
+def _told(trust: dict[str, Any]) -> str:
+    until = "to the end" if trust["trusted_to_the_end"] else f"until {trust['horizon_s']:.3g} s"
+    return f"{until}: so long an error of tol stays below {trust['allowed_m']:g} m"

@@ -1,0 +1,262 @@
+"""Chaos made visible: how fast small errors grow along a run, and until when it can be compared point by point."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core import status
+from hyperflex.errors import InvalidInput
+from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
+from hyperflex.motion import Motion
+from hyperflex.simulation.outcome import failure
+from hyperflex.simulation.rollouts import finish, limits, prepare
+from hyperflex.simulation.runs import simulate
+
+SAMPLE_TIME = 0.05  # s, between two renormalisations
+NUDGE = 1e-5  # of the rope's length: far above the runs' own errors, far below where growth is no longer proportional
+FINE = 1e-9  # of the rope's length: the tolerance of all runs
+NUDGES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Predictability:
+    """How small errors grow along a run; made by :func:`predictability`.
+
+    An error is as large as it displaces the worst joint, or, if that is more, as it changes the worst joint's velocity
+    times the rope's swing time sqrt(length / g), at most 1 s: so an error that only swings to and fro keeps its size.
+
+    Attributes
+    ----------
+    t : (T,) float64
+        Times, s.
+    size : (m, T) float64
+        Size of each nudge beside what it was at the start; 1 at t[0].
+    displacement : (m, T) float64
+        By how much the worst joint is displaced, in the same unit: at most `size`.
+    tol : float
+        Tolerance of the set-up, m.
+    """
+
+    t: Array
+    size: Array
+    displacement: Array
+    tol: float
+
+    @property
+    def growth(self) -> Array:
+        """Displacement of the worst joint by the worst nudge, in units of the nudge at the start (T,)."""
+        return np.asarray(self.displacement.max(axis=0), dtype=np.float64)
+
+    @property
+    def amplification(self) -> Array:
+        """By how much the worst error made at any earlier time has grown, at least 1 (T,)."""
+        since = self.displacement / np.minimum.accumulate(self.size, axis=1)
+        return np.asarray(np.maximum(1.0, since.max(axis=0)), dtype=np.float64)
+
+    def exponent(self, begin: float | None = None, end: float | None = None) -> float:
+        """Return the largest finite-time Lyapunov exponent between two times, 1/s; by default of the whole run.
+
+        Positive: errors grow by e in each 1/exponent seconds. Over a short time it holds the nudges' turning into the
+        direction that grows fastest, too: leave the beginning out where that matters.
+
+        Parameters
+        ----------
+        begin, end : float, optional
+            Times, s; the nearest of `t` are taken.
+
+        Raises
+        ------
+        InvalidInput
+            If there is no time between them.
+        """
+        first, last = (
+            int(np.argmin(np.abs(self.t - (default if at is None else checks.number(name, at, unit="s")))))
+            for name, at, default in (("begin", begin, self.t[0]), ("end", end, self.t[-1]))
+        )
+        if first >= last:
+            raise InvalidInput("no time lies between begin and end", got=[begin, end], allowed="begin < end, in s")
+        ratios = self.size[:, last] / self.size[:, first]
+        return float(np.log(ratios.max()) / (self.t[last] - self.t[first]))
+
+    def horizon(self, allowed: float) -> float:
+        """Return the time, s, up to which an error of `tol`, made anywhere on the way, stays below `allowed`, m.
+
+        Infinite if it does for the whole run; 0.0 if `allowed` is less than `tol`.
+
+        Parameters
+        ----------
+        allowed : float
+            Largest displacement of any joint that still means something, m.
+
+        Raises
+        ------
+        InvalidInput
+            If it is not a number > 0.
+        """
+        limit = checks.number("allowed", allowed, sign="positive", unit="m") / self.tol
+        if limit < 1.0:
+            return 0.0
+        grown = self.amplification
+        if not (grown > limit).any():
+            return math.inf
+        late = int(np.argmax(grown > limit))
+        before, after = np.log(grown[late - 1 : late + 1])  # between two times errors grow by powers
+        part = (math.log(limit) - before) / (after - before)
+        return float(self.t[late - 1] + part * (self.t[late] - self.t[late - 1]))
+
+
+def predictability(
+    rope: Rope | Setup,
+    motion: Motion | None = None,
+    *,
+    arm: Arm | None = None,
+    duration: float | None = None,
+    q0: npt.ArrayLike | None = None,
+    qd0: npt.ArrayLike | None = None,
+    tol: float = DEFAULT_TOL,
+    nudges: int = NUDGES,
+    seed: int = 0,
+    sample_time: float = SAMPLE_TIME,
+) -> Predictability:
+    """Measure how fast small errors grow along a run: for how long comparing it point by point means anything.
+
+    Parameters
+    ----------
+    rope : Rope or Setup
+        The rope; or a whole set-up (needed for a torque-driven arm), and then only `duration`, `nudges`, `seed` and
+        `sample_time` may be given beside it.
+    motion, arm, duration, q0, qd0
+        As in :func:`hyperflex.simulate`.
+    tol : float
+        Tolerance of the runs to be compared, m: the error that :meth:`Predictability.horizon` speaks of.
+    nudges : int
+        How many runs go beside the one asked for, each nudged at random in all angles and rates.
+    seed : int
+        For the nudges.
+    sample_time : float
+        Time between two renormalisations, s, and between the times of the result.
+
+    Returns
+    -------
+    Predictability
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+    SimulationError
+        If one of the runs fails.
+
+    Notes
+    -----
+    The runs use a tolerance of 1e-9 of the rope's length, the nudges are 1e-5 of it, and every `sample_time` the nudged
+    ones begin anew beside the run, in the direction in which they had drifted, as far off as at the start (Benettin et
+    al. 1980, doi:10.1007/BF02128236). So the nudges neither saturate nor drown in the runs' own errors. Costs some
+    4 (1 + nudges) runs at the default tolerance. It is an estimate: a few nudges may miss what grows for a short while.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> rods = hf.Rope(length=[0.5, 0.5], mass=[0.1, 0.1])
+    >>> chaos = hf.predictability(rods, duration=4.0, q0=[3.0, 2.5], tol=1e-6)
+    >>> bool(chaos.exponent() > 1.0), bool(chaos.horizon(1e-3) < 4.0)
+    (True, True)
+    """
+    setup = _setup(rope, motion, arm, duration, q0, qd0, tol)
+    count = checks.count("nudges", nudges)
+    spacing = checks.number("sample_time", sample_time, sign="positive", unit="s")
+    reach = setup.rope.total_length
+    fine = replace(setup, tol=FINE * reach, method="extrapolation", step=None)
+    t = np.linspace(0.0, setup.duration, max(2, math.ceil(setup.duration / spacing - 1e-9) + 1))
+    q, w = _states(fine, t)
+    directions = _first_nudges(fine, count, np.random.default_rng(seed))
+    size, displacement = np.ones((count, t.size)), np.ones((count, t.size))
+    for m, nudge in enumerate(directions):
+        for k in range(1, t.size):
+            nudge, grown, moved = _drift(fine, t[k - 1 : k + 1], (q[k - 1], w[k - 1]), (q[k], w[k]), nudge)
+            displacement[m, k] = size[m, k - 1] * moved
+            size[m, k] = size[m, k - 1] * grown
+    return Predictability(t, size, displacement, setup.tol)
+
+
+def _setup(
+    rope: Rope | Setup,
+    motion: Motion | None,
+    arm: Arm | None,
+    duration: float | None,
+    q0: npt.ArrayLike | None,
+    qd0: npt.ArrayLike | None,
+    tol: float,
+) -> Setup:
+    if isinstance(rope, Setup):
+        beside = {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0}
+        given = [name for name, value in beside.items() if value is not None] + ["tol"] * (tol != DEFAULT_TOL)
+        if given:
+            raise InvalidInput(
+                "arguments beside a whole set-up", got=given, allowed="duration, nudges, seed, sample_time"
+            )
+        return rope if duration is None else replace(rope, duration=duration)
+    if duration is None:
+        raise InvalidInput("duration is missing", allowed="a number > 0, in s", fix="Give duration=10.0, say")
+    return Setup(rope, motion, arm, duration=duration, q0=q0, qd0=qd0, tol=tol)  # type: ignore[arg-type]
+
+
+def _states(setup: Setup, t: Array) -> tuple[Array, Array]:
+    """Angles and rates (T, n) of the whole chain, a torque-driven arm first."""
+    run = simulate(setup, t_eval=t)
+    if not setup.torque_driven:
+        return run.q, run.qd
+    return np.column_stack([run.arm_angle, run.q]), np.column_stack([run.arm_rate, run.qd])
+
+
+def _swing_time(setup: Setup) -> float:
+    """Time that turns a change of velocity into one of place, s."""
+    pull = math.hypot(*setup.rope.gravity)
+    return math.sqrt(setup.rope.total_length / max(pull, setup.rope.total_length))
+
+
+def _measures(setup: Setup, q: Array, change: Array) -> tuple[float, float]:
+    """Size of a small change (2, n) of angles and rates, m, and how far it displaces the worst joint, m."""
+    across = setup.chain().length[:, None] * np.stack([np.cos(q), np.sin(q)], axis=1)
+    moved, hastened = (float(np.hypot(*np.cumsum(part[:, None] * across, axis=0).T).max()) for part in change)
+    return max(moved, _swing_time(setup) * hastened), moved
+
+
+def _first_nudges(setup: Setup, count: int, rng: np.random.Generator) -> list[Array]:
+    """Random changes (2, n) of all angles and rates, each as large as NUDGE of the length."""
+    q = setup.start()[0]
+    reach = NUDGE * setup.rope.total_length
+    changes = []
+    for _ in range(count):
+        change = rng.normal(0.0, 1.0, (2, q.size))
+        for row, haste in ((0, 1.0), (1, _swing_time(setup))):
+            alone = np.zeros_like(change)
+            alone[0] = change[row]
+            change[row] *= reach / (haste * _measures(setup, q, alone)[1])
+        changes.append(change)
+    return changes
+
+
+def _drift(
+    setup: Setup, t: Array, start: tuple[Array, Array], end: tuple[Array, Array], nudge: Array
+) -> tuple[Array, float, float]:
+    """Run from `start` plus `nudge` over t (2,): the new nudge, as large as the first; its growth; its displacement."""
+    chain = setup.chain()
+    nudged = (start[0] + nudge[0], start[1] + nudge[1])
+    run = prepare(chain, setup.drive(), nudged, t, limits(setup, chain, float(t[1])))
+    code = finish(run)
+    if code != status.OK:
+        raise failure(code, run)
+    n = chain.length.size
+    change = np.stack([run.y[1, :n] - end[0], run.y[1, n : 2 * n] - end[1]])
+    unit = NUDGE * setup.rope.total_length
+    size, moved = _measures(setup, end[0], change)
+    if not size > 0.0:  # not a trace of the nudge is left: go on with the least that could be seen
+        return nudge, FINE / NUDGE, 0.0
+    return change * (unit / size), size / unit, moved / unit
