@@ -91,6 +91,16 @@ def test_friction_makes_the_papers_cast_predictable(friction: float, tame: bool)
     assert (found.horizon(1e-3) == math.inf) == tame
 
 
+def test_errors_made_late_count_as_well() -> None:
+    """A nudge that first shrinks to a tenth and then grows again: whatever is made in between grows eightfold."""
+    found = hf.Predictability(np.array([0.0, 1.0, 2.0]), np.array([[1.0, 0.1, 1.0]]), np.array([[1.0, 0.1, 0.8]]), 1e-3)
+    np.testing.assert_allclose(found.growth, [1.0, 0.1, 0.8], rtol=1e-15)
+    np.testing.assert_allclose(found.amplification, [1.0, 1.0, 8.0], rtol=1e-15)
+    # From 1 to 8 by powers: 2 after a third of the way. Rounding of logarithms.
+    assert found.horizon(2e-3) == pytest.approx(1.0 + 1.0 / 3.0, rel=1e-12)
+    assert found.exponent(1.0) == pytest.approx(math.log(10.0), rel=1e-12)
+
+
 def test_horizons_grow_with_what_is_allowed() -> None:
     found = hf.predictability(RODS, duration=3.0, q0=HIGH, tol=1e-5)
     horizons = [found.horizon(allowed) for allowed in (1e-6, 1e-5, 1e-4, 1e-3, 1e6)]
