@@ -32,7 +32,7 @@ from hyperflex.core.members import (
     enter,
     piece,
 )
-from hyperflex.core.stepsize import LARGEST_STEP, SHARE, SMALLEST_STEP, fitted, longer, shorter
+from hyperflex.core.stepsize import LARGEST_STEP, SHARE, SMALLEST_STEP, fitted, lasting, longer, shorter
 
 
 @kernel
@@ -158,7 +158,7 @@ def judge(terms, tip, j, step):  # type: ignore[no-untyped-def]
     """Error of lane j's step in units of what is allowed; 0 for a fixed step, inf where it is not finite."""
     k = len(ln.MEMBERS)
     finite = abs(tip[ln.ERR_VX * k + j]) + abs(tip[ln.ERR_VY * k + j]) < np.inf
-    worst = max(tip[ln.WORST * k + j], step * step * tip[ln.WORST_V * k + j])
+    worst = max(tip[ln.WORST * k + j], lasting(step) ** 2 * tip[ln.WORST_V * k + j])
     if not finite or not (worst < np.inf):
         return np.inf
     if terms.fixed > 0.0 or step < SMALLEST_STEP:  # so short only where it is cut: nothing to control

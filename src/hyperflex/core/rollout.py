@@ -13,7 +13,7 @@ from hyperflex.core.chain import Array, accelerations, energies, sines
 from hyperflex.core.drive import base_state, segment
 from hyperflex.core.jit import kernel
 from hyperflex.core.steppers import extrapolate, rates, runge_kutta
-from hyperflex.core.stepsize import LARGEST_STEP, SHARE, SMALLEST_STEP, fitted, longer, shorter
+from hyperflex.core.stepsize import LARGEST_STEP, SHARE, SMALLEST_STEP, fitted, lasting, longer, shorter
 
 
 class Limits(NamedTuple):
@@ -63,7 +63,7 @@ _SUMS = _hermite(1)  # (6, 6): value and first derivative
 
 @kernel
 def error_norm(chain, limits, y, error, step, work):  # type: ignore[no-untyped-def]
-    """Error of a step in units of what is allowed: of any joint's position, of its velocity times the step, of energy.
+    """Error of a step in units of what is allowed: of any joint's position, of its velocity, of energy.
 
     Work and dissipation may err by ENERGY tol / reach of the chain's energy. Without that bound sharp dry friction,
     which hardly moves a joint while it changes sign, would leave the energy balance unchecked. `work` is (6 n,)
@@ -73,10 +73,11 @@ def error_norm(chain, limits, y, error, step, work):  # type: ignore[no-untyped-
     sines(y[:n], work, 0)
     x = vx = z = vz = worst = 0.0
     ux = uz = kinetic = 0.0  # velocity of the joint and the links' energy, both as seen from the chain's first joint
+    time = lasting(step)
     for i in range(n):
         sin, cos = work[i], work[n + i]
         a = limits.lever[i] * error[i]
-        b = limits.lever[i] * error[n + i] * step
+        b = limits.lever[i] * error[n + i] * time
         x += cos * a
         z += sin * a
         vx += cos * b

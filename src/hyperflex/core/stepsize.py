@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from hyperflex.core.jit import kernel
@@ -56,3 +57,14 @@ def longer(step, size, last, last_size, order):  # type: ignore[no-untyped-def]
 def shorter(step, size, order):  # type: ignore[no-untyped-def]
     """Length of the next attempt after a step whose error was too large (`size` > 1, or not finite)."""
     return step * (max(LEAST, SAFETY * size ** (-1.0 / order)) if size < float("inf") else LEAST)
+
+
+@kernel
+def lasting(step):  # type: ignore[no-untyped-def]
+    """Time, s, for which an error of a velocity made in a step counts: the geometric mean of the step and SHARE.
+
+    One that lasts (a vibration) moves joints for SHARE at least, however short the step; one that friction wipes out
+    counts for less than its step. Weighed by the step alone, a thousand short ones would add up unseen; weighed by
+    SHARE, steps would have to resolve how friction settles.
+    """
+    return math.sqrt(step * max(step, SHARE))
