@@ -1,0 +1,140 @@
+"""Whether a run keeps its tolerance: against a tighter run, and Runge and Kutta's where that is cheap, in a horizon.
+
+`tol` is what one step may err in the place of any joint, and in its velocity times some milliseconds; short ones, below
+:data:`SHARE`, may err in proportion. What such an error grows to is measured from two nudged runs: one in the angles,
+one in the rates, each as large as `tol` allows. Were all errors to point the same way, they would add up to::
+
+    error(t) <= tol (1 + t / SHARE) max(1, growth(t))
+
+which is the promise that a run is held to, for as long as the right side, and the distance of the nudged runs, are
+small beside the rope (:data:`SMALL`): that is the horizon. A run that is further off is silently wrong. Most errors do
+not add up like that: :data:`USUAL` counts those that stay below ``USUAL tol max(1, growth)`` however long they run.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.errors import SimulationError
+from hyperflex.model import Setup
+from hyperflex.simulation import runge_kutta_limit, simulate
+from hyperflex.trajectory import Trajectory
+
+Real = npt.NDArray[np.float64]
+
+USUAL = 30.0
+SHARE = 0.02  # s, as in hyperflex.core.rollout
+SMALL = 0.02  # of the rope's length
+TIGHTER = 100.0
+SAMPLES = 101
+EFFORT = 3e6  # links times steps that a Runge-Kutta run may cost
+
+
+class Verdict(NamedTuple):
+    """What became of a run. Errors are the largest inside the horizon."""
+
+    outcome: str  # "met", "wrong", "failed" (with a reason) or "unchecked" (a tighter run failed)
+    reason: str
+    promise: float  # error in units of what is promised; "met" up to 1
+    factor: float  # error in units of tol max(1, growth)
+    error: float  # m
+    growth: float
+    horizon: float  # s
+    checked: bool  # whether Runge and Kutta's errors are among them, too
+    energy: float  # greatest error of the energy account over the greatest kinetic energy
+    seconds: float  # wall time of the run
+
+
+def judge(setup: Setup, seed: int = 0) -> Verdict:
+    """Run a set-up and say whether it kept its tolerance."""
+    t = np.linspace(0.0, setup.duration, SAMPLES)
+    begin = time.perf_counter()
+    try:
+        run = simulate(setup, t_eval=t)
+    except SimulationError as error:
+        return _unjudged("failed", error.status, time.perf_counter() - begin)
+    seconds = time.perf_counter() - begin
+    tight = replace(setup, tol=setup.tol / TIGHTER)
+    try:
+        truth = simulate(tight, t_eval=t)
+        nudged = [simulate(replace(tight, **nudge), t_eval=t) for nudge in nudges(setup, np.random.default_rng(seed))]
+    except SimulationError as error:
+        return _unjudged("unchecked", error.status, seconds)
+    apart = np.max([distance(one, truth) for one in nudged], axis=0)
+    growth = np.maximum(1.0, growth_along_the_way(apart, setup.tol))
+    promised = setup.tol * growth * (1.0 + t / SHARE)
+    small = SMALL * setup.rope.total_length
+    inside = np.logical_and.accumulate((apart < small) & (promised < small))
+    inside[0] = True
+    error = distance(run, truth)
+    check = runge_kutta(setup, t)
+    own = np.full(t.size, np.inf) if check is None else distance(*check)
+    checked = bool((own <= promised)[inside].all())
+    if check is not None and checked:  # of the fourth order: half the step leaves a sixteenth; allow a quarter
+        error = np.maximum(error, distance(run, check[0]) - 0.25 * own)
+    return Verdict(
+        "met" if (error <= promised)[inside].all() else "wrong",
+        "",
+        float((error / promised)[inside].max()),
+        float((error / (setup.tol * growth))[inside].max()),
+        float(error[inside].max()),
+        float(growth[inside].max()),
+        float(t[inside][-1]),
+        checked,
+        float(np.abs(run.energy_error).max() / max(run.kinetic_energy.max(), 1e-300)),
+        seconds,
+    )
+
+
+def _unjudged(outcome: str, reason: str, seconds: float) -> Verdict:
+    none = float("nan")
+    return Verdict(outcome, reason, none, none, none, none, none, False, none, seconds)
+
+
+def distance(run: Trajectory, other: Trajectory) -> Real:
+    """Largest distance (T,) of any joint in one run from the same joint in the other, m."""
+    return np.asarray(np.linalg.norm(run.joints - other.joints, axis=2).max(axis=1))
+
+
+def nudges(setup: Setup, rng: np.random.Generator) -> list[dict[str, Real]]:
+    """Starts beside that of the set-up: every angle, every rate, by as much as `tol` allows a step to err."""
+    rope = setup.rope
+    n = rope.n_links
+    q = np.full(n, rope.hanging_angle) if setup.q0 is None else setup.q0
+    qd = np.zeros(n) if setup.qd0 is None else setup.qd0
+    across = np.stack([np.cos(q), np.sin(q)], axis=1)
+    changes = []
+    for size in (setup.tol, setup.tol / SHARE):
+        change = rng.normal(0.0, 1.0, n)
+        moved = np.linalg.norm(np.cumsum((rope.length * change)[:, None] * across, axis=0), axis=1).max()
+        changes.append(size / moved * change)
+    return [{"q0": q + changes[0], "qd0": qd}, {"q0": q, "qd0": qd + changes[1]}]
+
+
+def growth_along_the_way(apart: Real, tol: float) -> Real:
+    """How much an error of `tol` made at any earlier instant has grown by each instant (T,).
+
+    A nudge of `tol` at the start that is `apart` by then tells of later errors as well, as long as it has not sunk
+    into the errors of the runs themselves, some hundredths of `tol`: what was less than a tenth counts as a tenth.
+    """
+    least = np.minimum.accumulate(np.clip(apart, 0.1 * tol, tol))
+    return np.asarray(apart / least)
+
+
+def runge_kutta(setup: Setup, t: Real) -> tuple[Trajectory, Trajectory] | None:
+    """Runs by the classical method with a step and with twice that step, or None where they would cost too much."""
+    chain = setup.chain()
+    fastest = float(np.abs(setup.start()[1]).max())
+    step = min(0.2 * runge_kutta_limit(chain), 5e-4, 2e-3 / max(1.0, 0.1 * fastest))
+    if setup.duration / step * chain.length.size > EFFORT:
+        return None
+    try:
+        fine, coarse = (simulate(replace(setup, method="rk4", step=h), t_eval=t) for h in (step, 2.0 * step))
+    except SimulationError:
+        return None
+    return fine, coarse
