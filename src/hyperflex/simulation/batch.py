@@ -24,7 +24,7 @@ from hyperflex.core.steppers import scheme
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.rollouts import balanced, lever, progress_bar
+from hyperflex.simulation.rollouts import balanced, lever, progress_bar, stored
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -225,7 +225,9 @@ class _Work:
         n = self.members.links.shape[2]
         for m in np.flatnonzero(codes == status.OK):
             work, lost = states[m, :, 2 * n], states[m, :, 2 * n + 1]
-            good = int(balanced(self.ropes[low + m], kinetic[m], potential[m], work, lost))
+            rope = self.ropes[low + m]
+            held = stored(rope.chain(), states[m, :, :n])
+            good = int(balanced(rope, kinetic[m], potential[m], held, work, lost))
             if good < times.size:
                 codes[m], reached[m] = status.ENERGY, times[good]
                 y[m, good - 1 :] = np.nan

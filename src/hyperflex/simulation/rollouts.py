@@ -23,7 +23,7 @@ from hyperflex.core.steppers import scheme
 from hyperflex.core.stepsize import FIRST_STEP
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope, Setup
-from hyperflex.simulation.stability import runge_kutta_limit
+from hyperflex.simulation.stability import first_moment, runge_kutta_limit
 from hyperflex.trajectory import State
 
 ORDER = 7  # of the extrapolation; its columns fill four lanes without a gap
@@ -219,15 +219,30 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
     return code, np.array(times), np.array(torques)
 
 
-def balanced(rope: Rope, kinetic: Array, potential: Array, work: Array, dissipated: Array) -> npt.NDArray[np.int64]:
+def stored(chain: Chain, q: Array) -> Array:
+    """Return the energy (..., T) that links (..., T, n) store above hanging straight, and bent joints, J.
+
+    The first joint is left out, whose parent turns on its own account.
+    """
+    weight = math.hypot(chain.gx, chain.gy) * first_moment(chain)
+    hanging = math.atan2(chain.gx, -chain.gy) if weight.any() else 0.0
+    bend = np.diff(q, axis=-1) - chain.rest[1:]
+    raised = (weight * (1.0 - np.cos(q - hanging))).sum(axis=-1)
+    return np.asarray(raised + 0.5 * (chain.stiffness[1:] * bend**2).sum(axis=-1))
+
+
+def balanced(
+    rope: Rope, kinetic: Array, potential: Array, held: Array, work: Array, dissipated: Array
+) -> npt.NDArray[np.int64]:
     """Return the number of leading samples whose energy balance holds.
 
     Parameters
     ----------
     rope : Rope
         Sets the scale of a run in which hardly anything happens.
-    kinetic, potential, work, dissipated : (..., T) float64
-        J; the first sample is what the balance is drawn against.
+    kinetic, potential, held, work, dissipated : (..., T) float64
+        J; the first sample is what the balance is drawn against. What is held (:func:`stored`) may have been kinetic
+        between two samples, so it counts for the scale.
 
     Returns
     -------
@@ -240,7 +255,7 @@ def balanced(rope: Rope, kinetic: Array, potential: Array, work: Array, dissipat
     def peak(value: Array) -> Array:
         return np.maximum.accumulate(np.abs(value), axis=-1)
 
-    scale = peak(work) + peak(dissipated) + peak(kinetic) + peak(change)
+    scale = peak(work) + peak(dissipated) + peak(kinetic + held) + peak(change)
     # a rope that hardly moves has no scale of its own: compare with a fall through a hundredth of its length
     floor = 0.01 * rope.total_mass * rope.total_length * float(np.hypot(*rope.gravity))
     bad = ~(np.abs(error) <= ENERGY_ALLOWANCE * (scale + floor) + 1e-300)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from hyperflex.checks import Array
 from hyperflex.core.chain import MUTUAL, Chain, mass_matrix
 
 
@@ -24,8 +25,7 @@ def runge_kutta_limit(chain: Chain) -> float:
     slope = chain.viscous
     back = relative.T if chain.bears == MUTUAL else np.eye(n)
     damping = back @ (slope[:, None] * relative)
-    first_moment = chain.mass * chain.com + chain.length * _mass_beyond(chain)
-    weight = math.hypot(chain.gx, chain.gy) * first_moment
+    weight = math.hypot(chain.gx, chain.gy) * first_moment(chain)
     stiffness = relative.T @ (chain.stiffness[:, None] * relative) + np.diag(weight)
     system = np.block(
         [[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]]
@@ -43,7 +43,7 @@ def runge_kutta_limit(chain: Chain) -> float:
     return low
 
 
-def _mass_beyond(chain: Chain) -> np.ndarray:
-    """Mass beyond the far joint of each link (n,), kg."""
-    outer = np.cumsum(chain.mass[::-1])[::-1] - chain.mass
-    return np.asarray(outer + chain.tip_mass)
+def first_moment(chain: Chain) -> Array:
+    """Mass times lever of each link and of all beyond it about the link's motor-side joint (n,), kg m; p in (M.4)."""
+    outer = np.cumsum(chain.mass[::-1])[::-1] - chain.mass + chain.tip_mass
+    return np.asarray(chain.mass * chain.com + chain.length * outer)
