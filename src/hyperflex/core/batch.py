@@ -107,6 +107,7 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
     """One extrapolated step in every lane, of the length WANTED; results stay in the sums of `lanes` and `energy`."""
     k = len(ln.MEMBERS)
     order = terms.best.size - 1
+    base = path[BASE * k :].reshape(9, k)
     energy[:, 2:] = 0.0
     for col in range(1, order + 1):
         begin_column(ln.MEMBERS, lanes, col == 1)
@@ -115,12 +116,15 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
             lanes[ln.WORK * k + j] = 0.0
             lanes[ln.LOST * k + j] = 0.0
             path[SINCE * k + j] = lane[j, TIME] - lane[j, ORIGIN]
-        for _ in range(col):
+        for s in range(col):
             base_motion(ln.MEMBERS, path)
             for j in range(k):
                 tip[ln.EXTERNAL * k + j] = path[EXTERNAL * k + j]
                 path[SINCE * k + j] += tip[ln.STEP * k + j]
-            ln.euler(ln.MEMBERS, terms.bears, lanes, tip, path[BASE * k :].reshape(9, k))
+            if s < col - 1:
+                ln.euler(ln.MEMBERS, terms.bears, ln.MORE, lanes, tip, base)
+            else:
+                ln.euler(ln.MEMBERS, terms.bears, ln.LAST, lanes, tip, base)
         end_column(ln.MEMBERS, lanes, terms.best[col], terms.best[col] - terms.other[col])
         for j in range(k):
             energy[j, 2] += terms.best[col] * lanes[ln.WORK * k + j]

@@ -25,6 +25,8 @@ from hyperflex.core.jit import inlined, kernel
 
 COLUMNS = (0,) * 4
 MEMBERS = (0,) * 16
+# Whether another Euler step follows, which needs the sines of the new angles; tuples too, for the compiler to know
+MORE, LAST = (0,), ()
 
 # parameters of a link
 LENGTH, MA, INERTIA, MASS, VISCOUS, STIFFNESS, REST, DRY = range(8)
@@ -194,8 +196,8 @@ def sweep(width, bears, lanes, tip):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def advance(width, lanes, tip):  # type: ignore[no-untyped-def]
-    """From motor to tip: accelerations, then w + h alpha, q + h w and its sine and cosine for the next Euler step."""
+def advance(width, more, lanes, tip):  # type: ignore[no-untyped-def]
+    """From motor to tip: accelerations, w + h alpha, q + h w and, with MORE, its sine and cosine for the next step."""
     k = len(width)
     one_place = k > len(COLUMNS)
     n = lanes.size // (ROW * k) - 2
@@ -224,16 +226,18 @@ def advance(width, lanes, tip):  # type: ignore[no-untyped-def]
             q = row[(AT + Q) * k + j] + h * w
             row[(AT + W) * k + j] = w
             row[(AT + Q) * k + j] = q
-            row[(AT + SIN) * k + j], row[(AT + COS) * k + j] = sincos(q)
+            if len(more) > 0:
+                row[(AT + SIN) * k + j], row[(AT + COS) * k + j] = sincos(q)
 
 
 @kernel
-def euler(width, bears, lanes, tip, base):  # type: ignore[no-untyped-def]
+def euler(width, bears, more, lanes, tip, base):  # type: ignore[no-untyped-def]
     """One linearly implicit Euler step in every lane, each of its own length.
 
     Parameters
     ----------
     width, bears : tuples whose lengths are the number of lanes, k, and of links that bear a joint's friction
+    more : MORE or LAST
     lanes : ((n + 2) ROW k,), advanced in place; WORK and LOST of row 0 grow
     tip : (ROW k,) the last row, see :func:`rows`; EXTERNAL (N m) and STEP (s) are read from it
     base : (9, k) motion of the first joint at the beginning of each lane's step, as ``drive.base_state`` writes it,
@@ -263,4 +267,4 @@ def euler(width, bears, lanes, tip, base):  # type: ignore[no-untyped-def]
         start[PX * k + j] = px
         start[PY * k + j] = py
         start[ALPHA * k + j] = up
-    advance(width, lanes, tip)
+    advance(width, more, lanes, tip)

@@ -81,7 +81,7 @@ def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, tip, b
             base[0, j] -= chain.gx
             base[1, j] -= chain.gy
             done[j] += 1
-        ln.euler(ln.COLUMNS, chain.bears, lanes, tip, base)
+        ln.euler(ln.COLUMNS, chain.bears, ln.MORE, lanes, tip, base)
         for j in range(k):
             col = table.column[turn, j]
             if col > 0 and (turn == rounds - 1 or table.column[turn + 1, j] != col):  # a column is complete

@@ -29,7 +29,9 @@ from hyperflex.simulation.rollouts import balanced, lever, progress_bar, stored
 if TYPE_CHECKING:
     import xarray as xr
 
-ORDER = 5  # where lanes are full, few cheap columns beat the high order that a lone rollout gets for nothing
+# Order by tolerance, m: where lanes are full, an order costs p (p + 1) / 2 sweeps, so few cheap columns beat the high
+# order that a lone rollout gets for nothing.
+ORDERS = ((2e-6, 4), (1e-7, 5), (1e-8, 6), (0.0, 7))
 # Members of a block: at least BLOCKS blocks a thread, to balance the load and to be interrupted; not more than keep the
 # states in work below some megabytes; not fewer than keep the lanes full, since the last ones of a block run alone.
 BLOCKS = 2
@@ -171,7 +173,7 @@ def simulate_batch(
     if t[0] <= 0.0 or t[-1] > setups[0].duration:
         raise InvalidInput("t_eval leaves the run", got=[float(t[0]), float(t[-1])], allowed=f"0 < t <= {duration:g} s")
     members = _members(chains, drives, starts)
-    table = scheme(ORDER)
+    table = scheme(next(order for least, order in ORDERS if setups[0].tol >= least))
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
     terms = Terms(0.0, setups[0].tol, chains[0].bears, chosen, table.best, table.other)
     workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
