@@ -13,7 +13,15 @@ if TYPE_CHECKING:
     from hyperflex.model import Arm, Rope, Setup
     from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
-    from hyperflex.simulation import Batch, Predictability, predictability, simulate, simulate_batch
+    from hyperflex.simulation import (
+        Batch,
+        Predictability,
+        Sensitivities,
+        predictability,
+        sensitivities,
+        simulate,
+        simulate_batch,
+    )
     from hyperflex.trajectory import State, Trajectory, read_trajectory
 
 __version__ = "0.1.0"
@@ -26,6 +34,7 @@ _HOMES = {
     "Predictability": "simulation",
     "Recording": "recording",
     "Rope": "model",
+    "Sensitivities": "simulation",
     "Setup": "model",
     "State": "trajectory",
     "Trajectory": "trajectory",
@@ -38,6 +47,7 @@ _HOMES = {
     "read_recording": "recording",
     "read_trajectory": "trajectory",
     "sampled": "motion",
+    "sensitivities": "simulation",
     "simulate": "simulation",
     "simulate_batch": "simulation",
     "swings": "motion",
@@ -52,6 +62,7 @@ __all__ = [
     "Predictability",
     "Recording",
     "Rope",
+    "Sensitivities",
     "Setup",
     "State",
     "Trajectory",
@@ -65,6 +76,7 @@ __all__ = [
     "read_recording",
     "read_trajectory",
     "sampled",
+    "sensitivities",
     "simulate",
     "simulate_batch",
     "swings",

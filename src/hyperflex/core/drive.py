@@ -74,6 +74,23 @@ def segment(drive, t):  # type: ignore[no-untyped-def]
     return Segment(offset + breaks[first], end, offset, first, last)
 
 
+@kernel
+def within(drive, part, t):  # type: ignore[no-untyped-def]
+    """Find the piece j that holds at time t within Segment `part`, the time s into it, and whether all stands still.
+
+    Before the first break and after the last one s is where the drive stands still.
+    """
+    k = drive.breaks.size - 1
+    if part.first == 0 and part.last < 0:
+        return 0, 0.0, True
+    if part.last < part.first or (drive.loop < 0 and t > drive.breaks[k]):
+        return k - 1, drive.breaks[k] - drive.breaks[k - 1], True
+    j = part.first
+    while j < part.last and part.offset + drive.breaks[j + 1] <= t:
+        j += 1
+    return j, t - (part.offset + drive.breaks[j]), False
+
+
 @inlined
 def polynomial(c, t):  # type: ignore[no-untyped-def]
     """Value, first and second derivative at t of the polynomial with ascending coefficients c (6,)."""
@@ -90,16 +107,7 @@ def base_state(drive, part, t, base):  # type: ignore[no-untyped-def]
     Writes ``base`` (9,): acceleration x, y (m/s^2); alpha, rate, angle of the arm (rad/s^2, rad/s, rad); velocity x, y
     (m/s); position x, y (m). Returns the motor torque, N m.
     """
-    k = drive.breaks.size - 1
-    still = part.last < part.first or (drive.loop < 0 and t > drive.breaks[k])
-    if still:  # before the first break or after the last one
-        j = 0 if part.first == 0 and part.last < 0 else k - 1
-        s = 0.0 if part.first == 0 and part.last < 0 else drive.breaks[k] - drive.breaks[k - 1]
-    else:
-        j = part.first
-        while j < part.last and part.offset + drive.breaks[j + 1] <= t:
-            j += 1
-        s = t - (part.offset + drive.breaks[j])
+    j, s, still = within(drive, part, t)
     angle, rate, alpha = polynomial(drive.coef[j, ANGLE], s)
     x, vx, ax = polynomial(drive.coef[j, X], s)
     y, vy, ay = polynomial(drive.coef[j, Y], s)

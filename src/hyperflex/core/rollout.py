@@ -34,6 +34,7 @@ class Progress(NamedTuple):
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
     mark: Array  # (2 n + 2,) the state before the first step that was cut short to end at `stop`
     clock: Array  # (CLOCK,) see the names below; the mark's time is -inf while no step has been cut
+    log: Array  # (m, 2) length and end of the first m steps that succeed, s
 
 
 # AFTER: first step that succeeded after the last switch, where the motion is least smooth; tried first at the next one
@@ -99,6 +100,19 @@ def error_norm(chain, limits, y, error, step, work):  # type: ignore[no-untyped-
 
 
 @kernel
+def basis(order, theta, weight):  # type: ignore[no-untyped-def]
+    """Derivative of the given order of the interpolation's basis (9,) at theta; of values, rates and accelerations."""
+    for b in range(9):
+        total = 0.0
+        for k in range(order, 9):
+            factor = 1.0
+            for m in range(order):
+                factor *= k - m
+            total += _ANGLES[b, k] * factor * theta ** (k - order)
+        weight[b] = total
+
+
+@kernel
 def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
     """State at theta in -1..1 within a step from its values ys (3, 2 n + 2) and derivatives dys at -1, 0, 1.
 
@@ -107,13 +121,10 @@ def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
     """
     n = (ys.shape[1] - 2) // 2
     half = 0.5 * step
-    value = np.zeros(9)
-    slope = np.zeros(9)
-    for b in range(9):
-        for k in range(9):
-            value[b] += _ANGLES[b, k] * theta**k
-            if k > 0:
-                slope[b] += _ANGLES[b, k] * k * theta ** (k - 1)
+    value = np.empty(9)
+    slope = np.empty(9)
+    basis(0, theta, value)
+    basis(1, theta, slope)
     for i in range(n):
         q = w = 0.0
         for k in range(3):
@@ -273,6 +284,9 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
                 return status.STEP_TOO_SMALL
             continue
         t_new = end if cut else t + step
+        succeeded = int(clock[TAKEN] - clock[REJECTED]) - 1
+        if succeeded < progress.log.shape[0]:
+            progress.log[succeeded, 0], progress.log[succeeded, 1] = step, t_new
         write_between(chain, drive, part, table, fixed, clock, t_new - t, room, t_out, y, y_out)
         y[:] = room.out
         clock[T] = t_new

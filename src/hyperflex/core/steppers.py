@@ -19,6 +19,7 @@ class Scheme(NamedTuple):
 
     order: int
     column: npt.NDArray[np.int64]  # (rounds, lanes) column that a lane works on in a round, 0: idle
+    done: npt.NDArray[np.int64]  # (rounds, lanes) substeps of that column taken before
     best: npt.NDArray[np.float64]  # (p + 1,) weights of the columns in the result of order p
     other: npt.NDArray[np.float64]  # (p + 1,) in the result of order p - 1 beside it, for the error estimate
 
@@ -39,7 +40,64 @@ def scheme(order: int) -> Scheme:
             column[:long, lane] = long
             if 0 < short < long:
                 column[long:, lane] = short
-    return Scheme(order, column, best, other)
+    done = np.zeros_like(column)
+    for turn in range(1, order):
+        done[turn] = np.where(column[turn] == column[turn - 1], done[turn - 1] + 1, 0)
+    return Scheme(order, column, done, best, other)
+
+
+@kernel
+def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base, trig):  # type: ignore[no-untyped-def]
+    """Make the lanes ready for a round: the state where a column begins, the base's motion, the step of each lane.
+
+    Arguments are those of ``extrapolate``; `trig` holds the sines and cosines of the angles in `y`.
+    """
+    k = len(ln.COLUMNS)
+    n = chain.length.size
+    motion = np.empty(9)
+    for j in range(k):
+        col = table.column[turn, j]
+        done = table.done[turn, j]
+        if col > 0 and done == 0:
+            for i in range(n):
+                lanes[((i + 1) * ln.ROW + ln.Q) * k + j] = y[i]
+                lanes[((i + 1) * ln.ROW + ln.W) * k + j] = y[n + i]
+                lanes[((i + 1) * ln.ROW + ln.SIN) * k + j] = trig[i]
+                lanes[((i + 1) * ln.ROW + ln.COS) * k + j] = trig[n + i]
+            lanes[ln.WORK * k + j] = y[2 * n]
+            lanes[ln.LOST * k + j] = y[2 * n + 1]
+        h = step / col if col > 0 else 0.0
+        tip[ln.STEP * k + j] = h
+        tip[ln.EXTERNAL * k + j] = base_state(drive, part, t + done * h, motion)
+        for s in range(9):
+            base[s, j] = motion[s]
+        base[0, j] -= chain.gx
+        base[1, j] -= chain.gy
+
+
+@kernel
+def end_columns(table, turn, y, out, error, lanes):  # type: ignore[no-untyped-def]
+    """Add the columns that a round has completed to the result and to the error estimate."""
+    k = len(ln.COLUMNS)
+    n = (y.size - 2) // 2
+    for j in range(k):
+        col = table.column[turn, j]
+        if col > 0 and table.done[turn, j] == col - 1:
+            best = table.best[col]
+            gap = best - table.other[col]
+            for i in range(n):
+                dq = lanes[((i + 1) * ln.ROW + ln.Q) * k + j] - y[i]
+                dw = lanes[((i + 1) * ln.ROW + ln.W) * k + j] - y[n + i]
+                out[i] += best * dq
+                out[n + i] += best * dw
+                error[i] += gap * dq
+                error[n + i] += gap * dw
+            work = lanes[ln.WORK * k + j] - y[2 * n]
+            dissipated = lanes[ln.LOST * k + j] - y[2 * n + 1]
+            out[2 * n] += best * work
+            out[2 * n + 1] += best * dissipated
+            error[2 * n] += gap * work
+            error[2 * n + 1] += gap * dissipated
 
 
 @kernel
@@ -53,53 +111,13 @@ def extrapolate(chain, drive, part, table, t, step, y, out, error, lanes, tip, b
     lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
     base, trig : (9, lanes), (2 n,) scratch
     """
-    k = len(ln.COLUMNS)
-    n = chain.length.size
     out[:] = y  # the weights, up to 389 in size, multiply increments: their rounding must not scale the state itself
     error[:] = 0.0
-    done = np.zeros(k, dtype=np.int64)
-    motion = np.empty(9)
-    sines(y[:n], trig, 0)
-    rounds = table.column.shape[0]
-    for turn in range(rounds):
-        for j in range(k):
-            col = table.column[turn, j]
-            if col > 0 and (turn == 0 or table.column[turn - 1, j] != col):  # a column begins
-                for i in range(n):
-                    lanes[((i + 1) * ln.ROW + ln.Q) * k + j] = y[i]
-                    lanes[((i + 1) * ln.ROW + ln.W) * k + j] = y[n + i]
-                    lanes[((i + 1) * ln.ROW + ln.SIN) * k + j] = trig[i]
-                    lanes[((i + 1) * ln.ROW + ln.COS) * k + j] = trig[n + i]
-                lanes[ln.WORK * k + j] = y[2 * n]
-                lanes[ln.LOST * k + j] = y[2 * n + 1]
-                done[j] = 0
-            h = step / col if col > 0 else 0.0
-            tip[ln.STEP * k + j] = h
-            tip[ln.EXTERNAL * k + j] = base_state(drive, part, t + done[j] * h, motion)
-            for s in range(9):
-                base[s, j] = motion[s]
-            base[0, j] -= chain.gx
-            base[1, j] -= chain.gy
-            done[j] += 1
+    sines(y[: (y.size - 2) // 2], trig, 0)
+    for turn in range(table.column.shape[0]):
+        begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base, trig)
         ln.euler(ln.COLUMNS, chain.bears, ln.MORE, lanes, tip, base)
-        for j in range(k):
-            col = table.column[turn, j]
-            if col > 0 and (turn == rounds - 1 or table.column[turn + 1, j] != col):  # a column is complete
-                best = table.best[col]
-                gap = best - table.other[col]
-                for i in range(n):
-                    dq = lanes[((i + 1) * ln.ROW + ln.Q) * k + j] - y[i]
-                    dw = lanes[((i + 1) * ln.ROW + ln.W) * k + j] - y[n + i]
-                    out[i] += best * dq
-                    out[n + i] += best * dw
-                    error[i] += gap * dq
-                    error[n + i] += gap * dw
-                work = lanes[ln.WORK * k + j] - y[2 * n]
-                dissipated = lanes[ln.LOST * k + j] - y[2 * n + 1]
-                out[2 * n] += best * work
-                out[2 * n + 1] += best * dissipated
-                error[2 * n] += gap * work
-                error[2 * n + 1] += gap * dissipated
+        end_columns(table, turn, y, out, error, lanes)
 
 
 @kernel

@@ -28,10 +28,10 @@ def _pieces(durations: list[float], rows: list[list[float]], spec: dict[str, Any
     return Motion(breaks, coef, switch, 0 if repeat else -1, spec)
 
 
-def _stroke(
+def move_pieces(
     start: float, end: float, duration: float, profile: str, ramp: float
 ) -> tuple[list[float], list[list[float]]]:
-    """Durations and coefficients of one move from `start` to `end`."""
+    """Durations and coefficients of one move from `start` to `end`; takes complex numbers too."""
     way = end - start
     if profile == "bang-bang":
         half = 0.5 * duration
@@ -84,7 +84,7 @@ def move(start: float, end: float, duration: float, profile: Profile = "bang-ban
     profile = checks.choice("profile", profile, PROFILES)  # type: ignore[assignment]
     ramp = _ramp(ramp)
     spec = {"kind": "move", "start": start, "end": end, "duration": duration, "profile": profile, "ramp": ramp}
-    return _pieces(*_stroke(start, end, duration, profile, ramp), spec)
+    return _pieces(*move_pieces(start, end, duration, profile, ramp), spec)
 
 
 def _ramp(value: float) -> float:
@@ -120,15 +120,22 @@ def swings(
     profile = checks.choice("profile", profile, PROFILES)  # type: ignore[assignment]
     path = checks.choice("path", path, PATHS)  # type: ignore[assignment]
     ramp = _ramp(ramp)
+    spec = {"kind": "swings", "t_move": t_move, "t_rest": t_rest, "profile": profile, "path": path, "ramp": ramp}
+    return _pieces(*swing_pieces(t_move, t_rest, profile, path, ramp), spec, repeat=True)
+
+
+def swing_pieces(
+    t_move: float, t_rest: float, profile: str, path: str, ramp: float
+) -> tuple[list[float], list[list[float]]]:
+    """Durations and coefficients of one cycle of :func:`swings`; takes complex numbers too."""
     start, end = -0.5 * math.pi, (0.5 if path == "under" else -1.5) * math.pi
     durations: list[float] = []
     rows: list[list[float]] = []
     for here, there in ((start, end), (end, start)):
-        stroke = _stroke(here, there, t_move, profile, ramp)
-        durations += stroke[0] + ([t_rest] if t_rest > 0.0 else [])
-        rows += stroke[1] + ([[there]] if t_rest > 0.0 else [])
-    spec = {"kind": "swings", "t_move": t_move, "t_rest": t_rest, "profile": profile, "path": path, "ramp": ramp}
-    return _pieces(durations, rows, spec, repeat=True)
+        stroke = move_pieces(here, there, t_move, profile, ramp)
+        durations += stroke[0] + ([t_rest] if t_rest != 0.0 else [])
+        rows += stroke[1] + ([[there]] if t_rest != 0.0 else [])
+    return durations, rows
 
 
 def sampled(t: npt.ArrayLike, angle: npt.ArrayLike) -> Motion:

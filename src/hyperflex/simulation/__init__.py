@@ -1,8 +1,23 @@
-"""Simulation: :func:`simulate` for whole runs, :func:`angles` for the bare arrays that identification needs."""
+"""Simulation: :func:`simulate` for whole runs, :func:`simulate_batch` for many, :func:`sensitivities` for derivatives.
+
+:func:`angles` and :class:`Slopes` give the bare arrays that identification needs.
+"""
 
 from hyperflex.simulation.batch import Batch, simulate_batch
 from hyperflex.simulation.chaos import Predictability, predictability
 from hyperflex.simulation.runs import angles, simulate
+from hyperflex.simulation.sensitivity import Sensitivities, Slopes, sensitivities
 from hyperflex.simulation.stability import runge_kutta_limit
 
-__all__ = ["Batch", "Predictability", "angles", "predictability", "runge_kutta_limit", "simulate", "simulate_batch"]
+__all__ = [
+    "Batch",
+    "Predictability",
+    "Sensitivities",
+    "Slopes",
+    "angles",
+    "predictability",
+    "runge_kutta_limit",
+    "sensitivities",
+    "simulate",
+    "simulate_batch",
+]

@@ -40,15 +40,27 @@ def conclude(run: Rollout, setup: Setup, code: int, name: str, *, throw: bool, s
     good, bad_time = _balanced_rows(run, setup)
     failed = code not in (status.OK, status.RUNNING)
     if bad_time is not None and not (failed and good == 0):
-        code, name = status.ENERGY, status.NAMES[status.ENERGY]
-        message = f"stopped at t = {bad_time:.6g} s ({name}): {status.ADVICE[code]}."
+        error = _unbalanced(bad_time)
         if throw:
-            raise SimulationError(message, status=name, time=float(bad_time or 0.0))
-        return _trajectory(run, setup, skip, good, name, message, _state_at(run, setup, good))
+            raise error
+        return _trajectory(run, setup, skip, good, error.status, str(error), _state_at(run, setup, good))
     if failed and throw:
         raise failure(code, run)
     state = _state_at(run, setup, good) if failed else final_state(run, setup)
     return _trajectory(run, setup, skip, good, name, message, state)
+
+
+def refuse_unbalanced(run: Rollout, setup: Setup) -> None:
+    """Raise if the energy balance of a finished run does not hold."""
+    _, bad_time = _balanced_rows(run, setup)
+    if bad_time is not None:
+        raise _unbalanced(bad_time)
+
+
+def _unbalanced(time: float) -> SimulationError:
+    name = status.NAMES[status.ENERGY]
+    message = f"stopped at t = {time:.6g} s ({name}): {status.ADVICE[status.ENERGY]}."
+    return SimulationError(message, status=name, time=time)
 
 
 def _balanced_rows(run: Rollout, setup: Setup) -> tuple[int, float | None]:

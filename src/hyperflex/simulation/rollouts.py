@@ -32,7 +32,7 @@ ENERGY_ALLOWANCE = 0.02
 BUDGET = 2000  # steps between two looks at progress and Ctrl-C
 
 Control = Callable[[float, float, float, Array, Array], float]
-_TABLE = scheme(ORDER)
+TABLE = scheme(ORDER)
 
 
 @dataclass
@@ -69,11 +69,11 @@ class Rollout:
 
     def advance(self) -> int:
         """Run for one budget of steps and return the status code."""
-        return int(rollout.run(self.chain, self.drive, _TABLE, self.limits, self.progress, self.t, self.y))
+        return int(rollout.run(self.chain, self.drive, TABLE, self.limits, self.progress, self.t, self.y))
 
 
-def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits) -> Rollout:
-    """Make a rollout of angles and rates `start` (n,) from time ``t[0]`` with outputs at `t`."""
+def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits, log: int = 0) -> Rollout:
+    """Make a rollout of angles and rates `start` (n,) from time ``t[0]`` with outputs at `t`; notes `log` steps."""
     announce_compilation()
     n = chain.length.size
     y = np.zeros(2 * n + 2)
@@ -81,7 +81,8 @@ def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, li
     clock = np.zeros(rollout.CLOCK)
     clock[:MARK] = starting_clock(t[0])
     clock[MARK] = -np.inf
-    return Rollout(chain, drive, limits, Progress(y, y.copy(), clock), t, np.full((t.size, 2 * n + 2), np.nan))
+    progress = Progress(y, y.copy(), clock, np.empty((log, 2)))
+    return Rollout(chain, drive, limits, progress, t, np.full((t.size, 2 * n + 2), np.nan))
 
 
 def starting_clock(t: float) -> Array:
@@ -118,7 +119,7 @@ def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET) -> Lim
 def resume(run: Rollout, state: State, setup: Setup) -> None:
     """Let a run go on from a saved state: bit for bit if nothing but its end has changed."""
     n = run.chain.length.size
-    y, _, clock = run.progress
+    y, _, clock, _ = run.progress
     saved = state.checkpoint
     if saved and "y" in saved and np.size(saved["y"]) != 2 * n + 2:
         raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")
@@ -148,7 +149,7 @@ def final_state(run: Rollout, setup: Setup) -> State:
     """Return where a run stands, with the mark from which it can go on bit for bit."""
     n = run.chain.length.size
     own = 1 if setup.torque_driven else 0
-    y, mark, clock = run.progress
+    y, mark, clock, _ = run.progress
     if clock[MARK] == -np.inf:  # no step was cut: the run stands where one ended
         mark, clock[MARK : 2 * MARK] = y, clock[:MARK]
     return State(

@@ -150,7 +150,7 @@ def simulate(
     if state is not None and not isinstance(state, State):
         raise InvalidInput("state is not a State", got=state, allowed="trajectory.state of an earlier run, or None")
     begin = 0.0 if state is None else checks.number("state t", state.t, unit="s")
-    t = _output_times(t_eval, begin, begin + length)
+    t = output_times(t_eval, begin, begin + length)
     skip = int(t[0] > begin)  # the energy account starts where the run does, whether or not that is asked for
     chain = setup.chain()
     bounds = limits(setup, chain, begin + length)
@@ -254,7 +254,8 @@ def _controlled(run: Rollout, setup: Setup, control: Control, rate: float) -> tu
     return code, setup
 
 
-def _output_times(t_eval: npt.ArrayLike | None, begin: float, end: float) -> Array:
+def output_times(t_eval: npt.ArrayLike | None, begin: float, end: float) -> Array:
+    """Check the output times (T,) of a run from `begin` to `end`, s; by default every SAMPLE_TIME and the end."""
     if t_eval is None:
         return np.append(begin + SAMPLE_TIME * np.arange(math.ceil((end - begin) / SAMPLE_TIME - 1e-9)), end)
     t = checks.times("t_eval", t_eval)

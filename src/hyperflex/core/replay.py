@@ -1,0 +1,204 @@
+"""A run gone through again along its recorded steps, with its derivatives in any number of directions.
+
+The steps stay what they were, so the result is the derivative of the very numbers that the run gave: each step keeps
+its length but for one that ends at a switch, or at an output, whose time itself depends on a direction.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperflex.core import directions as dr
+from hyperflex.core import lanes as ln
+from hyperflex.core import tangent as tg
+from hyperflex.core.along import CELL, PARTS, K, enter, room_for, set_ends, spread, step_along
+from hyperflex.core.chain import sines
+from hyperflex.core.drive import base_state, segment
+from hyperflex.core.jit import kernel
+from hyperflex.core.rollout import basis, interpolate
+from hyperflex.core.steppers import rates
+
+
+@kernel
+def bends_along(chain, drive, part, t, step, directions, room):  # type: ignore[no-untyped-def]
+    """Accelerations at beginning, middle and end of a step, and their derivatives, from ``ys`` and ``nodes``."""
+    n = chain.length.size
+    lanes, ys, dys = room.lanes, room.ys, room.dys
+    room.anew[:] = 1.0
+    motion = np.empty(9)
+    for j in range(K):
+        node = min(j, 2)
+        room.into[j] = 0.5 * node
+        room.when[j] = t + 0.5 * node * step
+        sines(ys[node, :n], room.work, 0)
+        for i in range(n):
+            lanes[((i + 1) * ln.ROW + ln.Q) * K + j] = ys[node, i]
+            lanes[((i + 1) * ln.ROW + ln.W) * K + j] = ys[node, n + i]
+            lanes[((i + 1) * ln.ROW + ln.SIN) * K + j] = room.work[i]
+            lanes[((i + 1) * ln.ROW + ln.COS) * K + j] = room.work[n + i]
+        room.tip[ln.STEP * K + j] = 0.0
+        room.tip[ln.EXTERNAL * K + j] = base_state(drive, part, room.when[j], motion)
+        for s in range(9):
+            room.base[s, j] = motion[s]
+        room.base[0, j] -= chain.gx
+        room.base[1, j] -= chain.gy
+    tg.remember(ln.COLUMNS, lanes)
+    ln.euler(ln.COLUMNS, chain.bears, lanes, room.tip, room.base)
+    tg.prepare(ln.COLUMNS, chain.bears, lanes)
+    for j in range(3):
+        dys[j, :n] = ys[j, n : 2 * n]
+        for i in range(n):
+            dys[j, n + i] = lanes[((i + 1) * ln.ROW + ln.ALPHA) * K + j]
+    room.stretch[:] = 0.0
+    for b in range(directions.kind.size):
+        for i in range(n):
+            cell = room.store[b, i * PARTS * CELL : (i * PARTS + 1) * CELL]
+            for x in range(CELL):
+                lane, d, rate = min(x % K, 2), (x // K) % 2, x // (2 * K)
+                cell[x] = room.nodes[lane, rate * n + i, 2 * b + d]
+        enter(lanes, room.store[b], room.anew, True)
+        set_ends(drive, part, directions, b, room)
+        tg.step_all(ln.COLUMNS, chain.bears, lanes, directions.links[b], room.stretch[b])
+        for i in range(n):
+            for d in range(2):
+                for j in range(3):
+                    room.bends[j, i, 2 * b + d] = lanes[((i + 1) * ln.ROW + tg.ALPHA + d) * K + j]
+
+
+@kernel
+def blend(t, step, t_out, directions, room, y_out, dy_out):  # type: ignore[no-untyped-def]
+    """State (2 n + 2,) and its derivatives (2 n, p) at time t_out within a step from t, from the room's three nodes."""
+    ys, dys, nodes, bends = room.ys, room.dys, room.nodes, room.bends
+    n, p = bends.shape[1], bends.shape[2]
+    half = 0.5 * step
+    theta = (t_out - t) / half - 1.0
+    interpolate(theta, step, ys, dys, y_out)
+    value, slope, curve = np.empty(9), np.empty(9), np.empty(9)
+    basis(0, theta, value)
+    basis(1, theta, slope)
+    basis(2, theta, curve)
+    moving, longer = np.zeros(p), np.zeros(p)
+    for x in range(p):
+        longer[x] = 0.5 * room.change[x // 2, x % 2]
+        moving[x] = -(room.shift[x // 2, x % 2] + (theta + 1.0) * longer[x]) / half
+    late = moving.any() or longer.any()
+    for i in range(n):
+        dq, dw = dy_out[i], dy_out[n + i]
+        combine(value, half, i, nodes, bends, dq)
+        combine(slope, half, i, nodes, bends, dw)
+        dw /= half
+        if late:
+            speed = grown = bend = grown_w = 0.0
+            for k in range(3):
+                q, w, a = ys[k, i], ys[k, n + i], dys[k, n + i]
+                speed += slope[k] * q + half * (slope[3 + k] * w + half * slope[6 + k] * a)
+                bend += curve[k] * q + half * (curve[3 + k] * w + half * curve[6 + k] * a)
+                grown += value[3 + k] * w + 2.0 * half * value[6 + k] * a
+                grown_w += slope[3 + k] * w + 2.0 * half * slope[6 + k] * a
+            grown_w -= speed / half
+            for x in range(p):
+                dq[x] += speed * moving[x] + grown * longer[x]
+                dw[x] += (bend * moving[x] + grown_w * longer[x]) / half
+
+
+@kernel
+def combine(weight, half, i, nodes, bends, out):  # type: ignore[no-untyped-def]
+    """Sum over the basis (9,) of derivatives of link i's angle, rate and acceleration, written to out (p,)."""
+    n = bends.shape[1]
+    out[:] = 0.0
+    for k in range(3):
+        a, b, c = weight[k], weight[3 + k] * half, weight[6 + k] * half * half
+        q, w, bend = nodes[k, i], nodes[k, n + i], bends[k, i]
+        for x in range(out.size):
+            out[x] += a * q[x] + b * w[x] + c * bend[x]
+
+
+@kernel
+def write_inside(chain, drive, part, table, t, step, y, t_out, directions, room, y_out, dy_out):  # type: ignore[no-untyped-def]
+    """Write states and derivatives at times t_out (m,) within a step, whose ends are in the room's nodes."""
+    room.change[:] *= 0.5
+    step_along(chain, drive, part, table, t, 0.5 * step, y, room.ys[1], directions, room.nodes[1], room)
+    room.change[:] *= 2.0
+    bends_along(chain, drive, part, t, step, directions, room)
+    for m in range(t_out.size):
+        blend(t, step, t_out[m], directions, room, y_out[m], dy_out[m])
+
+
+@kernel
+def write_end(chain, drive, part, t, y, directions, room, values, y_out, dy_out):  # type: ignore[no-untyped-def]
+    """Write the state at the end of a step, and its derivatives at that very time, where the step's end moves too."""
+    n = chain.length.size
+    y_out[:] = y
+    dy_out[:] = values
+    if room.shift.any():
+        rates(chain, drive, part, t, y, np.ones(n), room.dys[0], room.work)
+        for b in range(room.shift.shape[0]):
+            for d in range(2):
+                for i in range(2 * n):
+                    dy_out[i, 2 * b + d] -= room.dys[0, i] * room.shift[b, d]
+
+
+@kernel
+def set_change(drive, part, t_new, stop, directions, room):  # type: ignore[no-untyped-def]
+    """Change of the length of the step that ends at t_new: none, unless a switch or the end of the run cuts it."""
+    for b in range(directions.kind.size):
+        for d in range(2):
+            m = directions.driven[b, d]
+            room.change[b, d] = 0.0
+            if m >= 0 and t_new >= part.end:
+                room.change[b, d] = dr.end_shift(drive, part, directions.breaks[m]) - room.shift[b, d]
+            elif m >= 0 and t_new >= stop:
+                room.change[b, d] = -room.shift[b, d]
+
+
+@kernel
+def replay(chain, drive, table, steps, begin, start, directions, t_out, y_out, dy_out):  # type: ignore[no-untyped-def]
+    """Go through a recorded run again; O(n p) a step.
+
+    Parameters
+    ----------
+    chain, drive, table, directions : Chain, Drive, Scheme, Directions
+    steps : (m, 2) length and end of each step, s, as in ``rollout.Progress.log``
+    begin : float, s
+    start : (2 n, p) derivatives of angles and rates at `begin`
+    t_out : (T,) increasing times, s
+    y_out : (T, 2 n + 2) out; row 0 holds the state at `begin` when called, and t_out[0] is `begin`
+    dy_out : (T, 2 n, p) out
+    """
+    room = room_for(chain, directions.kind.size)
+    y = y_out[0].copy()
+    values = start.copy()
+    dy_out[0] = start
+    t, index, fresh = begin, 1, False
+    part = segment(drive, t)
+    stop = steps[-1, 1]
+    for m in range(steps.shape[0]):
+        step, t_new = steps[m, 0], steps[m, 1]
+        if t >= part.end:
+            part = segment(drive, t)
+        set_change(drive, part, t_new, stop, directions, room)
+        spread(values, room.store)
+        step_along(chain, drive, part, table, t, step, y, room.out, directions, room.nodes[2], room)
+        room.ys[0], room.ys[2] = y, room.out
+        room.nodes[0] = values
+        last = index
+        while last < t_out.size and t_out[last] < t_new:
+            last += 1
+        if last > index and fresh:
+            change = room.change.copy()
+            room.change[:] = -room.shift
+            for k in range(index, last):
+                step_along(chain, drive, part, table, t, t_out[k] - t, y, y_out[k], directions, dy_out[k], room)
+            room.change[:] = change
+        elif last > index:
+            times, states, slopes = t_out[index:last], y_out[index:last], dy_out[index:last]
+            write_inside(chain, drive, part, table, t, t_new - t, y, times, directions, room, states, slopes)
+        index = last
+        y[:] = room.ys[2]
+        values[:] = room.nodes[2]
+        room.shift[:] += room.change
+        fresh = t_new >= part.end
+        t = t_new
+        while index < t_out.size and t_out[index] <= t:
+            write_end(chain, drive, part, t, y, directions, room, values, y_out[index], dy_out[index])
+            index += 1

@@ -1,0 +1,259 @@
+"""Exact derivatives of rollouts with respect to the start, the rope, the arm and the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.checks import Array
+from hyperflex.core import replay as core
+from hyperflex.core import status
+from hyperflex.core.chain import Chain
+from hyperflex.core.directions import place_changes
+from hyperflex.core.drive import Drive
+from hyperflex.core.rollout import REJECTED, TAKEN, Limits
+from hyperflex.errors import InvalidInput
+from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
+from hyperflex.motion import Motion
+from hyperflex.simulation.outcome import failure, refuse_unbalanced
+from hyperflex.simulation.rollouts import TABLE, Rollout, finish, limits, prepare
+from hyperflex.simulation.runs import output_times
+from hyperflex.simulation.wanted import Wanted, Wrt, refuse_what_is_not_smooth, wanted
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+STEPS = 10_000  # noted in one go; a run with more of them is done again with room for all
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivities:
+    """A rollout and its derivatives (made by :func:`hyperflex.sensitivities`).
+
+    Attributes
+    ----------
+    t : (T,) float64
+        Output times, s.
+    q, qd : (T, n) float64
+        Angles, rad, and rates, rad/s.
+    tip : (T, 2) float64
+        Position of the tip, m.
+    names : tuple of str
+        What the derivatives are taken with respect to, (P,).
+    dq, dqd : (T, n, P) float64
+        Derivatives of angles and rates at fixed times, in rad and rad/s per SI unit of the parameter.
+    dtip : (T, 2, P) float64
+        Derivatives of the tip's position, m per SI unit.
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    tip: Array
+    names: tuple[str, ...]
+    dq: Array
+    dqd: Array
+    dtip: Array
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """The same as an ``xarray.Dataset`` with the dimensions time, link, axis and parameter."""
+        import xarray as xr
+
+        variables: dict[str, Any] = {
+            "q": (("time", "link"), self.q, {"units": "rad"}),
+            "qd": (("time", "link"), self.qd, {"units": "rad/s"}),
+            "tip": (("time", "axis"), self.tip, {"units": "m"}),
+            "dq": (("time", "link", "parameter"), self.dq, {"long_name": "derivative of q", "units": "rad per unit"}),
+            "dqd": (
+                ("time", "link", "parameter"),
+                self.dqd,
+                {"long_name": "derivative of qd", "units": "rad/s per unit"},
+            ),
+            "dtip": (
+                ("time", "axis", "parameter"),
+                self.dtip,
+                {"long_name": "derivative of tip", "units": "m per unit"},
+            ),
+        }
+        coords = {
+            "time": ("time", self.t, {"units": "s"}),
+            "axis": ("axis", np.array(["x", "y"])),
+            "parameter": ("parameter", np.array(self.names)),
+        }
+        return xr.Dataset(variables, coords, attrs={"source": "simulated"})
+
+
+def sensitivities(
+    rope: Rope | Setup,
+    motion: Motion | None = None,
+    *,
+    arm: Arm | None = None,
+    duration: float | None = None,
+    q0: npt.ArrayLike | None = None,
+    qd0: npt.ArrayLike | None = None,
+    t_eval: npt.ArrayLike | None = None,
+    tol: float = DEFAULT_TOL,
+    wrt: Wrt,
+) -> Sensitivities:
+    """Simulate a rope, and differentiate angles, rates and the tip's position.
+
+    The derivatives are those of the computed run itself, step by step, so they are exact to rounding; they differ
+    from those of the true motion by about as much as the run itself does.
+
+    Parameters
+    ----------
+    rope : Rope or Setup
+        The rope; or a whole set-up, and then only `duration`, `t_eval` and `wrt` may be given beside it.
+    motion, arm, duration, q0, qd0, tol
+        As in :func:`hyperflex.simulate`.
+    t_eval : (T,) array_like, optional
+        Increasing times of the output, s, within the run; by default every 10 ms and the end.
+    wrt : str, mapping, or sequence of them
+        What to differentiate by.
+
+        ``"q0"``, ``"qd0"``: the start of every link; ``"q0[3]"`` of one.
+        ``"friction"``, and likewise length, mass, com, inertia, stiffness, rest_angle: one number added to that of
+        every link; ``"friction[3]"`` of one link; ``"friction[:]"`` of each. The others stay as they are: more
+        ``"mass"`` does not change the inertia.
+        ``"tip_mass"``, ``"gravity[0]"``, ``"gravity[1]"``, ``"arm.length"``. Without `q0` the rope hangs along gravity
+        at the start, and turns with it.
+        ``"motion.t_rest"`` and whatever else the motion was made from; ``"motion.delay"`` of any motion.
+        ``{"radius": {"inertia": 0.5 * mass * radius}}``: a parameter of your own, by how much each property changes
+        with it: (n,) arrays or numbers for q0, qd0 and the properties of links, and tip_mass, gravity (2,), arm_length,
+        and ``breaks`` (k + 1,) and ``coef`` (k, 4, 6) of the motion.
+
+    Returns
+    -------
+    Sensitivities
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used, or there is dry friction.
+    SimulationError
+        If the run fails.
+
+    Notes
+    -----
+    Derivatives hold at fixed times, also where a switch of the motion moves with its parameter. At the very instant of
+    such a switch they are those from before it. Equations (M.18)-(M.22) of docs/models.md; cost about as much as the
+    run for two parameters, and a third of it for each further initial angle or rate.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> cast = hf.sensitivities(cable, hf.swings(), arm=hf.Arm(), duration=2.0, wrt=["friction", "motion.t_rest"])
+    >>> cast.dtip.shape
+    (201, 2, 2)
+    """
+    if isinstance(rope, Setup):
+        beside = {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0}
+        if given := [name for name, value in beside.items() if value is not None]:
+            raise InvalidInput("arguments beside a whole set-up", got=given, allowed="duration, t_eval, wrt")
+        setup = rope if duration is None else replace(rope, duration=duration)
+    elif duration is None:
+        raise InvalidInput("duration is missing", allowed="a number > 0, in s", fix="Give duration=10.0, say")
+    else:
+        setup = Setup(rope, motion, arm, duration=duration, q0=q0, qd0=qd0, tol=tol)  # type: ignore[arg-type]
+    refuse_what_is_not_smooth(setup)
+    directions = wanted(setup, wrt)
+    t = output_times(t_eval, 0.0, setup.duration)
+    chain, drive = setup.chain(), setup.drive()
+    run = recorded(chain, drive, setup.start(), limits(setup, chain, setup.duration))
+    refuse_unbalanced(run, setup)
+    y, dy = along(run, directions, setup.start(), t)
+    return _labelled(chain, drive, directions, t, y, dy)
+
+
+class Slopes:
+    """Rollouts with derivatives for callers that need thousands: everything is checked once, here.
+
+    Parameters
+    ----------
+    setup : Setup
+        Its rope, start and duration may be replaced in each call.
+    wrt
+        As in :func:`sensitivities`.
+    """
+
+    def __init__(self, setup: Setup, wrt: Wrt) -> None:
+        refuse_what_is_not_smooth(setup)
+        self.setup, self.drive = setup, setup.drive()
+        self.wanted = wanted(setup, wrt)
+        self.names = self.wanted.names
+
+    def __call__(self, t: Array, q0: Array, qd0: Array, rope: Rope | None = None) -> tuple[Array, Array, Array, Array]:
+        """Return angles and rates (T, n) and their derivatives (T, n, P) at times t (T,).
+
+        Parameters
+        ----------
+        t : (T,) array
+            Increasing times, s; the run starts at t[0].
+        q0, qd0 : (n,) array
+            Angles, rad, and rates, rad/s, at t[0].
+        rope : Rope, optional
+            Another rope with as many links.
+
+        Raises
+        ------
+        SimulationError
+            If the run cannot be finished.
+        """
+        chain = (rope or self.setup.rope).chain()
+        bounds = limits(self.setup, chain, float(t[-1]))
+        run = recorded(chain, self.drive, (q0, qd0), bounds, float(t[0]))
+        y, dy = along(run, self.wanted, (q0, qd0), t)
+        n, p = chain.length.size, len(self.names)
+        return y[:, :n], y[:, n : 2 * n], dy[:, :n, :p], dy[:, n:, :p]
+
+
+def recorded(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Limits, begin: float = 0.0) -> Rollout:
+    """Run to the end, noting every step; raises where that fails."""
+    count = STEPS
+    while True:
+        run = prepare(chain, drive, start, np.array([begin]), bounds, log=count)
+        code = finish(run)
+        if code != status.OK:
+            raise failure(code, run)
+        steps = int(run.progress.clock[TAKEN] - run.progress.clock[REJECTED])
+        if steps <= count:
+            run.progress = run.progress._replace(log=run.progress.log[:steps])
+            return run
+        count = steps
+
+
+def along(run: Rollout, directions: Wanted, start: tuple[Array, Array], t: Array) -> tuple[Array, Array]:
+    """Go through a recorded run again: states (T, 2 n + 2) and derivatives (T, 2 n, p) at times t (T,)."""
+    n, begin = run.chain.length.size, float(run.t[0])
+    times = t if t[0] == begin else np.append(begin, t)
+    y, dy = np.zeros((times.size, 2 * n + 2)), np.zeros((times.size, 2 * n, directions.width))
+    y[0, :n], y[0, n : 2 * n] = start
+    seeds = directions.directions(run.chain, run.drive.coef.shape[0])
+    steps = run.progress.log
+    if steps.size:
+        core.replay(run.chain, run.drive, TABLE, steps, begin, directions.start(n), seeds, times, y, dy)
+    else:
+        dy[:] = directions.start(n)
+    first = times.size - t.size
+    return y[first:], dy[first:]
+
+
+def _labelled(chain: Chain, drive: Drive, directions: Wanted, t: Array, y: Array, dy: Array) -> Sensitivities:
+    """Add the tip to a run's states and derivatives."""
+    n, p = chain.length.size, len(directions.names)
+    q, dq = y[:, :n], dy[:, :n, :p]
+    sin, cos = np.sin(q), np.cos(q)
+    motion = Motion(drive.breaks, drive.coef, drive.switch, drive.loop)
+    angle = motion.angle(t)
+    reach = np.stack([(chain.length * sin).sum(axis=1), -(chain.length * cos).sum(axis=1)], axis=1)
+    tip = motion.point(t) + drive.arm_length * np.stack([np.sin(angle), -np.cos(angle)], axis=1) + reach
+    dtip = np.zeros((t.size, 2, directions.width))
+    place_changes(drive, directions.directions(chain, drive.coef.shape[0]), t, dtip)
+    dtip = dtip[:, :, :p] + np.matmul(chain.length * np.stack([cos, sin], axis=1), dq)
+    dtip += np.matmul(np.stack([sin, -cos], axis=1), directions.lengths(n))
+    return Sensitivities(t, q, y[:, n : 2 * n], tip, directions.names, dq, dy[:, n:, :p], dtip)

@@ -1,0 +1,266 @@
+"""Derivatives of whole rollouts: against differences along a frozen step sequence, closed forms, and refusals."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.checks import Array
+from hyperflex.core.drive import segment
+from hyperflex.simulation import Slopes
+from hyperflex.simulation.rollouts import Rollout, limits
+from hyperflex.simulation.sensitivity import along, recorded
+from hyperflex.simulation.wanted import wanted
+
+N, DURATION = 6, 1.6
+# none at a switch, where the derivative is one-sided; some within the step behind one, which is sampled in its own way
+TIMES = np.array([0.0, 0.05, 0.31, 0.366, 0.368, 0.5, 0.74, 0.9, 1.0, 1.2605, 1.3, 1.5, 1.6])
+# an eighth-order difference: its truncation is far below the rounding, which is some 1e-15 over the spacing
+STENCIL = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
+
+
+def rope(**changes: Any) -> hf.Rope:
+    rng = np.random.default_rng(1)
+    fields: dict[str, Any] = {
+        "length": 1.0 / N * rng.uniform(0.6, 1.4, N),
+        "mass": 0.06 / N * rng.uniform(0.6, 1.4, N),
+        "friction": 1e-3 * rng.uniform(0.3, 2.0, N),
+        "stiffness": 1e-2 * rng.uniform(0.1, 2.0, N),
+        "rest_angle": rng.normal(0.0, 0.2, N),
+        "tip_mass": 0.01,
+        "gravity": (0.5, -9.81),
+        "radius": 0.01,
+    }
+    made = hf.Rope(**fields)
+    return made.replace(**changes) if changes else made
+
+
+def setup(**changes: Any) -> hf.Setup:
+    rng = np.random.default_rng(2)
+    start = {"q0": rng.normal(0.0, 0.3, N), "qd0": rng.normal(0.0, 1.0, N)}
+    swings = hf.swings(profile="ramp", ramp=0.2)
+    return replace(hf.Setup(rope(), swings, hf.Arm(), duration=DURATION, tol=1e-4, **start), **changes)
+
+
+def run_of(it: hf.Setup) -> Rollout:
+    return recorded(it.chain(), it.drive(), it.start(), limits(it, it.chain(), it.duration))
+
+
+def retimed(run: Rollout, it: hf.Setup) -> Array:
+    """Steps as long as those of `run`, but for those that end at a switch or at the end."""
+    drive, steps = it.drive(), []
+    old = new = 0.0
+    for length, end in run.progress.log:
+        before, after = segment(run.drive, old), segment(drive, new)
+        if end >= before.end or end >= DURATION:
+            target = after.end if end >= before.end else DURATION
+            steps.append((target - new, target))
+        else:
+            steps.append((length, new + length))
+        old, new = end, steps[-1][1]
+    return np.array(steps)
+
+
+def followed(run: Rollout, it: hf.Setup) -> Array:
+    """Angles and rates (T, 2 n) of another set-up along the frozen steps of a run."""
+    other = copy.copy(run)
+    other.chain, other.drive = it.chain(), it.drive()
+    other.progress = run.progress._replace(log=retimed(run, it))
+    return along(other, wanted(it, "q0[0]"), it.start(), TIMES)[0][:, : 2 * N]
+
+
+def check(make: Callable[[float], hf.Setup], wrt: Any, size: float) -> None:
+    """Compare with differences of a spacing of `size`; 1e-7 of the greatest, which is the rounding of differences."""
+    it = make(0.0)
+    run = run_of(it)
+    _, dy = along(run, wanted(it, wrt), it.start(), TIMES)
+    want = np.zeros((TIMES.size, 2 * N))
+    for k, weight in STENCIL.items():
+        want += weight * (followed(run, make(k * size)) - followed(run, make(-k * size))) / size
+    np.testing.assert_allclose(dy[:, :, 0], want, rtol=0.0, atol=1e-7 * np.abs(want).max())
+
+
+@pytest.mark.parametrize("name", ["q0", "qd0"])
+@pytest.mark.parametrize("link", [0, N - 1])
+def test_start(name: str, link: int) -> None:
+    it, unit = setup(), np.eye(N)[link]
+    check(lambda x: replace(it, **{name: getattr(it, name) + x * unit}), f"{name}[{link}]", 1e-3)
+
+
+LINKS = ("length", "mass", "com", "inertia", "friction", "stiffness", "rest_angle")
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_rope_parameter_of_one_link(name: str) -> None:
+    base, unit = rope(), np.eye(N)[2]
+    values = getattr(base, name)
+    size = 0.02 * (1.0 if name == "rest_angle" else abs(values[2]))
+    check(lambda x: setup(rope=base.replace(**{name: values + x * unit})), f"{name}[2]", size)
+
+
+def test_rope_parameter_of_all_links_is_the_sum_over_links() -> None:
+    it = hf.sensitivities(setup(), t_eval=TIMES, wrt=["friction", "friction[:]", "length", "length[:]"])
+    assert it.names == (
+        "friction",
+        *(f"friction[{i}]" for i in range(N)),
+        "length",
+        *(f"length[{i}]" for i in range(N)),
+    )
+    for shared, first in ((0, 1), (N + 1, N + 2)):
+        for values in (it.dq, it.dqd, it.dtip):
+            total = values[:, :, first : first + N].sum(axis=2)
+            # sums of N numbers, each to rounding over some hundred steps
+            np.testing.assert_allclose(values[:, :, shared], total, rtol=1e-9, atol=1e-9 * np.abs(total).max())
+
+
+def test_tip_mass() -> None:
+    check(lambda x: setup(rope=rope(tip_mass=0.01 + x)), "tip_mass", 2e-4)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_gravity_turns_the_start_where_that_is_the_rope_at_rest(axis: int) -> None:
+    unit = np.eye(2)[axis]
+    check(lambda x: setup(rope=rope(gravity=rope().gravity + x * unit)), f"gravity[{axis}]", 0.02)
+    check(lambda x: setup(rope=rope(gravity=rope().gravity + x * unit), q0=None), f"gravity[{axis}]", 0.02)
+
+
+def test_arm_length() -> None:
+    check(lambda x: setup(arm=hf.Arm(length=0.105 + x)), "arm.length", 1e-3)
+
+
+MOTIONS: dict[str, tuple[Callable[..., hf.Motion], dict[str, Any], tuple[str, ...]]] = {
+    "ramp": (hf.swings, {"profile": "ramp", "t_move": 0.73, "t_rest": 0.53, "ramp": 0.2}, ("t_move", "t_rest", "ramp")),
+    "bang-bang": (hf.swings, {"t_move": 0.33, "t_rest": 0.11}, ("t_move", "t_rest")),
+    "jerk": (
+        hf.move,
+        {"start": -0.5, "end": 1.0, "duration": 0.8, "profile": "minimum-jerk"},
+        ("start", "end", "duration"),
+    ),
+}
+
+
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind, (_, _, names) in MOTIONS.items() for name in names])
+def test_motion_parameter_through_its_switches(kind: str, name: str) -> None:
+    maker, values, _ = MOTIONS[kind]
+    # A switch must not pass an output or another one while it is moved, by 0.4 ms at most.
+    check(lambda x: setup(motion=maker(**{**values, name: values[name] + x})), f"motion.{name}", 1e-4)
+
+
+def test_delay() -> None:
+    swings = hf.swings()
+    check(lambda x: setup(motion=swings.shifted(0.1 + x)), "motion.delay", 1e-4)
+
+
+def test_sample_of_a_moving_point() -> None:
+    t, x = np.linspace(0.0, 1.1, 6), np.array([0.0, 0.1, 0.3, 0.2, 0.0, 0.1])
+    unit = np.eye(6)[2]
+    check(lambda s: setup(motion=hf.moving_point(t, x, x + s * unit), arm=None), "motion.y[2]", 1e-3)
+
+
+def test_own_direction() -> None:
+    def cable(radius: float) -> hf.Rope:
+        return rope(inertia=rope().mass * (3.0 * radius**2 + rope().length ** 2) / 12.0)
+
+    way = {"radius": {"inertia": 0.5 * rope().mass * 0.05}}
+    check(lambda x: setup(rope=cable(0.05 + x)), way, 1e-3)
+
+
+def test_tip_and_states_are_those_of_the_run() -> None:
+    it = setup()
+    whole = hf.sensitivities(it, t_eval=TIMES, wrt="motion.t_rest")
+    run = hf.simulate(it, t_eval=TIMES)
+    for name in ("q", "qd", "tip"):  # the same steps; between them accelerations come from the lanes: rounding
+        np.testing.assert_allclose(getattr(whole, name), getattr(run, name), rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", ["length[1]", "motion.t_move", "arm.length", "q0[0]"])
+def test_tip(name: str) -> None:
+    def make(x: float) -> hf.Setup:
+        base, unit = rope(), np.eye(N)[1]
+        if name == "length[1]":
+            return setup(rope=base.replace(length=base.length + x * unit))
+        if name == "arm.length":
+            return setup(arm=hf.Arm(length=0.105 + x))
+        if name == "q0[0]":
+            return setup(q0=setup().q0 + x * np.eye(N)[0])
+        return setup(motion=hf.swings(t_move=0.73 + x, profile="ramp", ramp=0.2))
+
+    tips = [hf.simulate(replace(make(x), tol=1e-10), t_eval=TIMES).tip for x in (1e-4, -1e-4)]
+    want = (tips[0] - tips[1]) / 2e-4
+    got = hf.sensitivities(replace(make(0.0), tol=1e-10), t_eval=TIMES, wrt=name).dtip[:, :, 0]
+    # runs that choose their own steps: their errors, some 1e-10 m, over the spacing, and its square times a third
+    # derivative of some hundreds
+    np.testing.assert_allclose(got, want, rtol=0.0, atol=2e-5 * np.abs(want).max())
+
+
+def test_period_of_a_pendulum_against_its_length() -> None:
+    """Small swings: q = q0 cos(t sqrt(g / l)), so dq / dl = q0 sin(w t) w t / (2 l)."""
+    length, q0, t = 0.7, 1e-4, np.linspace(0.1, 5.0, 9)
+    pendulum = hf.Rope(length=[length], mass=[0.2], com=[length], inertia=[0.0])
+    both = {"l": {"length": [1.0], "com": [1.0]}}
+    got = hf.sensitivities(pendulum, duration=5.0, q0=[q0], t_eval=t, tol=1e-13, wrt=[both, "gravity[1]"])
+    w = math.sqrt(9.81 / length)
+    want = q0 * np.sin(w * t) * w * t / (2.0 * length)
+    # sine against angle: q0^2 / 16 of the period, 1e-9; the run's tolerance of 1e-13 m over the amplitude, 1e-9
+    np.testing.assert_allclose(got.dq[:, 0, 0], want, rtol=0.0, atol=1e-7 * np.abs(want).max())
+    np.testing.assert_allclose(got.dq[:, 0, 1], want * length / 9.81, rtol=0.0, atol=1e-7 * np.abs(want).max())
+
+
+def test_prepared_slopes_equal_the_whole_and_take_another_rope() -> None:
+    it = setup()
+    names = ["friction", "q0[0]", "motion.t_rest"]
+    slopes = Slopes(it, names)
+    other = rope(friction=2e-3)
+    for given in (None, other):
+        q, qd, dq, dqd = slopes(TIMES, it.q0, it.qd0, given)
+        whole = hf.sensitivities(replace(it, rope=given or it.rope), t_eval=TIMES, wrt=names)
+        for one, two in ((q, whole.q), (qd, whole.qd), (dq, whole.dq), (dqd, whole.dqd)):
+            np.testing.assert_array_equal(one, two)
+
+
+def test_dataset_is_labelled() -> None:
+    data = hf.sensitivities(setup(), t_eval=[1.0], wrt=["friction", "q0"]).dataset
+    assert dict(data.sizes) == {"time": 1, "link": N, "axis": 2, "parameter": N + 1}
+    assert data.dq.sel(parameter="q0[3]").dims == ("time", "link")
+
+
+BAD: dict[str, tuple[Any, str]] = {
+    "unknown": ("frict", "friction"),
+    "link too far": (f"friction[{N}]", "friction"),
+    "parameter of the motion": ("motion.speed", "t_rest"),
+    "nothing": ([], "q0"),
+    "a number": ([3.0], "q0"),
+    "twice": (["friction", "friction"], "once"),
+    "own": ({"a": {"weight": 1.0}}, "mass"),
+    "own shape": ({"a": {"mass": [1.0, 2.0]}}, "shape 6"),
+    "dry": ("dry_friction", "dry_friction is 0"),
+}
+
+
+@pytest.mark.parametrize(("wrt", "word"), BAD.values(), ids=BAD.keys())
+def test_what_cannot_be_used_is_refused_with_what_can(wrt: Any, word: str) -> None:
+    with pytest.raises(hf.errors.InvalidInput, match=word):
+        hf.sensitivities(setup(), wrt=wrt)
+
+
+def test_what_has_no_derivative_is_refused() -> None:
+    with pytest.raises(hf.errors.InvalidInput, match="dry friction"):
+        hf.sensitivities(setup(rope=rope(dry_friction=1e-3)), wrt="q0")
+    with pytest.raises(hf.errors.InvalidInput, match="extrapolation"):
+        hf.sensitivities(setup(method="rk4", step=1e-5), wrt="q0")
+    with pytest.raises(hf.errors.InvalidInput, match="torque-driven"):
+        hf.sensitivities(
+            setup(motion=None, torque=hf.torque_profile([0.0, 1.0], [0.0, 0.1]), arm=hf.Arm(inertia=1e-3)), wrt="q0"
+        )
+    joined = hf.swings().then(hf.swings(), at=2.52)
+    with pytest.raises(hf.errors.InvalidInput, match="breaks and coef"):
+        hf.sensitivities(setup(motion=joined), wrt="motion.t_rest")
+    with pytest.raises(hf.errors.InvalidInput, match="without a rest"):
+        hf.sensitivities(setup(motion=hf.swings(t_rest=0.0)), wrt="motion.t_rest")
