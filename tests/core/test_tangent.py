@@ -112,7 +112,7 @@ def kernel_slopes(
     base[1] -= chain.gy
     rows[n + 1, ln.STEP], rows[n + 1, ln.EXTERNAL] = STEPS, torque
     tg.remember(ln.COLUMNS, flat)
-    ln.euler(ln.COLUMNS, chain.bears, flat, tip, base)
+    ln.euler(ln.COLUMNS, chain.bears, ln.MORE, flat, tip, base)
     tg.prepare(ln.COLUMNS, chain.bears, flat)
     for d, it in enumerate(pair):
         rows[1 : n + 1, tg.DQ + d], rows[1 : n + 1, tg.DW + d] = it.q[:, None], it.w[:, None]

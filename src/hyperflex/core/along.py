@@ -186,7 +186,7 @@ def step_along(chain, drive, part, table, t, step, y, out, directions, result, r
     for turn in range(table.column.shape[0]):
         begin_columns(chain, drive, part, table, turn, t, step, y, lanes, room.tip, room.base, room.work)
         tg.remember(ln.COLUMNS, lanes)
-        ln.euler(ln.COLUMNS, bears, lanes, room.tip, room.base)
+        ln.euler(ln.COLUMNS, bears, ln.MORE, lanes, room.tip, room.base)
         tg.prepare(ln.COLUMNS, bears, lanes)
         for x in range(CELL):
             col, done = table.column[turn, x % K], table.done[turn, x % K]

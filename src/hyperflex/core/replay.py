@@ -43,7 +43,7 @@ def bends_along(chain, drive, part, t, step, directions, room):  # type: ignore[
         room.base[0, j] -= chain.gx
         room.base[1, j] -= chain.gy
     tg.remember(ln.COLUMNS, lanes)
-    ln.euler(ln.COLUMNS, chain.bears, lanes, room.tip, room.base)
+    ln.euler(ln.COLUMNS, chain.bears, ln.MORE, lanes, room.tip, room.base)
     tg.prepare(ln.COLUMNS, chain.bears, lanes)
     for j in range(3):
         dys[j, :n] = ys[j, n : 2 * n]
@@ -66,51 +66,59 @@ def bends_along(chain, drive, part, t, step, directions, room):  # type: ignore[
 
 
 @kernel
-def blend(t, step, t_out, directions, room, y_out, dy_out):  # type: ignore[no-untyped-def]
-    """State (2 n + 2,) and its derivatives (2 n, p) at time t_out within a step from t, from the room's three nodes."""
-    ys, dys, nodes, bends = room.ys, room.dys, room.nodes, room.bends
-    n, p = bends.shape[1], bends.shape[2]
+def blend(t, step, t_out, room, y_out, dy_out):  # type: ignore[no-untyped-def]
+    """States (m, 2 n + 2) and derivatives (m, 2 n, p) at times t_out (m,) in a step from t, from the room's nodes."""
+    n, p = room.bends.shape[1], room.bends.shape[2]
     half = 0.5 * step
-    theta = (t_out - t) / half - 1.0
-    interpolate(theta, step, ys, dys, y_out)
-    value, slope, curve = np.empty(9), np.empty(9), np.empty(9)
-    basis(0, theta, value)
-    basis(1, theta, slope)
-    basis(2, theta, curve)
-    moving, longer = np.zeros(p), np.zeros(p)
+    weights = np.empty((t_out.size, 3, 9))
+    longer, moving = np.empty(p), np.empty((t_out.size, p))
     for x in range(p):
         longer[x] = 0.5 * room.change[x // 2, x % 2]
-        moving[x] = -(room.shift[x // 2, x % 2] + (theta + 1.0) * longer[x]) / half
+    for m in range(t_out.size):
+        theta = (t_out[m] - t) / half - 1.0
+        interpolate(theta, step, room.ys, room.dys, y_out[m])
+        for order in range(3):
+            basis(order, theta, weights[m, order])
+        for x in range(p):
+            moving[m, x] = -(room.shift[x // 2, x % 2] + (theta + 1.0) * longer[x]) / half
     late = moving.any() or longer.any()
-    for i in range(n):
-        dq, dw = dy_out[i], dy_out[n + i]
-        combine(value, half, i, nodes, bends, dq)
-        combine(slope, half, i, nodes, bends, dw)
-        dw /= half
-        if late:
-            speed = grown = bend = grown_w = 0.0
-            for k in range(3):
-                q, w, a = ys[k, i], ys[k, n + i], dys[k, n + i]
-                speed += slope[k] * q + half * (slope[3 + k] * w + half * slope[6 + k] * a)
-                bend += curve[k] * q + half * (curve[3 + k] * w + half * curve[6 + k] * a)
-                grown += value[3 + k] * w + 2.0 * half * value[6 + k] * a
-                grown_w += slope[3 + k] * w + 2.0 * half * slope[6 + k] * a
-            grown_w -= speed / half
-            for x in range(p):
-                dq[x] += speed * moving[x] + grown * longer[x]
-                dw[x] += (bend * moving[x] + grown_w * longer[x]) / half
+    for i in range(n):  # all times of a link together: its nodes stay in the cache
+        for m in range(t_out.size):
+            combine(weights[m], half, i, room.nodes, room.bends, dy_out[m, i], dy_out[m, n + i])
+            if late:
+                follow(weights[m], half, i, room.ys, room.dys, moving[m], longer, dy_out[m, i], dy_out[m, n + i])
 
 
 @kernel
-def combine(weight, half, i, nodes, bends, out):  # type: ignore[no-untyped-def]
-    """Sum over the basis (9,) of derivatives of link i's angle, rate and acceleration, written to out (p,)."""
+def combine(weight, half, i, nodes, bends, dq, dw):  # type: ignore[no-untyped-def]
+    """Derivatives (p,) of link i's angle and rate from those at the nodes; `weight` is (3, 9)."""
     n = bends.shape[1]
-    out[:] = 0.0
+    dq[:] = 0.0
+    dw[:] = 0.0
     for k in range(3):
-        a, b, c = weight[k], weight[3 + k] * half, weight[6 + k] * half * half
+        a, b, c = weight[0, k], weight[0, 3 + k] * half, weight[0, 6 + k] * half * half
+        e, f, g = weight[1, k] / half, weight[1, 3 + k], weight[1, 6 + k] * half
         q, w, bend = nodes[k, i], nodes[k, n + i], bends[k, i]
-        for x in range(out.size):
-            out[x] += a * q[x] + b * w[x] + c * bend[x]
+        for x in range(dq.size):
+            dq[x] += a * q[x] + b * w[x] + c * bend[x]
+            dw[x] += e * q[x] + f * w[x] + g * bend[x]
+
+
+@kernel
+def follow(weight, half, i, ys, dys, moving, longer, dq, dw):  # type: ignore[no-untyped-def]
+    """Add what follows from the change of an output's place in its step, `moving` (p,), and of half the step (p,)."""
+    n = (ys.shape[1] - 2) // 2
+    speed = grown = bend = grown_w = 0.0
+    for k in range(3):
+        q, w, a = ys[k, i], ys[k, n + i], dys[k, n + i]
+        speed += weight[1, k] * q + half * (weight[1, 3 + k] * w + half * weight[1, 6 + k] * a)
+        bend += weight[2, k] * q + half * (weight[2, 3 + k] * w + half * weight[2, 6 + k] * a)
+        grown += weight[0, 3 + k] * w + 2.0 * half * weight[0, 6 + k] * a
+        grown_w += weight[1, 3 + k] * w + 2.0 * half * weight[1, 6 + k] * a
+    grown_w -= speed / half
+    for x in range(dq.size):
+        dq[x] += speed * moving[x] + grown * longer[x]
+        dw[x] += (bend * moving[x] + grown_w * longer[x]) / half
 
 
 @kernel
@@ -120,8 +128,7 @@ def write_inside(chain, drive, part, table, t, step, y, t_out, directions, room,
     step_along(chain, drive, part, table, t, 0.5 * step, y, room.ys[1], directions, room.nodes[1], room)
     room.change[:] *= 2.0
     bends_along(chain, drive, part, t, step, directions, room)
-    for m in range(t_out.size):
-        blend(t, step, t_out[m], directions, room, y_out[m], dy_out[m])
+    blend(t, step, t_out, room, y_out, dy_out)
 
 
 @kernel
