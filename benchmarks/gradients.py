@@ -28,6 +28,7 @@ def measure(quick: bool, repeats: int, _peers: dict[str, ModuleType]) -> list[di
     rope, motion, arm = cable(LINKS), hf.swings(), hf.Arm()
     setup = hf.Setup(rope, motion, arm, duration=DURATION, tol=TOL)
     q0, qd0 = setup.start()
+    check(rope, motion, arm, q0, qd0)  # compiles as well
     rows = []
     for outputs, count in list(OUTPUTS.items())[: 1 if quick else None]:
         t = np.linspace(0.0, DURATION, count)
@@ -39,7 +40,6 @@ def measure(quick: bool, repeats: int, _peers: dict[str, ModuleType]) -> list[di
         runs: list[Callable[[], Any]] = [plain]
         runs += [lambda one=one, t=t: one(t, q0, qd0) for one in slopes.values()]
         times = alternately(runs, repeats, 5.0)
-        check(rope, motion, arm, q0, qd0)
         for what, directions, timed in zip(
             ["plain", *WRT], [0, *(len(one.names) for one in slopes.values())], times, strict=True
         ):
