@@ -34,8 +34,8 @@ ALLOWED_FAILURES = 0.01
 SLOWEST = 8
 ORDINARY = "at most 100 links, eta / (m l^2) within two decades of the paper's"
 PROMISE = """\
-A run has **met** its tolerance if, inside the horizon, it stays within `tol (1 + t / 20 ms) growth` of a run with a
-hundredth of that tolerance; `growth` is that of two nudged runs, one in the angles and one in the rates. It is
+A run has **met** its tolerance if, inside the horizon, it stays within `3 tol (1 + t / 20 ms) growth` of a run with
+a hundredth of that tolerance; `growth` is that of two nudged runs, one in the angles and one in the rates. It is
 **wrong** if it does not and does not say so. **Unchecked**: it ended well, a tighter one did not. **Failed**: it ended
 in an error."""
 

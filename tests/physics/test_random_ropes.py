@@ -15,5 +15,5 @@ MOST_LINKS = 25
 def test_a_random_rope_keeps_its_tolerance(number: int) -> None:
     case = draw(2, number, MOST_LINKS)
     verdict = judge(case.setup, number)
-    # `promise` is the error in units of tol (1 + t / 20 ms) growth, see judging.py: no more than 1 is met.
+    # `promise` is the error in units of 3 tol (1 + t / 20 ms) growth, see judging.py: no more than 1 is met.
     assert verdict.outcome == "met", (verdict, case.kind)

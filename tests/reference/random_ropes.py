@@ -39,6 +39,22 @@ def draw(seed: int, number: int, most_links: int = 300) -> Case:
     return Case(number, setup, kind, bool(ordinary))
 
 
+def draw_stuck(seed: int, number: int, most_links: int = 300) -> Case:
+    """Return a rope at rest, bent at random, whose dry friction bears 1.05 to 3 times what its weight asks for."""
+    rng = np.random.default_rng([seed, number, 1])
+    rope, about = random_rope(rng, most_links)
+    n = rope.n_links
+    q0 = rng.uniform(-np.pi, np.pi) + np.cumsum(rng.normal(0.0, 2.0 / np.sqrt(n), n))
+    beyond = np.append(np.cumsum((rope.mass[1:])[::-1])[::-1], 0.0) + rope.tip_mass
+    across = np.stack([np.cos(q0), np.sin(q0)], axis=1)
+    weight = (rope.mass * rope.com + rope.length * beyond) * (across @ rope.gravity)
+    borne = np.abs(np.cumsum(weight[::-1])[::-1])  # by each joint, for all that hangs from it
+    bears = float(rng.uniform(1.05, 3.0))
+    rope = rope.replace(dry_friction=bears * borne + 1e-12, stiffness=0.0, friction_model="relative")
+    kind = {"links": n, **about, "bears": bears}
+    return Case(number, hf.Setup(rope, q0=q0, duration=10.0), kind, ordinary=False)
+
+
 def log_uniform(rng: Random, low: float, high: float) -> float:
     """Return a number between `low` and `high` whose logarithm is evenly distributed."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
