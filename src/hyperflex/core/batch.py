@@ -32,7 +32,7 @@ from hyperflex.core.members import (
     enter,
     piece,
 )
-from hyperflex.core.stepsize import LARGEST_STEP, SHARE, SMALLEST_STEP, fitted, lasting, longer, shorter
+from hyperflex.core.stepsize import LARGEST_STEP, SMALLEST_STEP, allowed, fitted, lasting, longer, shorter
 
 
 @kernel
@@ -167,7 +167,7 @@ def judge(terms, tip, j, step):  # type: ignore[no-untyped-def]
         return np.inf
     if terms.fixed > 0.0 or step < SMALLEST_STEP:  # so short only where it is cut: nothing to control
         return 0.0
-    return math.sqrt(worst) / (terms.tol * min(1.0, step / SHARE))
+    return math.sqrt(worst) / allowed(terms.tol, step)
 
 
 @kernel

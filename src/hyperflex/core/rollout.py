@@ -13,7 +13,7 @@ from hyperflex.core.chain import Array, accelerations, energies, sines
 from hyperflex.core.drive import base_state, segment
 from hyperflex.core.jit import kernel
 from hyperflex.core.steppers import extrapolate, rates, runge_kutta
-from hyperflex.core.stepsize import LARGEST_STEP, SHARE, SMALLEST_STEP, fitted, lasting, longer, shorter
+from hyperflex.core.stepsize import LARGEST_STEP, SMALLEST_STEP, allowed, fitted, lasting, longer, shorter
 
 
 class Limits(NamedTuple):
@@ -96,7 +96,7 @@ def error_norm(chain, limits, y, error, step, work):  # type: ignore[no-untyped-
     energy = abs(error[2 * n] - error[2 * n + 1]) * limits.reach / (ENERGY * (limits.fall + kinetic) + TINY)
     if not (energy < np.inf):
         return np.inf
-    return max(math.sqrt(worst), energy) / (limits.tol * min(1.0, step / SHARE))
+    return max(math.sqrt(worst), energy) / allowed(limits.tol, step)
 
 
 @kernel

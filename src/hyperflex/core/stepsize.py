@@ -11,6 +11,7 @@ FIRST_STEP: Final = 0.01  # s, tried first; error control does the rest
 LARGEST_STEP: Final = 0.25  # s
 SMALLEST_STEP: Final = 1e-10  # s
 SHARE: Final = 0.02  # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
+ROUNDING: Final = 3e-13  # m; of places some metres away, times the weights of the extrapolation
 SAFETY: Final = 0.8  # 0.9 saves no time: it trades steps for rejected ones
 MOST: Final = 3.0  # a step is at most so many times as long as the last one
 LEAST: Final = 0.2
@@ -57,6 +58,16 @@ def longer(step, size, last, last_size, order):  # type: ignore[no-untyped-def]
 def shorter(step, size, order):  # type: ignore[no-untyped-def]
     """Length of the next attempt after a step whose error was too large (`size` > 1, or not finite)."""
     return step * (max(LEAST, SAFETY * size ** (-1.0 / order)) if size < float("inf") else LEAST)
+
+
+@kernel
+def allowed(tol, step):  # type: ignore[no-untyped-def]
+    """Error that a step may make, m: `tol`, and its share of that where it is short, but not less than rounding.
+
+    Where stiff friction settles, steps of nanoseconds are tried. Their share is beyond the arithmetic, and shorter
+    ones would only make it smaller.
+    """
+    return max(tol * min(1.0, step / SHARE), min(tol, ROUNDING))
 
 
 @kernel
