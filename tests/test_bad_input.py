@@ -64,7 +64,6 @@ ROPES = [
         "unknown-friction-model", lambda: rope(friction_model="absolute"), "friction_model", "'absolute'", "'printed'"
     ),
     case("negative-radius", lambda: rope(radius=-1e-3), "radius", "-0.001"),
-    case("zero-dry-rate", lambda: rope(dry_rate=0.0), "dry_rate", "0.0"),
     case("link-without-inertia", lambda: rope(mass=[0.1, 0.0, 0.1]), "link 1", "inertia"),
     case("uniform-zero-links", lambda: cable(n_links=0), "n_links", "0", "from 1 to 100000"),
     case("uniform-slip-of-the-pen", lambda: cable(n_links=10**9), "n_links", "1000000000", "from 1 to 100000"),

@@ -41,7 +41,7 @@ def family(count: int, n: int = 8, seed: int = 0, **others: object) -> tuple[lis
 
 @pytest.mark.parametrize(
     "others",
-    [{}, {"friction_model": "printed"}, {"dry_friction": 1e-4, "dry_rate": 0.1}],
+    [{}, {"friction_model": "printed"}, {"dry_friction": 1e-4}],
     ids=["relative", "printed", "dry"],
 )
 def test_members_equal_single_runs(others: dict[str, object]) -> None:

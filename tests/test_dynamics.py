@@ -31,7 +31,6 @@ def rope(friction_model: str = "relative") -> hf.Rope:
         tip_mass=0.01,
         gravity=(0.7, -9.6),
         friction_model=friction_model,
-        dry_rate=0.3,
     )
 
 

@@ -15,12 +15,17 @@ if TYPE_CHECKING:
     from hyperflex.recording import Recording, read_recording
     from hyperflex.simulation import (
         Batch,
+        Event,
         Predictability,
         Sensitivities,
+        angle_reached,
+        phase_reached,
         predictability,
         sensitivities,
         simulate,
         simulate_batch,
+        tip_crosses,
+        tip_speed_peak,
     )
     from hyperflex.trajectory import State, Trajectory, read_trajectory
 
@@ -29,6 +34,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Arm": "model",
     "Batch": "simulation",
+    "Event": "simulation",
     "Identification": "identification",
     "Motion": "motion",
     "Predictability": "simulation",
@@ -38,10 +44,12 @@ _HOMES = {
     "Setup": "model",
     "State": "trajectory",
     "Trajectory": "trajectory",
+    "angle_reached": "simulation",
     "hold": "motion",
     "identify": "identification",
     "move": "motion",
     "moving_point": "motion",
+    "phase_reached": "simulation",
     "predictability": "simulation",
     "read_motion": "motion",
     "read_recording": "recording",
@@ -51,12 +59,15 @@ _HOMES = {
     "simulate": "simulation",
     "simulate_batch": "simulation",
     "swings": "motion",
+    "tip_crosses": "simulation",
+    "tip_speed_peak": "simulation",
     "torque_profile": "motion",
 }
 
 __all__ = [
     "Arm",
     "Batch",
+    "Event",
     "Identification",
     "Motion",
     "Predictability",
@@ -67,10 +78,12 @@ __all__ = [
     "State",
     "Trajectory",
     "__version__",
+    "angle_reached",
     "hold",
     "identify",
     "move",
     "moving_point",
+    "phase_reached",
     "predictability",
     "read_motion",
     "read_recording",
@@ -80,6 +93,8 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "swings",
+    "tip_crosses",
+    "tip_speed_peak",
     "torque_profile",
 ]
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import chain as core
+from hyperflex.core.stick import bench, decide
 from hyperflex.model import Arm, Rope
 
 
@@ -93,15 +94,17 @@ def bias(
 
     Notes
     -----
-    From the accelerations of one O(n) sweep: bias = -M qdd for tau = 0. Paper (1).
+    From the accelerations of one O(n) sweep: bias = -M qdd for tau = 0. Dry friction counts where a joint turns; one at
+    rest bears what the motion asks of it, which is not known here. Paper (1).
     """
     angles = _joined(rope, q, "q", "rad", arm, arm_angle)
     rates = _joined(rope, qd, "qd", "rad/s", arm, arm_rate)
     chain = rope.chain() if arm is None else arm.chain(rope)
     result = np.empty(angles.size)
-    core.accelerations(
-        chain, angles, rates, np.ones(angles.size), np.zeros(7), 0.0, 0.0, result, np.empty(6 * angles.size)
-    )
+    sense = np.sign(np.diff(rates, prepend=0.0))
+    chain = chain._replace(dry=np.where(sense == 0.0, 0.0, chain.dry))
+    grip = np.where(sense == 0.0, 1.0, sense)
+    core.accelerations(chain, angles, rates, grip, np.zeros(7), 0.0, 0.0, result, np.empty(6 * angles.size))
     mass = np.empty((angles.size, angles.size))
     core.mass_matrix(chain, angles, mass)
     return np.asarray(-mass @ result)
@@ -119,12 +122,21 @@ def partial_linearization(
         Link angles, rad, and rates, rad/s.
     arm_angle, arm_rate : float
         Of the arm, rad and rad/s.
+
+    Notes
+    -----
+    Joints that dry friction holds while the arm keeps its rate (u = 0) count as locked; where u makes them come loose,
+    (2) is another one. The arm's own dry friction counts where it turns.
     """
     angles = checks.array("q", q, (rope.n_links,), unit="rad")
     rates = checks.array("qd", qd, (rope.n_links,), unit="rad/s")
     angle, rate = checks.number("arm_angle", arm_angle), checks.number("arm_rate", arm_rate)
-    rest = _driven(rope, arm, angles, rates, angle, rate, 0.0)
-    unit = _driven(rope, arm, angles, rates, angle, rate, 1.0)
+    grip = np.ones(rope.n_links)
+    if rope.dry_friction.any():
+        base = _base(arm, angle, rate, 0.0)
+        decide(rope.chain(), angles, rates, base, 0.0, 1.0, grip, bench(rope.n_links))
+    rest = _driven(rope, arm, angles, rates, angle, rate, 0.0, grip)
+    unit = _driven(rope, arm, angles, rates, angle, rate, 1.0, grip)
     return PartialLinearization(rest[0], unit[0] - rest[0], unit[1] - rest[1], rest[1])
 
 
@@ -144,13 +156,10 @@ def _joined(rope: Rope, value: npt.ArrayLike, name: str, unit: str, arm: Arm | N
     return links if arm is None else np.append(checks.number(arm_name, own, unit=unit), links)
 
 
-def _driven(
-    rope: Rope, arm: Arm, q: Array, qd: Array, angle: float, rate: float, acceleration: float
-) -> tuple[Array, float]:
-    """Rope accelerations (n,) and motor torque under a given acceleration of the arm."""
-    n = rope.n_links
+def _base(arm: Arm, angle: float, rate: float, acceleration: float) -> Array:
+    """Motion (7,) of the rope's first joint, as the kernels take it, on an arm that turns about a fixed pivot."""
     cos, sin = np.cos(angle), np.sin(angle)
-    base = np.array(
+    return np.array(
         [
             arm.length * (cos * acceleration - sin * rate**2),
             arm.length * (sin * acceleration + cos * rate**2),
@@ -161,9 +170,18 @@ def _driven(
             arm.length * sin * rate,
         ]
     )
+
+
+def _driven(
+    rope: Rope, arm: Arm, q: Array, qd: Array, angle: float, rate: float, acceleration: float, grip: Array
+) -> tuple[Array, float]:
+    """Rope accelerations (n,) and motor torque under a given acceleration of the arm; `grip` (n,) as in core."""
+    n = rope.n_links
+    cos, sin = np.cos(angle), np.sin(angle)
+    base = _base(arm, angle, rate, acceleration)
     qdd = np.empty(n)
-    fx, fy, moment = core.accelerations(rope.chain(), q, qd, np.ones(n), base, 0.0, 0.0, qdd, np.empty(6 * n))
+    fx, fy, moment = core.accelerations(rope.chain(), q, qd, grip, base, 0.0, 0.0, qdd, np.empty(6 * n))
     gx, gy = rope.gravity
     own = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
-    own += arm.dry_friction * np.tanh(rate / rope.dry_rate) - arm.mass * arm.com * (gx * cos + gy * sin)
+    own += arm.dry_friction * np.sign(rate) - arm.mass * arm.com * (gx * cos + gy * sin)
     return qdd, float(own + moment + arm.length * (cos * fx + sin * fy))

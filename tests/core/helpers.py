@@ -24,13 +24,22 @@ class Sweep(NamedTuple):
 
 
 def chain_of(links: Any) -> kernels.Chain:
-    """The kernel's parameters from the reference's (same names)."""
-    return kernels.Chain(**links._asdict())
+    """The kernel's parameters from the reference's (same names, but for who bears the friction)."""
+    values = links._asdict()
+    bears = kernels.MUTUAL if values.pop("reaction") == 1.0 else kernels.PRINTED
+    return kernels.Chain(**values, bears=bears)
 
 
-def sweep(links: Any, state: State, torque: float = 0.0, h: float = 0.0) -> Sweep:
-    """One call of the accelerations kernel."""
+def senses(state: State) -> Real:
+    """Senses in which the joints slip at a state (n,)."""
+    return np.sign(np.diff(state.w, prepend=state.base[3]))
+
+
+def sweep(links: Any, state: State, torque: float = 0.0, h: float = 0.0, grip: Real | None = None) -> Sweep:
+    """One call of the accelerations kernel, by default with every joint slipping."""
     n = len(state.q)
-    alpha, work = np.full(n, np.nan), np.full((n, 8), np.nan)
-    fx, fy, moment = kernels.accelerations(chain_of(links), state.q, state.w, state.base, torque, h, alpha, work)
+    alpha, work = np.full(n, np.nan), np.full(8 * n, np.nan)
+    modes = senses(state) if grip is None else grip
+    call = chain_of(links), state.q, state.w, modes, state.base, torque, h
+    fx, fy, moment = kernels.accelerations(*call, alpha, work)
     return Sweep(alpha, np.array([fx, fy]), moment)

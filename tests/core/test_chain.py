@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hyperflex.core import chain as kernels
-from tests.core.helpers import chain_of, sweep
+from tests.core.helpers import chain_of, senses, sweep
 from tests.reference import dense
-from tests.reference.cases import random_links, random_state
+from tests.reference.cases import random_grip, random_links, random_state
 
 SIZES = [1, 2, 5, 50, 200]
 # The goal of the project for every size. The sweep's own rounding grows with n, to some 1e-12 at n = 200; the reference
@@ -28,8 +28,27 @@ def test_accelerations_are_those_of_the_dense_reference(n: int, reaction: float,
         np.testing.assert_allclose(got.alpha, want.alpha, rtol=0, atol=AGREEMENT * scale)
         np.testing.assert_allclose(got.force, want.force, rtol=0, atol=AGREEMENT * float(np.abs(want.force).max()))
         # The first joint's torque is a difference of terms of the size of friction and of the first link's moment.
-        moment = scale * h * (links.viscous[0] + links.dry[0] / links.dry_rate + h * links.stiffness[0])
+        moment = scale * h * (links.viscous[0] + h * links.stiffness[0])
         assert got.torque == pytest.approx(float(want.torque), abs=AGREEMENT * max(abs(float(want.torque)), moment))
+
+
+@pytest.mark.parametrize("h", [0.0, 0.01], ids=["explicit", "long-step"])
+@pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
+@pytest.mark.parametrize("n", SIZES)
+def test_stuck_joints_are_those_of_a_constrained_chain(n: int, reaction: float, h: float) -> None:
+    for seed in range(3):
+        links, state, grip = random_links(n, seed, reaction=reaction), random_state(n, seed), random_grip(n, seed)
+        got = sweep(links, state, torque=0.03, h=h, grip=grip)
+        want = dense.accelerations(links, *state, torque=0.03, h=h, grip=grip)
+        scale = float(np.abs(want.alpha).max())
+        np.testing.assert_allclose(got.alpha, want.alpha, rtol=0, atol=AGREEMENT * scale)
+        np.testing.assert_allclose(got.force, want.force, rtol=0, atol=AGREEMENT * float(np.abs(want.force).max()))
+        stuck = grip == 0.0
+        parents = np.append(state.base[2], got.alpha[:-1])
+        np.testing.assert_array_equal(got.alpha[stuck], parents[stuck])  # locked to the last bit
+        # A stuck first joint bears the moment of the whole chain: a sum of n forces of the size of m a l.
+        moment = scale * (np.sum(links.mass) + links.tip_mass) * np.sum(links.length) ** 2
+        assert got.torque == pytest.approx(float(want.torque), abs=1e-2 * AGREEMENT * moment)
 
 
 @pytest.mark.parametrize("n", SIZES)
@@ -62,7 +81,7 @@ def test_the_papers_cable_at_rest_and_whirling() -> None:
     length, mass = 0.04, 2.5e-3
     links = dense.Links(
         length * one, mass * one, length / 2 * one, mass * (3 * 0.0025**2 + length**2) / 12 * one,
-        5e-4 * one, 0 * one, 0 * one, 0 * one, 0.0, 0.0, -9.81, 1.0, 1.0,
+        5e-4 * one, 0 * one, 0 * one, 0 * one, 0.0, 0.0, -9.81, 1.0,
     )  # fmt: skip
     for seed in range(3):
         state = random_state(n, seed)
@@ -103,7 +122,7 @@ def test_energies(n: int) -> None:
 @pytest.mark.parametrize("n", SIZES)
 def test_friction_power(n: int, reaction: float) -> None:
     links, state = random_links(n, 9, reaction=reaction), random_state(n, 9)
-    got = kernels.friction_power(chain_of(links), state.w, state.base[3])
+    got = kernels.friction_power(chain_of(links), state.w, senses(state), state.base[3])
     want = dense.dissipation(links, state.q, state.w, (state.base[4], state.base[3]))
     # A sum of n terms; with printed friction they differ in sign, so the sum of sizes sets the rounding.
     sizes = np.abs(dense.joints(links, state.q, state.w, (state.base[4], state.base[3])).friction)
@@ -114,7 +133,7 @@ def test_friction_power(n: int, reaction: float) -> None:
 def test_relative_friction_never_gives_energy() -> None:
     for seed in range(20):
         links, state = random_links(6, seed), random_state(6, seed)
-        assert kernels.friction_power(chain_of(links), state.w, state.base[3]) > 0.0
+        assert kernels.friction_power(chain_of(links), state.w, senses(state), state.base[3]) > 0.0
 
 
 def test_sine_and_cosine_against_extended_precision() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperflex.core import chain as kernels
-from tests.core.helpers import EXAMPLES, chain_of, sweep
+from tests.core.helpers import EXAMPLES, chain_of, senses, sweep
 from tests.reference import dense
 from tests.reference.cases import State, random_links, random_state
 from tests.reference.dense import Links, Real
@@ -59,7 +59,7 @@ def test_power_balance_at_a_state(case: tuple[int, int, float], torque: float) -
     got = sweep(links, state, torque)
     velocity, rate = state.base[5:7], state.base[3]
     inward = got.force @ velocity + got.torque * rate + torque * state.w[0]
-    lost = kernels.friction_power(chain_of(links), state.w, rate)
+    lost = kernels.friction_power(chain_of(links), state.w, senses(state), rate)
     terms = np.abs([*(got.force * velocity), got.torque * rate, torque * state.w[0], lost])
     # The energy's derivative sums terms that may cancel: n of them, each of the size of m v a.
     moving = np.sum(links.mass) * np.abs(got.alpha).max() * np.sum(links.length) ** 2 * np.abs(state.w).max()
@@ -176,7 +176,6 @@ def test_other_units_give_the_same_motion(
         "stiffness": links.stiffness * torque_unit,
         "gx": links.gx * metre / second**2,
         "gy": links.gy * metre / second**2,
-        "dry_rate": links.dry_rate / second,
     }
     base = state.base / np.array([second**2 / metre] * 2 + [second**2, second, 1.0] + [second / metre] * 2)
     other = State(state.q, state.w / second, base)

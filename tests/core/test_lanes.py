@@ -8,21 +8,17 @@ import pytest
 from hyperflex.core import lanes as ln
 from tests.core.helpers import chain_of
 from tests.reference import dense
-from tests.reference.cases import random_links, random_state
+from tests.reference.cases import random_grip, random_links, random_state
 
 
-@pytest.mark.parametrize("dry", [True, False], ids=["dry", "viscous-only"])
 @pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
 @pytest.mark.parametrize("n", [1, 2, 5, 50])
 @pytest.mark.parametrize("width", [ln.COLUMNS, ln.MEMBERS], ids=["columns", "members"])
-def test_a_step_in_every_lane_is_the_dense_implicit_step(
-    width: tuple[int, ...], n: int, reaction: float, dry: bool
-) -> None:
+def test_a_step_in_every_lane_is_the_dense_implicit_step(width: tuple[int, ...], n: int, reaction: float) -> None:
     links = random_links(n, 2, reaction=reaction)
-    if not dry:
-        links = links._replace(dry=np.zeros(n))
     k = len(width)
     states = [random_state(n, seed) for seed in range(k)]
+    modes = [random_grip(n, seed) for seed in range(k)]  # stuck joints too, others in each lane
     steps, torques = 0.01 / np.arange(1, k + 1), 0.01 * np.arange(k)
     flat, base = np.zeros((n + 2) * ln.ROW * k), np.zeros((k, 9))
     data = flat.reshape(n + 2, ln.ROW, k)
@@ -31,11 +27,12 @@ def test_a_step_in_every_lane_is_the_dense_implicit_step(
     ln.load(width, chain, flat)
     for j, state in enumerate(states):
         link[:, ln.Q, j], link[:, ln.W, j], base[j, :7] = state
+        link[:, ln.GRIP, j] = modes[j]
         base[j, :2] -= chain.gx, chain.gy
     end[ln.STEP], top[ln.EXTERNAL] = steps, torques
-    ln.euler(width, flat, base, chain.reaction, chain.dry_rate, dry)
+    ln.euler(width, chain.bears, flat, base)
     for j, (state, h, torque) in enumerate(zip(states, steps, torques, strict=True)):
-        want = dense.accelerations(links, *state, torque=torque, h=h)
+        want = dense.accelerations(links, *state, torque=torque, h=h, grip=modes[j])
         w_end = state.w + h * np.asarray(want.alpha, float)
         # 1e-10 relative on the accelerations as for the single sweep; the end state scales them by the step.
         atol = 1e-10 * h * float(np.abs(want.alpha).max())
@@ -45,6 +42,6 @@ def test_a_step_in_every_lane_is_the_dense_implicit_step(
         power = float(want.force @ velocity + want.torque * rate) + torque * state.w[0]
         scale = float(np.abs(want.force) @ np.abs(velocity)) + abs(float(want.torque) * rate)
         assert top[ln.WORK, j] == pytest.approx(h * power, abs=1e-10 * h * scale)
-        lost = dense.dissipation(links, state.q, state.w, (state.base[4], rate))
+        lost = dense.dissipation(links, state.q, state.w, (state.base[4], rate), modes[j])
         # Terms of either sign with printed friction; 1e-10 of their usual size as everywhere.
         assert top[ln.DISSIPATED, j] == pytest.approx(h * lost, abs=1e-10 * h * max(abs(lost), 1e-2))

@@ -8,7 +8,7 @@ import pytest
 import hyperflex as hf
 
 ROPE = hf.Rope(length=[0.1, 0.2, 0.15], mass=[0.03, 0.02, 0.01], friction=1e-3, stiffness=1e-3, tip_mass=0.01)
-DRY = ROPE.replace(dry_friction=1e-3, dry_rate=0.1)
+DRY = ROPE.replace(dry_friction=1e-3)
 ARM = hf.Arm(length=0.1)
 MOTION = hf.swings(0.2, 0.05)
 T = np.array([0.01, 0.1004, 0.15, 0.2, 0.23, 0.3])

@@ -25,7 +25,6 @@ def tangled(n: int, friction_model: str, **changes: object) -> hf.Rope:
         tip_mass=0.02,
         gravity=(1.0, -9.0),
         friction_model=friction_model,
-        dry_rate=0.5,
     )
     return rope.replace(**changes)
 

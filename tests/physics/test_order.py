@@ -108,7 +108,7 @@ def test_runge_kutta_refuses_a_step_beyond_its_limit_and_names_the_limit(n: int)
 
 JOINTS = [
     {"friction_model": "printed", "friction": 2e-3},
-    {"dry_friction": 1e-4, "dry_rate": 0.1},
+    {"dry_friction": 1e-4},
     {"stiffness": 0.1, "friction": 2e-3},
 ]
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.integrate import DOP853
 
-from tests.reference import dense
+from tests.reference import dense, stick
 from tests.reference.dense import Links, Real
 
 
@@ -71,6 +71,14 @@ def cast(links: Links, arm_length: float, stretches: list[Stretch], q: Real, w: 
     n = len(q)
     state, states = np.concatenate([q, w]), []
     for stretch in stretches:
+        if np.any(links.dry > 0.0):
+
+            def base(t: float, stretch: Stretch = stretch) -> Real:
+                return stretch.base(t, arm_length)
+
+            state, _ = stick.integrate(links, base, stretch.start, stretch.end, state[:n], state[n:], tol)
+            states.append(state)
+            continue
 
         def rate(t: float, y: Real, stretch: Stretch = stretch) -> Real:
             base = stretch.base(t, arm_length)
@@ -96,5 +104,4 @@ def links_of(rope: Any) -> Links:
         gx=float(rope.gravity[0]),
         gy=float(rope.gravity[1]),
         reaction={"relative": 1.0, "printed": 0.0}[rope.friction_model],
-        dry_rate=rope.dry_rate,
     )

@@ -17,6 +17,11 @@ class State(NamedTuple):
     base: Real
 
 
+def random_grip(n: int, seed: int) -> Real:
+    """Modes of n joints: slipping one way or the other, or stuck."""
+    return np.random.default_rng(seed + 2000).choice([-1.0, 0.0, 1.0], n)
+
+
 def random_links(n: int, seed: int, *, reaction: float = 1.0, joints: bool = True, tip: bool = True) -> Links:
     """A chain about 2 m and 0.1 kg as a whole, every link different; without `joints` neither friction nor springs."""
     rng = np.random.default_rng(seed)
@@ -37,7 +42,6 @@ def random_links(n: int, seed: int, *, reaction: float = 1.0, joints: bool = Tru
         gx=float(rng.normal(0.0, 2.0)),
         gy=-9.81,
         reaction=reaction,
-        dry_rate=0.05,
     )
 
 

@@ -36,18 +36,19 @@ class Links(NamedTuple):
     gx: float
     gy: float
     reaction: float
-    dry_rate: float
 
 
 class Answer(NamedTuple):
     """Accelerations alpha (n,); force (2,) of the base on the chain; torque that the parent gives to the first joint.
 
     The torque is what the parent loses: with friction as printed, which does not react, it is the spring's alone.
+    ``held`` (n,) is the friction torque of each stuck joint, 0 for the others.
     """
 
     alpha: Real
     force: Real
     torque: float
+    held: Real
 
 
 def directions(q: Real) -> tuple[Real, Real]:
@@ -89,8 +90,19 @@ class Joints(NamedTuple):
     relative: Real  # (n, n): relative rate = relative @ w - e_0 * parent rate
 
 
-def joints(links: Any, q: Real, w: Real, parent: tuple[Any, Any], h: float = 0.0, dtype: Any = float) -> Joints:
-    """Joint torques at (q, w) beside a parent with (angle, rate), with the slopes of an Euler step of h seconds."""
+def joints(
+    links: Any,
+    q: Real,
+    w: Real,
+    parent: tuple[Any, Any],
+    h: float = 0.0,
+    dtype: Any = float,
+    grip: Real | None = None,
+) -> Joints:
+    """Joint torques at (q, w) beside a parent with (angle, rate), with the slopes of an Euler step of h seconds.
+
+    ``grip`` (n,) are the senses in which the joints slip, by default those of their rates.
+    """
     n = len(links.length)
     q, w, h = np.asarray(q, dtype), np.asarray(w, dtype), dtype(h)
     relative = np.eye(n, dtype=dtype) - np.eye(n, k=-1, dtype=dtype)
@@ -99,15 +111,15 @@ def joints(links: Any, q: Real, w: Real, parent: tuple[Any, Any], h: float = 0.0
     rate = relative @ w - first * dtype(parent[1])
     viscous, dry = np.asarray(links.viscous, dtype), np.asarray(links.dry, dtype)
     stiffness = np.asarray(links.stiffness, dtype)
-    soft = np.tanh(rate / dtype(links.dry_rate))
+    sense = np.sign(rate) if grip is None else np.asarray(grip, dtype)
     # A virtual turn of link i does work with the torque of its own joint and, if the joint reacts, with minus that of
     # the next joint. The printed friction has no reaction; the spring always has.
     one = np.eye(n, dtype=dtype)
     next_one = np.eye(n, k=1, dtype=dtype)
     return Joints(
-        friction=-viscous * rate - dry * soft,
+        friction=-viscous * rate - dry * sense,
         spring=-stiffness * (turn + h * rate - np.asarray(links.rest, dtype)),
-        friction_slope=h * (viscous + dry / dtype(links.dry_rate) * (1 - soft**2)),
+        friction_slope=h * viscous,
         spring_slope=h**2 * stiffness,
         friction_work=one - dtype(links.reaction) * next_one,
         spring_work=one - next_one,
@@ -125,9 +137,19 @@ def solve(matrix: Real, right: Real) -> Real:
 
 
 def accelerations(
-    links: Any, q: Real, w: Real, base: Real, torque: float = 0.0, h: float = 0.0, dtype: Any = np.longdouble
+    links: Any,
+    q: Real,
+    w: Real,
+    base: Real,
+    torque: float = 0.0,
+    h: float = 0.0,
+    dtype: Any = np.longdouble,
+    grip: Real | None = None,
 ) -> Answer:
     """Accelerations of the links for a given motion of the base, h > 0 with linearly implicit joints.
+
+    A joint whose ``grip`` is 0 (and that has dry friction) is locked: its friction is an unknown torque, a Lagrange
+    multiplier, beside the condition that the two links accelerate alike.
 
     Parameters
     ----------
@@ -145,20 +167,31 @@ def accelerations(
     for axis in range(2):
         right = right + (reach * across[:, axis]).T @ (mass * (g[axis] - drift[:, axis]))
     right[0] += dtype(torque)
-    j = joints(links, q, w, (base[4], base[3]), h, dtype)
+    j = joints(links, q, w, (base[4], base[3]), h, dtype, grip)
     right = right + j.friction_work @ j.friction + j.spring_work @ j.spring
     matrix = mass_matrix(links, q, dtype)
     for work, slope in ((j.friction_work, j.friction_slope), (j.spring_work, j.spring_slope)):
         matrix = matrix + work @ (slope[:, None] * j.relative)
         right = right + work[:, 0] * slope[0] * base[2]
-    alpha = solve(matrix, right)
+    locked = np.zeros(len(q), bool) if grip is None else (np.asarray(grip) == 0.0) & (np.asarray(links.dry) > 0.0)
+    count, n = int(locked.sum()), len(q)
+    whole = np.zeros((n + count, n + count), right.dtype)
+    whole[:n, :n], whole[:n, n:], whole[n:, :n] = matrix, -j.friction_work[:, locked], j.relative[locked]
+    known = np.concatenate([right - j.friction_work[:, locked] @ j.friction[locked], np.zeros(count, right.dtype)])
+    if locked[0]:
+        known[n] = base[2]
+    both = solve(whole, known)
+    alpha, held = both[:n], np.zeros_like(right)
+    held[locked] = both[n:]
     force = mass @ (drift + (reach * alpha) @ across - g)
     torques = (
         torque - slope * (alpha[0] - base[2])
         for torque, slope in ((j.friction[0], j.friction_slope[0]), (j.spring[0], j.spring_slope[0]))
     )
     friction, spring = torques
-    return Answer(alpha, force, dtype(links.reaction) * friction + spring)
+    if locked[0]:
+        friction = held[0]
+    return Answer(alpha, force, dtype(links.reaction) * friction + spring, held)
 
 
 def energies(links: Any, q: Real, w: Real, point: Real, velocity: Real, angle: Any = 0.0) -> tuple[Any, Any]:
@@ -177,9 +210,9 @@ def energies(links: Any, q: Real, w: Real, point: Real, velocity: Real, angle: A
     return kinetic, spring - np.sum(mass * (x @ np.array([links.gx, links.gy])))
 
 
-def dissipation(links: Any, q: Real, w: Real, parent: tuple[float, float]) -> float:
+def dissipation(links: Any, q: Real, w: Real, parent: tuple[float, float], grip: Real | None = None) -> float:
     """Power lost in the joints, W: minus the power of the friction torques on the links and on the parent."""
-    j = joints(links, q, w, parent)
+    j = joints(links, q, w, parent, grip=grip)
     on_links = float(w @ (j.friction_work @ j.friction))
     return -(on_links - links.reaction * float(j.friction[0]) * parent[1])
 

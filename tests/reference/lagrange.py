@@ -47,7 +47,7 @@ def friction_force(links: Links, w: Real, rate: float) -> Real:
 
 def _rayleigh(links: Links, w: Real, rate: float) -> Any:
     slip = w - np.append(rate, w[:-1])
-    return np.sum(0.5 * links.viscous * slip**2 + links.dry * links.dry_rate * np.log(np.cosh(slip / links.dry_rate)))
+    return np.sum(0.5 * links.viscous * slip**2 + links.dry * np.sign(slip.real) * slip)
 
 
 def _lagrangian(links: Links, q: Real, w: Real, point: Real, speed: Real, angle: Any) -> Any:

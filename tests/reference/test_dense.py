@@ -32,7 +32,7 @@ def test_printed_friction_acts_on_the_outer_link_only(n: int) -> None:
     answer = dense.accelerations(links, *state)
     left, _ = residual(links, state.q, state.w, np.asarray(answer.alpha, float), state.base)
     slip = np.diff(state.w, prepend=state.base[3])
-    printed = -links.viscous * slip - links.dry * np.tanh(slip / links.dry_rate)
+    printed = -links.viscous * slip - links.dry * np.sign(slip)
     scale = np.abs(dense.mass_matrix(links, state.q)).max() * np.abs(answer.alpha).max()
     np.testing.assert_allclose(left, printed, rtol=0, atol=float(ROUNDING * scale))
 
@@ -60,19 +60,39 @@ def test_the_implicit_answer_is_the_explicit_one_under_the_torques_at_the_end_of
     assert float(implicit.torque) == pytest.approx(reaction * end.friction[0] + end.spring[0], abs=ROUNDING * scale)
 
 
-def test_the_slope_of_dry_friction_is_its_derivative() -> None:
-    h, n = 1e-3, 3
-    links, state = random_links(n, 8)._replace(dry_rate=3.0), random_state(n, 8)
-    parent = (state.base[4], state.base[3])
-    # Central difference with a relative step of 1e-5: truncation 1e-10, rounding 1e-11 of the slope.
-    eps = 1e-5
-    for i in range(n):
-        kick = np.zeros(n)
-        kick[i:] = eps  # turns the relative rate of joint i alone
-        up = dense.joints(links, state.q, state.w + kick, parent).friction[i]
-        down = dense.joints(links, state.q, state.w - kick, parent).friction[i]
-        slope = dense.joints(links, state.q, state.w, parent, h).friction_slope[i]
-        assert slope == pytest.approx(-h * (up - down) / (2 * eps), rel=1e-8)
+@pytest.mark.parametrize("reaction", [0.0, 1.0])
+def test_locked_joints_are_a_chain_with_fewer_links(reaction: float) -> None:
+    """Lock joint 1 of three: links 0 and 1 are one body. Its parameters, worked out by hand, give the same motion."""
+    links, state = random_links(3, 4, reaction=reaction), random_state(3, 4)
+    links = links._replace(stiffness=np.zeros(3))
+    q = np.array([0.4, 0.4, state.q[2]])  # in line, so that the body's centre lies on it
+    w = np.array([1.1, 1.1, state.w[2]])
+    answer = dense.accelerations(links, q, w, state.base, torque=0.02, grip=np.array([1.0, 0.0, -1.0]))
+    mass = links.mass[0] + links.mass[1]
+    far = links.length[0] + links.com[1]
+    com = (links.mass[0] * links.com[0] + links.mass[1] * far) / mass
+    inertia = links.inertia[0] + links.inertia[1]
+    inertia += links.mass[0] * (links.com[0] - com) ** 2 + links.mass[1] * (far - com) ** 2
+    rigid = links._replace(
+        length=np.array([links.length[0] + links.length[1], links.length[2]]),
+        mass=np.array([mass, links.mass[2]]),
+        com=np.array([com, links.com[2]]),
+        inertia=np.array([inertia, links.inertia[2]]),
+        **{name: getattr(links, name)[[0, 2]] for name in ("viscous", "dry", "stiffness", "rest")},
+    )
+    want = dense.accelerations(rigid, q[[0, 2]], w[[0, 2]], state.base, torque=0.02, grip=np.array([1.0, -1.0]))
+    scale = float(np.abs(want.alpha).max())
+    if reaction == 1.0:
+        np.testing.assert_allclose(answer.alpha, want.alpha[[0, 0, 1]], rtol=0, atol=ROUNDING * scale)
+        np.testing.assert_allclose(answer.force, want.force, rtol=0, atol=ROUNDING * np.abs(want.force).max())
+    else:  # as printed, link 0 does not feel what holds link 1: it moves as if its friction were all that acts
+        assert float(answer.alpha[1] - answer.alpha[0]) == pytest.approx(0.0, abs=ROUNDING * scale)
+        left, _ = residual(links, q, w, np.asarray(answer.alpha, float), state.base)
+        slip = w - np.array([state.base[3], w[0], w[1]])
+        torques = -links.viscous * slip - links.dry * np.array([1.0, 0.0, -1.0]) + np.asarray(answer.held, float)
+        torques[0] += 0.02
+        size = np.abs(dense.mass_matrix(links, q)).max() * np.abs(answer.alpha).max()
+        np.testing.assert_allclose(left, torques, rtol=0, atol=float(ROUNDING * size))
 
 
 def test_one_link_is_the_textbook_pendulum() -> None:

@@ -12,21 +12,26 @@ import numpy as np
 from hyperflex.core import lanes as ln
 from hyperflex.core import status
 from hyperflex.core.chain import sincos
+from hyperflex.core.events import AGAIN, EVENT
 from hyperflex.core.jit import kernel
+from hyperflex.core.lane_stick import conclude, look, new_watch, settle_lane
 from hyperflex.core.members import (
     AFTER,
     BASE,
     CLOCK,
+    DRY,
     END,
     EXTERNAL,
     FRESH,
     LAST,
     ORIGIN,
     PATH,
+    RETRY,
     SINCE,
     SIZE,
     STEP,
     TIME,
+    UNSETTLED,
     WANTED,
     base_motion,
     enter,
@@ -175,6 +180,9 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
     """Choose the length of every lane's next step (WANTED); returns the number of lanes at work."""
     busy = 0
     for j in range(member.size):
+        if member[j] >= 0 and lane[j, RETRY] == 1.0:  # its step is being shortened
+            busy += 1
+            continue
         lane[j, WANTED] = 0.0
         if member[j] < 0:
             continue
@@ -183,7 +191,7 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
         if t >= lane[j, END]:
             piece(members, member[j], t, path, j, lane[j])
             lane[j, STEP] = min(lane[j, STEP], lane[j, AFTER])
-            lane[j, FRESH] = 1.0
+            lane[j, FRESH] = lane[j, UNSETTLED] = 1.0
             lane[j, LAST] = 0.0
         left = min(lane[j, END], t_out[index[j]]) - t
         if terms.fixed > 0.0:
@@ -235,6 +243,7 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
     member = np.full(k, -1)
     index = np.zeros(k, dtype=np.int64)
     coming = low
+    has_dry, watch = members.links[low:high, DRY].any(), new_watch(n)
     for i in range(1, n + 1):  # idle lanes are swept too: an inertia keeps their numbers finite
         lanes[(i * ln.ROW + ln.INERTIA) * k : (i * ln.ROW + ln.INERTIA + 1) * k] = 1.0
     while True:
@@ -245,6 +254,10 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
                 coming += 1
         if prepare(members, terms, member, lane, index, path, t_out) == 0:
             return
+        for j in range(k if has_dry else 0):
+            unsettled = member[j] >= 0 and lane[j, UNSETTLED] == 1.0
+            if unsettled and not settle_lane(members, terms, member[j], lanes, path, j, lane[j], watch):
+                codes[member[j] - low], reached[member[j] - low], member[j] = status.FRICTION, lane[j, TIME], -1
         extrapolate_lanes(members, terms, lane, energy, lanes, tip, path)
         for j in range(k):
             if member[j] < 0:
@@ -252,9 +265,18 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
             m = member[j] - low
             end = min(lane[j, END], t_out[index[j]])
             size = judge(terms, tip, j, lane[j, WANTED])
+            step, verdict = lane[j, WANTED], 0
+            if lane[j, RETRY] == 1.0 and size < np.inf:
+                size = min(size, 1.0)  # its longer attempt was good
+            if has_dry and size <= 1.0:
+                verdict = look(members, terms, member[j], lanes, path, j, lane[j], watch)
+                if verdict == AGAIN:
+                    continue
             code = settle(terms, lane[j], end, size)
             if code == status.OK:
                 accept(lanes, n, j, energy)
+                if has_dry:
+                    conclude(lanes, n, j, lane[j], energy, step, verdict == EVENT, watch)
                 if t_out[index[j]] <= lane[j, TIME]:
                     write(lanes, n, j, energy, y_out[m, index[j]])
                     index[j] += 1

@@ -40,7 +40,8 @@ class Terms(NamedTuple):
 LENGTH, MASS, COM, INERTIA, VISCOUS, STIFFNESS, REST, DRY, LEVER = range(9)
 TIP_MASS, GRAVITY_X, GRAVITY_Y, ARM_LENGTH, TORQUE_LIMIT = range(5)
 # a lane's clock, s: as in rollout, with the piece of the drive that holds and the step wanted next
-TIME, STEP, AFTER, FRESH, LAST, SIZE, ORIGIN, END, WANTED, CLOCK = range(10)
+# RETRY: 1.0 while a step is being shortened to end at an event
+TIME, STEP, AFTER, FRESH, LAST, SIZE, UNSETTLED, CHATTER, ORIGIN, END, WANTED, RETRY, CLOCK = range(13)
 # What moves the first joints, in lanes: slot * k + lane. Coefficients of four channels, what hardly changes, the time
 # since the piece began; then the torque on link 0 and what ``drive.base_state`` gives, less gravity
 COEF, ARM, GX, GY, LIMIT, SINCE, EXTERNAL, BASE, PATH = 0, 24, 25, 26, 27, 28, 29, 30, 39
@@ -152,6 +153,26 @@ def base_motion(width, path):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def chain_of(members, terms, m, gx, gy):  # type: ignore[no-untyped-def]
+    """Chain of member m in the gravity (gx, gy), m/s^2."""
+    link = members.links[m]
+    return Chain(
+        link[LENGTH],
+        link[MASS],
+        link[COM],
+        link[INERTIA],
+        link[VISCOUS],
+        link[DRY],
+        link[STIFFNESS],
+        link[REST],
+        members.whole[m, TIP_MASS],
+        gx,
+        gy,
+        terms.bears,
+    )
+
+
+@kernel
 def observe_block(members, terms, low, high, t, y, kinetic, potential, joint):  # type: ignore[no-untyped-def]
     """Energies and first joints of members low..high - 1 at times t (T,) and states y (high - low, T, 2 n + 2).
 
@@ -159,21 +180,8 @@ def observe_block(members, terms, low, high, t, y, kinetic, potential, joint):  
     """
     n = members.links.shape[2]
     for m in range(low, high):
-        link, whole = members.links[m], members.whole[m]
-        chain = Chain(
-            link[LENGTH],
-            link[MASS],
-            link[COM],
-            link[INERTIA],
-            link[VISCOUS],
-            link[DRY],
-            link[STIFFNESS],
-            link[REST],
-            whole[TIP_MASS],
-            whole[GRAVITY_X],
-            whole[GRAVITY_Y],
-            terms.bears,
-        )
+        whole = members.whole[m]
+        chain = chain_of(members, terms, m, whole[GRAVITY_X], whole[GRAVITY_Y])
         for k in range(t.size):
             which, still, origin, _ = find_piece(members, m, t[k])
             since = still if still >= 0.0 else t[k] - origin

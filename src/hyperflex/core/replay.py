@@ -15,7 +15,7 @@ from hyperflex.core.along import CELL, PARTS, K, enter, room_for, set_ends, spre
 from hyperflex.core.chain import sines
 from hyperflex.core.drive import base_state, segment
 from hyperflex.core.jit import kernel
-from hyperflex.core.rollout import basis, interpolate
+from hyperflex.core.output import basis, interpolate
 from hyperflex.core.steppers import rates
 
 

@@ -9,6 +9,8 @@ RUNNING: Final = 1  # the step budget of one call is spent; call again
 STEP_TOO_SMALL: Final = 2
 NOT_FINITE: Final = 3
 ENERGY: Final = 4
+FRICTION: Final = 5
+REACHED: Final = 6  # what was to end the run has happened
 
 NAMES: Final = {
     OK: "ok",
@@ -16,6 +18,8 @@ NAMES: Final = {
     STEP_TOO_SMALL: "step too small",
     NOT_FINITE: "not finite",
     ENERGY: "energy not balanced",
+    FRICTION: "dry friction chatters",
+    REACHED: "ok",
 }
 
 ADVICE: Final = {
@@ -27,4 +31,7 @@ ADVICE: Final = {
     "method='rk4' take a smaller step",
     ENERGY: "the energy of the rope changed by more than the motor and friction explain, so the result cannot be "
     "trusted. Tighten tol; with method='rk4' take a smaller step",
+    REACHED: "",
+    FRICTION: "joints stick and come loose again and again without end. Change dry_friction a little, add viscous "
+    "friction, or take friction_model='relative': as printed, friction need not leave a possible motion",
 }

@@ -19,18 +19,12 @@ from hyperflex.identification._shooting import Fit, Plant, Report
 from hyperflex.identification._stages import fit_in_stages
 from hyperflex.identification._uncertainty import Information, judge, ratio_spread, ratios
 from hyperflex.identification._verdict import failed_predictions, not_arrived, not_noise, other_lengths, verdict
-from hyperflex.identification._windows import (
-    Window,
-    check_motion,
-    rms_rates,
-    usual_length,
-)
+from hyperflex.identification._windows import Window, check_motion, usual_length
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
 
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
-SMOOTH = 0.02  # least rate at which dry friction sets in, as a part of the links' rms rate
 POOR = 0.2  # part of the motion that may stay unexplained before the verdict calls the fit poor
 
 
@@ -94,8 +88,7 @@ def identify(
     -----
     Without a known force or torque a common factor of masses, inertias and frictions cannot be known; `verdict` says
     so, `sd` is inf there, and `ratios` hold what is known. Samples denser than 200 a window are thinned (picked); the
-    step is in ``settings["decimation"]``. Samples without given noise count alike. Dry friction sets in at 2 % of the
-    links' rms rate or the guess's `dry_rate`, whichever is larger, so that the motion depends smoothly on it.
+    step is in ``settings["decimation"]``. Samples without given noise count alike.
 
     Examples
     --------
@@ -115,14 +108,12 @@ def identify(
     plant = Plant(motion, arm)
     fitted, rest = _split(angles, train, lead, ahead)
     check_motion(fitted)
-    parameters = Parameters(_smoothed(rope_guess, fitted), free)
+    parameters = Parameters(rope_guess, free)
     length = usual_length(fitted, rope_guess) if window is None else checks.number("window", window, sign="positive")
     found, windows, settings = fit_in_stages(plant, parameters, fitted, length, _reporter(progress))
     information = judge(plant, parameters, windows, found)
     rope = parameters.rope(found.x)
     held_out = None if rest is None else predict(plant, rope, rest, lead, ahead)
-    if rope.dry_friction.any():
-        settings["dry_rate"] = rope.dry_rate
     settings |= {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
     settings |= {"autocorrelation": information.correlation, "seconds": time.monotonic() - began}
     return _result(parameters, information, found, windows, held_out, settings, other_lengths(recording, rope_guess))
@@ -152,11 +143,6 @@ def _checked(recording: Recording, rope: Rope) -> Recording:
                 fix="Check the unit or scale of the markers, or the lengths of the guess",
             )
     return recording.angles()
-
-
-def _smoothed(rope: Rope, recording: Recording) -> Rope:
-    """Return the rope with dry friction that sets in smoothly enough for derivatives to mean something."""
-    return rope.replace(dry_rate=max(rope.dry_rate, SMOOTH * float(rms_rates(recording).max())))
 
 
 def _split(angles: Recording, train: float | None, lead: float, ahead: float) -> tuple[Recording, Recording | None]:

@@ -41,7 +41,7 @@ class Rope:
     friction : (n,) array_like
         Viscous friction of the joints (eta), N m s/rad.
     dry_friction : (n,) array_like
-        Coulomb friction of the joints, N m, smoothed as tanh(rate / dry_rate).
+        Coulomb friction of the joints, N m: a joint that turns feels it in full, one that stands bears up to it.
     stiffness, rest_angle : (n,) array_like
         Joint stiffness, N m/rad, and the relative angle at which it is at rest, rad.
     tip_mass : float
@@ -53,9 +53,6 @@ class Rope:
         equation (4) prints it.
     radius : float
         Radius of the rope, m, for the default inertia, contact and drawing; 0 is allowed.
-    dry_rate : float
-        Rate below which dry friction falls off to zero, rad/s. A joint that should stick creeps at about this rate
-        times the part of the friction torque that loads it.
     name : str
         For reports.
 
@@ -84,7 +81,6 @@ class Rope:
     gravity: Array
     friction_model: FrictionModel
     radius: float
-    dry_rate: float
     name: str
 
     def __init__(
@@ -101,7 +97,6 @@ class Rope:
         gravity: npt.ArrayLike = GRAVITY,
         friction_model: FrictionModel = "relative",
         radius: float = 0.0,
-        dry_rate: float = 1e-3,
         name: str = "",
     ) -> None:
         n = _number_of_links(
@@ -135,7 +130,6 @@ class Rope:
             ("tip_mass", checks.number("tip_mass", tip_mass, sign="nonnegative", unit="kg")),
             ("gravity", checks.array("gravity", gravity, (2,), unit="m/s^2")),
             ("friction_model", checks.choice("friction_model", friction_model, FRICTION_MODELS)),
-            ("dry_rate", checks.number("dry_rate", dry_rate, sign="positive", unit="rad/s")),
             ("name", str(name)),
         ):
             object.__setattr__(self, field, value)

@@ -125,7 +125,7 @@ def simulate_batch(
     Parameters
     ----------
     ropes : Rope or sequence of Rope
-        One for all members, or one each. All must have the same number of links, friction model and dry rate.
+        One for all members, or one each. All must have the same number of links and friction model.
     motions : Motion or sequence of Motion, optional
         One for all members, or one each.
     arm, duration, tol
@@ -280,10 +280,10 @@ def _setups(
             got=[len(rope_list), len(motion_list)],
             allowed="one for all members, or as many of both",
         )
-    common = {(rope.n_links, rope.friction_model, rope.dry_rate) for rope in rope_list}
+    common = {(rope.n_links, rope.friction_model) for rope in rope_list}
     if len(common) > 1:
         raise InvalidInput(
-            "ropes of a batch differ in links, friction model or dry rate",
+            "ropes of a batch differ in links or friction model",
             got=sorted(common),
             allowed="the same for all",
             fix="Run one batch for each kind",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.core import rollout, status
+from hyperflex.core import output, status
 from hyperflex.errors import SimulationError
 from hyperflex.model import Setup
 from hyperflex.simulation.rollouts import Rollout, balanced, final_state, starting_clock, stored
@@ -69,7 +69,7 @@ def _balanced_rows(run: Rollout, setup: Setup) -> tuple[int, float | None]:
     t = np.append(run.t[: run.done], run.time)
     y = np.concatenate([run.y[: run.done], run.progress.y[None]])
     scalars = np.empty((t.size, 5))
-    rollout.observe(run.chain, run.drive, t, y, np.empty((t.size, n)), np.empty((t.size, 9)), scalars)
+    output.observe(run.chain, run.drive, t, y, np.empty((t.size, n)), np.empty((t.size, 9)), scalars)
     held = stored(run.chain, y[:, :n])
     good = int(balanced(setup.rope, scalars[:, 0], scalars[:, 1], held, y[:, 2 * n], y[:, 2 * n + 1]))
     return min(good, run.done), None if good == t.size else float(t[good])
@@ -97,7 +97,7 @@ def _trajectory(run: Rollout, setup: Setup, skip: int, count: int, name: str, me
     t, y = run.t[skip:count], run.y[skip:count]
     count = t.size
     qdd, base, scalars = np.empty((count, n)), np.empty((count, 9)), np.empty((count, 5))
-    rollout.observe(run.chain, run.drive, t, y, qdd, base, scalars)
+    output.observe(run.chain, run.drive, t, y, qdd, base, scalars)
     q, qd = y[:, :n], y[:, n : 2 * n]
     if setup.torque_driven and setup.arm is not None:
         angle, rate = q[:, 0], qd[:, 0]
@@ -138,7 +138,7 @@ def _motor_torque(setup: Setup, angle: Array, rate: Array, acceleration: Array, 
         return np.zeros(angle.size)
     gx, gy = setup.rope.gravity
     own = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
-    own += arm.dry_friction * np.tanh(rate / setup.rope.dry_rate)
+    own += arm.dry_friction * np.sign(np.where(rate != 0.0, rate, acceleration))  # at rest: as it is about to move
     weight = -arm.mass * arm.com * (gx * np.cos(angle) + gy * np.sin(angle))
     pull = arm.length * (np.cos(angle) * scalars[:, 2] + np.sin(angle) * scalars[:, 3])
     return np.asarray(scalars[:, 4] + pull + own + weight)

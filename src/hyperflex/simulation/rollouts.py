@@ -18,9 +18,10 @@ from hyperflex.core import rollout, status
 from hyperflex.core.chain import Chain
 from hyperflex.core.drive import TORQUE, Drive
 from hyperflex.core.jit import announce_compilation
-from hyperflex.core.rollout import AFTER, INDEX, MARK, STEP, Limits, Progress, T
+from hyperflex.core.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNSETTLED, Limits, Progress, T, switched
 from hyperflex.core.steppers import scheme
 from hyperflex.core.stepsize import FIRST_STEP
+from hyperflex.core.until import NEVER, Until
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
@@ -78,17 +79,17 @@ def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, li
     n = chain.length.size
     y = np.zeros(2 * n + 2)
     y[:n], y[n : 2 * n] = start
-    clock = np.zeros(rollout.CLOCK)
+    clock = np.zeros(CLOCK)
     clock[:MARK] = starting_clock(t[0])
     clock[MARK] = -np.inf
-    progress = Progress(y, y.copy(), clock, np.empty((log, 2)))
+    progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, np.empty((log, 2)))
     return Rollout(chain, drive, limits, progress, t, np.full((t.size, 2 * n + 2), np.nan))
 
 
 def starting_clock(t: float) -> Array:
     """Return the clock (MARK,) of a run that begins at time t, s."""
     clock = np.zeros(MARK)
-    clock[T], clock[STEP], clock[AFTER] = t, FIRST_STEP, np.inf
+    clock[T], clock[STEP], clock[AFTER], clock[UNSETTLED] = t, FIRST_STEP, np.inf, 1.0
     return clock
 
 
@@ -98,11 +99,11 @@ def lever(chain: Chain) -> Array:
     return np.maximum(chain.length, np.where(chain.mass > 0.0, np.minimum(gyration, 1e3 * chain.length), 0.0))
 
 
-def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET) -> Limits:
-    """Return the bounds of a run until `stop`, s; refuses an unstable Runge-Kutta step."""
+def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until: Until = NEVER) -> Limits:
+    """Return the bounds of a run until `stop`, s, or what ends it before; refuses an unstable Runge-Kutta step."""
     weight = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy)
     reach = float(chain.length.sum())
-    bounds = Limits(stop, setup.tol, lever(chain), reach, weight * reach, setup.step or 0.0, budget)
+    bounds = Limits(stop, setup.tol, lever(chain), reach, weight * reach, setup.step or 0.0, budget, until)
     if setup.step is None:
         return bounds
     longest = runge_kutta_limit(chain)
@@ -119,7 +120,7 @@ def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET) -> Lim
 def resume(run: Rollout, state: State, setup: Setup) -> None:
     """Let a run go on from a saved state: bit for bit if nothing but its end has changed."""
     n = run.chain.length.size
-    y, _, clock, _ = run.progress
+    y, clock = run.progress.y, run.progress.clock
     saved = state.checkpoint
     if saved and "y" in saved and np.size(saved["y"]) != 2 * n + 2:
         raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")
@@ -131,12 +132,12 @@ def resume(run: Rollout, state: State, setup: Setup) -> None:
             fix="Give its q and qd: State(t=..., q=..., qd=...)",
         )
     if saved.get("fingerprint") == fingerprint(run, setup):
-        y[:] = saved["mark"]
+        y[:], run.progress.grip[:] = saved["mark"], saved["mark_grip"]
         clock[:MARK] = saved["mark_clock"]
     elif saved:
         y[:] = saved["y"]
         clock[:MARK] = saved["clock"]
-        rollout.switched(clock)
+        switched(clock)
     else:  # made by hand: a torque-driven arm starts where the set-up says
         own = 1 if setup.torque_driven else 0
         y[own:n] = checks.array("state q", state.q, (n - own,), unit="rad")
@@ -149,9 +150,9 @@ def final_state(run: Rollout, setup: Setup) -> State:
     """Return where a run stands, with the mark from which it can go on bit for bit."""
     n = run.chain.length.size
     own = 1 if setup.torque_driven else 0
-    y, mark, clock, _ = run.progress
+    y, mark, grip, mark_grip, clock, _ = run.progress
     if clock[MARK] == -np.inf:  # no step was cut: the run stands where one ended
-        mark, clock[MARK : 2 * MARK] = y, clock[:MARK]
+        mark, mark_grip, clock[MARK : 2 * MARK] = y, grip, clock[:MARK]
     return State(
         t=run.time,
         q=y[own:n].copy(),
@@ -162,6 +163,7 @@ def final_state(run: Rollout, setup: Setup) -> State:
         checkpoint={
             "y": y.copy(),
             "mark": mark.copy(),
+            "mark_grip": mark_grip.copy(),
             "mark_clock": clock[MARK : 2 * MARK].copy(),
             "clock": clock[:MARK].copy(),
             "fingerprint": fingerprint(run, setup),
@@ -175,6 +177,17 @@ def fingerprint(run: Rollout, setup: Setup) -> float:
     for part in (*run.chain, *run.drive, run.limits.tol, run.limits.fixed, setup.torque_driven):
         digest.update(np.ascontiguousarray(part).tobytes())
     return float(struct.unpack("<Q", digest.digest()[:8])[0] >> 11)  # 53 bits: exact as a float
+
+
+def end_at_event(run: Rollout) -> None:
+    """Make the instant at which an event ended a run its last output, and the place from which it goes on."""
+    done, clock = run.done, run.progress.clock
+    if done == 0 or run.t[done - 1] < run.time:
+        run.t = np.append(run.t[:done], run.time)
+        run.y = np.concatenate([run.y[:done], run.progress.y[None]])
+    else:
+        run.t, run.y = run.t[:done], run.y[:done]
+    clock[INDEX], clock[MARK] = run.t.size, -np.inf
 
 
 def finish(run: Rollout, report: Callable[[float], None] | None = None) -> int:

@@ -14,7 +14,7 @@ from hyperflex.core import status
 from hyperflex.core.chain import Chain
 from hyperflex.core.directions import place_changes
 from hyperflex.core.drive import Drive
-from hyperflex.core.rollout import REJECTED, TAKEN, Limits
+from hyperflex.core.progress import REJECTED, TAKEN, Limits
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion

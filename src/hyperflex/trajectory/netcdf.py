@@ -77,6 +77,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
         state=_state(state),
         status=str(attributes["status"]),
         message=str(attributes.get("message", "")),
+        event=(str(attributes["event"]), float(attributes["event_time"])) if "event" in attributes else None,
         attrs={key: value for key, value in attributes.items() if key not in OWN_ATTRIBUTES},
         **{name: _floats(main[name]) for name in VARIABLES},
     )

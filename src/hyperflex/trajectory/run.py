@@ -43,7 +43,7 @@ DERIVED: dict[str, tuple[tuple[str, ...], str, str]] = {
     "tip_velocity": (("axis",), "m/s", "velocity of the tip"),
 }
 AXES = "x to the right, y upwards"
-OWN_ATTRIBUTES = ("format", "source", "hyperflex_version", "status", "message", "setup")
+OWN_ATTRIBUTES = ("format", "source", "hyperflex_version", "status", "message", "setup", "event", "event_time")
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +101,8 @@ class Trajectory:
         ``"ok"``, or the name of the failure and what it says.
     attrs : dict
         Facts about the run (method, tolerance, ...): strings and numbers.
+    event : (str, float) or None
+        Name and time, s, of the event that ended the run (``simulate(..., until=...)``); None if none did.
     """
 
     t: Array
@@ -121,6 +123,7 @@ class Trajectory:
     status: str = "ok"
     message: str = ""
     attrs: dict[str, Any] = field(default_factory=dict)
+    event: tuple[str, float] | None = None
 
     def __post_init__(self) -> None:
         sizes = {"link": self.setup.rope.n_links, "axis": 2}
@@ -182,7 +185,7 @@ class Trajectory:
         """What the dataset and the file say about the run as a whole, the set-up as TOML text included."""
         from hyperflex import __version__
 
-        own = {
+        own: dict[str, Any] = {
             "format": FORMAT,
             "source": "simulated",
             "hyperflex_version": __version__,
@@ -190,6 +193,8 @@ class Trajectory:
             "message": self.message,
             "setup": self.setup.dumps(),
         }
+        if self.event is not None:
+            own |= {"event": self.event[0], "event_time": self.event[1]}
         return {**{key: value for key, value in self.attrs.items() if value is not None}, **own}
 
     def to_netcdf(self, path: str | Path) -> None:

@@ -1,0 +1,90 @@
+"""How joints slip or stick where a run stands, and the step that ends at the next event."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperflex.core import lanes as ln
+from hyperflex.core.drive import base_state
+from hyperflex.core.events import AGAIN, EVENT, TRIES, begin, judge, late
+from hyperflex.core.jit import kernel
+from hyperflex.core.progress import CHATTER, PENDING, REJECTED, TAKEN, T, advance
+from hyperflex.core.stick import MOST_WIDENED, come_to_rest, decide, hold, margins, middle, stuck_power, widened
+from hyperflex.core.until import NOTHING, PEAK, arm, reading, right_side
+
+
+@kernel
+def settle(chain, drive, part, progress, room):  # type: ignore[no-untyped-def]
+    """Decide the modes of the joints where a run stands; False where no modes obey the law, or joints chatter."""
+    y, grip, clock = progress.y, progress.grip, progress.clock
+    n = grip.size
+    torque = base_state(drive, part, clock[T], room.after)
+    widen = widened(clock[CHATTER], n)
+    good = decide(chain, y[:n], y[n : 2 * n], room.after[:7], torque, widen, grip, room.bench)
+    ln.set_grip(ln.COLUMNS, room.lanes, grip)
+    return good and widen <= MOST_WIDENED
+
+
+@kernel
+def locate(chain, drive, part, table, limits, progress, step, room):  # type: ignore[no-untyped-def]
+    """Shorten the step to ``room.out`` until it holds no event, or ends at its first one.
+
+    Returns
+    -------
+    step : float, s
+    event : int, 0: none; 1: a joint changes its mode; 2: what ends the run has happened
+    """
+    until = limits.until
+    y, grip, clock, search, tools = progress.y, progress.grip, progress.clock, room.search, room.bench
+    n = grip.size
+    t, widen, stuck = clock[T], widened(clock[CHATTER], n), not grip.all()
+    room.locked[:n] = 1.0 - grip * grip
+    torque = base_state(drive, part, t, room.before)
+    margins(chain, y[:n], y[n : 2 * n], grip, room.before[:7], torque, widen, tools, search.low)
+    room.alpha[:] = tools.alpha
+    room.power[0] = stuck_power(chain, y[n : 2 * n], grip, tools.load)
+    begin(search)
+    sense = 0.0
+    room.locked[n] = 1.0 if until.kind == PEAK else 0.0
+    if until.kind != NOTHING:
+        value, slope = reading(until, chain, y[:n], y[n : 2 * n], room.alpha, room.before)
+        sense = arm(until, value, slope, t)
+        if until.kind == PEAK and sense == 0.0 and clock[PENDING] > 0.0:
+            return 0.0, 2  # the speed grew until here, and falls from here on
+        search.low[:, n] = np.inf
+        search.here[:, n] = np.inf
+        if sense != 0.0:
+            search.low[0, n], search.low[1, n] = sense * value, sense * slope
+    while True:
+        out = room.out
+        torque = base_state(drive, part, min(t + step, part.end), room.after)
+        hold(chain, grip, y, room.before, out, room.after)
+        margins(chain, out[:n], out[n : 2 * n], grip, room.after[:7], torque, widen, tools, search.here)
+        room.power[2] = stuck_power(chain, out[n : 2 * n], grip, tools.load)
+        if sense != 0.0:
+            value, slope = reading(until, chain, out[:n], out[n : 2 * n], tools.alpha, room.after)
+            search.here[0, n], search.here[1, n] = sense * value, sense * slope
+        if (stuck or (sense != 0.0 and until.kind == PEAK)) and (search.span[TRIES] == 0.0 or len(chain.bears) == 1):
+            middle(step, y[:n], y[n : 2 * n], room.alpha, out, tools)
+            torque = base_state(drive, part, t + 0.5 * step, room.between)
+            bend = tools.state
+            margins(chain, bend[:n], bend[n:], grip, room.between[:7], torque, widen, tools, tools.margin)
+            search.middle[:n] = tools.margin[0]
+            room.power[1] = stuck_power(chain, bend[n:], grip, tools.load)
+            if sense != 0.0 and until.kind == PEAK:
+                value, slope = reading(until, chain, bend[:n], bend[n:], tools.alpha, room.between)
+                search.middle[n] = sense * value
+        verdict, length = judge(room.locked, search, step)
+        if verdict == EVENT:
+            come_to_rest(chain, grip, search.here, out, room.after)
+        if verdict != AGAIN:
+            clock[PENDING] = search.here[0, n] if sense != 0.0 else 0.0
+            if verdict == EVENT and late(room.locked, search.here, n):
+                good = right_side(until, chain, out[:n], out[n : 2 * n], room.after)
+                clock[PENDING] = 0.0
+                return step, 2 if good else 1
+            return step, 1 if verdict == EVENT else 0
+        step = length
+        clock[TAKEN] += 1
+        clock[REJECTED] += 1
+        advance(chain, drive, part, table, limits.fixed, t, step, y, grip, out, room)

@@ -1,0 +1,158 @@
+"""Events that end a run exactly where they happen: ``simulate(..., until=tip_crosses((0.0, 0.0), (1.0, 0.0)))``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.core.until import ANGLE, CROSSES, PEAK, PHASE, Until
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Setup
+
+_HINT = "either sense: 0; only with the direction: 1; only against it: -1"
+
+
+@dataclass(frozen=True)
+class Event:
+    """What ends a run; made by :func:`tip_crosses`, :func:`tip_speed_peak` and their like.
+
+    Parameters
+    ----------
+    name : str
+        What the trajectory calls it.
+    kind : int
+        As in the kernels.
+    numbers : (4,) tuple of float
+        Point and direction, phase and time constant, or angle and link.
+    sense : int
+        1 or -1: the way in which it must be passed; 0: either.
+    after : float
+        Time before which it does not count, s.
+    """
+
+    name: str
+    kind: int
+    numbers: tuple[float, float, float, float]
+    sense: int = 0
+    after: float = -math.inf
+
+    def packed(self, setup: Setup) -> Until:
+        """Return the event as the kernels take it, for the chain of a set-up."""
+        a, b, c, d = self.numbers
+        if self.kind == ANGLE:
+            n = setup.rope.n_links
+            if b >= n or (b < 0 and setup.arm is None):
+                raise InvalidInput(
+                    "angle_reached names a link that is not there",
+                    got=int(b) if b >= 0 else "arm",
+                    allowed=f"0 to {n - 1}",
+                )
+            b += 1.0 if setup.torque_driven else 0.0  # the arm is link 0 of a chain that a torque drives
+        return Until(self.kind, a, b, c, d, float(self.sense), self.after)
+
+
+def tip_crosses(point: npt.ArrayLike, direction: npt.ArrayLike, *, sense: int = 1, after: float = -math.inf) -> Event:
+    """End a run where the tip crosses a straight line.
+
+    Parameters
+    ----------
+    point : (2,) array_like
+        A point of the line, m.
+    direction : (2,) array_like
+        At right angles to the line; the length does not matter. ``(1, 0)`` crosses an upright line towards +x.
+    sense : {1, -1, 0}
+        With the direction, against it, or either way.
+    after : float
+        Crossings before this time do not count, s.
+
+    Returns
+    -------
+    Event
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> rod = hf.Rope(length=[1.0], mass=[0.1])
+    >>> run = hf.simulate(rod, duration=5.0, q0=[-0.5], until=hf.tip_crosses((0.0, 0.0), (1.0, 0.0)))
+    >>> run.event[0], bool(abs(run.tip[-1, 0]) < 1e-9)
+    ('tip crosses', True)
+    """
+    x, y = checks.array("point", point, (2,), unit="m")
+    dx, dy = checks.array("direction", direction, (2,))
+    size = math.hypot(dx, dy)
+    if size == 0.0:
+        raise InvalidInput("direction has no length", got=[dx, dy], allowed="a vector at right angles to the line")
+    return Event("tip crosses", CROSSES, (float(x), float(y), dx / size, dy / size), _sense(sense), _after(after))
+
+
+def tip_speed_peak(*, after: float = -math.inf) -> Event:
+    """End a run where the speed of the tip stops growing (the first time after `after`, s).
+
+    Returns
+    -------
+    Event
+
+    Notes
+    -----
+    A peak may be a corner: where the arm's acceleration jumps, or a joint with dry friction sticks.
+    """
+    return Event("tip speed peak", PEAK, (0.0, 0.0, 0.0, 0.0), 1, _after(after))
+
+
+def phase_reached(phase: float, c: float, *, after: float = -math.inf) -> Event:
+    """End a run where the swing of the tip has come to a phase.
+
+    Parameters
+    ----------
+    phase : float
+        rad, modulo a turn: the angle of the point (c dx/dt, x) with x the tip's horizontal position. At 0 the tip
+        passes x = 0 towards +x, at pi/2 it is farthest out at +x, at pi it comes back through x = 0.
+    c : float
+        Time constant, s, > 0: one over the angular frequency of the swing, for a rope swung in step with the arm
+        (t_move + t_rest) / pi (the paper's (10) and (11); :func:`hyperflex.spiral` has the whole course).
+    after : float
+        Phases reached before this time do not count, s.
+
+    Returns
+    -------
+    Event
+        Reached means passed in the sense of growing phase.
+    """
+    angle, scale = checks.number("phase", phase, unit="rad"), checks.number("c", c, sign="positive", unit="s")
+    return Event("phase reached", PHASE, (angle, scale, 0.0, 0.0), 1, _after(after))
+
+
+def angle_reached(angle: float, link: int | None = None, *, sense: int = 0, after: float = -math.inf) -> Event:
+    """End a run where a link, or the arm, comes to an absolute angle.
+
+    Parameters
+    ----------
+    angle : float
+        rad, not wrapped.
+    link : int, optional
+        Number of the link, 0 nearest the motor; None: the arm.
+    sense : {0, 1, -1}
+        Either way, turning towards larger angles, or towards smaller ones.
+    after : float
+        What happens before this time does not count, s.
+
+    Returns
+    -------
+    Event
+    """
+    number = -1 if link is None else checks.count("link + 1", link + 1) - 1
+    numbers = (checks.number("angle", angle, unit="rad"), float(number), 0.0, 0.0)
+    return Event("angle reached", ANGLE, numbers, _sense(sense), _after(after))
+
+
+def _sense(sense: int) -> int:
+    if sense not in (-1, 0, 1):
+        raise InvalidInput("sense is not a sense", got=sense, allowed=_HINT)
+    return int(sense)
+
+
+def _after(after: float) -> float:
+    return after if after == -math.inf else checks.number("after", after, unit="s")

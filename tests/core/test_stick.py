@@ -1,0 +1,95 @@
+"""Modes of joints with dry friction, and the search for the instant at which one changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hyperflex.core import events, stick
+from tests.core.helpers import chain_of
+from tests.reference import dense
+from tests.reference.cases import State, random_grip, random_links, random_state
+from tests.reference.stick import lawful
+
+
+@pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
+@pytest.mark.parametrize("n", [1, 2, 5, 20])
+def test_what_stuck_joints_bear_is_the_multiplier_of_the_constraint(n: int, reaction: float) -> None:
+    links, state, grip = random_links(n, 3, reaction=reaction), random_state(n, 3), random_grip(n, 4)
+    room = stick.bench(n)
+    stick.bear(chain_of(links), state.q, state.w, grip, state.base, 0.03, room)
+    answer = dense.accelerations(links, *state, torque=0.03, grip=grip)
+    stuck = grip == 0.0
+    # Torques are sums of n forces of the size m a times lengths; the accelerations are right to 1e-12 of the largest.
+    scale = np.abs(answer.alpha).max() * (links.mass.sum() + links.tip_mass) * links.length.sum() ** 2
+    np.testing.assert_allclose(room.load[stuck], answer.held[stuck], rtol=0, atol=float(1e-12 * scale))
+    parents = np.append(state.base[3], state.w[:-1])
+    slipping = (-links.viscous * (state.w - parents) - links.dry * grip)[~stuck]
+    np.testing.assert_allclose(room.load[~stuck], slipping, rtol=0, atol=float(1e-12 * scale))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n: int) -> None:
+    """Whole chains at rest beside their base, with limits about as large as the loads: some hold, some give way."""
+    kinds = set()
+    for seed in range(12):
+        links, state = random_links(n, seed), random_state(n, seed)
+        state = State(state.q, np.full(n, state.base[3]), state.base)
+        held = np.abs(dense.accelerations(links, *state, grip=np.zeros(n)).held).astype(float)
+        links = links._replace(dry=held * np.random.default_rng(seed).uniform(0.4, 1.6, n))
+        grip, room = np.zeros(n), stick.bench(n)
+        assert stick.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
+        np.testing.assert_array_equal(grip, lawful(links, *state))
+        kinds |= set(grip)
+    assert len(kinds) == 3 or n == 1
+
+
+def test_a_joint_that_turns_slips_whatever_its_load() -> None:
+    links, state = random_links(5, 1), random_state(5, 1)
+    grip, room = np.zeros(5), stick.bench(5)
+    assert stick.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
+    np.testing.assert_array_equal(grip, np.sign(np.diff(state.w, prepend=state.base[3])))
+
+
+Course = Callable[[float], float]
+COURSES: list[tuple[Course, Course, float, float]] = [
+    (lambda t: 1.0 - t * t, lambda t: -2.0 * t, 1.7, 1.0),
+    (lambda t: np.cos(3.0 * t) + 0.2, lambda t: -3.0 * np.sin(3.0 * t), 0.8, np.arccos(-0.2) / 3.0),
+    (lambda t: np.exp(-t) - 0.9, lambda t: -np.exp(-t), 1.0, -np.log(0.9)),
+    (lambda t: t * (0.3 - t), lambda t: 0.3 - 2.0 * t, 1.0, 0.3),  # begins at zero, as a joint that has come loose
+    (lambda t: (t - 0.5) ** 2 - 0.01, lambda t: 2.0 * t - 1.0, 1.0, 0.4),  # falls below zero and comes back
+]
+
+
+@pytest.mark.parametrize(
+    ("case", "locked"),  # a stuck joint does not begin at its limit
+    [(k, locked) for k in range(len(COURSES)) for locked in (0.0, 1.0) if (k, locked) != (3, 1.0)],
+)
+def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
+    value, slope, step, at = COURSES[case]
+    search = events.new_search(0)
+    modes = np.array([locked])
+    search.low[:, 0] = value(0.0), slope(0.0)
+    events.begin(search)
+    search.middle[0] = value(0.5 * step)
+    attempts = 0
+    verdict = events.AGAIN
+    while verdict == events.AGAIN:
+        search.here[:, 0] = value(step), slope(step)
+        taken = step
+        verdict, step = events.judge(modes, search, step)
+        attempts += 1
+    assert verdict == events.EVENT
+    assert at <= taken + 1e-15
+    assert taken - at <= 1.01 * stick.INSTANT + 4e-16 / abs(slope(at))  # and the rounding of the margin itself
+    assert attempts <= 16  # halving alone would take 43
+
+
+def test_a_step_without_event_is_taken_as_it_is() -> None:
+    search = events.new_search(1)
+    search.low[:, 0], search.low[:, 1] = (1.0, -0.5), (np.inf, 0.0)
+    events.begin(search)
+    search.here[:, 0], search.here[:, 1] = (0.6, -0.3), (np.inf, 0.0)
+    assert events.judge(np.zeros(2), search, 1.0) == (events.DONE, 1.0)
