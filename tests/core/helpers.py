@@ -38,7 +38,7 @@ def senses(state: State) -> Real:
 def sweep(links: Any, state: State, torque: float = 0.0, h: float = 0.0, grip: Real | None = None) -> Sweep:
     """One call of the accelerations kernel, by default with every joint slipping."""
     n = len(state.q)
-    alpha, work = np.full(n, np.nan), np.full(8 * n, np.nan)
+    alpha, work = np.full(n, np.nan), np.full(6 * n, np.nan)
     modes = senses(state) if grip is None else grip
     call = chain_of(links), state.q, state.w, modes, state.base, torque, h
     fx, fy, moment = kernels.accelerations(*call, alpha, work)

@@ -20,17 +20,18 @@ def test_a_step_in_every_lane_is_the_dense_implicit_step(width: tuple[int, ...],
     states = [random_state(n, seed) for seed in range(k)]
     modes = [random_grip(n, seed) for seed in range(k)]  # stuck joints too, others in each lane
     steps, torques = 0.01 / np.arange(1, k + 1), 0.01 * np.arange(k)
-    flat, base = np.zeros((n + 2) * ln.ROW * k), np.zeros((k, 9))
-    data = flat.reshape(n + 2, ln.ROW, k)
-    top, link, end = data[0], data[1 : n + 1], data[n + 1]
+    (flat, tip), base = ln.rows(width, n), np.zeros((9, k))
+    data, end = flat.reshape(n + 2, ln.ROW, k), tip.reshape(ln.ROW, k)
+    top, link = data[0], data[1 : n + 1]
     chain = chain_of(links)
-    ln.load(width, chain, flat)
+    ln.load(width, chain, flat, tip)
     for j, state in enumerate(states):
-        link[:, ln.Q, j], link[:, ln.W, j], base[j, :7] = state
+        link[:, ln.Q, j], link[:, ln.W, j], base[:7, j] = state
+        link[:, ln.SIN, j], link[:, ln.COS, j] = np.sin(state.q), np.cos(state.q)
         link[:, ln.GRIP, j] = modes[j]
-        base[j, :2] -= chain.gx, chain.gy
-    end[ln.STEP], top[ln.EXTERNAL] = steps, torques
-    ln.euler(width, chain.bears, flat, base)
+        base[:2, j] -= chain.gx, chain.gy
+    end[ln.STEP], end[ln.EXTERNAL] = steps, torques
+    ln.euler(width, chain.bears, ln.MORE, flat, tip, base)
     for j, (state, h, torque) in enumerate(zip(states, steps, torques, strict=True)):
         want = dense.accelerations(links, *state, torque=torque, h=h, grip=modes[j])
         w_end = state.w + h * np.asarray(want.alpha, float)
@@ -38,10 +39,12 @@ def test_a_step_in_every_lane_is_the_dense_implicit_step(width: tuple[int, ...],
         atol = 1e-10 * h * float(np.abs(want.alpha).max())
         np.testing.assert_allclose(link[:, ln.W, j], w_end, rtol=1e-14, atol=atol)
         np.testing.assert_allclose(link[:, ln.Q, j], state.q + h * w_end, rtol=1e-14, atol=h * atol)
+        np.testing.assert_allclose(link[:, ln.SIN, j], np.sin(link[:, ln.Q, j]), rtol=0, atol=3e-16)  # for the next one
+        np.testing.assert_allclose(link[:, ln.COS, j], np.cos(link[:, ln.Q, j]), rtol=0, atol=3e-16)
         velocity, rate = state.base[5:7], state.base[3]
         power = float(want.force @ velocity + want.torque * rate) + torque * state.w[0]
         scale = float(np.abs(want.force) @ np.abs(velocity)) + abs(float(want.torque) * rate)
         assert top[ln.WORK, j] == pytest.approx(h * power, abs=1e-10 * h * scale)
         lost = dense.dissipation(links, state.q, state.w, (state.base[4], rate), modes[j])
         # Terms of either sign with printed friction; 1e-10 of their usual size as everywhere.
-        assert top[ln.DISSIPATED, j] == pytest.approx(h * lost, abs=1e-10 * h * max(abs(lost), 1e-2))
+        assert top[ln.LOST, j] == pytest.approx(h * lost, abs=1e-10 * h * max(abs(lost), 1e-2))

@@ -96,8 +96,8 @@ def test_a_step_that_is_not_a_number_is_not_taken() -> None:
     setup = hf.Setup(cable(), duration=1.0)
     chain = setup.chain()
     nan = np.full(22, np.nan)
-    assert rollout.error_norm(chain, limits(setup, chain, 1.0), np.zeros(22), nan, 0.01) == np.inf
-    assert rollout.error_norm(chain, limits(setup, chain, 1.0), nan, np.zeros(22), 0.01) == np.inf
+    assert rollout.error_norm(chain, limits(setup, chain, 1.0), np.zeros(22), nan, 0.01, np.zeros(60)) == np.inf
+    assert rollout.error_norm(chain, limits(setup, chain, 1.0), nan, np.zeros(22), 0.01, np.zeros(60)) == np.inf
 
 
 @pytest.mark.parametrize(

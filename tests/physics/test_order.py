@@ -9,7 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.core.drive import segment
-from hyperflex.core.lanes import COLUMNS, ROW, load
+from hyperflex.core.lanes import COLUMNS, load, rows
 from hyperflex.core.steppers import extrapolate, scheme
 from hyperflex.errors import InvalidInput
 from tests.reference.arm import cast, links_of, still
@@ -47,11 +47,11 @@ def fixed_steps(order: int, count: int, duration: float) -> np.ndarray:
     n = len(Q0)
     y, out, error = np.zeros(2 * n + 2), np.zeros(2 * n + 2), np.zeros(2 * n + 2)
     y[:n] = Q0
-    lanes, base = np.zeros((n + 2) * ROW * len(COLUMNS)), np.zeros((len(COLUMNS), 9))
-    load(COLUMNS, parameters, lanes)
+    (lanes, tip), base, trig = rows(COLUMNS, n), np.zeros((9, len(COLUMNS))), np.zeros(2 * n)
+    load(COLUMNS, parameters, lanes, tip)
     h = duration / count
     for k in range(count):
-        extrapolate(parameters, drive, segment(drive, k * h), table, k * h, h, y, out, error, lanes, base)
+        extrapolate(parameters, drive, segment(drive, k * h), table, k * h, h, y, out, error, lanes, tip, base, trig)
         y[:] = out
     return y[: 2 * n]
 
