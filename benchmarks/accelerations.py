@@ -52,12 +52,12 @@ def case(n_links: int) -> Case:
 
 
 @numba.njit(error_model="numpy")
-def _sweeps(chain, q, w, base, h, alpha, work, count):  # type: ignore[no-untyped-def]
+def _sweeps(chain, q, w, grip, base, h, alpha, work, count):  # type: ignore[no-untyped-def]
     """`count` sweeps, each on its own state, so that none can be left out."""
     total = 0.0
     for _ in range(count):
         q[0] += 1e-15
-        kernels.accelerations(chain, q, w, base, 0.0, h, alpha, work)
+        kernels.accelerations(chain, q, w, grip, base, 0.0, h, alpha, work)
         total += alpha[0]
     return total
 
@@ -75,11 +75,12 @@ class Timed:
 def own(state: Case, h: float) -> Timed:
     """hyperflex's sweep, looped in compiled code; h = 0 is the explicit one."""
     n = state.q.size
-    chain, base, alpha, work = state.rope.chain(), np.zeros(7), np.empty(n), np.empty(6 * n)
+    chain, grip, base = state.rope.chain(), np.ones(n), np.zeros(7)
+    alpha, work = np.empty(n), np.empty(6 * n)
     count = max(20, 200_000 // n)
 
     def run() -> Array:
-        _sweeps(chain, state.q.copy(), state.w, base, h, alpha, work, count)
+        _sweeps(chain, state.q.copy(), state.w, grip, base, h, alpha, work, count)
         return alpha.copy()
 
     return Timed("hyperflex, implicit" if h else "hyperflex, explicit", run, count, implicit=h > 0.0)

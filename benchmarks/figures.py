@@ -14,7 +14,7 @@ MARKERS = "osD^vP*X<>"
 COLOURS = ("#d1495b", "#e08e1b", "#00798c", "#30638e", "#6a4c93", "#8d6346", "#5b8c5a", "#666666")
 
 
-def work_precision(groups: Mapping[tuple[str, str], Points], good: float, path: Path) -> None:
+def work_precision(groups: Mapping[tuple[str, str], Points], good: float, remark: str, path: Path) -> None:
     """Draw time (ms per simulated second) against error (mm): a colour for each simulator, a line for each method."""
     axes = _axes()
     axes.axvspan(good, 1e6, color="#f0f0f0", zorder=0)
@@ -26,7 +26,7 @@ def work_precision(groups: Mapping[tuple[str, str], Points], good: float, path: 
     errors = [x for points in groups.values() for x, _ in points]
     axes.set_xlim(0.3 * min(errors), 4.0 * max(errors))
     axes.text(good, 0.02, f" {good:g} mm", transform=axes.get_xaxis_transform(), color="#777777")
-    axes.set_xlabel("error of the tip, the larger of those at 2 s and 5 s, mm")
+    axes.set_xlabel("error of the tip, the larger of those at 2 s and 5 s, mm\n" + remark)
     axes.set_ylabel("ms per simulated second")
     _save(axes, "The paper's cast, 50 links: work against precision", path)
 
@@ -41,16 +41,39 @@ def against_links(groups: Mapping[str, Points], title: str, label: str, path: Pa
     _save(axes, title, path)
 
 
+def against_settings(panels: Mapping[str, Mapping[str, Points]], good: float, title: str, path: Path) -> None:
+    """Draw errors (mm) against a setting, a panel for each kind of setting (its name the label of the axis)."""
+    figure = Figure(figsize=(8.5, 4.8), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, (label, groups) in zip(figure.subplots(1, len(panels), sharey=True), panels.items(), strict=True):
+        _logarithmic(axes)
+        axes.axhline(good, color="#999999", lw=1, ls="--", zorder=1)
+        for k, (name, points) in enumerate(groups.items()):
+            _line(axes, points, name, MARKERS[k], COLOURS[k])
+        axes.set_xlabel(label)
+    axes.text(
+        1.0, good, f"{good:g} mm ", transform=axes.get_yaxis_transform(), ha="right", va="bottom", color="#777777"
+    )
+    figure.axes[0].set_ylabel("error of the tip, mm")
+    figure.axes[0].legend(frameon=False, fontsize=9)
+    figure.suptitle(title, x=0.02, ha="left")
+    figure.savefig(path)
+
+
 def _axes() -> Axes:
     figure = Figure(figsize=(8.5, 7.5), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
+    _logarithmic(axes)
+    return axes
+
+
+def _logarithmic(axes: Axes) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.grid(True, which="major", color="#dddddd", lw=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    return axes
 
 
 def _line(axes: Axes, points: Points, label: str, marker: str, colour: str) -> None:

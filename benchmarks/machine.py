@@ -1,6 +1,7 @@
 """Where the figures were measured, with what, and which peers are installed.
 
-Each module peers_*.py drives one simulator and has ``NAME``, ``ARM`` (how its arm is driven) and ``contestants``.
+Each module peers_*.py drives one simulator and has ``NAME``, ``ARM`` (how its arm is driven; ``DRIVE``: in
+a few words) and ``contestants``.
 """
 
 from __future__ import annotations

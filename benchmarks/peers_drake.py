@@ -21,6 +21,7 @@ ARM = (
     f"a revolute joint whose motor has a reflected inertia of {ARMATURE:g} kg m^2 and gives the torque for the arm's "
     "acceleration; the simulator stops at every switch"
 )
+DRIVE = "torque on a heavy rotor"
 AXIS = np.array([0.0, 0.0, 1.0])
 # (scheme, largest step, accuracy; None: a fixed step). Fixed steps of radau3 reach 1 mm in less than half the time that
 # its error control takes.

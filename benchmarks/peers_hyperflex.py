@@ -12,6 +12,7 @@ from hyperflex.simulation.stability import runge_kutta_limit
 
 NAME = "hyperflex"
 ARM = "prescribed exactly: the arm's end moves the first joint and its angle turns it; restart at every switch"
+DRIVE = "prescribed"
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)  # m
 
 

@@ -19,6 +19,7 @@ ARM = (
     f"a hinge with an armature of {ARMATURE:g} kg m^2 and the torque that gives it the arm's acceleration, constant "
     "between switches; every switch falls on a whole step, and one call takes all steps up to the next"
 )
+DRIVE = "torque on a heavy rotor"
 # Sparse or dense Jacobian and the other disable flags changed nothing; `implicit` took six times as long as these.
 FIRST_ORDER = (("implicitfast", 1e-3), ("Euler", 1.93e-4), ("implicitfast", 1.93e-4), ("implicitfast", 4.8e-5))
 

@@ -24,6 +24,7 @@ ARM = (
     "no joint at all: the rope hangs in the frame of the arm's end, whose acceleration is taken off gravity, and the "
     "first joint's torque knows the arm's rate; exact, and one joint cheaper than an arm"
 )
+DRIVE = "none, its acceleration in gravity"
 WORLD = pin.Convention.WORLD  # a sixth quicker than LOCAL, which is the default
 ORDER = 7
 LARGEST = 200  # links: Pinocchio's Data holds tensors of n^3 numbers, several gigabytes beyond this

@@ -10,11 +10,14 @@ from typing import Any
 
 import figures
 import numpy as np
-from cast import Cast, distance_mm, paper_cast
+from cast import PAPER_LINKS, Cast, distance_mm, paper_cast
 from clock import NOTE, alternately
 
 import hyperflex as hf
 from hyperflex.checks import Array
+from hyperflex.core.rollout import TAKEN
+from hyperflex.model import Setup
+from hyperflex.simulation.rollouts import finish, limits, prepare
 
 SIZES = (10, 20, 50, 100, 200, 400, 1000, 2000)
 QUICK = (10, 50, 200)
@@ -34,12 +37,22 @@ class Entry:
     links: int
     cast: Cast
     run: Callable[[], Array]
+    steps: int | None = None  # that it takes for the cast, rejected ones too, where we can count them
 
 
 def own(n: int, *, scaled: bool) -> Entry:
     """hyperflex at TOL."""
     cast = paper_cast(n, TIMES, scaled=scaled)
-    return Entry(f"hyperflex, {SCALED if scaled else FIXED}", n, cast, lambda: simulated(cast, TOL))
+    return Entry(f"hyperflex, {SCALED if scaled else FIXED}", n, cast, lambda: simulated(cast, TOL), steps(cast))
+
+
+def steps(cast: Cast) -> int:
+    """Steps of hyperflex for the whole cast at TOL, rejected ones too."""
+    setup = Setup(cast.rope, cast.motion, cast.arm, duration=cast.duration, tol=TOL)
+    chain, times = setup.chain(), np.array([0.0, cast.duration])
+    run = prepare(chain, setup.drive(), setup.start(), times, limits(setup, chain, cast.duration))
+    finish(run)
+    return int(run.progress.clock[TAKEN])
 
 
 def simulated(cast: Cast, tol: float) -> Array:
@@ -68,7 +81,7 @@ PEERS = {"mujoco": mujoco, "scipy": scipy}
 
 
 def measure(quick: bool, repeats: int, peers: dict[str, ModuleType]) -> list[dict[str, Any]]:
-    """Rows of {what, links, error_mm: [...], at_s: [...], ms_per_simulated_s: {...}}."""
+    """Rows of {what, links, steps, error_mm: [...], at_s: [...], ms_per_simulated_s: {...}}."""
     entries = [own(n, scaled=scaled) for scaled in (False, True) for n in (QUICK if quick else SIZES)]
     for name, make in PEERS.items():
         if name in peers and not quick:
@@ -78,6 +91,7 @@ def measure(quick: bool, repeats: int, peers: dict[str, ModuleType]) -> list[dic
         {
             "what": entry.what,
             "links": entry.links,
+            "steps": entry.steps,
             "at_s": list(map(float, entry.cast.times)),
             "error_mm": distance_mm(times.result, simulated(entry.cast, TIGHT)).tolist(),
             "ms_per_simulated_s": times.scaled(1e3 / entry.cast.duration),
@@ -97,12 +111,20 @@ def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
         cells = [_cell(mine[n]) if n in mine else "" for n in sizes]
         lines.append(f"| {what} | {' | '.join(cells)} |")
         powers.append(f"{_power(mine):.2f} ({what})")
+    lines += ["", "| steps per simulated s at n = | " + " | ".join(map(str, sizes)) + " |"]
+    lines.append("|---" * (len(sizes) + 1) + "|")
+    for what in dict.fromkeys(row["what"] for row in rows if row["steps"]):
+        mine = {row["links"]: row for row in rows if row["what"] == what}
+        rates = [f"{mine[n]['steps'] / mine[n]['at_s'][-1]:.3g}" for n in sizes]
+        lines.append(f"| {what} | {' | '.join(rates)} |")
     return "\n".join(lines) + (
         f"\n\nhyperflex: {TIMES[-1]:g} s of casting at tol {TOL:g} m. MuJoCo (implicitfast, dt {MUJOCO_STEP:g} s) and "
         f"scipy (rtol 1e-4, atol 1e-3): {PEER_TIMES[-1]:g} s. Errors are "
         f"against hyperflex at tol {TIGHT:g} m. Power of n with which the cost grows from n = 50 on: "
         f"{'; '.join(powers)}. Friction scaled: friction of a joint times length of a link is kept, so that all n are "
-        f"cuts of one continuous cable. {NOTE}"
+        f"cuts of one continuous cable; the two agree at n = {PAPER_LINKS}. With friction per joint fixed a finer "
+        "cable is a softer one, which moves in another way. Steps are counted with those that were rejected; an "
+        f"explicit method's would grow with the third power of n (docs/models.md). {NOTE}"
     )
 
 

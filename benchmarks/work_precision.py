@@ -13,27 +13,29 @@ from cast import distance_mm, paper_cast
 from clock import NOTE, alternately
 
 GOOD = 1.0  # mm at 2 s and at 5 s
-BUDGET = 8.0  # s of processor time for one setting
+BUDGET, QUICK_BUDGET = 8.0, 1.0  # s of processor time for one setting
 
 
 def measure(quick: bool, repeats: int, peers: dict[str, ModuleType]) -> list[dict[str, Any]]:
-    """Rows of {simulator, method, setting, adaptive, error_mm: [at 2, 5, 10 s], ms_per_simulated_s: {...}}."""
+    """Rows of {simulator, method, setting, arm, adaptive, error_mm: [at 2, 5, 10 s], ms_per_simulated_s: {...}}."""
     cast = paper_cast()
     true = cast.reference()
-    contestants = [one for module in peers.values() for one in module.contestants(cast, quick)]
+    entries = [(module.DRIVE, one) for module in peers.values() for one in module.contestants(cast, quick)]
+    budget = QUICK_BUDGET if quick else BUDGET
     with np.errstate(all="ignore"):  # a step beyond stability ends in errors that are not numbers, and is shown so
-        timed = alternately([one.run for one in contestants], repeats, BUDGET)
+        timed = alternately([one.run for _, one in entries], repeats, budget)
         errors = [distance_mm(times.result, true) for times in timed]
     rows = [
         {
             "simulator": one.simulator,
             "method": one.method,
             "setting": one.setting,
+            "arm": arm,
             "adaptive": one.adaptive,
             "error_mm": [float(x) if math.isfinite(x) else None for x in error],
             "ms_per_simulated_s": times.scaled(1e3 / cast.duration),
         }
-        for one, error, times in zip(contestants, errors, timed, strict=True)
+        for (arm, one), error, times in zip(entries, errors, timed, strict=True)
     ]
     strangers = {row["simulator"] for row in rows} - set(fastest(rows))
     if strangers:
@@ -56,18 +58,19 @@ def fastest(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 def text(rows: list[dict[str, Any]], peers: dict[str, ModuleType]) -> str:
     """Return the Markdown tables and what they say."""
+    head = "simulator | method | setting | error at 2 s, mm | at 5 s, mm"
     lines = [
-        "| simulator | method | setting | error at 2 s, mm | at 5 s, mm | ms per simulated s (least-most) | adaptive |",
-        "|---|---|---|---|---|---|---|",
+        f"| {head} | ms per simulated s (least-most) | adaptive | arm |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         two, five, _ = (f"{x:.2g}" if x is not None else "lost" for x in row["error_mm"])
         cost = row["ms_per_simulated_s"]
         spread = f"{cost['median']:.3g} ({cost['least']:.3g}-{cost['most']:.3g})"
         adaptive = "yes" if row["adaptive"] else "no"
-        lines.append(f"| {_names(row)} | {two} | {five} | {spread} | {adaptive} |")
+        lines.append(f"| {_names(row)} | {two} | {five} | {spread} | {adaptive} | {row['arm']} |")
     best = fastest(rows)
-    lines += ["", f"Fastest setting of each below {GOOD:g} mm at 2 s and at 5 s:", ""]
+    lines += ["", f"Fastest setting of each simulator below {GOOD:g} mm at 2 s and at 5 s:", ""]
     lines += ["| simulator | method | setting | ms per simulated s | times hyperflex |", "|---|---|---|---|---|"]
     own = best["hyperflex"]["ms_per_simulated_s"]["median"]
     for row in best.values():
@@ -75,13 +78,36 @@ def text(rows: list[dict[str, Any]], peers: dict[str, ModuleType]) -> str:
         lines.append(f"| {_names(row)} | {cost:.3g} | {cost / own:.3g} |")
     lines += ["", "How the arm is driven:", ""]
     lines += [f"- {module.NAME}: {module.ARM}." for module in peers.values()]
-    return "\n".join(lines) + (
-        "\n\n50 links, 10 s of casting from rest (t_a = 0.73 s, t_c = 0.53 s, bang-bang). Reference: classical "
-        "Runge-Kutta with steps of 0.1 ms on the O(n) accelerations; Pinocchio's rows share no code with it. "
-        "hyperflex is called as users call it: checks, output, energies and guards are part of its time. "
-        "Of the peers only the integration is timed, not the building of the model. 'Lost': not a number before 10 s. "
-        f"{NOTE}"
+    return (
+        verdict(best)
+        + "\n".join(lines)
+        + (
+            "\n\n50 links, 10 s of casting from rest (t_a = 0.73 s, t_c = 0.53 s, bang-bang). Reference: classical "
+            "Runge-Kutta with steps of 0.1 ms on the O(n) accelerations; Pinocchio's rows share no code with it. "
+            "hyperflex is called as users call it: checks, output, energies and guards are part of its time. "
+            "Of the peers only the integration is timed, not the building of the model. Each is shown at the settings "
+            "that did best; benchmarks/peers_*.py name what was tried beside them. 'Lost': not a number before 10 s. "
+            f"{NOTE}"
+        )
     )
+
+
+def verdict(best: dict[str, dict[str, Any]]) -> str:
+    """How many times as long as hyperflex the fastest good setting of each other simulator takes."""
+    own = best["hyperflex"]
+    cost = own["ms_per_simulated_s"]["median"]
+    lines = (
+        f"With errors of the tip below {GOOD:g} mm both at 2 s and at 5 s, hyperflex ({own['setting']}) takes "
+        f"**{cost:.3g} ms per simulated second**. The fastest setting of each other that is below {GOOD:g} mm as well:"
+        "\n\n"
+    )
+    for name, row in best.items():
+        if row is not own:
+            other = row["ms_per_simulated_s"]["median"]
+            lines += (
+                f"- {name} ({row['method']}, {row['setting']}): {other:.3g} ms, **{other / cost:.0f} times** that\n"
+            )
+    return f"{lines}\n" if len(best) > 1 else ""
 
 
 def _names(row: dict[str, Any]) -> str:
@@ -95,4 +121,8 @@ def figure(rows: list[dict[str, Any]], path: Path) -> None:
         if None not in row["error_mm"]:
             point = (max(row["error_mm"][:2]), row["ms_per_simulated_s"]["median"])
             groups.setdefault((row["simulator"], row["method"]), []).append(point)
-    figures.work_precision(groups, GOOD, path)
+    arms: dict[str, dict[str, None]] = {}  # how driven: the simulators, each once
+    for row in rows:
+        arms.setdefault(row["arm"], {})[row["simulator"].split(",")[0]] = None
+    driven = "; ".join(f"{arm} ({', '.join(names)})" for arm, names in arms.items())
+    figures.work_precision(groups, GOOD, f"How the arm is driven: {driven}", path)
