@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 Points = Sequence[tuple[float, float]]
 MARKERS = "osD^vP*X<>"
@@ -26,9 +28,9 @@ def work_precision(groups: Mapping[tuple[str, str], Points], good: float, remark
     errors = [x for points in groups.values() for x, _ in points]
     axes.set_xlim(0.3 * min(errors), 4.0 * max(errors))
     axes.text(good, 0.02, f" {good:g} mm", transform=axes.get_xaxis_transform(), color="#777777")
-    axes.set_xlabel("error of the tip, the larger of those at 2 s and 5 s, mm\n" + remark)
+    axes.set_xlabel("error of the tip, the larger of those at 2 s and 5 s, mm")
     axes.set_ylabel("ms per simulated second")
-    _save(axes, "The paper's cast, 50 links: work against precision", path)
+    _save(axes, "The paper's cast, 50 links: work against precision", path, remark)
 
 
 def against_links(groups: Mapping[str, Points], title: str, label: str, path: Path) -> None:
@@ -51,6 +53,10 @@ def against_settings(panels: Mapping[str, Mapping[str, Points]], good: float, ti
         for k, (name, points) in enumerate(groups.items()):
             _line(axes, points, name, MARKERS[k], COLOURS[k])
         axes.set_xlabel(label)
+        if max(axes.get_xlim()) < 30.0 * min(axes.get_xlim()):  # no power of ten, or one, to go by
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.xaxis.set_minor_locator(NullLocator())
     axes.text(
         1.0, good, f"{good:g} mm ", transform=axes.get_yaxis_transform(), ha="right", va="bottom", color="#777777"
     )
@@ -82,7 +88,8 @@ def _line(axes: Axes, points: Points, label: str, marker: str, colour: str) -> N
     axes.plot(x, y, color=colour, marker=marker, ms=8, mfc="none", mew=1.6, lw=1.0, label=label)
 
 
-def _save(axes: Axes, title: str, path: Path) -> None:
+def _save(axes: Axes, title: str, path: Path, remark: str = "") -> None:
     axes.set_title(title, loc="left")
-    axes.figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    legend = axes.figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    legend.set_title("\n".join(textwrap.wrap(remark, 100)), prop={"size": 9})
     axes.figure.savefig(path)

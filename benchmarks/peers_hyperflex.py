@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 from cast import Cast, Contestant
 
 import hyperflex as hf
 from hyperflex.checks import Array
+from hyperflex.core.rollout import TAKEN
+from hyperflex.model import Setup
+from hyperflex.simulation.rollouts import finish, limits, prepare
 from hyperflex.simulation.stability import runge_kutta_limit
 
 NAME = "hyperflex"
@@ -19,6 +23,15 @@ TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-8)  # m
 def run(cast: Cast, **how: object) -> Array:
     """Return the tip (T, 2)."""
     return hf.simulate(cast.rope, cast.motion, arm=cast.arm, duration=cast.duration, t_eval=cast.times, **how).tip
+
+
+def steps(cast: Cast, tol: float) -> int:
+    """Steps for the whole cast, rejected ones too."""
+    setup = Setup(cast.rope, cast.motion, cast.arm, duration=cast.duration, tol=tol)
+    chain, times = setup.chain(), np.array([0.0, cast.duration])
+    rollout = prepare(chain, setup.drive(), setup.start(), times, limits(setup, chain, cast.duration))
+    finish(rollout)
+    return int(rollout.progress.clock[TAKEN])
 
 
 def contestants(cast: Cast, quick: bool) -> Iterator[Contestant]:

@@ -22,6 +22,7 @@ PARTS = {
     "work-precision": "The paper's cast: error beside time",
     "accelerations": "One acceleration against the number of links",
     "scaling": "A simulated second against the number of links",
+    "costs": "The paper's cast with one thing changed: cost and error",
     "batches": "Many ropes at once: throughput where every member was checked",
     "gradients": "Exact derivatives, in plain rollouts",
     "starting": "Imports, compilation and first calls",

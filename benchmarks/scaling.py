@@ -12,12 +12,9 @@ import figures
 import numpy as np
 from cast import PAPER_LINKS, Cast, distance_mm, paper_cast
 from clock import NOTE, alternately
+from peers_hyperflex import run, steps
 
-import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.core.rollout import TAKEN
-from hyperflex.model import Setup
-from hyperflex.simulation.rollouts import finish, limits, prepare
 
 SIZES = (10, 20, 50, 100, 200, 400, 1000, 2000)
 QUICK = (10, 50, 200)
@@ -43,22 +40,7 @@ class Entry:
 def own(n: int, *, scaled: bool) -> Entry:
     """hyperflex at TOL."""
     cast = paper_cast(n, TIMES, scaled=scaled)
-    return Entry(f"hyperflex, {SCALED if scaled else FIXED}", n, cast, lambda: simulated(cast, TOL), steps(cast))
-
-
-def steps(cast: Cast) -> int:
-    """Steps of hyperflex for the whole cast at TOL, rejected ones too."""
-    setup = Setup(cast.rope, cast.motion, cast.arm, duration=cast.duration, tol=TOL)
-    chain, times = setup.chain(), np.array([0.0, cast.duration])
-    run = prepare(chain, setup.drive(), setup.start(), times, limits(setup, chain, cast.duration))
-    finish(run)
-    return int(run.progress.clock[TAKEN])
-
-
-def simulated(cast: Cast, tol: float) -> Array:
-    """Tip (T, 2), m."""
-    times, motion = cast.times, cast.motion
-    return hf.simulate(cast.rope, motion, arm=cast.arm, duration=cast.duration, t_eval=times, tol=tol).tip
+    return Entry(f"hyperflex, {SCALED if scaled else FIXED}", n, cast, lambda: run(cast, tol=TOL), steps(cast, TOL))
 
 
 def mujoco(peer: ModuleType, n: int) -> Entry:
@@ -93,7 +75,7 @@ def measure(quick: bool, repeats: int, peers: dict[str, ModuleType]) -> list[dic
             "links": entry.links,
             "steps": entry.steps,
             "at_s": list(map(float, entry.cast.times)),
-            "error_mm": distance_mm(times.result, simulated(entry.cast, TIGHT)).tolist(),
+            "error_mm": distance_mm(times.result, run(entry.cast, tol=TIGHT)).tolist(),
             "ms_per_simulated_s": times.scaled(1e3 / entry.cast.duration),
         }
         for entry, times in zip(entries, timed, strict=True)
