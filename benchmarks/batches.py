@@ -28,6 +28,8 @@ ARM = hf.Arm(length=0.105)
 THREADS = (1, 2)
 BUDGET = 4.0  # s of processor time for one setting on one number of threads
 # Settings from loose to tight; the first one that is good is timed. Friction is scaled with n, so these suit all sizes.
+# Steps go with the order of the default tolerance: of a higher order they may be longer, at the same throughput (tried:
+# 4 to 7).
 SETTINGS = {
     "tol": (2e-4, 1e-4, 7e-5, 5e-5, 3e-5, 2e-5, 1.5e-5, 1e-5, 7e-6, 5e-6, 3e-6, 2e-6, 1e-6, 5e-7),
     "step": (0.03, 0.025, 0.02, 0.0175, 0.015, 0.0125, 0.01, 0.0085, 0.007, 0.006, 0.005, 0.004, 0.003),

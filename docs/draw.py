@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,7 +12,10 @@ from hyperflex import paper
 from hyperflex.report import casting
 from hyperflex.report.animation import animate
 from hyperflex.report.strobe import strobe
-from hyperflex.report.style import save_png
+from hyperflex.report.style import BLUE, GREY, RED, look, new_figure, save_png
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 IMAGES = Path(__file__).parent / "images"
 DPI = 100
@@ -31,6 +35,24 @@ def whip() -> hf.Trajectory:
     return hf.simulate(rope, motion, arm=hf.Arm(length=0.25), duration=0.48, t_eval=np.linspace(0.0, 0.48, 121))
 
 
+def growth() -> Figure:
+    """Growth of small errors along the paper's cast, with its friction and with none."""
+    cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    with look():
+        figure = new_figure(6.4, 3.0)
+        axes = figure.add_subplot()
+        axes.axhspan(100.0, 1e12, color="#f3f4f6", lw=0)
+        axes.text(4.6, 160.0, "0.01 mm has become more than 1 mm", color=GREY, size=8.5)
+        for friction, colour, name in ((5e-4, BLUE, "with the cable's friction"), (0.0, RED, "without friction")):
+            found = hf.predictability(cable.replace(friction=friction), hf.swings(), arm=hf.Arm(), duration=10.0)
+            axes.semilogy(found.t, found.amplification, color=colour, label=name)
+            print(f"friction {friction:g}: horizon {found.horizon(1e-3):.2g} s, {found.amplification.max():.2g}-fold")
+        axes.set(xlim=(0.0, 10.0), ylim=(0.7, 1e5), xlabel="time, s", ylabel="growth of the worst error")
+        axes.minorticks_off()
+        axes.legend(loc="upper right")
+    return figure
+
+
 def main() -> None:
     """Draw them all, and print the figures that the captions name."""
     IMAGES.mkdir(exist_ok=True)
@@ -40,6 +62,7 @@ def main() -> None:
     save_png(strobe(cracked, count=70, width=6.0), IMAGES / "whip.png", dpi=DPI)
     speed = np.linalg.norm(cracked.tip_velocity, axis=1)
     print(f"whip: {speed.max():.0f} m/s at t = {cracked.t[speed.argmax()]:.2f} s")
+    save_png(growth(), IMAGES / "growth.png", dpi=2 * DPI)
     casts = paper.casts()
     for draw in (casting.fig10, casting.fig11, casting.fig12):
         save_png(draw(casts), IMAGES / f"{draw.__name__}.png", dpi=DPI)
