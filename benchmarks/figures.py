@@ -54,8 +54,10 @@ def against_settings(panels: Mapping[str, Mapping[str, Points]], good: float, ti
             _line(axes, points, name, MARKERS[k], COLOURS[k])
         axes.set_xlabel(label)
         if max(axes.get_xlim()) < 30.0 * min(axes.get_xlim()):  # no power of ten, or one, to go by
-            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
-            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
+            axes.xaxis.set_major_formatter(
+                FuncFormatter(lambda value, _: f"{value:g}" if value >= 1e-3 else f"{value:.0e}")
+            )
             axes.xaxis.set_minor_locator(NullLocator())
     axes.text(
         1.0, good, f"{good:g} mm ", transform=axes.get_yaxis_transform(), ha="right", va="bottom", color="#777777"
