@@ -27,7 +27,7 @@ def work_precision(groups: Mapping[tuple[str, str], Points], good: float, remark
         _line(axes, points, f"{simulator}: {method}", MARKERS[k % len(MARKERS)], colour)
     errors = [x for points in groups.values() for x, _ in points]
     axes.set_xlim(0.3 * min(errors), 4.0 * max(errors))
-    axes.text(good, 0.02, f" {good:g} mm", transform=axes.get_xaxis_transform(), color="#777777")
+    axes.text(good, 0.25, f" {good:g} mm", transform=axes.get_xaxis_transform(), color="#777777")
     axes.set_xlabel("error of the tip, the larger of those at 2 s and 5 s, mm")
     axes.set_ylabel("ms per simulated second")
     _save(axes, "The paper's cast, 50 links: work against precision", path, remark)

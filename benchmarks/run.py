@@ -1,7 +1,7 @@
 """Speed beside accuracy: hyperflex and its peers on one rope, in one run on one machine.
 
 pip install -e '.[bench]'        the peers; those that are not installed are left out, and said so
-python benchmarks/run.py         everything, about ten minutes;  results in benchmarks/results/
+python benchmarks/run.py         everything, about ten minutes; results in benchmarks/results/
 python benchmarks/run.py --quick a look in less than a minute; nothing is written
 python benchmarks/run.py --only work-precision accelerations
 """
