@@ -57,7 +57,7 @@ def fixed_steps(order: int, count: int, duration: float) -> np.ndarray:
 
 
 # Steps short enough for the leading term of the error and long enough to stay above rounding, 1e-12 of the angles.
-COUNTS = {2: (24, 32, 48), 3: (32, 48, 64), 4: (24, 32, 48), 5: (24, 32, 48), 6: (12, 16, 24), 7: (10, 12, 16)}
+COUNTS = {2: (24, 32, 48), 3: (32, 48, 64), 4: (24, 32, 48), 5: (24, 32, 48), 6: (12, 16, 24), 7: (12, 14, 16)}
 
 
 @pytest.mark.parametrize("order", COUNTS)

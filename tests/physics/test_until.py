@@ -69,7 +69,7 @@ def test_a_cast_to_a_phase_and_to_a_peak() -> None:
         hf.tip_crosses((0.3, -1.0), (1.0, 0.5), after=1.0),
         hf.tip_speed_peak(after=0.9),
         hf.phase_reached(2.0, 0.4, after=1.0),
-        hf.angle_reached(0.7, 11),
+        hf.angle_reached(0.4, 11),
         hf.angle_reached(0.2),
     ):
         run = hf.simulate(cable(), motion, until=until, **kept)
@@ -81,7 +81,7 @@ def test_a_cast_to_a_phase_and_to_a_peak() -> None:
         reading = {
             "tip crosses": (x - [0.3, -1.0]) @ [1.0, 0.5],
             "phase reached": np.arctan2(x[:, 0], 0.4 * v[:, 0]) - 2.0,
-            "angle reached": beside.q[:, 11] - 0.7 if until.numbers[1] == 11 else beside.arm_angle - 0.2,
+            "angle reached": beside.q[:, 11] - 0.4 if until.numbers[1] == 11 else beside.arm_angle - 0.2,
         }
         if until.name == "tip speed peak":
             speed = np.hypot(*v.T)

@@ -22,7 +22,7 @@ class Limits(NamedTuple):
     tol: float  # m, error allowed in the position of any joint, of a step and of SHARE seconds
     lever: Array  # (n,) m, how far a link's angle moves mass: the larger of its length and its radius of gyration
     reach: float  # m, length of the chain
-    fall: float  # J, weight times length: the scale of the chain's energy at rest
+    fall: float  # J, weight times length, and dry friction: the scale of the chain's energy at rest
     fixed: float  # s, fixed Runge-Kutta step; 0.0: extrapolation with error control
     budget: int  # steps of one call, so that callers can show progress and be interrupted
     until: Until  # what ends the run before

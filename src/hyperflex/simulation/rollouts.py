@@ -103,7 +103,8 @@ def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until:
     """Return the bounds of a run until `stop`, s, or what ends it before; refuses an unstable Runge-Kutta step."""
     weight = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy)
     reach = float(chain.length.sum())
-    bounds = Limits(stop, setup.tol, lever(chain), reach, weight * reach, setup.step or 0.0, budget, until)
+    scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
+    bounds = Limits(stop, setup.tol, lever(chain), reach, scale, setup.step or 0.0, budget, until)
     if setup.step is None:
         return bounds
     longest = runge_kutta_limit(chain)
