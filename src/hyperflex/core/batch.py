@@ -37,7 +37,17 @@ from hyperflex.core.members import (
     enter,
     piece,
 )
-from hyperflex.core.stepsize import LARGEST_STEP, SMALLEST_STEP, allowed, fitted, lasting, longer, shorter
+from hyperflex.core.stepsize import (
+    LARGEST_STEP,
+    MOST,
+    SMALLEST_STEP,
+    allowed,
+    fitted,
+    lasting,
+    longer,
+    rounding,
+    shorter,
+)
 
 
 @kernel
@@ -202,15 +212,16 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
 
 
 @kernel
-def settle(terms, lane, end, size):  # type: ignore[no-untyped-def]
+def settle(terms, lane, end, size, has_dry):  # type: ignore[no-untyped-def]
     """Note a step of the error `size` in one lane's clock and choose the next; returns a status code."""
     order = terms.best.size - 1
     step = lane[WANTED]
     if size <= 1.0:
         lane[TIME] = end if step >= end - lane[TIME] else lane[TIME] + step
-        grown = longer(step, size, lane[LAST], lane[SIZE], order)
+        faint = has_dry and rounding(size, terms.tol, step)
+        grown = MOST * step if faint else longer(step, size, lane[LAST], lane[SIZE], order)
         lane[STEP] = max(grown, lane[STEP]) if step < lane[STEP] else grown
-        lane[LAST], lane[SIZE] = step, size
+        lane[LAST], lane[SIZE] = 0.0 if faint else step, size
         if lane[FRESH] == 1.0:
             lane[AFTER] = lane[STEP]
             lane[FRESH] = 0.0
@@ -272,7 +283,7 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
                 verdict = look(members, terms, member[j], lanes, path, j, lane[j], watch)
                 if verdict == AGAIN:
                     continue
-            code = settle(terms, lane[j], end, size)
+            code = settle(terms, lane[j], end, size, has_dry)
             if code == status.OK:
                 accept(lanes, n, j, energy)
                 if has_dry:

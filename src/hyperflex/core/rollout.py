@@ -31,7 +31,17 @@ from hyperflex.core.progress import (
     switched,
 )
 from hyperflex.core.steppers import rates
-from hyperflex.core.stepsize import LARGEST_STEP, SMALLEST_STEP, allowed, fitted, lasting, longer, shorter
+from hyperflex.core.stepsize import (
+    LARGEST_STEP,
+    MOST,
+    SMALLEST_STEP,
+    allowed,
+    fitted,
+    lasting,
+    longer,
+    rounding,
+    shorter,
+)
 from hyperflex.core.stick import QUICK, hold, stuck_loss
 from hyperflex.core.until import NOTHING
 
@@ -74,6 +84,42 @@ def error_norm(chain, limits, y, error, step, work):  # type: ignore[no-untyped-
     if not (energy < np.inf):
         return np.inf
     return max(math.sqrt(worst), energy) / allowed(limits.tol, step)
+
+
+@kernel
+def error_size(chain, limits, step, cut, room):  # type: ignore[no-untyped-def]
+    """Error of the step to ``room.out`` in units of what is allowed; `cut`: it ends where it was told to."""
+    if limits.fixed > 0.0:
+        return 0.0 if np.abs(room.out).max() < np.inf else np.inf
+    size = error_norm(chain, limits, room.out, room.error, step, room.bench.work)
+    if cut and step < SMALLEST_STEP and size < np.inf:
+        return 0.0  # an end a few rounding errors away: there is nothing to control
+    return size
+
+
+@kernel
+def succeeded_with(clock, limits, has_dry, step, size, wanted, order):  # type: ignore[no-untyped-def]
+    """Choose the next step after one of the length `step`, s, and the error `size`; `wanted` was its length uncut."""
+    faint = has_dry and rounding(size, limits.tol, step)
+    grown = MOST * step if faint else longer(step, size, clock[LAST], clock[SIZE], order)
+    clock[STEP] = max(grown, clock[STEP]) if step < wanted else grown
+    clock[LAST], clock[SIZE] = 0.0 if faint else step, size
+    if clock[FRESH] == 1.0:
+        clock[AFTER] = clock[STEP]
+        clock[FRESH] = 0.0
+
+
+@kernel
+def note(progress, step, end, event):  # type: ignore[no-untyped-def]
+    """Keep a step that succeeded in the log, and count quick changes of the joints' modes."""
+    clock = progress.clock
+    succeeded = int(clock[TAKEN] - clock[REJECTED]) - 1
+    if succeeded < progress.log.shape[0]:
+        progress.log[succeeded, 0], progress.log[succeeded, 1] = step, end
+    if event == 1 and step < QUICK:
+        clock[CHATTER] += 1.0
+    elif step >= QUICK:
+        clock[CHATTER] = 0.0
 
 
 @kernel
@@ -156,12 +202,7 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
             mark_here(progress)
         advance(chain, drive, part, table, fixed, t, step, y, grip, room.out, room)
         clock[TAKEN] += 1
-        if fixed > 0.0:
-            size = 0.0 if np.abs(room.out).max() < np.inf else np.inf
-        else:
-            size = error_norm(chain, limits, room.out, room.error, step, room.bench.work)
-            if cut and step < SMALLEST_STEP and size < np.inf:
-                size = 0.0  # an end a few rounding errors away: there is nothing to control
+        size = error_size(chain, limits, step, cut, room)
         if not (size <= 1.0):
             clock[REJECTED] += 1
             clock[STEP] = shorter(step, size, table.order)
@@ -176,27 +217,16 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
             if taken == 0.0:
                 return status.REACHED
         t_new = end if cut and taken == step else t + taken
-        succeeded = int(clock[TAKEN] - clock[REJECTED]) - 1
-        if succeeded < progress.log.shape[0]:
-            progress.log[succeeded, 0], progress.log[succeeded, 1] = taken, t_new
+        note(progress, taken, t_new, event)
         write_between(chain, drive, part, table, fixed, progress, t_new - t, room, t_out, y_out)
         y[:] = room.out
         y[y.size - 1] += stuck_loss(room.power, t_new - t, 1.0)
         clock[T] = t_new
         write_until(clock, t_out, t_new, y, y_out)
         if fixed == 0.0:
-            grown = longer(step, size, clock[LAST], clock[SIZE], table.order)
-            clock[STEP] = max(grown, clock[STEP]) if step < wanted else grown
-            clock[LAST], clock[SIZE] = step, size
-            if clock[FRESH] == 1.0:
-                clock[AFTER] = clock[STEP]
-                clock[FRESH] = 0.0
+            succeeded_with(clock, limits, has_dry, step, size, wanted, table.order)
         if event == 2:
             return status.REACHED
         if event == 1 or t_new >= part.end:
             switched(clock)
-        if event == 1 and taken < QUICK:
-            clock[CHATTER] += 1.0
-        elif taken >= QUICK:
-            clock[CHATTER] = 0.0
     return status.RUNNING if clock[T] < limits.stop else status.OK

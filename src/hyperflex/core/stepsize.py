@@ -71,6 +71,15 @@ def allowed(tol, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def rounding(size, tol, step):  # type: ignore[no-untyped-def]
+    """Whether a step's error, `size` in units of what is allowed, is rounding, which says nothing of its length.
+
+    With a tight `tol` rounding is no small part of it. Short steps, as events leave them, would then stay short.
+    """
+    return size * allowed(tol, step) <= ROUNDING
+
+
+@kernel
 def lasting(step):  # type: ignore[no-untyped-def]
     """Time, s, for which an error of a velocity made in a step counts: the geometric mean of the step and SHARE.
 

@@ -40,7 +40,13 @@ class Event:
     after: float = -math.inf
 
     def packed(self, setup: Setup) -> Until:
-        """Return the event as the kernels take it, for the chain of a set-up."""
+        """Return the event as the kernels take it.
+
+        Parameters
+        ----------
+        setup : Setup
+            Whose chain it is for.
+        """
         a, b, c, d = self.numbers
         if self.kind == ANGLE:
             n = setup.rope.n_links
@@ -89,7 +95,12 @@ def tip_crosses(point: npt.ArrayLike, direction: npt.ArrayLike, *, sense: int = 
 
 
 def tip_speed_peak(*, after: float = -math.inf) -> Event:
-    """End a run where the speed of the tip stops growing (the first time after `after`, s).
+    """End a run where the speed of the tip stops growing.
+
+    Parameters
+    ----------
+    after : float
+        Peaks before this time do not count, s.
 
     Returns
     -------
