@@ -31,8 +31,8 @@ def chain_of(links: Any) -> kernels.Chain:
 
 
 def senses(state: State) -> Real:
-    """Senses in which the joints slip at a state (n,)."""
-    return np.sign(np.diff(state.w, prepend=state.base[3]))
+    """Senses in which the joints slip at a state (n,); 1.0 where they do not turn, so that none is locked."""
+    return np.where(np.diff(state.w, prepend=state.base[3]) < 0.0, -1.0, 1.0)
 
 
 def sweep(links: Any, state: State, torque: float = 0.0, h: float = 0.0, grip: Real | None = None) -> Sweep:
