@@ -61,6 +61,14 @@ def test_where_it_is_farthest_out() -> None:
     assert run.q[-1, 0] == pytest.approx(-START, abs=1e-9)
 
 
+def test_a_phase_on_the_other_side_is_not_reached() -> None:
+    """Gravity to the right: the tip stays there, its phase sways about pi/2, and passes the ray opposite to -pi/2."""
+    rod = ROD.replace(gravity=(G, 0.0))
+    kept = {"duration": 3.0, "q0": [START], "tol": 1e-9}
+    assert hf.simulate(rod, until=hf.phase_reached(-np.pi / 2, 0.3), **kept).event is None
+    assert hf.simulate(rod, until=hf.phase_reached(np.pi / 2, 0.3), **kept).event is not None
+
+
 def test_a_cast_to_a_phase_and_to_a_peak() -> None:
     """Against a run at a tight tolerance, sampled a microsecond before and after."""
     kept = {"arm": ARM, "duration": 4.0, "tol": 1e-10}
