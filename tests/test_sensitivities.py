@@ -57,13 +57,13 @@ def retimed(run: Rollout, it: hf.Setup) -> Array:
     """Steps as long as those of `run`, but for those that end at a switch or at the end."""
     drive, steps = it.drive(), []
     old = new = 0.0
-    for length, end in run.progress.log:
+    for length, end, order in run.progress.log:
         before, after = segment(run.drive, old), segment(drive, new)
         if end >= before.end or end >= DURATION:
             target = after.end if end >= before.end else DURATION
-            steps.append((target - new, target))
+            steps.append((target - new, target, order))
         else:
-            steps.append((length, new + length))
+            steps.append((length, new + length, order))
         old, new = end, steps[-1][1]
     return np.array(steps)
 
@@ -193,9 +193,9 @@ def test_tip(name: str) -> None:
             return setup(q0=setup().q0 + x * np.eye(N)[0])
         return setup(motion=hf.swings(t_move=0.73 + x, profile="ramp", ramp=0.2))
 
-    tips = [hf.simulate(replace(make(x), tol=1e-10), t_eval=TIMES).tip for x in (1e-4, -1e-4)]
+    tips = [hf.simulate(replace(make(x), tol=1e-11), t_eval=TIMES).tip for x in (1e-4, -1e-4)]
     want = (tips[0] - tips[1]) / 2e-4
-    got = hf.sensitivities(replace(make(0.0), tol=1e-10), t_eval=TIMES, wrt=name).dtip[:, :, 0]
+    got = hf.sensitivities(replace(make(0.0), tol=1e-11), t_eval=TIMES, wrt=name).dtip[:, :, 0]
     # runs that choose their own steps: their errors, some 1e-10 m, over the spacing, and its square times a third
     # derivative of some hundreds
     np.testing.assert_allclose(got, want, rtol=0.0, atol=2e-5 * np.abs(want).max())

@@ -76,7 +76,8 @@ def test_a_spring_loses_the_same_each_half_swing() -> None:
         run.q[:-1, 0], want, rtol=0, atol=1e-8
     )  # a dozen steps a half swing of 1e-10 m, six times
     assert abs(want[-1]) < dry / stiffness
-    assert run.q[-1, 0] == run.q[-2, 0]
+    # the sixth output lies at the last turn, within the rounding of its time, on either side of it
+    assert abs(run.q[-1, 0] - run.q[-2, 0]) < 1e-12
 
 
 @pytest.mark.parametrize("how", ["single", "batch"])

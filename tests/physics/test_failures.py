@@ -8,7 +8,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.core import rollout
 from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.simulation.rollouts import limits
+from hyperflex.simulation.rollouts import TABLES, limits
 
 ARM = hf.Arm(length=0.105, inertia=1e-3)
 
@@ -95,9 +95,9 @@ def test_the_arm_of_a_failed_run_is_handed_over_too() -> None:
 def test_a_step_that_is_not_a_number_is_not_taken() -> None:
     setup = hf.Setup(cable(), duration=1.0)
     chain = setup.chain()
-    nan = np.full(22, np.nan)
-    assert rollout.error_norm(chain, limits(setup, chain, 1.0), np.zeros(22), nan, 0.01, np.zeros(60)) == np.inf
-    assert rollout.error_norm(chain, limits(setup, chain, 1.0), nan, np.zeros(22), 0.01, np.zeros(60)) == np.inf
+    nan, work = np.full(22, np.nan), np.empty(60)
+    assert rollout.error_norm(chain, limits(setup, chain, 1.0), TABLES[0], np.zeros(22), nan, 0.01, work) == np.inf
+    assert rollout.error_norm(chain, limits(setup, chain, 1.0), TABLES[0], nan, np.zeros(22), 0.01, work) == np.inf
 
 
 @pytest.mark.parametrize(

@@ -45,13 +45,15 @@ def fixed_steps(order: int, count: int, duration: float) -> np.ndarray:
     setup = hf.Setup(rope=chain(), q0=Q0)
     parameters, drive, table = setup.chain(), setup.drive(), scheme(order)
     n = len(Q0)
-    y, out, error = np.zeros(2 * n + 2), np.zeros(2 * n + 2), np.zeros(2 * n + 2)
+    y, out, errors = np.zeros(2 * n + 2), np.zeros(2 * n + 2), np.zeros((2, 2 * n + 2))
     y[:n] = Q0
-    (lanes, tip), base, trig = rows(COLUMNS, n), np.zeros((9, len(COLUMNS))), np.zeros(2 * n)
+    lanes, tip = rows(COLUMNS, n)
+    base, trig = np.zeros((9, len(COLUMNS))), np.zeros(2 * n)
     load(COLUMNS, parameters, lanes, tip)
     h = duration / count
     for k in range(count):
-        extrapolate(parameters, drive, segment(drive, k * h), table, k * h, h, y, out, error, lanes, tip, base, trig)
+        part = segment(drive, k * h)
+        extrapolate(parameters, drive, part, table, k * h, h, y, out, errors, lanes, tip, base, trig)
         y[:] = out
     return y[: 2 * n]
 
@@ -131,3 +133,27 @@ def test_a_chain_without_any_torque_has_no_limit() -> None:
     run = hf.simulate(rope, duration=1.0, qd0=[0.1, 0.1], method="rk4", step=0.01, t_eval=[1.0])
     # Both links turn together about a fixed end: no relative motion, so the angle grows at a constant rate.
     np.testing.assert_allclose(run.q[-1], [0.1, 0.1], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", range(2, 13))
+def test_every_column_is_taken_once_and_the_rounds_are_few(order: int) -> None:
+    table = scheme(order)
+    taken = [int((table.column == j).sum()) for j in range(1, order + 1)]
+    assert taken == list(range(1, order + 1))  # column j takes j substeps
+    starts = (table.column > 0) & (table.done == 0)
+    assert starts.sum() == order
+    # The longest column, or all substeps spread over the lanes, whichever is more.
+    assert table.column.shape[0] == max(order, -(-order * (order + 1) // 2 // len(COLUMNS)))
+
+
+@pytest.mark.parametrize("order", [5, 7, 9])
+def test_error_estimates_weigh_columns_as_the_results_that_they_compare(order: int) -> None:
+    # Columns of values v(h) = 1 + h^k: a result of order p reproduces the limit for k < p, so both estimates vanish for
+    # k below their order less one, and the lower estimate is that of the scheme with one column less.
+    table, lower = scheme(order), scheme(order - 1)
+    j = np.arange(1, order + 1)
+    for k in range(order - 1):
+        # weights grow to some hundreds with the order, and their rounding with them
+        assert table.gap[1:] @ (1.0 / j) ** k == pytest.approx(0.0, abs=1e-11)
+    np.testing.assert_allclose(table.lower_gap[:-1], lower.gap, rtol=1e-14)
+    assert table.lower_gap[-1] == 0.0

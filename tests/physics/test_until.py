@@ -115,11 +115,12 @@ def test_a_peak_may_be_a_corner() -> None:
 
 
 def test_what_does_not_happen() -> None:
-    run = hf.simulate(ROD, duration=1.0, q0=[START], until=hf.tip_crosses((0.0, 1.0), (0.0, 1.0)))
-    plain = hf.simulate(ROD, duration=1.0, q0=[START])
+    run = hf.simulate(ROD, duration=1.0, q0=[START], until=hf.tip_crosses((0.0, 1.0), (0.0, 1.0)), tol=1e-10)
+    plain = hf.simulate(ROD, duration=1.0, q0=[START], tol=1e-10)
     assert run.event is None
     assert run.t[-1] == 1.0
-    np.testing.assert_array_equal(run.q, plain.q)
+    # steps are shorter while something is awaited; both runs are good to some tol
+    np.testing.assert_allclose(run.q, plain.q, rtol=0, atol=1e-8)
 
 
 def test_going_on_from_an_event(tmp_path: Path) -> None:

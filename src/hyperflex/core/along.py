@@ -26,7 +26,7 @@ class Room(NamedTuple):
     tip: Array
     base: Array  # (9, K)
     work: Array  # (6 n,)
-    error: Array  # (2 n + 2,)
+    errors: Array  # (2, 2 n + 2)
     store: Array  # (b, n PARTS CELL) derivatives in every lane: at the start of the step, now, summed over the columns
     weight: Array  # (CELL,) of each lane's column in the sum, where it is complete
     anew: Array  # (CELL,) 1.0 where a lane begins a column, else 0.0
@@ -54,7 +54,7 @@ def room_for(chain, pairs):  # type: ignore[no-untyped-def]
         tip,
         np.zeros((9, K)),
         np.zeros(6 * n),
-        np.zeros(2 * n + 2),
+        np.zeros((2, 2 * n + 2)),
         np.zeros((pairs, n * PARTS * CELL)),
         np.zeros(CELL),
         np.zeros(CELL),
@@ -207,5 +207,5 @@ def step_along(chain, drive, part, table, t, step, y, out, directions, result, r
             else:
                 tg.step_state(ln.COLUMNS, bears, lanes)
             leave(lanes, store[b], weight, ends)
-        end_columns(table, turn, y, out, room.error, room.lanes)
+        end_columns(table, turn, y, out, room.errors, room.lanes)
     gather(room.store, result)

@@ -43,9 +43,9 @@ from hyperflex.core.stepsize import (
     SMALLEST_STEP,
     allowed,
     fitted,
+    is_rounding,
     lasting,
     longer,
-    rounding,
     shorter,
 )
 
@@ -140,7 +140,7 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
                 ln.euler(ln.MEMBERS, terms.bears, ln.MORE, lanes, tip, base)
             else:
                 ln.euler(ln.MEMBERS, terms.bears, ln.LAST, lanes, tip, base)
-        end_column(ln.MEMBERS, lanes, terms.best[col], terms.best[col] - terms.other[col])
+        end_column(ln.MEMBERS, lanes, terms.best[col], terms.gap[col])
         for j in range(k):
             energy[j, 2] += terms.best[col] * lanes[ln.WORK * k + j]
             energy[j, 3] += terms.best[col] * lanes[ln.LOST * k + j]
@@ -182,7 +182,7 @@ def judge(terms, tip, j, step):  # type: ignore[no-untyped-def]
         return np.inf
     if terms.fixed > 0.0 or step < SMALLEST_STEP:  # so short only where it is cut: nothing to control
         return 0.0
-    return math.sqrt(worst) / allowed(terms.tol, step)
+    return math.sqrt(worst) / allowed(terms.tol, step, terms.rounding)
 
 
 @kernel
@@ -218,7 +218,7 @@ def settle(terms, lane, end, size, has_dry):  # type: ignore[no-untyped-def]
     step = lane[WANTED]
     if size <= 1.0:
         lane[TIME] = end if step >= end - lane[TIME] else lane[TIME] + step
-        faint = has_dry and rounding(size, terms.tol, step)
+        faint = has_dry and is_rounding(size, terms.tol, step, terms.rounding)
         grown = MOST * step if faint else longer(step, size, lane[LAST], lane[SIZE], order)
         lane[STEP] = max(grown, lane[STEP]) if step < lane[STEP] else grown
         lane[LAST], lane[SIZE] = 0.0 if faint else step, size

@@ -34,7 +34,8 @@ class Terms(NamedTuple):
     bears: tuple[int, ...]  # as in Chain
     fixed: float  # s, a step chosen beforehand; 0.0: error control
     best: Array  # (p + 1,) weights of the columns, as in Scheme
-    other: Array
+    gap: Array  # in the error estimate
+    rounding: float  # m, as in Scheme
 
 
 LENGTH, MASS, COM, INERTIA, VISCOUS, STIFFNESS, REST, DRY, LEVER = range(9)

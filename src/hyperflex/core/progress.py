@@ -24,6 +24,8 @@ class Limits(NamedTuple):
     reach: float  # m, length of the chain
     fall: float  # J, weight times length, and dry friction: the scale of the chain's energy at rest
     fixed: float  # s, fixed Runge-Kutta step; 0.0: extrapolation with error control
+    least: int  # order of the extrapolation, also the first
+    most: int
     budget: int  # steps of one call, so that callers can show progress and be interrupted
     until: Until  # what ends the run before
 
@@ -36,7 +38,7 @@ class Progress(NamedTuple):
     grip: Array  # (n,) modes of the joints, as in chain.accelerations
     mark_grip: Array
     clock: Array  # (CLOCK,) see the names below; the mark's time is -inf while no step has been cut
-    log: Array  # (m, 2) length and end of the first m steps that succeed, s
+    log: Array  # (m, 3) length, s, end, s, and order of the first m steps that succeed
 
 
 # AFTER: first step that succeeded after the last switch, where the motion is least smooth; tried first at the next one
@@ -44,9 +46,10 @@ class Progress(NamedTuple):
 # LAST, SIZE: length and error of the last step that succeeded since the last switch; LAST is 0.0 where there is none
 # UNSETTLED: 1.0 where the modes of the joints are to be decided anew
 # CHATTER: events in a row that ended very short steps
-# MARK: where these eight stand again as they were at the mark
+# ORDER: of the extrapolation, for the next step; taken into the limits
+# MARK: where these nine stand again as they were at the mark
 # PENDING: margin of what is to end the run at the end of the last step, 0.0 where it is not watched
-T, STEP, AFTER, FRESH, LAST, SIZE, UNSETTLED, CHATTER, MARK = range(9)
+T, STEP, AFTER, FRESH, LAST, SIZE, UNSETTLED, CHATTER, ORDER, MARK = range(10)
 INDEX, TAKEN, REJECTED, PENDING, CLOCK = range(2 * MARK, 2 * MARK + 5)
 
 
@@ -73,7 +76,7 @@ class Scratch(NamedTuple):
     """Working arrays of a run."""
 
     out: Array  # (2 n + 2,) state after the step
-    error: Array  # (2 n + 2,)
+    errors: Array  # (2, 2 n + 2), as in steppers.extrapolate
     ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives
     dys: Array
     stage: Array  # (3, 2 n + 2)
@@ -98,7 +101,7 @@ def scratch(chain):  # type: ignore[no-untyped-def]
     ln.load(ln.COLUMNS, chain, lanes, tip)
     return Scratch(
         np.empty(2 * n + 2),
-        np.zeros(2 * n + 2),
+        np.zeros((2, 2 * n + 2)),
         np.empty((3, 2 * n + 2)),
         np.empty((3, 2 * n + 2)),
         np.empty((3, 2 * n + 2)),
@@ -123,5 +126,5 @@ def advance(chain, drive, part, table, fixed, t, step, y, grip, out, room):  # t
         runge_kutta(chain, drive, part, t, step, y, grip, out, room.stage, room.bench.work)
     else:
         extrapolate(
-            chain, drive, part, table, t, step, y, out, room.error, room.lanes, room.tip, room.base, room.bench.work
+            chain, drive, part, table, t, step, y, out, room.errors, room.lanes, room.tip, room.base, room.bench.work
         )

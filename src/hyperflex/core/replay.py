@@ -159,13 +159,14 @@ def set_change(drive, part, t_new, stop, directions, room):  # type: ignore[no-u
 
 
 @kernel
-def replay(chain, drive, table, steps, begin, start, directions, t_out, y_out, dy_out):  # type: ignore[no-untyped-def]
+def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, dy_out):  # type: ignore[no-untyped-def]
     """Go through a recorded run again; O(n p) a step.
 
     Parameters
     ----------
-    chain, drive, table, directions : Chain, Drive, Scheme, Directions
-    steps : (m, 2) length and end of each step, s, as in ``rollout.Progress.log``
+    chain, drive, directions : Chain, Drive, Directions
+    tables : tuple of Scheme, of successive orders
+    steps : (m, 3) length and end of each step, s, and its order, as in ``rollout.Progress.log``
     begin : float, s
     start : (2 n, p) derivatives of angles and rates at `begin`
     t_out : (T,) increasing times, s
@@ -181,6 +182,7 @@ def replay(chain, drive, table, steps, begin, start, directions, t_out, y_out, d
     stop = steps[-1, 1]
     for m in range(steps.shape[0]):
         step, t_new = steps[m, 0], steps[m, 1]
+        table = tables[int(steps[m, 2]) - tables[0].order]
         if t >= part.end:
             part = segment(drive, t)
         set_change(drive, part, t_new, stop, directions, room)

@@ -19,6 +19,7 @@ from hyperflex.core.progress import (
     FRESH,
     INDEX,
     LAST,
+    ORDER,
     REJECTED,
     SIZE,
     STEP,
@@ -35,11 +36,13 @@ from hyperflex.core.stepsize import (
     LARGEST_STEP,
     MOST,
     SMALLEST_STEP,
+    WATCHED,
     allowed,
+    cheapest,
     fitted,
+    is_rounding,
     lasting,
     longer,
-    rounding,
     shorter,
 )
 from hyperflex.core.stick import QUICK, hold, stuck_loss
@@ -50,7 +53,7 @@ TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zer
 
 
 @kernel
-def error_norm(chain, limits, y, error, step, work):  # type: ignore[no-untyped-def]
+def error_norm(chain, limits, table, y, error, step, work):  # type: ignore[no-untyped-def]
     """Error of a step in units of what is allowed: of any joint's position, of its velocity, of energy.
 
     Work and dissipation may err by ENERGY tol / reach of the chain's energy. Without that bound sharp dry friction,
@@ -83,39 +86,46 @@ def error_norm(chain, limits, y, error, step, work):  # type: ignore[no-untyped-
     energy = abs(error[2 * n] - error[2 * n + 1]) * limits.reach / (ENERGY * (limits.fall + kinetic) + TINY)
     if not (energy < np.inf):
         return np.inf
-    return max(math.sqrt(worst), energy) / allowed(limits.tol, step)
+    return max(math.sqrt(worst), energy) / allowed(limits.tol, step, table.rounding)
 
 
 @kernel
-def error_size(chain, limits, step, cut, room):  # type: ignore[no-untyped-def]
+def error_size(chain, limits, table, step, cut, room):  # type: ignore[no-untyped-def]
     """Error of the step to ``room.out`` in units of what is allowed; `cut`: it ends where it was told to."""
     if limits.fixed > 0.0:
         return 0.0 if np.abs(room.out).max() < np.inf else np.inf
-    size = error_norm(chain, limits, room.out, room.error, step, room.bench.work)
+    size = error_norm(chain, limits, table, room.out, room.errors[0], step, room.bench.work)
     if cut and step < SMALLEST_STEP and size < np.inf:
         return 0.0  # an end a few rounding errors away: there is nothing to control
     return size
 
 
 @kernel
-def succeeded_with(clock, limits, has_dry, step, size, wanted, order):  # type: ignore[no-untyped-def]
-    """Choose the next step after one of the length `step`, s, and the error `size`; `wanted` was its length uncut."""
-    faint = has_dry and rounding(size, limits.tol, step)
+def succeeded_with(clock, tables, limits, has_dry, step, size, lower_size, wanted, table):  # type: ignore[no-untyped-def]
+    """Choose order and length of the step after one of the length `step`, s, which was wanted to be `wanted` long.
+
+    `size` is its error in units of what is allowed, `lower_size` that of an order less.
+    """
+    order = table.order
+    faint = has_dry and is_rounding(size, limits.tol, step, table.rounding)
     grown = MOST * step if faint else longer(step, size, clock[LAST], clock[SIZE], order)
+    if not faint:
+        clock[ORDER], grown = cheapest(tables, limits.least, limits.most, order, step, lower_size, grown)
     clock[STEP] = max(grown, clock[STEP]) if step < wanted else grown
-    clock[LAST], clock[SIZE] = 0.0 if faint else step, size
+    clock[LAST], clock[SIZE] = step if clock[ORDER] == order and not faint else 0.0, size
     if clock[FRESH] == 1.0:
         clock[AFTER] = clock[STEP]
         clock[FRESH] = 0.0
 
 
 @kernel
-def note(progress, step, end, event):  # type: ignore[no-untyped-def]
+def note(progress, step, end, order, event):  # type: ignore[no-untyped-def]
     """Keep a step that succeeded in the log, and count quick changes of the joints' modes."""
     clock = progress.clock
     succeeded = int(clock[TAKEN] - clock[REJECTED]) - 1
     if succeeded < progress.log.shape[0]:
-        progress.log[succeeded, 0], progress.log[succeeded, 1] = step, end
+        entry = progress.log[succeeded]
+        entry[0], entry[1], entry[2] = step, end, order
     if event == 1 and step < QUICK:
         clock[CHATTER] += 1.0
     elif step >= QUICK:
@@ -161,12 +171,13 @@ def write_between(chain, drive, part, table, fixed, progress, step, room, t_out,
 
 
 @kernel
-def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no-untyped-def]
+def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[no-untyped-def]
     """Run until ``limits.stop`` or until the budget is spent; O(n) a step.
 
     Parameters
     ----------
-    chain, drive, table, limits, progress : Chain, Drive, Scheme, Limits, Progress
+    chain, drive, limits, progress : Chain, Drive, Limits, Progress
+    tables : tuple of Scheme, of successive orders
     t_out : (m,) increasing times, s, at which to write the state
     y_out : (m, 2 n + 2) out; row k is written once the run has passed t_out[k]
 
@@ -178,7 +189,8 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
     room = scratch(chain)
     fixed = limits.fixed
     has_dry = chain.dry.any()
-    watching = has_dry or limits.until.kind != NOTHING
+    awaiting = limits.until.kind != NOTHING
+    watching = has_dry or awaiting
     if has_dry:
         ln.set_grip(ln.COLUMNS, room.lanes, grip)
     write_until(clock, t_out, clock[T], y, y_out)
@@ -195,14 +207,16 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
         end = min(part.end, limits.stop)
         if t < limits.until.after:
             end = min(end, limits.until.after)
-        wanted = fixed if fixed > 0.0 else min(clock[STEP], LARGEST_STEP)
+        wanted = fixed if fixed > 0.0 else min(clock[STEP], WATCHED if awaiting else LARGEST_STEP)
         step = fitted(wanted, end - t) if fixed == 0.0 else min(wanted, end - t)
         cut = step >= end - t
         if step < wanted and limits.stop < part.end:
             mark_here(progress)
+        order = min(max(int(clock[ORDER]), limits.least), limits.most)
+        table = tables[order - tables[0].order]
         advance(chain, drive, part, table, fixed, t, step, y, grip, room.out, room)
         clock[TAKEN] += 1
-        size = error_size(chain, limits, step, cut, room)
+        size = error_size(chain, limits, table, step, cut, room)
         if not (size <= 1.0):
             clock[REJECTED] += 1
             clock[STEP] = shorter(step, size, table.order)
@@ -211,20 +225,23 @@ def run(chain, drive, table, limits, progress, t_out, y_out):  # type: ignore[no
             if clock[STEP] < SMALLEST_STEP:
                 return status.STEP_TOO_SMALL
             continue
+        lower_size = 0.0
+        if fixed == 0.0:
+            lower_size = error_norm(chain, limits, table, room.out, room.errors[1], step, room.bench.work)
         taken, event = step, 0
         if watching:
             taken, event = locate(chain, drive, part, table, limits, progress, step, room)
             if taken == 0.0:
                 return status.REACHED
         t_new = end if cut and taken == step else t + taken
-        note(progress, taken, t_new, event)
+        note(progress, taken, t_new, order, event)
         write_between(chain, drive, part, table, fixed, progress, t_new - t, room, t_out, y_out)
         y[:] = room.out
         y[y.size - 1] += stuck_loss(room.power, t_new - t, 1.0)
         clock[T] = t_new
         write_until(clock, t_out, t_new, y, y_out)
         if fixed == 0.0:
-            succeeded_with(clock, limits, has_dry, step, size, wanted, table.order)
+            succeeded_with(clock, tables, limits, has_dry, step, size, lower_size, wanted, table)
         if event == 2:
             return status.REACHED
         if event == 1 or t_new >= part.end:

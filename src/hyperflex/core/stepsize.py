@@ -9,9 +9,10 @@ from hyperflex.core.jit import kernel
 
 FIRST_STEP: Final = 0.01  # s, tried first; error control does the rest
 LARGEST_STEP: Final = 0.25  # s
+WATCHED: Final = 0.01  # s, longest step while something may end the run; what comes and goes within one may be missed
 SMALLEST_STEP: Final = 1e-10  # s
 SHARE: Final = 0.02  # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
-ROUNDING: Final = 3e-13  # m; of places some metres away, times the weights of the extrapolation
+CHEAPER: Final = 0.9  # another order is taken where it is to cost less than this part of the work
 SAFETY: Final = 0.8  # 0.9 saves no time: it trades steps for rejected ones
 MOST: Final = 3.0  # a step is at most so many times as long as the last one
 LEAST: Final = 0.2
@@ -55,28 +56,61 @@ def longer(step, size, last, last_size, order):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def cheapest(tables, least, most, order, step, lower_size, grown):  # type: ignore[no-untyped-def]
+    """Order of the next step, and its length, s: the order whose rounds for each second are fewest.
+
+    Parameters
+    ----------
+    tables : tuple of Scheme, of successive orders
+    least, most : int
+        Orders allowed.
+    order, step : int, float
+        Of the last step, and its length, s.
+    lower_size : float
+        The error that it would have made at an order less, in units of what is allowed.
+    grown : float
+        Good length of the next step at the same order, s.
+
+    Notes
+    -----
+    What an order more would have given is not known; it is tried where this order beats the one below by as much
+    (Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.9).
+    """
+    here = order - tables[0].order
+    rounds = tables[here].column.shape[0]
+    rounds_below = tables[here - 1].column.shape[0]
+    lower = longer(step, lower_size, 0.0, 0.0, order - 1)
+    work, work_below = rounds / grown, rounds_below / lower
+    if order > least and work_below < CHEAPER * work:
+        return order - 1, lower
+    if order < most and work < CHEAPER * work_below:
+        return order + 1, grown * tables[here + 1].column.shape[0] / rounds
+    return order, grown
+
+
+@kernel
 def shorter(step, size, order):  # type: ignore[no-untyped-def]
     """Length of the next attempt after a step whose error was too large (`size` > 1, or not finite)."""
     return step * (max(LEAST, SAFETY * size ** (-1.0 / order)) if size < float("inf") else LEAST)
 
 
 @kernel
-def allowed(tol, step):  # type: ignore[no-untyped-def]
+def allowed(tol, step, rounding):  # type: ignore[no-untyped-def]
     """Error that a step may make, m: `tol`, and its share of that where it is short, but not less than rounding.
 
     Where stiff friction settles, steps of nanoseconds are tried. Their share is beyond the arithmetic, and shorter
-    ones would only make it smaller.
+    ones would only make it smaller. `rounding` is ``Scheme.rounding``.
     """
-    return max(tol * min(1.0, step / SHARE), min(tol, ROUNDING))
+    return max(tol * min(1.0, step / SHARE), min(tol, rounding))
 
 
 @kernel
-def rounding(size, tol, step):  # type: ignore[no-untyped-def]
+def is_rounding(size, tol, step, rounding):  # type: ignore[no-untyped-def]
     """Whether a step's error, `size` in units of what is allowed, is rounding, which says nothing of its length.
 
     With a tight `tol` rounding is no small part of it. Short steps, as events leave them, would then stay short.
     """
-    return size * allowed(tol, step) <= ROUNDING
+    return size * allowed(tol, step, rounding) <= rounding
 
 
 @kernel

@@ -175,7 +175,7 @@ def simulate_batch(
     members = _members(chains, drives, starts)
     table = scheme(next(order for least, order in ORDERS if setups[0].tol >= least))
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
-    terms = Terms(0.0, setups[0].tol, chains[0].bears, chosen, table.best, table.other)
+    terms = Terms(0.0, setups[0].tol, chains[0].bears, chosen, table.best, table.gap, table.rounding)
     workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
     work = _Work(members, terms, t, keep, setups)
     announce_compilation()

@@ -27,13 +27,15 @@ from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
 from hyperflex.trajectory import State
 
-ORDER = 7  # of the extrapolation; its columns fill four lanes without a gap
+# Orders that a run chooses from, step by step: seven fills four lanes without a gap, lower ones save no time, and eight
+# is worth its rounds at tight tolerances. Higher ones would outrun the polynomial between steps, and rounding.
+LEAST_ORDER, MOST_ORDER = 7, 8
+TABLES = tuple(scheme(order) for order in range(LEAST_ORDER - 1, MOST_ORDER + 1))
 # A run is refused when its energy balance is off by more than this part of the energy that went through it.
 ENERGY_ALLOWANCE = 0.02
 BUDGET = 2000  # steps between two looks at progress and Ctrl-C
 
 Control = Callable[[float, float, float, Array, Array], float]
-TABLE = scheme(ORDER)
 
 
 @dataclass
@@ -70,7 +72,7 @@ class Rollout:
 
     def advance(self) -> int:
         """Run for one budget of steps and return the status code."""
-        return int(rollout.run(self.chain, self.drive, TABLE, self.limits, self.progress, self.t, self.y))
+        return int(rollout.run(self.chain, self.drive, TABLES, self.limits, self.progress, self.t, self.y))
 
 
 def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits, log: int = 0) -> Rollout:
@@ -82,7 +84,7 @@ def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, li
     clock = np.zeros(CLOCK)
     clock[:MARK] = starting_clock(t[0])
     clock[MARK] = -np.inf
-    progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, np.empty((log, 2)))
+    progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, np.empty((log, 3)))
     return Rollout(chain, drive, limits, progress, t, np.full((t.size, 2 * n + 2), np.nan))
 
 
@@ -104,7 +106,9 @@ def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until:
     weight = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy)
     reach = float(chain.length.sum())
     scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
-    bounds = Limits(stop, setup.tol, lever(chain), reach, scale, setup.step or 0.0, budget, until)
+    bounds = Limits(
+        stop, setup.tol, lever(chain), reach, scale, setup.step or 0.0, LEAST_ORDER, MOST_ORDER, budget, until
+    )
     if setup.step is None:
         return bounds
     longest = runge_kutta_limit(chain)

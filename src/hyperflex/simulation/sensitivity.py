@@ -19,7 +19,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.outcome import failure, refuse_unbalanced
-from hyperflex.simulation.rollouts import TABLE, Rollout, finish, limits, prepare
+from hyperflex.simulation.rollouts import TABLES, Rollout, finish, limits, prepare
 from hyperflex.simulation.runs import output_times
 from hyperflex.simulation.wanted import Wanted, Wrt, refuse_what_is_not_smooth, wanted
 
@@ -236,7 +236,7 @@ def along(run: Rollout, directions: Wanted, start: tuple[Array, Array], t: Array
     seeds = directions.directions(run.chain, run.drive.coef.shape[0])
     steps = run.progress.log
     if steps.size:
-        core.replay(run.chain, run.drive, TABLE, steps, begin, directions.start(n), seeds, times, y, dy)
+        core.replay(run.chain, run.drive, TABLES, steps, begin, directions.start(n), seeds, times, y, dy)
     else:
         dy[:] = directions.start(n)
     first = times.size - t.size
