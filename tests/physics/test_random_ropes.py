@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.reference.judging import judge
-from tests.reference.random_ropes import draw
+from tests.reference.judging import drift, judge
+from tests.reference.random_ropes import draw, draw_stuck
 
 COUNT = 60
 MOST_LINKS = 25
@@ -17,3 +17,9 @@ def test_a_random_rope_keeps_its_tolerance(number: int) -> None:
     verdict = judge(case.setup, number)
     # `promise` is the error in units of 3 tol (1 + t / 20 ms) growth, see judging.py: no more than 1 is met.
     assert verdict.outcome == "met", (verdict, case.kind)
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_a_rope_below_its_friction_stays_where_it_is(number: int) -> None:
+    # A stuck joint is not integrated, so nothing can add up in the ten seconds; a thousandth of a milliradian is allowed.
+    assert drift(draw_stuck(2, number, MOST_LINKS).setup) < 1e-6

@@ -90,14 +90,19 @@ def error_norm(chain, limits, table, y, error, step, work):  # type: ignore[no-u
 
 
 @kernel
-def error_size(chain, limits, table, step, cut, room):  # type: ignore[no-untyped-def]
-    """Error of the step to ``room.out`` in units of what is allowed; `cut`: it ends where it was told to."""
+def error_sizes(chain, limits, table, step, cut, room):  # type: ignore[no-untyped-def]
+    """Error of the step to ``room.out`` in units of what is allowed, and what it would have been at an order less.
+
+    `cut`: the step ends where it was told to. The second is 0.0 where nobody will ask for it.
+    """
     if limits.fixed > 0.0:
-        return 0.0 if np.abs(room.out).max() < np.inf else np.inf
+        return (0.0, 0.0) if np.abs(room.out).max() < np.inf else (np.inf, 0.0)
     size = error_norm(chain, limits, table, room.out, room.errors[0], step, room.bench.work)
     if cut and step < SMALLEST_STEP and size < np.inf:
-        return 0.0  # an end a few rounding errors away: there is nothing to control
-    return size
+        size = 0.0  # an end a few rounding errors away: there is nothing to control
+    if not (size <= 1.0):
+        return size, 0.0
+    return size, error_norm(chain, limits, table, room.out, room.errors[1], step, room.bench.work)
 
 
 @kernel
@@ -216,7 +221,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
         table = tables[order - tables[0].order]
         advance(chain, drive, part, table, fixed, t, step, y, grip, room.out, room)
         clock[TAKEN] += 1
-        size = error_size(chain, limits, table, step, cut, room)
+        size, lower_size = error_sizes(chain, limits, table, step, cut, room)
         if not (size <= 1.0):
             clock[REJECTED] += 1
             clock[STEP] = shorter(step, size, table.order)
@@ -225,9 +230,6 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             if clock[STEP] < SMALLEST_STEP:
                 return status.STEP_TOO_SMALL
             continue
-        lower_size = 0.0
-        if fixed == 0.0:
-            lower_size = error_norm(chain, limits, table, room.out, room.errors[1], step, room.bench.work)
         taken, event = step, 0
         if watching:
             taken, event = locate(chain, drive, part, table, limits, progress, step, room)
