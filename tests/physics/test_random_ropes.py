@@ -21,5 +21,5 @@ def test_a_random_rope_keeps_its_tolerance(number: int) -> None:
 
 @pytest.mark.parametrize("number", range(6))
 def test_a_rope_below_its_friction_stays_where_it_is(number: int) -> None:
-    # A stuck joint is not integrated, so nothing can add up in the ten seconds; a thousandth of a milliradian is allowed.
+    # a stuck joint is not integrated, so nothing can add up in the ten seconds; a microradian is allowed
     assert drift(draw_stuck(2, number, MOST_LINKS).setup) < 1e-6
