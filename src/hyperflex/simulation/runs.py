@@ -96,8 +96,8 @@ def simulate(
     until : Event, optional
         Ends the run where it happens (``tip_crosses``, ``tip_speed_peak``, ``phase_reached``, ``angle_reached``), or
         after `duration` if it does not; ``trajectory.event`` tells. The last sample is the event then, located to some
-        1e-12 s within the run's own accuracy. What passes and comes back within a
-        sixteenth of a step can be missed.
+        1e-12 s within the run's own accuracy. Steps are 10 ms at most while an event is awaited; one that comes and
+        goes within such a step can be missed.
     throw : bool
         False returns the part that holds, with its ``status`` and ``message``, where True raises. Ctrl-C then ends the
         run with the status "interrupted".
