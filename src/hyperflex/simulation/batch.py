@@ -24,7 +24,7 @@ from hyperflex.core.steppers import scheme
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.rollouts import balanced, lever, progress_bar, stored
+from hyperflex.simulation.rollouts import balanced, least_scale, lever, progress_bar, stored
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -188,6 +188,7 @@ class _Work:
     def __init__(self, members: Members, terms: Terms, t: Array, keep: tuple[str, ...], setups: list[Setup]) -> None:
         self.members, self.terms, self.t = members, terms, t
         self.ropes = [setup.rope for setup in setups]
+        self.floor = np.array([least_scale(rope) for rope in self.ropes])
         count, _, n = members.links.shape
         sizes = {"link": n, "axis": 2}
         self.values = {name: np.full((count, t.size, *(sizes[dim] for dim in KEPT[name][0])), np.nan) for name in keep}
@@ -225,11 +226,12 @@ class _Work:
         joint = np.empty((high - low, times.size, 2))
         observe_block(self.members, self.terms, low, high, times, states, kinetic, potential, joint)
         n = self.members.links.shape[2]
-        for m in np.flatnonzero(codes == status.OK):
-            work, lost = states[m, :, 2 * n], states[m, :, 2 * n + 1]
-            rope = self.ropes[low + m]
-            held = stored(rope.chain(), states[m, :, :n])
-            good = int(balanced(rope, kinetic[m], potential[m], held, work, lost))
+        floor = self.floor[low:high, None]
+        work, lost = states[:, :, 2 * n], states[:, :, 2 * n + 1]
+        rows = balanced(floor, kinetic, potential, 0.0, work, lost)
+        for m in np.flatnonzero((codes == status.OK) & (rows < times.size)):  # what is held may explain it, see there
+            held = stored(self.ropes[low + m].chain(), states[m, :, :n])
+            good = int(balanced(floor[m], kinetic[m], potential[m], held, work[m], lost[m]))
             if good < times.size:
                 codes[m], reached[m] = status.ENERGY, times[good]
                 y[m, good - 1 :] = np.nan

@@ -8,7 +8,7 @@ from hyperflex.checks import Array
 from hyperflex.core import output, status
 from hyperflex.errors import SimulationError
 from hyperflex.model import Setup
-from hyperflex.simulation.rollouts import Rollout, balanced, final_state, starting_clock, stored
+from hyperflex.simulation.rollouts import Rollout, balanced, final_state, least_scale, starting_clock, stored
 from hyperflex.trajectory import State, Trajectory
 
 
@@ -71,7 +71,7 @@ def _balanced_rows(run: Rollout, setup: Setup) -> tuple[int, float | None]:
     scalars = np.empty((t.size, 5))
     output.observe(run.chain, run.drive, t, y, np.empty((t.size, n)), np.empty((t.size, 9)), scalars)
     held = stored(run.chain, y[:, :n])
-    good = int(balanced(setup.rope, scalars[:, 0], scalars[:, 1], held, y[:, 2 * n], y[:, 2 * n + 1]))
+    good = int(balanced(least_scale(setup.rope), scalars[:, 0], scalars[:, 1], held, y[:, 2 * n], y[:, 2 * n + 1]))
     return min(good, run.done), None if good == t.size else float(t[good])
 
 

@@ -250,15 +250,20 @@ def stored(chain: Chain, q: Array) -> Array:
     return np.asarray(raised + 0.5 * (chain.stiffness[1:] * bend**2).sum(axis=-1))
 
 
+def least_scale(rope: Rope) -> float:
+    """Return the energy, J, that a rope that hardly moves is compared with: a fall by a hundredth of its length."""
+    return 0.01 * rope.total_mass * rope.total_length * float(np.hypot(*rope.gravity))
+
+
 def balanced(
-    rope: Rope, kinetic: Array, potential: Array, held: Array, work: Array, dissipated: Array
+    floor: float | Array, kinetic: Array, potential: Array, held: float | Array, work: Array, dissipated: Array
 ) -> npt.NDArray[np.int64]:
     """Return the number of leading samples whose energy balance holds.
 
     Parameters
     ----------
-    rope : Rope
-        Sets the scale of a run in which hardly anything happens.
+    floor : float or (..., 1) array
+        Scale of a run in which hardly anything happens, J (:func:`least_scale`).
     kinetic, potential, held, work, dissipated : (..., T) float64
         J; the first sample is what the balance is drawn against. What is held (:func:`stored`) may have been kinetic
         between two samples, so it counts for the scale.
@@ -275,8 +280,6 @@ def balanced(
         return np.maximum.accumulate(np.abs(value), axis=-1)
 
     scale = peak(work) + peak(dissipated) + peak(kinetic + held) + peak(change)
-    # a rope that hardly moves has no scale of its own: compare with a fall through a hundredth of its length
-    floor = 0.01 * rope.total_mass * rope.total_length * float(np.hypot(*rope.gravity))
     bad = ~(np.abs(error) <= ENERGY_ALLOWANCE * (scale + floor) + 1e-300)
     return np.asarray(np.where(bad.any(axis=-1), bad.argmax(axis=-1), bad.shape[-1]))
 
