@@ -226,10 +226,10 @@ class _Work:
         joint = np.empty((high - low, times.size, 2))
         observe_block(self.members, self.terms, low, high, times, states, kinetic, potential, joint)
         n = self.members.links.shape[2]
-        floor = self.floor[low:high, None]
-        work, lost = states[:, :, 2 * n], states[:, :, 2 * n + 1]
-        rows = balanced(floor, kinetic, potential, 0.0, work, lost)
-        for m in np.flatnonzero((codes == status.OK) & (rows < times.size)):  # what is held may explain it, see there
+        floor, work, lost = self.floor[low:high, None], states[:, :, 2 * n], states[:, :, 2 * n + 1]
+        done = np.flatnonzero(codes == status.OK)
+        rows = balanced(floor[done], kinetic[done], potential[done], 0.0, work[done], lost[done])
+        for m in done[rows < times.size]:  # what is held may explain it, see there
             held = stored(self.ropes[low + m].chain(), states[m, :, :n])
             good = int(balanced(floor[m], kinetic[m], potential[m], held, work[m], lost[m]))
             if good < times.size:
