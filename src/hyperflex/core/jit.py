@@ -96,5 +96,5 @@ def inlined(function: _F) -> _F:
 def announce_compilation() -> None:
     """Say on standard error, once a process, that kernels are about to be compiled (nothing if they are cached)."""
     if not numba.config.DISABLE_JIT and not any(Path(CACHE_FOLDER).glob("*.nbi")):
-        sys.stderr.write("hyperflex: compiling the rope kernels for this machine (once, some 20 s) ...\n")
+        sys.stderr.write("hyperflex: compiling the rope kernels for this machine (once, about half a minute) ...\n")
         sys.stderr.flush()
