@@ -1,0 +1,137 @@
+"""Where a rope is near round pegs: the closest point of each link, its gap, and how fast the gap closes.
+
+A link touches a peg with its axis at the distance ``reach`` (peg radius plus rope radius) from the peg's centre. The
+contact force acts on the axis: the rope is thin in so far as the lever of friction about the axis is left out, so that
+the capstan law of a thin rope holds (docs/models.md).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.core.chain import Array
+from hyperflex.core.jit import kernel
+
+Index = npt.NDArray[np.int64]
+LARGEST_TURN = 1.5  # rad, that a single contact stands for; more is a kink, not an arc
+
+
+class Pegs(NamedTuple):
+    """Fixed round pegs, one entry a peg."""
+
+    x: Array  # m
+    y: Array
+    reach: Array  # m, peg radius plus rope radius
+    mu: Array  # Coulomb's coefficient
+
+
+class Contacts(NamedTuple):
+    """Links that are near a peg, in the order of the links; the first ``count[0]`` entries hold."""
+
+    count: Index  # (1,)
+    link: Index  # (K,)
+    peg: Index
+    place: Array  # m, of the closest point along the link from its motor-side joint
+    nx: Array  # unit vector from the peg to the link; the tangent is (-ny, nx)
+    ny: Array
+    gap: Array  # m, negative: penetration
+    mu: Array  # coefficient of friction, made up for the corners of the polygon
+
+
+@kernel
+def new_contacts(most):  # type: ignore[no-untyped-def]
+    """Contacts for at most so many pairs of a link and a peg."""
+    return Contacts(
+        np.zeros(1, np.int64),
+        np.zeros(most, np.int64),
+        np.zeros(most, np.int64),
+        np.zeros(most),
+        np.zeros(most),
+        np.zeros(most),
+        np.zeros(most),
+        np.zeros(most),
+    )
+
+
+@kernel
+def joints(chain, trig, x0, y0, out):  # type: ignore[no-untyped-def]
+    """Positions of the joints, m: ``out`` (2, n + 1), from the first at (x0, y0); `trig` (2 n,) sines, cosines."""
+    n = chain.length.size
+    out[0, 0], out[1, 0] = x0, y0
+    for i in range(n):
+        out[0, i + 1] = out[0, i] + chain.length[i] * trig[i]
+        out[1, i + 1] = out[1, i] - chain.length[i] * trig[n + i]
+
+
+@kernel
+def closest(chain, trig, place, i, x, y):  # type: ignore[no-untyped-def]
+    """Closest point of link i to the point (x, y): distance along the link, m; distance, m; unit vector to it."""
+    n = chain.length.size
+    sin, cos = trig[i], trig[n + i]
+    rx, ry = x - place[0, i], y - place[1, i]
+    s = min(max(rx * sin - ry * cos, 0.0), chain.length[i])
+    dx, dy = s * sin - rx, -s * cos - ry
+    size = math.sqrt(dx * dx + dy * dy)
+    if size < 1e-12:  # the axis runs through the centre: either side will do
+        return s, size, cos, sin
+    return s, size, dx / size, dy / size
+
+
+@kernel
+def corner(q, i):  # type: ignore[no-untyped-def]
+    """Factor on the friction of link i, which stands for the arc between the middles of its two corners.
+
+    Tangential forces meet the hinges of a polygon outside the circle: a wrapped polygon of corners d holds
+    exp(mu theta sin(d) / d) in place of exp(mu theta). With d / sin(d) times the friction it holds as much as the rope.
+    """
+    n = q.size
+    turn = 0.0
+    if i > 0:
+        turn += 0.5 * abs(q[i] - q[i - 1])
+    if i < n - 1:
+        turn += 0.5 * abs(q[i + 1] - q[i])
+    turn = min(turn, LARGEST_TURN)
+    return 1.0 if turn < 1e-6 else turn / math.sin(turn)
+
+
+@kernel
+def find(chain, pegs, q, trig, place, margin, found):  # type: ignore[no-untyped-def]
+    """Collect the pairs of a link and a peg whose gap is below `margin` (n,), m, into the Contacts `found`.
+
+    Returns the smallest gap of all pairs, m; where that is above the margins, a lower bound of it.
+    """
+    count = 0
+    least = np.inf
+    for i in range(q.size):
+        for p in range(pegs.x.size):
+            dx, dy = pegs.x[p] - place[0, i], pegs.y[p] - place[1, i]
+            far = pegs.reach[p] + chain.length[i] + margin[i]
+            away = math.sqrt(dx * dx + dy * dy)
+            if away > far:
+                least = min(least, away - far + margin[i])
+                continue
+            s, size, nx, ny = closest(chain, trig, place, i, pegs.x[p], pegs.y[p])
+            gap = size - pegs.reach[p]
+            least = min(least, gap)
+            if gap < margin[i]:
+                found.link[count], found.peg[count] = i, p
+                found.place[count], found.nx[count], found.ny[count] = s, nx, ny
+                found.gap[count] = gap
+                found.mu[count] = pegs.mu[p] * corner(q, i)
+                count += 1
+    found.count[0] = count
+    return least
+
+
+@kernel
+def speeds(chain, trig, w, vx, vy, out):  # type: ignore[no-untyped-def]
+    """Velocities of the joints, m/s: ``out`` (2, n + 1), from that of the first, (vx, vy); `trig` as in ``joints``."""
+    n = w.size
+    out[0, 0], out[1, 0] = vx, vy
+    for i in range(n):
+        out[0, i + 1] = out[0, i] + chain.length[i] * trig[n + i] * w[i]
+        out[1, i + 1] = out[1, i] + chain.length[i] * trig[i] * w[i]

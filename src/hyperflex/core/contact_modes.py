@@ -1,0 +1,290 @@
+"""Which contacts are open, stick or slip, and the impulses that go with it: Coulomb's law with true stick.
+
+A wrapped rope that sticks is hyperstatic: many impulses give the same motion. The proximal method (an augmented
+Lagrangian) takes those nearest to the last step's, P = P0 - M v with a mass M far above the rope's, and projects them
+on the cone. Its residual velocity is (P - P0) / M and dies out where the load is steady, so what sticks does not creep.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.core.chain import Array
+from hyperflex.core.contact_gaps import Index
+from hyperflex.core.contact_sweep import add_contact, changes, clear
+from hyperflex.core.jit import kernel
+
+OPEN, STICK, AHEAD, BACK = range(4)  # the last two: the rope slips along the tangent, or against it
+STIFF = 1e3  # M in masses of the whole rope
+LADDER = (0.1, 1.0, 1.0, 1.0, 10.0, 100.0, 1000.0)  # and where that is too stiff to find modes, one after the other
+CLOSING = 1e-9  # m/s, at which an open contact closes, or one that slips turns
+SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
+TOGETHER = 12  # rounds in which all modes that break the law change; then the first alone
+ROUNDS = 40
+SETTLED = 1e-10  # relative change of the rates at which the centrifugal terms have settled
+SETTLING = 3  # rounds in which they settle anew
+SLIGHT = 1e-5  # m/s, residual velocity of a solution
+
+
+class Impulses(NamedTuple):
+    """Of each of the contacts found, in their order."""
+
+    normal: Array  # (K,) N s
+    tangent: Array
+    normal0: Array  # where the proximal method starts from
+    tangent0: Array
+    target: Array  # (K,) m/s, the normal velocity may be as low as minus this
+    vn: Array  # (K,) velocity of the point at the end of the step, m/s
+    vt: Array
+    good_normal: Array  # normal0, tangent0 and mode of the last solution found
+    good_tangent: Array
+    mode: Index
+    good_mode: Index
+    closed: Index  # how often each closed in this search
+
+
+class Motion(NamedTuple):
+    """Rates before and after a step and what moves them."""
+
+    w: Array  # (n,) before
+    change: Array  # (n,)
+    rho: Array  # (n,)
+    joint: Array  # (n, 2)
+    touch: Array  # (n, 12)
+    trig: Array  # (2 n,)
+    speed: Array  # (2, n + 1) velocities of the joints at the rates before, in the middle's configuration
+    place: Array  # (2, n)
+    turned: Array  # (2, n + 1) what `place` lacks of the change of the joints' velocities, m/s
+    base: Array  # (3,)
+    tip: Array  # (2,)
+    load: Array  # (3,) out, impulse at the first joint
+    work: Array  # (4 n,)
+
+
+@kernel
+def new_impulses(most):  # type: ignore[no-untyped-def]
+    """Impulses of at most so many contacts."""
+    nine = np.zeros((9, most))
+    modes = np.zeros((3, most), np.int64)
+    return Impulses(
+        nine[0],
+        nine[1],
+        nine[2],
+        nine[3],
+        nine[4],
+        nine[5],
+        nine[6],
+        nine[7],
+        nine[8],
+        modes[0],
+        modes[1],
+        modes[2],
+    )
+
+
+@kernel
+def new_motion(n):  # type: ignore[no-untyped-def]
+    """Arrays for n links."""
+    return Motion(
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros((n, 2)),
+        np.zeros((n, 12)),
+        np.zeros(2 * n),
+        np.zeros((2, n + 1)),
+        np.zeros((2, n)),
+        np.zeros((2, n + 1)),
+        np.zeros(3),
+        np.zeros(2),
+        np.zeros(3),
+        np.zeros(4 * n),
+    )
+
+
+@kernel
+def put(found, impulses, motion, heavy):  # type: ignore[no-untyped-def]
+    """Write the contacts, with their present modes, to ``motion.touch``; `heavy` is M, kg."""
+    n = motion.w.size
+    for c in range(found.count[0]):
+        mode = impulses.mode[c]
+        if mode == OPEN:
+            continue
+        i, s = found.link[c], found.place[c]
+        sin, cos = motion.trig[i], motion.trig[n + i]
+        nx, ny = found.nx[c], found.ny[c]
+        vx = motion.speed[0, i] + motion.turned[0, i] + s * cos * motion.w[i]
+        vy = motion.speed[1, i] + motion.turned[1, i] + s * sin * motion.w[i]
+        pn = impulses.normal0[c] - heavy * (vx * nx + vy * ny + impulses.target[c])
+        if mode == STICK:
+            pt = impulses.tangent0[c] - heavy * (vy * nx - vx * ny)
+            b = (heavy, 0.0, 0.0, heavy)
+            add_contact(motion.touch, i, s, sin, cos, b, (pn * nx - pt * ny, pn * ny + pt * nx))
+        else:
+            drag = -found.mu[c] if mode == AHEAD else found.mu[c]
+            fx, fy = nx - drag * ny, ny + drag * nx
+            b = (heavy * fx * nx, heavy * fx * ny, heavy * fy * nx, heavy * fy * ny)
+            add_contact(motion.touch, i, s, sin, cos, b, (pn * fx, pn * fy))
+
+
+@kernel
+def judge_modes(found, impulses, motion, heavy, change):  # type: ignore[no-untyped-def]
+    """Read velocities and impulses off the changes of the rates, and change modes that break the law.
+
+    `change`: 0: none, 1: the first alone, 2: all of them. Returns how many broke it.
+    """
+    n = motion.w.size
+    broke = 0
+    for c in range(found.count[0]):
+        i, s = found.link[c], found.place[c]
+        lever = s * (motion.w[i] + motion.change[i])
+        vx = motion.speed[0, i] + motion.turned[0, i] + motion.place[0, i] + lever * motion.trig[n + i]
+        vy = motion.speed[1, i] + motion.turned[1, i] + motion.place[1, i] + lever * motion.trig[i]
+        vn = vx * found.nx[c] + vy * found.ny[c]
+        vt = vy * found.nx[c] - vx * found.ny[c]
+        impulses.vn[c], impulses.vt[c] = vn, vt
+        pn = impulses.normal0[c] - heavy * (vn + impulses.target[c])
+        pt = impulses.tangent0[c] - heavy * vt
+        mode, mu = impulses.mode[c], found.mu[c]
+        wanted = mode
+        if mode == OPEN:
+            impulses.normal[c] = impulses.tangent[c] = 0.0
+            if vn + impulses.target[c] < -CLOSING:
+                wanted = AHEAD if vt >= 0.0 else BACK
+                if mu > 0.0 and (abs(vt) <= SLOW or impulses.closed[c] % 2 == 1):
+                    wanted = STICK
+        else:
+            impulses.normal[c] = pn
+            bound = mu * max(pn, 0.0)
+            if mode == STICK:
+                impulses.tangent[c] = pt
+                if abs(pt) > bound:
+                    wanted = AHEAD if pt < 0.0 else BACK
+            else:
+                sense = 1.0 if mode == AHEAD else -1.0
+                impulses.tangent[c] = -sense * bound
+                if pn < 0.0:
+                    wanted = OPEN
+                elif mu > 0.0 and sense * vt < -CLOSING:
+                    wanted = STICK
+        if wanted != mode:
+            if change == 2 or (change == 1 and broke == 0):
+                impulses.mode[c] = wanted
+                impulses.closed[c] += int(mode == OPEN)
+            broke += 1
+    return broke
+
+
+@kernel
+def centrifugal(chain, motion, h, gx, gy):  # type: ignore[no-untyped-def]
+    """Centrifugal terms at the mean of the rates before and after, and what ``motion.turned`` makes up for.
+
+    Returns the greatest change of a rate that this may make, relative to the greatest rate.
+    """
+    n = motion.w.size
+    moved = largest = 0.0
+    for i in range(n):
+        mean = motion.w[i] + 0.5 * motion.change[i]
+        rho = h * mean * mean
+        moved = max(moved, abs(rho - motion.rho[i]))
+        largest = max(largest, abs(mean))
+        motion.rho[i] = rho
+    x, y = h * gx, h * gy
+    for i in range(n):
+        motion.turned[0, i], motion.turned[1, i] = x, y
+        x += chain.length[i] * motion.trig[i] * motion.rho[i]
+        y -= chain.length[i] * motion.trig[n + i] * motion.rho[i]
+    return moved / (1.0 + largest)
+
+
+@kernel
+def round_of(chain, found, impulses, motion, heavy, change):  # type: ignore[no-untyped-def]
+    """Solve for the changes of the rates with the present modes; then as ``judge_modes``, whose answer it returns."""
+    put(found, impulses, motion, heavy)
+    fx, fy, moment = changes(
+        chain,
+        motion.trig,
+        motion.joint,
+        motion.rho,
+        motion.touch,
+        motion.base,
+        motion.tip,
+        motion.change,
+        motion.place,
+        motion.work,
+    )
+    motion.load[0], motion.load[1], motion.load[2] = fx, fy, moment
+    clear(motion.touch, found.link, found.count[0])
+    return judge_modes(found, impulses, motion, heavy, change)
+
+
+@kernel
+def search(chain, found, impulses, motion, h, heavy):  # type: ignore[no-untyped-def]
+    """Find modes that obey the law for one M = `heavy`, kg; returns the rounds, negative if there are too many."""
+    for c in range(found.count[0]):
+        impulses.closed[c] = 0
+    for turn in range(ROUNDS):
+        moved = centrifugal(chain, motion, h, chain.gx, chain.gy)
+        broke = round_of(chain, found, impulses, motion, heavy, 2 if turn < TOGETHER else 1)
+        if broke == 0 and moved <= SETTLED:
+            return turn + 1
+        if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
+            break
+    return -ROUNDS
+
+
+@kernel
+def store(found, impulses, heavy):  # type: ignore[no-untyped-def]
+    """Remember a solution for M = `heavy`, kg, and let the next one start from it; returns its residual, m/s."""
+    worst = 0.0
+    for c in range(found.count[0]):
+        pn, pt = impulses.normal[c], impulses.tangent[c]
+        worst = max(worst, abs(pn - impulses.normal0[c]) / heavy)
+        if impulses.mode[c] == STICK:
+            worst = max(worst, abs(pt - impulses.tangent0[c]) / heavy)
+        impulses.good_mode[c] = impulses.mode[c]
+        impulses.good_normal[c], impulses.good_tangent[c] = impulses.normal0[c], impulses.tangent0[c]
+        impulses.normal0[c], impulses.tangent0[c] = pn, pt
+    return worst
+
+
+@kernel
+def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-def]
+    """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
+
+    Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
+    always, and each solution starts the search for a stiffer one. The last that was found holds: its impulses obey
+    Coulomb's law, its velocities up to the residual (P - P0) / M.
+
+    Parameters
+    ----------
+    chain, found, impulses, motion : Chain, Contacts, Impulses, Motion
+    h : float, step, s
+    whole : float, mass of the rope, kg
+
+    Returns
+    -------
+    int : rounds, negative if the law is not obeyed to within SLIGHT.
+    """
+    rounds = search(chain, found, impulses, motion, h, STIFF * whole)
+    if rounds > 0:
+        return rounds
+    residual, last, total = math.inf, 0.0, ROUNDS
+    for k in range(len(LADDER)):
+        heavy = LADDER[k] * whole
+        rounds = search(chain, found, impulses, motion, h, heavy)
+        total += abs(rounds)
+        if rounds < 0:
+            break
+        residual, last = store(found, impulses, heavy), heavy
+    if rounds < 0 and last > 0.0:
+        for c in range(found.count[0]):
+            impulses.mode[c] = impulses.good_mode[c]
+            impulses.normal0[c], impulses.tangent0[c] = impulses.good_normal[c], impulses.good_tangent[c]
+        for _ in range(SETTLING):
+            centrifugal(chain, motion, h, chain.gx, chain.gy)
+            round_of(chain, found, impulses, motion, last, 0)
+    return total if residual <= SLIGHT else -total

@@ -1,0 +1,194 @@
+"""The run loop beside pegs: steps that end where a link touches, impacts, and a guard on the energy."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.core import status
+from hyperflex.core.chain import Array
+from hyperflex.core.contact_modes import OPEN
+from hyperflex.core.contact_step import (
+    CONTACT,
+    FRICTION,
+    WORK,
+    Kept,
+    attempt,
+    energy,
+    keep,
+    new_desk,
+)
+from hyperflex.core.drive import segment
+from hyperflex.core.jit import kernel
+
+SHORTEST = 2.0**-10  # of the step, the shortest that is tried
+BRIEF = 1e-9  # s, the shortest step to an impact
+GROWTH = 1.5
+EASY = 0.2  # part of the energy allowed, below which steps grow
+LOSS = 10.0  # how many times more energy may vanish than appear
+SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a step
+DEEPER = 2e-5  # m, penetration at which a step is tried again at half its length
+
+# T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
+# found that obey the law. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest
+# penetration, m. FORCED: steps taken though their energy rose by more than is allowed. APPEARED: energy that came from
+# nowhere, J. DUE: 1.0 where a link touches and an impact is due.
+T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST, DEEPEST, FORCED, APPEARED, DUE, CLOCK = range(13)
+
+
+class Bounds(NamedTuple):
+    """What bounds a run beside pegs."""
+
+    stop: float  # s
+    step: float  # s, longest step
+    rate: float  # W, at which energy may appear from nowhere
+    budget: int  # steps of one call
+
+
+class Course(NamedTuple):
+    """Where a run is; all arrays are changed in place."""
+
+    y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
+    clock: Array  # (CLOCK,)
+    kept: Kept
+
+
+@kernel
+def write(desk, course, h, t_out, y_out, force_out):  # type: ignore[no-untyped-def]
+    """Write the outputs within the step to ``desk.out``: angles by the cubic through both ends, the rest straight."""
+    y, clock, motion = course.y, course.clock, desk.motion
+    n = motion.w.size
+    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= clock[T] + h:
+        k = int(clock[INDEX])
+        x = (t_out[k] - clock[T]) / h
+        for i in range(n):
+            q0, w0, q1, w1 = y[i], h * y[n + i], desk.out[i], h * desk.out[n + i]
+            bend = 2.0 * (q0 - q1) + w0 + w1
+            y_out[k, i] = q0 + x * (w0 + x * ((q1 - q0 - w0) - bend + x * bend))
+            y_out[k, n + i] = y[n + i] + x * motion.change[i]
+        y_out[k, 2 * n] = y[2 * n] + x * desk.account[WORK]
+        y_out[k, 2 * n + 1] = y[2 * n + 1] + x * (desk.account[FRICTION] + desk.account[CONTACT])
+        forces(desk, h, force_out[k])
+        clock[INDEX] += 1
+
+
+@kernel
+def forces(desk, h, out):  # type: ignore[no-untyped-def]
+    """Mean forces of the pegs on the links over a step, N: ``out`` (n, 2)."""
+    found, impulses = desk.found, desk.impulses
+    out[:] = 0.0
+    for c in range(found.count[0]):
+        if impulses.mode[c] != OPEN:
+            i, nx, ny = found.link[c], found.nx[c], found.ny[c]
+            out[i, 0] += (impulses.normal[c] * nx - impulses.tangent[c] * ny) / h
+            out[i, 1] += (impulses.normal[c] * ny + impulses.tangent[c] * nx) / h
+
+
+@kernel
+def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
+    """Take the step to ``desk.out``."""
+    y, clock, account = course.y, course.clock, desk.account
+    n = desk.motion.w.size
+    for i in range(2 * n):
+        y[i] = desk.out[i]
+    y[2 * n] += account[WORK]
+    y[2 * n + 1] += account[FRICTION] + account[CONTACT]
+    clock[LOST] += account[CONTACT]
+    clock[DEEPEST] = max(clock[DEEPEST], -least)
+    clock[TAKEN] += 1.0
+    if rounds < 0:
+        clock[UNSOLVED] += 1.0
+    if h > 0.0:
+        keep(course.kept, desk.found, desk.impulses, h)
+
+
+@kernel
+def impact(chain, drive, part, pegs, pull, course, desk, nothing):  # type: ignore[no-untyped-def]
+    """Let the links that touch a peg come to rest on it, in no time; `nothing` is a Kept without contacts."""
+    least, rounds = attempt(chain, drive, part, pegs, pull, course.clock[T], 0.0, course.y, nothing, desk)
+    commit(course, desk, 0.0, rounds, least)
+    course.clock[IMPACTS] += 1.0
+    course.clock[DUE] = 0.0
+
+
+@kernel
+def too_fast(chain, pegs, desk):  # type: ignore[no-untyped-def]
+    """Longest step, s, in which no link near a peg moves by more than SAFE of the smallest reach."""
+    speed = desk.motion.speed
+    fastest = 0.0
+    for c in range(desk.found.count[0]):
+        i = desk.found.link[c]
+        for j in range(i, i + 2):
+            fastest = max(fastest, abs(speed[0, j]), abs(speed[1, j]))
+    smallest = np.inf
+    for p in range(pegs.reach.size):
+        smallest = min(smallest, pegs.reach[p])
+    return SAFE * smallest / fastest if fastest > 0.0 else np.inf
+
+
+@kernel
+def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, force_out):  # type: ignore[no-untyped-def]
+    """Run until ``bounds.stop`` or until the budget is spent.
+
+    Parameters
+    ----------
+    chain, drive, pegs, bounds, course : Chain, Drive, Pegs, Bounds, Course
+    pull : (2,) force on the tip beside gravity, N
+    t_out : (m,) increasing times, s; y_out : (m, 2 n + 2), force_out : (m, n, 2) out, N
+
+    Returns
+    -------
+    int : OK, RUNNING (call again), or why it failed
+    """
+    y, clock, kept = course.y, course.clock, course.kept
+    n, m = chain.length.size, pegs.x.size
+    desk = new_desk(n, m)
+    nothing = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
+    part = segment(drive, clock[T])
+    for _ in range(bounds.budget):
+        t = clock[T]
+        if t >= bounds.stop:
+            break
+        if t >= part.end:
+            part = segment(drive, t)
+        struck = clock[DUE] == 1.0
+        if struck:
+            impact(chain, drive, part, pegs, pull, course, desk, nothing)
+        end = min(part.end, bounds.stop)
+        wanted = min(clock[STEP], bounds.step)
+        h = min(wanted, end - t)
+        shortest = min(SHORTEST * bounds.step, h)
+        while True:
+            least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk)
+            touch = desk.touch[0]
+            if touch == 0.0 and not struck:
+                impact(chain, drive, part, pegs, pull, course, desk, nothing)
+                struck = True
+                continue
+            if touch > 0.0 and touch < 0.999 * h:
+                h = max(touch, BRIEF)
+                shortest = min(shortest, h)
+                continue
+            longest = too_fast(chain, pegs, desk)
+            surplus = energy(chain, desk.out, desk.base[2]) - energy(chain, y, desk.base[0])
+            surplus += desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
+            allowed = bounds.rate * h + 1e-15
+            good = -LOSS * allowed <= surplus <= allowed and rounds > 0 and h <= longest
+            good = good and (least > -DEEPER or -least <= clock[DEEPEST])
+            if good or h <= shortest:
+                break
+            h = max(0.5 * h, shortest)
+            wanted = h
+            clock[REJECTED] += 1.0
+        if not (abs(surplus) < np.inf):
+            return status.NOT_FINITE
+        if not good:
+            clock[FORCED] += 1.0
+        clock[APPEARED] += surplus
+        write(desk, course, h, t_out, y_out, force_out)
+        commit(course, desk, h, rounds, least)
+        clock[DUE] = 1.0 if touch <= 1.001 * h else 0.0
+        clock[T] = end if h >= end - t else t + h
+        clock[STEP] = wanted * GROWTH if abs(surplus) < EASY * allowed else wanted
+    return status.RUNNING if clock[T] < bounds.stop else status.OK

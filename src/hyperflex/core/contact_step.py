@@ -1,0 +1,245 @@
+"""One step of a rope in contact: Moreau and Jean's, with angles in the middle of a step and rates at its ends."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.core.chain import Array, energies, sincos, sines
+from hyperflex.core.contact_gaps import Contacts, Index, closest, find, joints, new_contacts, speeds
+from hyperflex.core.contact_modes import OPEN, Impulses, Motion, new_impulses, new_motion, solve
+from hyperflex.core.drive import base_state
+from hyperflex.core.jit import kernel
+
+FAST = 0.01  # m/s; a link that closes faster meets the peg in an impact of its own, at the instant of touching
+TOUCH = 1e-6  # m, gap that counts as touching there
+FREE = 1e9  # m/s, target of a link that nothing holds
+RECOVERY = 5e-3  # m/s, at most so fast a rope is pushed out of a peg
+NEAR = 1e-4  # m, gap below which a link is watched even at rest
+FASTER = 2.0  # how many times faster than before a step links may be after it
+
+FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints, by contacts, put in; J
+
+
+class Kept(NamedTuple):
+    """What the last step leaves for the next, by link and peg."""
+
+    normal: Array  # (n, m) N
+    tangent: Array
+    mode: Index
+
+
+class Desk(NamedTuple):
+    """Working arrays of the stepper for a chain of n links."""
+
+    found: Contacts
+    impulses: Impulses
+    motion: Motion
+    q: Array  # (n,) in the middle of the step
+    xy: Array  # (2, n + 1) joints there
+    ahead: Array  # (2, n + 1) and where they would be a step later
+    ahead_q: Array
+    ahead_trig: Array
+    margin: Array  # (n,)
+    out: Array  # (2 n,) angles and rates after the step
+    base: Array  # (3, 9) motion of the first joint before, in the middle and after
+    account: Array  # (3,)
+    touch: Array  # (1,) s, from the beginning of the step until a link that is left free touches a peg
+
+
+@kernel
+def new_desk(n, pegs):  # type: ignore[no-untyped-def]
+    """Working arrays for n links and so many pegs."""
+    return Desk(
+        new_contacts(n * pegs),
+        new_impulses(n * pegs),
+        new_motion(n),
+        np.zeros(n),
+        np.zeros((2, n + 1)),
+        np.zeros((2, n + 1)),
+        np.zeros(n),
+        np.zeros(2 * n),
+        np.zeros(n),
+        np.zeros(2 * n),
+        np.zeros((3, 9)),
+        np.zeros(3),
+        np.zeros(1),
+    )
+
+
+@kernel
+def new_kept(n, pegs):  # type: ignore[no-untyped-def]
+    """Nothing kept yet."""
+    return Kept(np.zeros((n, pegs)), np.zeros((n, pegs)), np.zeros((n, pegs), np.int64))
+
+
+@kernel
+def load_joints(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped-def]
+    """Angular impulses of the joints: implicit friction, springs at the mean of the angles before and after.
+
+    `q` (n,) are angles in the middle of the step, `w` (n,) rates before; `base` (3, 9); ``joint`` (n, 2) out.
+    """
+    for i in range(w.size):
+        rate = w[i] - (w[i - 1] if i > 0 else base[0, 3])
+        angle = q[i] - (q[i - 1] if i > 0 else base[1, 4])
+        k = chain.stiffness[i]
+        joint[i, 0] = -h * (chain.viscous[i] * rate + k * (angle - chain.rest[i]))
+        joint[i, 1] = h * chain.viscous[i] + 0.25 * h * h * k
+    joint[0, 0] += h * torque
+
+
+@kernel
+def watch(chain, pegs, desk, h):  # type: ignore[no-untyped-def]
+    """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
+
+    A gap may be closed, not more. Where a link turns about the peg, its gap changes by a term of second order, which is
+    allowed for as the rates before the step predict it.
+    """
+    found, impulses, motion = desk.found, desk.impulses, desk.motion
+    n = motion.w.size
+    desk.touch[0] = np.inf
+    for i in range(n):
+        a = max(abs(motion.speed[0, i]), abs(motion.speed[1, i]))
+        b = max(abs(motion.speed[0, i + 1]), abs(motion.speed[1, i + 1]))
+        desk.margin[i] = NEAR + 1.5 * FASTER * h * max(a, b)
+    least = find(chain, pegs, desk.q, motion.trig, desk.xy, desk.margin, found)
+    count = found.count[0]
+    if count == 0:
+        return least
+    if h == 0.0:
+        for c in range(count):
+            impulses.target[c] = 0.0 if found.gap[c] <= 2.0 * TOUCH else FREE
+        return least
+    for i in range(n):
+        desk.ahead_q[i] = desk.q[i] + h * motion.w[i]
+        desk.ahead_trig[i], desk.ahead_trig[n + i] = sincos(desk.ahead_q[i])
+    x = desk.base[1, 7] + h * desk.base[1, 5]
+    y = desk.base[1, 8] + h * desk.base[1, 6]
+    joints(chain, desk.ahead_trig, x, y, desk.ahead)
+    for c in range(count):
+        i, p = found.link[c], found.peg[c]
+        lever = found.place[c] * motion.w[i]
+        vx = motion.speed[0, i] + lever * motion.trig[n + i]
+        vy = motion.speed[1, i] + lever * motion.trig[i]
+        closing = vx * found.nx[c] + vy * found.ny[c]
+        if closing < -FAST:
+            impulses.target[c] = FREE
+            away = found.gap[c] - 0.5 * h * closing  # at the beginning of the step
+            desk.touch[0] = min(desk.touch[0], 0.0 if away <= TOUCH else -away / closing)
+            continue
+        _, size, _, _ = closest(chain, desk.ahead_trig, desk.ahead, i, pegs.x[p], pegs.y[p])
+        bend = size - pegs.reach[p] - found.gap[c] - h * closing
+        bend = max(-NEAR, min(bend, NEAR)) if found.gap[c] < NEAR else 0.0
+        impulses.target[c] = max((found.gap[c] + bend) / h, -RECOVERY)
+    return least
+
+
+@kernel
+def recall(kept, found, impulses, h):  # type: ignore[no-untyped-def]
+    """Start from the modes and forces of the last step."""
+    for c in range(found.count[0]):
+        i, p = found.link[c], found.peg[c]
+        impulses.mode[c] = kept.mode[i, p]
+        impulses.normal0[c], impulses.tangent0[c] = h * kept.normal[i, p], h * kept.tangent[i, p]
+
+
+@kernel
+def keep(kept, found, impulses, h):  # type: ignore[no-untyped-def]
+    """Keep modes and forces for the next step."""
+    for i in range(kept.mode.shape[0]):
+        for p in range(kept.mode.shape[1]):
+            kept.normal[i, p] = kept.tangent[i, p] = 0.0
+            kept.mode[i, p] = OPEN
+    for c in range(found.count[0]):
+        i, p = found.link[c], found.peg[c]
+        kept.mode[i, p] = impulses.mode[c]
+        kept.normal[i, p], kept.tangent[i, p] = impulses.normal[c] / h, impulses.tangent[c] / h
+
+
+@kernel
+def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk):  # type: ignore[no-untyped-def]
+    """Take a step from y (2 n or more,) at time t to ``desk.out``; h = 0.0: an impact, in which nothing else acts.
+
+    Parameters
+    ----------
+    chain, drive, part, pegs : Chain, Drive, Segment that holds t..t + h, Pegs
+    pull : (2,) force on the tip beside gravity, N
+    kept, desk : Kept (not changed), Desk
+
+    Returns
+    -------
+    least : float, smallest gap in the middle of the step, m
+    rounds : int, of the search for the modes; negative if it failed
+    """
+    motion, base = desk.motion, desk.base
+    n = motion.w.size
+    torque = base_state(drive, part, t + 0.5 * h, base[1])
+    base_state(drive, part, t, base[0])
+    base_state(drive, part, t + h, base[2])
+    whole = chain.tip_mass
+    for i in range(n):
+        whole += chain.mass[i]
+        motion.w[i] = y[n + i]
+        desk.q[i] = y[i] + 0.5 * h * y[n + i]
+    motion.change[:] = 0.0
+    motion.rho[:] = 0.0
+    sines(desk.q, motion.trig, 0)
+    joints(chain, motion.trig, base[1, 7], base[1, 8], desk.xy)
+    speeds(chain, motion.trig, motion.w, base[0, 5], base[0, 6], motion.speed)
+    load_joints(chain, desk.q, motion.w, base, h, torque, motion.joint)
+    motion.base[0] = base[2, 5] - base[0, 5] - h * chain.gx
+    motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
+    motion.base[2] = base[2, 3] - base[0, 3]
+    motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
+    least = watch(chain, pegs, desk, h)
+    recall(kept, desk.found, desk.impulses, h)
+    rounds = solve(chain, desk.found, desk.impulses, motion, h, whole)
+    for i in range(n):
+        rate = motion.w[i] + motion.change[i]
+        desk.out[i] = desk.q[i] + 0.5 * h * rate
+        desk.out[n + i] = rate
+    settle_account(chain, desk, torque, h)
+    return least, rounds
+
+
+@kernel
+def settle_account(chain, desk, torque, h):  # type: ignore[no-untyped-def]
+    """Energy that joints and contacts took in a step, and work put in: impulses times mean velocities."""
+    motion, base, found, impulses = desk.motion, desk.base, desk.found, desk.impulses
+    n = motion.w.size
+    taken = 0.0
+    for i in range(n):
+        before = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
+        after = desk.out[n + i] - (desk.out[n + i - 1] if i > 0 else base[2, 3])
+        taken += h * chain.viscous[i] * after * 0.5 * (before + after)
+    desk.account[FRICTION] = taken
+    taken = 0.0
+    for c in range(found.count[0]):
+        if impulses.mode[c] == OPEN:
+            continue
+        i = found.link[c]
+        lever = found.place[c] * motion.w[i]
+        vx = motion.speed[0, i] + lever * motion.trig[n + i]
+        vy = motion.speed[1, i] + lever * motion.trig[i]
+        vn = vx * found.nx[c] + vy * found.ny[c] + impulses.vn[c]
+        vt = vy * found.nx[c] - vx * found.ny[c] + impulses.vt[c]
+        taken -= 0.5 * (impulses.normal[c] * vn + impulses.tangent[c] * vt)
+    desk.account[CONTACT] = taken
+    work = 0.5 * (motion.load[0] * (base[0, 5] + base[2, 5]) + motion.load[1] * (base[0, 6] + base[2, 6]))
+    work += 0.5 * motion.load[2] * (base[0, 3] + base[2, 3])
+    work += 0.5 * h * torque * (motion.w[0] + desk.out[n])
+    vx, vy = base[2, 5], base[2, 6]
+    for i in range(n):
+        vx += chain.length[i] * motion.trig[n + i] * desk.out[n + i]
+        vy += chain.length[i] * motion.trig[i] * desk.out[n + i]
+    work += 0.5 * (motion.tip[0] * (motion.speed[0, n] + vx) + motion.tip[1] * (motion.speed[1, n] + vy))
+    desk.account[WORK] = work
+
+
+@kernel
+def energy(chain, y, base):  # type: ignore[no-untyped-def]
+    """Kinetic and potential energy of angles and rates y (2 n or more,), J; `base` (9,) motion of the first joint."""
+    n = chain.length.size
+    kinetic, potential = energies(chain, y[:n], y[n : 2 * n], (base[7], base[8], base[5], base[6], base[4], base[3]))
+    return kinetic + potential

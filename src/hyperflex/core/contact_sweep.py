@@ -1,0 +1,151 @@
+"""The O(n) sweep for changes of the rates within a step, with contacts as implicit forces on the links.
+
+A contact with fixed mode answers the velocity of its point by an impulse P = C - B v, where B is so large that v stays
+next to nothing. That is one more linear term on its link, so the sweep solves rope and all contacts at once, with no
+contact matrix: (M.8)-(M.13) with the terms of B and C.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperflex.core.jit import inlined, kernel
+
+# of a row of `touch`: sums over the contacts of a link at places s, n the direction across the link
+BXX, BXY, BYX, BYY = range(4)  # B, kg
+GX, GY, EX, EY = range(4, 8)  # s B n and s n B, kg m
+DD = 8  # s^2 n.B n, kg m^2
+CX, CY, RC = range(9, 12)  # C, N s, and s n.C, N m s
+TOUCH = 12
+
+
+@inlined
+def link_change(link, joint, sin, cos, rho, touch, beyond):  # type: ignore[no-untyped-def]
+    """One link of the sweep from tip to motor, as ``chain.link_step``, with contacts and without symmetry.
+
+    Parameters
+    ----------
+    link : (length, mass * com, inertia about the motor-side joint, mass)
+    joint : (T, kappa), angular impulse T - kappa (change of this rate less change of the parent's), N m s, kg m^2
+    sin, cos : float, of the link's angle
+    rho : float, step times squared rate, rad^2/s
+    touch : (12,) the contacts of the link
+    beyond : (axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta)
+
+    Returns
+    -------
+    at : tuple, the same answer at the link's motor-side joint
+    back : (r inv, ex inv, ey inv, k), for the way back
+    """
+    length, ma, inertia, mass = link
+    torque, kappa = joint
+    axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = beyond
+    lc = length * cos
+    ls = length * sin
+    lx = lc * axx + ls * axy
+    ly = lc * ayx + ls * ayy
+    gx = ma * cos + lx + fx + touch[GX]
+    gy = ma * sin + ly + fy + touch[GY]
+    ex = ma * cos + (lc * axx + ls * ayx) + ux + touch[EX]
+    ey = ma * sin + (lc * axy + ls * ayy) + uy + touch[EY]
+    rigid = inertia + s + touch[DD] + lc * (fx + ux) + ls * (fy + uy) + (lc * lx + ls * ly)
+    inv = 1.0 / (rigid + kappa)
+    k = kappa * inv
+    hx = rho * (ls * axx - lc * axy) - bx
+    hy = rho * (ls * ayx - lc * ayy) - by
+    r = torque - beta + (lc * hx + ls * hy) + rho * (ls * ux - lc * uy) + touch[RC]
+    turn = r * inv
+    at = (
+        axx + mass + touch[BXX] - gx * ex * inv,
+        axy + touch[BXY] - gx * ey * inv,
+        ayx + touch[BYX] - gy * ex * inv,
+        ayy + mass + touch[BYY] - gy * ey * inv,
+        gx * k,
+        gy * k,
+        gx * turn - hx - ma * rho * sin - touch[CX],
+        gy * turn - hy + ma * rho * cos - touch[CY],
+        k * ex,
+        k * ey,
+        k * rigid,
+        torque - k * r,
+    )
+    return at, (turn, ex * inv, ey * inv, k)
+
+
+@kernel
+def changes(chain, trig, joint, rho, touch, base, tip, change, place, work):  # type: ignore[no-untyped-def]
+    """Changes of all rates within a step; O(n).
+
+    Parameters
+    ----------
+    chain : Chain, with friction that acts on both links of a joint
+    trig : (2 n,) sines and cosines of the angles in the middle of the step
+    joint : (n, 2) angular impulse of each joint, N m s, and its slope kappa, kg m^2
+    rho : (n,) step times squared rate, rad^2/s
+    touch : (n, 12) contacts, see the names above
+    base : (3,) change of the first joint's velocity less step times gravity, m/s, and of the parent's rate, rad/s
+    tip : (2,) impulse on the tip beside gravity, N s
+    change : (n,) out, rad/s
+    place : (2, n) out, change of the velocity of each link's motor-side joint less step times gravity, m/s
+    work : (4 n,) scratch
+
+    Returns
+    -------
+    (px, py, l) : impulse on the rope at its first joint, N s, and angular impulse through that joint, N m s
+    """
+    n = rho.size
+    zero = 0.0
+    at = (chain.tip_mass, zero, zero, chain.tip_mass, zero, zero, -tip[0], -tip[1], zero, zero, zero, zero)
+    for way in range(n):
+        i = n - 1 - way
+        ma = chain.mass[i] * chain.com[i]
+        link = (chain.length[i], ma, chain.inertia[i] + ma * chain.com[i], chain.mass[i])
+        at, back = link_change(link, (joint[i, 0], joint[i, 1]), trig[i], trig[n + i], rho[i], touch[i], at)
+        o = 4 * i
+        work[o], work[o + 1], work[o + 2], work[o + 3] = back
+    px, py, up = base[0], base[1], base[2]
+    fx = at[0] * px + at[1] * py + at[4] * up + at[6]
+    fy = at[2] * px + at[3] * py + at[5] * up + at[7]
+    moment = at[8] * px + at[9] * py + at[10] * up + at[11]
+    for i in range(n):
+        o = 4 * i
+        place[0, i], place[1, i] = px, py
+        up = work[o] - work[o + 1] * px - work[o + 2] * py + work[o + 3] * up
+        change[i] = up
+        px += chain.length[i] * (trig[n + i] * up - trig[i] * rho[i])
+        py += chain.length[i] * (trig[i] * up + trig[n + i] * rho[i])
+    return fx, fy, moment
+
+
+@kernel
+def clear(touch, links, count):  # type: ignore[no-untyped-def]
+    """Take the contacts of the first `count` of `links` off the rows of `touch`."""
+    for c in range(count):
+        touch[links[c]] = 0.0
+
+
+@kernel
+def add_contact(touch, i, s, sin, cos, b, c):  # type: ignore[no-untyped-def]
+    """Add an impulse C - B v at the place s of link i: b = (bxx, bxy, byx, byy), kg; c = (cx, cy), N s."""
+    row = touch[i]
+    bxx, bxy, byx, byy = b
+    cx, cy = c
+    gx, gy = bxx * cos + bxy * sin, byx * cos + byy * sin
+    row[BXX] += bxx
+    row[BXY] += bxy
+    row[BYX] += byx
+    row[BYY] += byy
+    row[GX] += s * gx
+    row[GY] += s * gy
+    row[EX] += s * (cos * bxx + sin * byx)
+    row[EY] += s * (cos * bxy + sin * byy)
+    row[DD] += s * s * (cos * gx + sin * gy)
+    row[CX] += cx
+    row[CY] += cy
+    row[RC] += s * (cos * cx + sin * cy)
+
+
+@kernel
+def new_touch(n):  # type: ignore[no-untyped-def]
+    """Rows for n links without contact."""
+    return np.zeros((n, TOUCH))
