@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hyperflex.identification import Identification, identify
-    from hyperflex.model import Arm, Rope, Setup
+    from hyperflex.model import Arm, Peg, Rope, Setup, refined
     from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
     from hyperflex.simulation import (
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         tip_speed_peak,
     )
     from hyperflex.trajectory import State, Trajectory, read_trajectory
+    from hyperflex.winding import Tug, Winding, tension, tug, wound
 
 __version__ = "0.1.0"
 
@@ -37,6 +38,7 @@ _HOMES = {
     "Event": "simulation",
     "Identification": "identification",
     "Motion": "motion",
+    "Peg": "model",
     "Predictability": "simulation",
     "Recording": "recording",
     "Rope": "model",
@@ -44,6 +46,8 @@ _HOMES = {
     "Setup": "model",
     "State": "trajectory",
     "Trajectory": "trajectory",
+    "Tug": "winding",
+    "Winding": "winding",
     "angle_reached": "simulation",
     "hold": "motion",
     "identify": "identification",
@@ -54,14 +58,18 @@ _HOMES = {
     "read_motion": "motion",
     "read_recording": "recording",
     "read_trajectory": "trajectory",
+    "refined": "model",
     "sampled": "motion",
     "sensitivities": "simulation",
     "simulate": "simulation",
     "simulate_batch": "simulation",
     "swings": "motion",
+    "tension": "winding",
     "tip_crosses": "simulation",
     "tip_speed_peak": "simulation",
     "torque_profile": "motion",
+    "tug": "winding",
+    "wound": "winding",
 }
 
 __all__ = [
@@ -70,6 +78,7 @@ __all__ = [
     "Event",
     "Identification",
     "Motion",
+    "Peg",
     "Predictability",
     "Recording",
     "Rope",
@@ -77,6 +86,8 @@ __all__ = [
     "Setup",
     "State",
     "Trajectory",
+    "Tug",
+    "Winding",
     "__version__",
     "angle_reached",
     "hold",
@@ -88,14 +99,18 @@ __all__ = [
     "read_motion",
     "read_recording",
     "read_trajectory",
+    "refined",
     "sampled",
     "sensitivities",
     "simulate",
     "simulate_batch",
     "swings",
+    "tension",
     "tip_crosses",
     "tip_speed_peak",
     "torque_profile",
+    "tug",
+    "wound",
 ]
 
 

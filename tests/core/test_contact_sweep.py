@@ -97,7 +97,7 @@ def test_closest_points_are_those_of_a_fine_sampling(seed: int) -> None:
     gaps.joints(chain, trig, 0.3, -0.2, xy)
     along, _ = dense.directions(q)
     np.testing.assert_allclose(xy[:, -1], [0.3, -0.2] + links.length @ along, rtol=0, atol=1e-14)
-    pegs = gaps.Pegs(rng.normal(size=3), rng.normal(size=3), np.full(3, 0.05), np.full(3, 0.3))
+    pegs = gaps.Pegs(rng.normal(size=3), rng.normal(size=3), np.full(3, 0.05), np.full(3, 0.3), 0)
     found = gaps.new_contacts(3 * n)
     margin = np.full(n, 0.4)
     least = gaps.find(chain, pegs, q, trig, xy, margin, found)
@@ -112,7 +112,7 @@ def test_closest_points_are_those_of_a_fine_sampling(seed: int) -> None:
     assert least < nearest + 1e-4
     if nearest < 0.4:  # beyond the margin it is a lower bound
         assert least == pytest.approx(nearest, abs=1e-4)
-    pairs = {(int(found.link[c]), int(found.peg[c])): c for c in range(found.count[0])}
+    pairs = {(int(found.link[c]), int(found.peg[c])): c for c in range(found.total[0])}
     # A sample of the link lies within a two-thousandth of its length from the closest point.
     assert set(pairs) <= {pair for pair, (gap, _) in seen.items() if gap < 0.401}
     assert set(pairs) >= {pair for pair, (gap, _) in seen.items() if gap < 0.399}

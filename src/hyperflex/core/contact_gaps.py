@@ -27,12 +27,13 @@ class Pegs(NamedTuple):
     y: Array
     reach: Array  # m, peg radius plus rope radius
     mu: Array  # Coulomb's coefficient
+    first: int  # first link that may touch: 1 where link 0 is the arm
 
 
 class Contacts(NamedTuple):
-    """Links that are near a peg, in the order of the links; the first ``count[0]`` entries hold."""
+    """Links that are near a peg, in the order of the links; the first ``total[0]`` entries hold."""
 
-    count: Index  # (1,)
+    total: Index  # (1,)
     link: Index  # (K,)
     peg: Index
     place: Array  # m, of the closest point along the link from its motor-side joint
@@ -106,7 +107,7 @@ def find(chain, pegs, q, trig, place, margin, found):  # type: ignore[no-untyped
     """
     count = 0
     least = np.inf
-    for i in range(q.size):
+    for i in range(pegs.first, q.size):
         for p in range(pegs.x.size):
             dx, dy = pegs.x[p] - place[0, i], pegs.y[p] - place[1, i]
             far = pegs.reach[p] + chain.length[i] + margin[i]
@@ -123,7 +124,7 @@ def find(chain, pegs, q, trig, place, margin, found):  # type: ignore[no-untyped
                 found.gap[count] = gap
                 found.mu[count] = pegs.mu[p] * corner(q, i)
                 count += 1
-    found.count[0] = count
+    found.total[0] = count
     return least
 
 

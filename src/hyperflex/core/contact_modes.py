@@ -25,7 +25,8 @@ SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
 TOGETHER = 12  # rounds in which all modes that break the law change; then the first alone
 ROUNDS = 40
 SETTLED = 1e-10  # relative change of the rates at which the centrifugal terms have settled
-SETTLING = 3  # rounds in which they settle anew
+SETTLING = 4  # rounds in which they settle anew
+AGAIN = 4  # times that a solution starts the search anew
 SLIGHT = 1e-5  # m/s, residual velocity of a solution
 
 
@@ -109,7 +110,7 @@ def new_motion(n):  # type: ignore[no-untyped-def]
 def put(found, impulses, motion, heavy):  # type: ignore[no-untyped-def]
     """Write the contacts, with their present modes, to ``motion.touch``; `heavy` is M, kg."""
     n = motion.w.size
-    for c in range(found.count[0]):
+    for c in range(found.total[0]):
         mode = impulses.mode[c]
         if mode == OPEN:
             continue
@@ -138,7 +139,7 @@ def judge_modes(found, impulses, motion, heavy, change):  # type: ignore[no-unty
     """
     n = motion.w.size
     broke = 0
-    for c in range(found.count[0]):
+    for c in range(found.total[0]):
         i, s = found.link[c], found.place[c]
         lever = s * (motion.w[i] + motion.change[i])
         vx = motion.speed[0, i] + motion.turned[0, i] + motion.place[0, i] + lever * motion.trig[n + i]
@@ -217,14 +218,14 @@ def round_of(chain, found, impulses, motion, heavy, change):  # type: ignore[no-
         motion.work,
     )
     motion.load[0], motion.load[1], motion.load[2] = fx, fy, moment
-    clear(motion.touch, found.link, found.count[0])
+    clear(motion.touch, found.link, found.total[0])
     return judge_modes(found, impulses, motion, heavy, change)
 
 
 @kernel
 def search(chain, found, impulses, motion, h, heavy):  # type: ignore[no-untyped-def]
     """Find modes that obey the law for one M = `heavy`, kg; returns the rounds, negative if there are too many."""
-    for c in range(found.count[0]):
+    for c in range(found.total[0]):
         impulses.closed[c] = 0
     for turn in range(ROUNDS):
         moved = centrifugal(chain, motion, h, chain.gx, chain.gy)
@@ -237,16 +238,32 @@ def search(chain, found, impulses, motion, h, heavy):  # type: ignore[no-untyped
 
 
 @kernel
-def store(found, impulses, heavy):  # type: ignore[no-untyped-def]
-    """Remember a solution for M = `heavy`, kg, and let the next one start from it; returns its residual, m/s."""
-    worst = 0.0
-    for c in range(found.count[0]):
-        pn, pt = impulses.normal[c], impulses.tangent[c]
-        worst = max(worst, abs(pn - impulses.normal0[c]) / heavy)
-        if impulses.mode[c] == STICK:
-            worst = max(worst, abs(pt - impulses.tangent0[c]) / heavy)
+def store(found, impulses):  # type: ignore[no-untyped-def]
+    """Remember where the proximal method starts from, and the modes."""
+    for c in range(found.total[0]):
         impulses.good_mode[c] = impulses.mode[c]
         impulses.good_normal[c], impulses.good_tangent[c] = impulses.normal0[c], impulses.tangent0[c]
+
+
+@kernel
+def restore(found, impulses):  # type: ignore[no-untyped-def]
+    """Go back to what was stored last."""
+    for c in range(found.total[0]):
+        impulses.mode[c] = impulses.good_mode[c]
+        impulses.normal0[c], impulses.tangent0[c] = impulses.good_normal[c], impulses.good_tangent[c]
+
+
+@kernel
+def proceed(found, impulses, heavy):  # type: ignore[no-untyped-def]
+    """Store a solution for M = `heavy`, kg, and let the next one start from it; returns its residual, m/s."""
+    store(found, impulses)
+    worst = 0.0
+    for c in range(found.total[0]):
+        pn, pt = impulses.normal[c], impulses.tangent[c]
+        if impulses.mode[c] != OPEN:
+            worst = max(worst, abs(pn - impulses.normal0[c]) / heavy)
+        if impulses.mode[c] == STICK:
+            worst = max(worst, abs(pt - impulses.tangent0[c]) / heavy)
         impulses.normal0[c], impulses.tangent0[c] = pn, pt
     return worst
 
@@ -256,8 +273,8 @@ def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 
     Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
-    always, and each solution starts the search for a stiffer one. The last that was found holds: its impulses obey
-    Coulomb's law, its velocities up to the residual (P - P0) / M.
+    always, and each solution starts the search for a stiffer one; likewise where the residual (P - P0) / M is not slight
+    yet. The last solution that was found holds: its impulses obey Coulomb's law, its velocities up to the residual.
 
     Parameters
     ----------
@@ -269,22 +286,35 @@ def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-
     -------
     int : rounds, negative if the law is not obeyed to within SLIGHT.
     """
-    rounds = search(chain, found, impulses, motion, h, STIFF * whole)
-    if rounds > 0:
-        return rounds
-    residual, last, total = math.inf, 0.0, ROUNDS
-    for k in range(len(LADDER)):
-        heavy = LADDER[k] * whole
+    store(found, impulses)
+    heavy, last, residual = STIFF * whole, 0.0, math.inf
+    rounds = search(chain, found, impulses, motion, h, heavy)
+    total = abs(rounds)
+    if rounds < 0:
+        restore(found, impulses)
+        for k in range(len(LADDER)):
+            heavy = LADDER[k] * whole
+            rounds = search(chain, found, impulses, motion, h, heavy)
+            total += abs(rounds)
+            if rounds < 0:
+                break
+            residual, last = proceed(found, impulses, heavy), heavy
+    else:
+        residual, last = proceed(found, impulses, heavy), heavy
+    for _ in range(AGAIN):
+        if rounds < 0 or residual <= SLIGHT:
+            break
         rounds = search(chain, found, impulses, motion, h, heavy)
         total += abs(rounds)
-        if rounds < 0:
-            break
-        residual, last = store(found, impulses, heavy), heavy
-    if rounds < 0 and last > 0.0:
-        for c in range(found.count[0]):
-            impulses.mode[c] = impulses.good_mode[c]
-            impulses.normal0[c], impulses.tangent0[c] = impulses.good_normal[c], impulses.good_tangent[c]
+        if rounds > 0:
+            residual = proceed(found, impulses, heavy)
+    if rounds < 0:
+        restore(found, impulses)
+        for c in range(found.total[0]):
+            if last == 0.0:  # nothing was found at all: let go
+                impulses.mode[c] = OPEN
+        motion.change[:] = 0.0
         for _ in range(SETTLING):
             centrifugal(chain, motion, h, chain.gx, chain.gy)
-            round_of(chain, found, impulses, motion, last, 0)
+            round_of(chain, found, impulses, motion, last if last > 0.0 else heavy, 0)
     return total if residual <= SLIGHT else -total

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from hyperflex.core import status
-from hyperflex.core.chain import Array
+from hyperflex.core.chain import Array, sines
+from hyperflex.core.contact_gaps import find, joints, new_contacts, speeds
 from hyperflex.core.contact_modes import OPEN
 from hyperflex.core.contact_step import (
     CONTACT,
@@ -19,11 +21,13 @@ from hyperflex.core.contact_step import (
     keep,
     new_desk,
 )
-from hyperflex.core.drive import segment
+from hyperflex.core.drive import base_state, segment
 from hyperflex.core.jit import kernel
+from hyperflex.core.stepsize import fitted
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
+MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they would be mostly rounding
 GROWTH = 1.5
 EASY = 0.2  # part of the energy allowed, below which steps grow
 LOSS = 10.0  # how many times more energy may vanish than appear
@@ -43,6 +47,7 @@ class Bounds(NamedTuple):
     stop: float  # s
     step: float  # s, longest step
     rate: float  # W, at which energy may appear from nowhere
+    clear: float  # m, smallest gap at which the rope has left the pegs
     budget: int  # steps of one call
 
 
@@ -55,7 +60,7 @@ class Course(NamedTuple):
 
 
 @kernel
-def write(desk, course, h, t_out, y_out, force_out):  # type: ignore[no-untyped-def]
+def write(desk, course, h, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
     """Write the outputs within the step to ``desk.out``: angles by the cubic through both ends, the rest straight."""
     y, clock, motion = course.y, course.clock, desk.motion
     n = motion.w.size
@@ -69,20 +74,29 @@ def write(desk, course, h, t_out, y_out, force_out):  # type: ignore[no-untyped-
             y_out[k, n + i] = y[n + i] + x * motion.change[i]
         y_out[k, 2 * n] = y[2 * n] + x * desk.account[WORK]
         y_out[k, 2 * n + 1] = y[2 * n + 1] + x * (desk.account[FRICTION] + desk.account[CONTACT])
-        forces(desk, h, force_out[k])
+        see(desk, h, seen_out[k])
         clock[INDEX] += 1
 
 
 @kernel
-def forces(desk, h, out):  # type: ignore[no-untyped-def]
-    """Mean forces of the pegs on the links over a step, N: ``out`` (n, 2)."""
-    found, impulses = desk.found, desk.impulses
-    out[:] = 0.0
-    for c in range(found.count[0]):
+def see(desk, h, out):  # type: ignore[no-untyped-def]
+    """Means over a step, to ``out`` (3 n + 3,).
+
+    Accelerations, rad/s^2; forces of the pegs on the links, first x, then y, N; force on the rope at its first joint,
+    x and y, N, and torque through that joint, N m.
+    """
+    found, impulses, motion = desk.found, desk.impulses, desk.motion
+    n = motion.w.size
+    for i in range(n):
+        out[i] = motion.change[i] / h
+        out[n + i] = out[2 * n + i] = 0.0
+    for k in range(3):
+        out[3 * n + k] = motion.load[k] / h
+    for c in range(found.total[0]):
         if impulses.mode[c] != OPEN:
             i, nx, ny = found.link[c], found.nx[c], found.ny[c]
-            out[i, 0] += (impulses.normal[c] * nx - impulses.tangent[c] * ny) / h
-            out[i, 1] += (impulses.normal[c] * ny + impulses.tangent[c] * nx) / h
+            out[n + i] += (impulses.normal[c] * nx - impulses.tangent[c] * ny) / h
+            out[2 * n + i] += (impulses.normal[c] * ny + impulses.tangent[c] * nx) / h
 
 
 @kernel
@@ -99,7 +113,7 @@ def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
     clock[TAKEN] += 1.0
     if rounds < 0:
         clock[UNSOLVED] += 1.0
-    if h > 0.0:
+    if h > MOMENT:
         keep(course.kept, desk.found, desk.impulses, h)
 
 
@@ -117,7 +131,7 @@ def too_fast(chain, pegs, desk):  # type: ignore[no-untyped-def]
     """Longest step, s, in which no link near a peg moves by more than SAFE of the smallest reach."""
     speed = desk.motion.speed
     fastest = 0.0
-    for c in range(desk.found.count[0]):
+    for c in range(desk.found.total[0]):
         i = desk.found.link[c]
         for j in range(i, i + 2):
             fastest = max(fastest, abs(speed[0, j]), abs(speed[1, j]))
@@ -128,18 +142,18 @@ def too_fast(chain, pegs, desk):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, force_out):  # type: ignore[no-untyped-def]
+def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
     """Run until ``bounds.stop`` or until the budget is spent.
 
     Parameters
     ----------
     chain, drive, pegs, bounds, course : Chain, Drive, Pegs, Bounds, Course
     pull : (2,) force on the tip beside gravity, N
-    t_out : (m,) increasing times, s; y_out : (m, 2 n + 2), force_out : (m, n, 2) out, N
+    t_out : (m,) increasing times, s; y_out : (m, 2 n + 2) out, as in ``rollout.run``; seen_out : (m, 3 n + 3) out
 
     Returns
     -------
-    int : OK, RUNNING (call again), or why it failed
+    int : OK, RUNNING (call again), LEFT (no link is near a peg), or why it failed
     """
     y, clock, kept = course.y, course.clock, course.kept
     n, m = chain.length.size, pegs.x.size
@@ -157,7 +171,7 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, force_out):  # t
             impact(chain, drive, part, pegs, pull, course, desk, nothing)
         end = min(part.end, bounds.stop)
         wanted = min(clock[STEP], bounds.step)
-        h = min(wanted, end - t)
+        h = fitted(wanted, end - t)
         shortest = min(SHORTEST * bounds.step, h)
         while True:
             least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk)
@@ -186,9 +200,27 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, force_out):  # t
         if not good:
             clock[FORCED] += 1.0
         clock[APPEARED] += surplus
-        write(desk, course, h, t_out, y_out, force_out)
+        write(desk, course, h, t_out, y_out, seen_out)
         commit(course, desk, h, rounds, least)
         clock[DUE] = 1.0 if touch <= 1.001 * h else 0.0
         clock[T] = end if h >= end - t else t + h
         clock[STEP] = wanted * GROWTH if abs(surplus) < EASY * allowed else wanted
+        if least > bounds.clear and clock[T] < bounds.stop:
+            return status.LEFT
     return status.RUNNING if clock[T] < bounds.stop else status.OK
+
+
+@kernel
+def clearance(chain, drive, pegs, t, y):  # type: ignore[no-untyped-def]
+    """Smallest gap between rope and pegs at time t, m, and the greatest speed of a joint, m/s; y as in ``Course``."""
+    n = chain.length.size
+    base, trig = np.empty(9), np.empty(2 * n)
+    base_state(drive, segment(drive, t), t, base)
+    xy, speed, found = np.empty((2, n + 1)), np.empty((2, n + 1)), new_contacts(n * pegs.x.size)
+    sines(y[:n], trig, 0)
+    joints(chain, trig, base[7], base[8], xy)
+    speeds(chain, trig, y[n : 2 * n], base[5], base[6], speed)
+    fastest = 0.0
+    for i in range(n + 1):
+        fastest = max(fastest, math.hypot(speed[0, i], speed[1, i]))
+    return find(chain, pegs, y[:n], trig, xy, np.zeros(n), found), fastest

@@ -15,7 +15,7 @@ from hyperflex.core.jit import kernel
 FAST = 0.01  # m/s; a link that closes faster meets the peg in an impact of its own, at the instant of touching
 TOUCH = 1e-6  # m, gap that counts as touching there
 FREE = 1e9  # m/s, target of a link that nothing holds
-RECOVERY = 5e-3  # m/s, at most so fast a rope is pushed out of a peg
+RECOVERY = 1e-3  # m/s, at most so fast a rope is pushed out of a peg
 NEAR = 1e-4  # m, gap below which a link is watched even at rest
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
@@ -104,7 +104,7 @@ def watch(chain, pegs, desk, h):  # type: ignore[no-untyped-def]
         b = max(abs(motion.speed[0, i + 1]), abs(motion.speed[1, i + 1]))
         desk.margin[i] = NEAR + 1.5 * FASTER * h * max(a, b)
     least = find(chain, pegs, desk.q, motion.trig, desk.xy, desk.margin, found)
-    count = found.count[0]
+    count = found.total[0]
     if count == 0:
         return least
     if h == 0.0:
@@ -138,7 +138,7 @@ def watch(chain, pegs, desk, h):  # type: ignore[no-untyped-def]
 @kernel
 def recall(kept, found, impulses, h):  # type: ignore[no-untyped-def]
     """Start from the modes and forces of the last step."""
-    for c in range(found.count[0]):
+    for c in range(found.total[0]):
         i, p = found.link[c], found.peg[c]
         impulses.mode[c] = kept.mode[i, p]
         impulses.normal0[c], impulses.tangent0[c] = h * kept.normal[i, p], h * kept.tangent[i, p]
@@ -151,7 +151,7 @@ def keep(kept, found, impulses, h):  # type: ignore[no-untyped-def]
         for p in range(kept.mode.shape[1]):
             kept.normal[i, p] = kept.tangent[i, p] = 0.0
             kept.mode[i, p] = OPEN
-    for c in range(found.count[0]):
+    for c in range(found.total[0]):
         i, p = found.link[c], found.peg[c]
         kept.mode[i, p] = impulses.mode[c]
         kept.normal[i, p], kept.tangent[i, p] = impulses.normal[c] / h, impulses.tangent[c] / h
@@ -215,7 +215,7 @@ def settle_account(chain, desk, torque, h):  # type: ignore[no-untyped-def]
         taken += h * chain.viscous[i] * after * 0.5 * (before + after)
     desk.account[FRICTION] = taken
     taken = 0.0
-    for c in range(found.count[0]):
+    for c in range(found.total[0]):
         if impulses.mode[c] == OPEN:
             continue
         i = found.link[c]

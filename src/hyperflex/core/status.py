@@ -11,6 +11,7 @@ NOT_FINITE: Final = 3
 ENERGY: Final = 4
 FRICTION: Final = 5
 REACHED: Final = 6  # what was to end the run has happened
+LEFT: Final = 7  # no link is near a peg any more: a stepper without contacts may go on
 
 NAMES: Final = {
     OK: "ok",
@@ -20,6 +21,7 @@ NAMES: Final = {
     ENERGY: "energy not balanced",
     FRICTION: "dry friction chatters",
     REACHED: "ok",
+    LEFT: "ok",
 }
 
 ADVICE: Final = {
@@ -32,6 +34,7 @@ ADVICE: Final = {
     ENERGY: "the energy of the rope changed by more than the motor and friction explain, so the result cannot be "
     "trusted. Tighten tol; with method='rk4' take a smaller step",
     REACHED: "",
+    LEFT: "",
     FRICTION: "joints stick and come loose again and again without end. Change dry_friction a little, add viscous "
     "friction, or take friction_model='relative': as printed, friction need not leave a possible motion",
 }

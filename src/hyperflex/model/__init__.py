@@ -1,7 +1,21 @@
-"""What is simulated: rope, arm and set-up; frozen, validated, in and out of TOML."""
+"""What is simulated: rope, arm, pegs and set-up; frozen, validated, in and out of TOML."""
 
 from hyperflex.model.arm import Arm
+from hyperflex.model.peg import Peg
+from hyperflex.model.refine import cuts, refined
 from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, Rope
-from hyperflex.model.setup import DEFAULT_TOL, METHODS, Setup
+from hyperflex.model.setup import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Setup
 
-__all__ = ["DEFAULT_TOL", "FRICTION_MODELS", "GRAVITY", "METHODS", "Arm", "Rope", "Setup"]
+__all__ = [
+    "DEFAULT_CONTACT_STEP",
+    "DEFAULT_TOL",
+    "FRICTION_MODELS",
+    "GRAVITY",
+    "METHODS",
+    "Arm",
+    "Peg",
+    "Rope",
+    "Setup",
+    "cuts",
+    "refined",
+]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
+
+import numpy as np
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
@@ -47,15 +49,22 @@ class Peg:
         object.__setattr__(self, "radius", radius)
         object.__setattr__(self, "mu", checks.number("peg mu", self.mu, sign="nonnegative"))
 
-    def table(self) -> dict[str, float]:
-        """Return the entry of ``[[pegs]]`` in a TOML file."""
-        return asdict(self)
 
-    @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> Peg:
-        """Build a peg from an entry of ``[[pegs]]``."""
-        names = [f.name for f in fields(cls)]
-        if not isinstance(table, Mapping) or set(table) - set(names) or set(names[:3]) - set(table):
-            got = sorted(table) if isinstance(table, Mapping) else table
-            raise InvalidInput("peg table does not fit", got=got, allowed="x, y, radius, mu")
-        return cls(**table)
+def pegs_table(pegs: Sequence[Peg]) -> dict[str, list[float]]:
+    """Return the ``[pegs]`` table of a TOML file: arrays with one entry a peg."""
+    return {f.name: [getattr(peg, f.name) for peg in pegs] for f in fields(Peg)}
+
+
+def pegs_from_table(table: Mapping[str, Any]) -> tuple[Peg, ...]:
+    """Build pegs from a ``[pegs]`` table; a single number stands for one peg, and ``mu`` for all of them."""
+    names = [f.name for f in fields(Peg)]
+    if set(table) - set(names) or set(names[:3]) - set(table):
+        raise InvalidInput("pegs table does not fit", got=sorted(table), allowed="x, y, radius and, if wanted, mu")
+    columns = {
+        name: np.atleast_1d(checks.array(f"pegs {name}", value, np.shape(value))) for name, value in table.items()
+    }
+    sizes = {name: value.size for name, value in columns.items() if name != "mu" or value.size > 1}
+    if len(set(sizes.values())) != 1 or any(value.ndim > 1 for value in columns.values()):
+        raise InvalidInput("pegs arrays do not tell one number of pegs", got=sizes, allowed="arrays of one length")
+    columns = {name: np.broadcast_to(value, columns["x"].shape) for name, value in columns.items()}
+    return tuple(Peg(*values) for values in zip(*(columns[name] for name in names if name in columns), strict=True))

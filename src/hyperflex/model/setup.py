@@ -13,14 +13,17 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.core.chain import Chain
+from hyperflex.core.contact_gaps import Pegs
 from hyperflex.core.drive import TORQUE, Drive, X, Y
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
+from hyperflex.model.peg import Peg, pegs_from_table, pegs_table
 from hyperflex.model.rope import Rope
 from hyperflex.motion import Motion, from_spec, hold, to_spec
 
 METHODS = ("extrapolation", "rk4")
 DEFAULT_TOL = 1e-5  # m
+DEFAULT_CONTACT_STEP = 2e-4  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +50,12 @@ class Setup:
     method : {"extrapolation", "rk4"}
     step : float, optional
         Step of ``"rk4"``, s.
+    pegs : sequence of Peg, optional
+        Round pegs that the rope may touch; for ropes with friction_model="relative" and no dry friction.
+    contact_step : float
+        Longest step beside a peg, s.
+    tip_force : (2,) array_like
+        Constant force on the tip beside gravity, N; only in a set-up with pegs.
 
     Raises
     ------
@@ -66,6 +75,9 @@ class Setup:
     tol: float = DEFAULT_TOL
     method: str = "extrapolation"
     step: float | None = None
+    pegs: tuple[Peg, ...] = ()
+    contact_step: float = DEFAULT_CONTACT_STEP
+    tip_force: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name, kind in (("rope", Rope), ("motion", Motion), ("arm", Arm), ("torque", Motion)):
@@ -87,9 +99,36 @@ class Setup:
         for name, unit in (("q0", "rad"), ("qd0", "rad/s")):
             if getattr(self, name) is not None:
                 values[name] = checks.array(name, getattr(self, name), (n,), unit=unit)
+        values["contact_step"] = checks.number("contact_step", self.contact_step, sign="positive", unit="s")
+        x, y = checks.array("tip_force", self.tip_force, (2,), unit="N")
+        values |= {"tip_force": (float(x), float(y)), "pegs": tuple(self.pegs)}
         for name, value in values.items():
             object.__setattr__(self, name, value)
         self._check_drive()
+        self._check_pegs()
+
+    def _check_pegs(self) -> None:
+        for peg in self.pegs:
+            if not isinstance(peg, Peg):
+                raise InvalidInput("pegs holds something else", got=peg, allowed="hyperflex.Peg")
+        if not self.pegs:
+            if any(self.tip_force):
+                raise InvalidInput("tip_force needs a set-up with pegs", got=self.tip_force, fix="Give pegs=[Peg(...)]")
+            return
+        if self.rope.friction_model != "relative":
+            raise InvalidInput(
+                "contact needs joint friction that acts on both links",
+                got=self.rope.friction_model,
+                allowed="friction_model='relative'",
+            )
+        if self.rope.dry_friction.any() or (self.arm is not None and self.arm.dry_friction > 0.0):
+            raise InvalidInput(
+                "contact is not there for joints with dry friction",
+                allowed="dry_friction = 0",
+                fix="Give viscous friction instead",
+            )
+        if self.method != METHODS[0]:
+            raise InvalidInput("contact has a stepper of its own", got=self.method, allowed=f"method={METHODS[0]!r}")
 
     def _check_drive(self) -> None:
         turning = self.motion is not None and bool((self.motion.coef[:, 0] != 0.0).any())
@@ -137,6 +176,11 @@ class Setup:
         limit = math.inf if self.arm is None else self.arm.torque_limit
         return Drive(source.breaks, coef, source.switch, source.loop, prescribed, limit)
 
+    def contacts(self) -> Pegs:
+        """Return the pegs as the kernels take them."""
+        x, y, radius, mu = (np.array([getattr(peg, name) for peg in self.pegs]) for name in ("x", "y", "radius", "mu"))
+        return Pegs(x, y, radius + self.rope.radius, mu, 1 if self.torque_driven else 0)
+
     def dumps(self) -> str:
         """Return the set-up as TOML text, from which :meth:`loads` builds an equal one."""
         content: dict[str, Any] = {"duration": self.duration, "tol": self.tol, "method": self.method}
@@ -149,6 +193,9 @@ class Setup:
         content |= {"arm_angle0": self.arm_angle0, "arm_rate0": self.arm_rate0, "rope": self.rope.table()}
         if self.arm is not None:
             content["arm"] = self.arm.table()
+        if self.pegs:
+            content |= {"contact_step": self.contact_step, "tip_force": list(self.tip_force)}
+            content["pegs"] = pegs_table(self.pegs)
         for name, motion in (("motion", self.motion), ("torque", self.torque)):
             if motion is not None:
                 content[name] = to_spec(motion)
@@ -161,12 +208,14 @@ class Setup:
         names = {f.name for f in fields(cls)}
         if set(content) - names or "rope" not in content:
             raise InvalidInput(f"{name} does not fit", got=sorted(content), allowed="rope; " + ", ".join(sorted(names)))
-        for table in ("rope", "arm", "motion", "torque"):
+        for table in ("rope", "arm", "motion", "torque", "pegs"):
             if table in content and not isinstance(content[table], Mapping):
                 raise InvalidInput(f"{table} of {name} is not a table", got=content[table], allowed=f"[{table}]")
         content["rope"] = Rope.from_table(content["rope"])
         if "arm" in content:
             content["arm"] = Arm.from_table(content["arm"])
+        if "pegs" in content:
+            content["pegs"] = pegs_from_table(content["pegs"])
         for motion in ("motion", "torque"):
             if motion in content:
                 content[motion] = from_spec(content[motion], folder)

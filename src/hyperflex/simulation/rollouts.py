@@ -7,7 +7,8 @@ import math
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +52,10 @@ class Rollout:
         Output times, s.
     y : (T, 2 n + 2) float64
         States at those times: angles, rates, work, dissipation; rows are filled as the run goes on.
+    seen : (T, 3 n + 3) float64, optional
+        Beside pegs: means over the step at each time as in ``contact_run.see``; NaN in free flight.
+    facts, kept : dict
+        Beside pegs: what the trajectory tells about contacts, and what a run that goes on needs of them.
     """
 
     chain: Chain
@@ -59,6 +64,9 @@ class Rollout:
     progress: Progress
     t: Array
     y: Array
+    seen: Array | None = None
+    facts: dict[str, float] = field(default_factory=dict)
+    kept: dict[str, Any] = field(default_factory=dict)
 
     @property
     def done(self) -> int:
@@ -172,6 +180,7 @@ def final_state(run: Rollout, setup: Setup) -> State:
             "mark_clock": clock[MARK : 2 * MARK].copy(),
             "clock": clock[:MARK].copy(),
             "fingerprint": fingerprint(run, setup),
+            **run.kept,
         },
     )
 

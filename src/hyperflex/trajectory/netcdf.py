@@ -12,7 +12,7 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.model import Setup
-from hyperflex.trajectory.run import AXES, DERIVED, FORMAT, OWN_ATTRIBUTES, VARIABLES, State, Trajectory
+from hyperflex.trajectory.run import AXES, DERIVED, FORMAT, OPTIONAL, OWN_ATTRIBUTES, VARIABLES, State, Trajectory
 
 _STATE = {"t": "s", "q": "rad", "qd": "rad/s", "step": "s", "work": "J", "dissipated": "J"}  # name -> units
 _CHECKPOINT = "checkpoint_"
@@ -27,7 +27,7 @@ def write(run: Trajectory, path: str | Path) -> None:
         file.dimensions = {"time": samples, "link": links, "joint": links + 1, "axis": 2}
         _put(file, "time", ("time",), run.t, units="s", long_name="time")
         _put(file, "axis", ("axis",), np.array(["x", "y"], dtype=object), long_name=AXES)
-        for name, (dims, units, long_name) in {**VARIABLES, **DERIVED}.items():
+        for name, (dims, units, long_name) in {**VARIABLES, **run.optional(), **DERIVED}.items():
             _put(file, name, ("time", *dims), getattr(run, name), units=units, long_name=long_name)
         for key, value in run.attributes().items():
             file.attrs[key] = value
@@ -79,7 +79,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
         message=str(attributes.get("message", "")),
         event=(str(attributes["event"]), float(attributes["event_time"])) if "event" in attributes else None,
         attrs={key: value for key, value in attributes.items() if key not in OWN_ATTRIBUTES},
-        **{name: _floats(main[name]) for name in VARIABLES},
+        **{name: _floats(main[name]) for name in (*VARIABLES, *OPTIONAL) if name in main},
     )
 
 

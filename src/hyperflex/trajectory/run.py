@@ -37,6 +37,9 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     ),
     "motor_torque": ((), "N m", "torque of the motor"),
 }
+OPTIONAL: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "contact_force": (("link", "axis"), "N", "force of the pegs on the link, mean over the step at the sample"),
+}
 DERIVED: dict[str, tuple[tuple[str, ...], str, str]] = {
     "joints": (("joint", "axis"), "m", "positions of the joints, the tip last"),
     "tip": (("axis",), "m", "position of the tip"),
@@ -103,6 +106,8 @@ class Trajectory:
         Facts about the run (method, tolerance, ...): strings and numbers.
     event : (str, float) or None
         Name and time, s, of the event that ended the run (``simulate(..., until=...)``); None if none did.
+    contact_force : (T, n, 2) float64 or None
+        Force of the pegs on each link, N, mean over the step at the sample; None without pegs.
     """
 
     t: Array
@@ -124,16 +129,21 @@ class Trajectory:
     message: str = ""
     attrs: dict[str, Any] = field(default_factory=dict)
     event: tuple[str, float] | None = None
+    contact_force: Array | None = None
 
     def __post_init__(self) -> None:
         sizes = {"link": self.setup.rope.n_links, "axis": 2}
-        for name, (dims, *_) in {"t": ((), "", ""), **VARIABLES}.items():
+        for name, (dims, *_) in {"t": ((), "", ""), **VARIABLES, **self.optional()}.items():
             view = np.asarray(getattr(self, name), dtype=np.float64).view()
             shape = (self.t.size, *(sizes[dim] for dim in dims))
             if view.shape != shape:
                 raise InvalidInput(f"trajectory {name} has the wrong shape", got=view.shape, allowed=f"shape {shape}")
             view.setflags(write=False)
             object.__setattr__(self, name, view)
+
+    def optional(self) -> dict[str, tuple[tuple[str, ...], str, str]]:
+        """Return those of the optional variables that this run has: name, (dimensions after time, units, long name)."""
+        return {name: what for name, what in OPTIONAL.items() if getattr(self, name) is not None}
 
     def __repr__(self) -> str:
         span = f" from {self.t[0]:g} to {self.t[-1]:g} s" if self.t.size else ""
@@ -173,7 +183,7 @@ class Trajectory:
 
         variables: dict[str, Any] = {
             name: (("time", *dims), getattr(self, name), {"units": units, "long_name": long_name})
-            for name, (dims, units, long_name) in {**VARIABLES, **DERIVED}.items()
+            for name, (dims, units, long_name) in {**VARIABLES, **self.optional(), **DERIVED}.items()
         }
         coords = {
             "time": ("time", self.t, {"units": "s", "long_name": "time"}),

@@ -1,0 +1,172 @@
+"""Runs beside pegs: free flight by extrapolation, contact by its own stepper, and the hand-over between them.
+
+A flight is so short that no joint can reach a peg meanwhile, as far as the speeds at its ends tell; where they rose by
+more than was allowed for, it is flown again by the stepper for contacts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.core import contact_run as core
+from hyperflex.core import status
+from hyperflex.core.contact_step import Kept
+from hyperflex.core.progress import INDEX, MARK, T
+from hyperflex.model import Arm, Peg, Rope, Setup, cuts, refined
+from hyperflex.simulation.rollouts import BUDGET, Rollout, starting_clock
+from hyperflex.trajectory import State
+
+SHORTEST_FLIGHT = 0.01  # s; for less the hand-over does not pay
+FASTER, SUDDEN = 2.0, 2.0  # a flight allows for speeds so many times as large, and by so much more, m/s
+CLEAR = 0.03  # m, gap at which a rope that was in contact has left
+# Energy that may come from nowhere, in parts of the energy at stake for each second; and where joint friction is so low
+# that the rope's own motion, and not contact, sets the steps
+APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 2e-5, 1e-4  # 1/s, 1/s, N m s/rad
+STEP = "contact_step"
+KEPT = ("contact_normal", "contact_tangent", "contact_mode")  # in a state's checkpoint
+
+
+class Beside:
+    """A rollout beside pegs.
+
+    Parameters
+    ----------
+    run : Rollout
+        Prepared, and resumed if it goes on; its arrays are filled.
+    setup : Setup
+        With pegs.
+    saved : mapping
+        Checkpoint of the state that the run goes on from; may be empty.
+    """
+
+    def __init__(self, run: Rollout, setup: Setup, saved: Mapping[str, Any]) -> None:
+        n, m = run.chain.length.size, len(setup.pegs)
+        self.run, self.pegs = run, setup.contacts()
+        self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
+        kept = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
+        clock = np.zeros(core.CLOCK)
+        clock[core.STEP], clock[core.DUE] = self.longest, 1.0
+        if all(name in saved and np.shape(saved[name]) == (n, m) for name in KEPT):
+            for name, array in zip(KEPT, kept, strict=True):
+                array[:] = saved[name]
+            clock[core.STEP], clock[core.DUE] = min(float(saved[STEP]), self.longest), 0.0
+        self.course = core.Course(run.progress.y, clock, kept)
+        self.flights, self.flown = 0, 0.0
+        run.seen = np.full((run.t.size, 3 * n + 3), np.nan)
+
+    def finish(self, report: Callable[[float], None] | None = None) -> int:
+        """Run to the end and return the status code; `report` hears of the simulated time now and then."""
+        code = status.RUNNING
+        while code in (status.RUNNING, status.LEFT):
+            code = self._fly()
+            if code == status.LEFT:
+                code = self._touch()
+            if report is not None:
+                report(self.run.time)
+        self.run.progress.clock[MARK] = -np.inf  # where the run stands is where it goes on from
+        self.run.facts = self._facts()
+        names = zip(KEPT, self.course.kept, strict=True)
+        self.run.kept = {STEP: float(self.course.clock[core.STEP]), **{name: array.copy() for name, array in names}}
+        return code
+
+    def _fly(self) -> int:
+        """Fly freely while no peg can be reached; LEFT if one may be, RUNNING or OK after a flight."""
+        run, clock = self.run, self.run.progress.clock
+        stop = run.limits.stop
+        if run.time >= stop:
+            return status.OK
+        if self.pull.any():
+            return status.LEFT
+        gap, speed = core.clearance(run.chain, run.drive, self.pegs, run.time, run.progress.y)
+        bound = FASTER * speed + SUDDEN
+        span = gap / bound
+        if gap < CLEAR or span < SHORTEST_FLIGHT:
+            return status.LEFT
+        y, before, begin = run.progress.y.copy(), clock.copy(), run.time
+        run.limits = run.limits._replace(stop=min(begin + span, stop))
+        code = status.RUNNING
+        while code == status.RUNNING:
+            code = run.advance()
+        run.limits = run.limits._replace(stop=stop)
+        if code != status.OK:
+            return code
+        gap, speed = core.clearance(run.chain, run.drive, self.pegs, run.time, run.progress.y)
+        if speed > bound or gap <= 0.0:
+            run.progress.y[:], clock[:] = y, before
+            return self._touch(begin + span)
+        self.flights, self.flown = self.flights + 1, self.flown + run.time - begin
+        for array in self.course.kept:
+            array[:] = 0
+        return status.RUNNING if run.time < stop else status.OK
+
+    def _touch(self, least: float = -np.inf) -> int:
+        """Step with contacts until the rope has left the pegs, and at least until `least`, s."""
+        run, clock, course = self.run, self.run.progress.clock, self.course
+        scale = self._energy()
+        friction = float(run.chain.viscous.max())
+        rate = scale * (APPEARING if friction >= LOW_FRICTION else APPEARING_FREE)
+        course.clock[core.T], course.clock[core.INDEX] = clock[T], clock[INDEX]
+        always = bool(self.pull.any())  # free flight knows no force on the tip
+        forced = run.time < least
+        stop = min(run.limits.stop, least) if forced else run.limits.stop
+        clear = np.inf if always or forced else CLEAR
+        bounds = core.Bounds(stop, self.longest, rate, clear, BUDGET)
+        code = int(core.run(run.chain, run.drive, self.pegs, self.pull, bounds, course, run.t, run.y, run.seen))
+        index = course.clock[core.INDEX]
+        clock[:MARK] = starting_clock(float(course.clock[core.T]))
+        clock[INDEX], clock[MARK] = index, -np.inf
+        return status.RUNNING if code == status.OK and run.time < run.limits.stop else code
+
+    def _energy(self) -> float:
+        """Energy at stake, J: what the rope has, could gain by falling, or be given by a force or a torque."""
+        run = self.run
+        chain, n = run.chain, run.chain.length.size
+        lever = chain.length.sum()
+        mass = chain.mass.sum() + chain.tip_mass
+        _, speed = core.clearance(chain, run.drive, self.pegs, run.time, run.progress.y)
+        torque = float(np.abs(run.drive.coef[:, 3]).max()) if n else 0.0
+        return float(mass * (np.hypot(chain.gx, chain.gy) * lever + speed**2) + np.hypot(*self.pull) * lever + torque)
+
+    def _facts(self) -> dict[str, float]:
+        clock = self.course.clock
+        return {
+            "contact_steps": float(clock[core.TAKEN]),
+            "contact_unsolved": float(clock[core.UNSOLVED]),
+            "contact_impacts": float(clock[core.IMPACTS]),
+            "contact_deepest": float(clock[core.DEEPEST]),
+            "contact_loss": float(clock[core.LOST]),
+            "energy_appeared": float(clock[core.APPEARED]),
+            "free_flights": float(self.flights),
+            "free_time": self.flown,
+        }
+
+
+def beside(run: Rollout, setup: Setup, state: State | None) -> Beside:
+    """Make a prepared rollout one beside the pegs of its set-up."""
+    return Beside(run, setup, {} if state is None else state.checkpoint)
+
+
+def finer(
+    rope: Rope, pegs: tuple[Peg, ...], arm: Arm | None, q0: Any, qd0: Any, state: State | None
+) -> tuple[Rope, Any, Any, State | None]:
+    """Return the rope cut as its pegs need it, and start and state with an entry for each of its links."""
+    if not isinstance(rope, Rope) or not all(isinstance(peg, Peg) for peg in pegs):
+        return rope, q0, qd0, state  # refused where the set-up is made
+    pieces, coarse = cuts(rope, pegs, arm=arm), rope.n_links
+
+    def each(value: Any) -> Any:
+        return np.repeat(value, pieces) if value is not None and np.shape(value) == (coarse,) else value
+
+    if isinstance(state, State) and np.shape(state.q) == (coarse,) and (pieces > 1).any():
+        state = replace(state, q=each(state.q), qd=each(state.qd), checkpoint={})
+    return refined(rope, pegs, arm=arm), each(q0), each(qd0), state
+
+
+def split(seen: Array, n: int) -> tuple[Array, Array, Array]:
+    """Return accelerations (T, n), forces of the pegs on the links (T, n, 2) and loads (T, 3) of what was seen."""
+    return seen[:, :n], np.stack([seen[:, n : 2 * n], seen[:, 2 * n : 3 * n]], axis=-1), seen[:, 3 * n :]

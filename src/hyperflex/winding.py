@@ -1,0 +1,200 @@
+"""How a rope is wound round a peg, and how well it holds: measures on a trajectory, and a tug."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core.drive import base_state, segment
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Peg
+from hyperflex.motion import moving_point
+from hyperflex.simulation import simulate
+from hyperflex.trajectory import State, Trajectory
+
+TOUCH = 1e-4  # m, gap below which a link lies on a peg
+
+
+@dataclass(frozen=True)
+class Winding:
+    """A rope and a peg in the course of a run.
+
+    Attributes
+    ----------
+    turns : (T,) float64
+        Signed angle about the peg from the rope's first joint to its end, over 2 pi; positive counterclockwise.
+    arc : (T,) float64
+        Signed angle about the peg from the first to the last link that lies on it, rad; 0 where fewer than two do.
+    before, after : (T,) float64
+        Tension of the rope towards the motor and towards the tip of the links on the peg, N; NaN where none is.
+    """
+
+    turns: Array
+    arc: Array
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True)
+class Tug:
+    """What a wound rope held against a pull at its motor-side end.
+
+    Attributes
+    ----------
+    hold : float
+        Greatest tension at the first joint until the end had slipped, N.
+    slipped : bool
+        Whether the end slipped within the pull; if not, `hold` is a lower bound.
+    run : Trajectory
+        The simulated pull.
+    """
+
+    hold: float
+    slipped: bool
+    run: Trajectory
+
+
+def wound(run: Trajectory, peg: Peg) -> Winding:
+    """Measure how a rope is wound round a peg.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Simulated with this peg.
+    peg : Peg
+
+    Returns
+    -------
+    Winding
+
+    Raises
+    ------
+    InvalidInput
+        If the run had no such peg.
+    """
+    if peg not in run.setup.pegs:
+        raise InvalidInput(
+            "peg is not one of the run's", got=peg, allowed=", ".join(map(str, run.setup.pegs)) or "none"
+        )
+    away = run.joints - np.array([peg.x, peg.y])
+    swept = _swept(away)
+    touching = _gaps(run, peg) < TOUCH
+    any_touch = touching.any(axis=1)
+    first = touching.argmax(axis=1)
+    last = touching.shape[1] - 1 - touching[:, ::-1].argmax(axis=1)
+    rows = np.arange(run.t.size)
+    through = np.cumsum(np.concatenate([np.zeros((run.t.size, 1)), swept], axis=1), axis=1)
+    middle = 0.5 * (through[:, :-1] + through[:, 1:])
+    pull = tension(run)
+    return Winding(
+        turns=swept.sum(axis=1) / (2.0 * np.pi),
+        arc=np.where(any_touch, middle[rows, last] - middle[rows, first], 0.0),
+        before=np.where(any_touch, pull[rows, first], np.nan),
+        after=np.where(any_touch, pull[rows, last + 1], np.nan),
+    )
+
+
+def turns(run: Trajectory, peg: Peg) -> Array:
+    """Return the signed turns (T,) of the rope about a peg, which need not be one of the run's; see :class:`Winding`.
+
+    Parameters
+    ----------
+    run : Trajectory
+    peg : Peg
+    """
+    return np.asarray(_swept(run.joints - np.array([peg.x, peg.y])).sum(axis=1) / (2.0 * np.pi))
+
+
+def tension(run: Trajectory) -> Array:
+    """Return the force through each joint (T, n + 1), N, the tip last; by Newton's law from the tip.
+
+    Parameters
+    ----------
+    run : Trajectory
+        With a prescribed arm or a fixed end. Beside pegs, accelerations and forces are means over the step.
+    """
+    rope, drive = run.setup.rope, run.setup.drive()
+    if run.setup.torque_driven:
+        base = np.gradient(run.base_velocity, run.t, axis=0)
+    else:
+        motion, base = np.empty(9), np.empty((run.t.size, 2))
+        for k, t in enumerate(run.t):
+            base_state(drive, segment(drive, t), t, motion)
+            base[k] = motion[:2]
+    across = np.stack([np.cos(run.q), np.sin(run.q)], axis=-1)
+    along = np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
+    bend = run.qdd[..., None] * across - (run.qd**2)[..., None] * along
+    joints = np.cumsum(np.concatenate([base[:, None], rope.length[:, None] * bend], axis=1), axis=1)
+    centres = joints[:, :-1] + rope.com[:, None] * bend
+    needed = rope.mass[:, None] * (centres - rope.gravity)
+    if run.contact_force is not None:
+        needed = needed - run.contact_force
+    end = rope.tip_mass * (joints[:, -1:] - rope.gravity) - np.array(run.setup.tip_force)
+    force = np.cumsum(np.concatenate([end, needed[:, ::-1]], axis=1), axis=1)[:, ::-1]
+    return np.asarray(np.hypot(force[..., 0], force[..., 1]))
+
+
+def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.05, slip: float = 5e-3) -> Tug:
+    """Pull the rope's motor-side end slowly away from a peg, from where a run ended, and see what holds.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Ended with the rope on the peg.
+    peg : Peg
+    speed : float
+        Of the pull, m/s, reached smoothly.
+    distance : float
+        Of the pull, m.
+    slip : float
+        Way of the rope's end that counts as slipping, m, beside the way that a wound rope's end makes by itself while
+        the rope is pulled straight.
+
+    Returns
+    -------
+    Tug
+    """
+    speed, distance, slip = (
+        checks.number(name, value, sign="positive", unit=unit)
+        for name, value, unit in (("speed", speed, "m/s"), ("distance", distance, "m"), ("slip", slip, "m"))
+    )
+    end = run.joints[-1, 0]
+    away = end - np.array([peg.x, peg.y])
+    away /= np.hypot(*away)
+    time = np.array([0.0, distance / speed])
+    path = end + np.array([[0.0], [distance]]) * away
+    setup = run.setup
+    pulled = simulate(
+        setup.rope,
+        moving_point(time, path[:, 0], path[:, 1]),
+        duration=float(time[-1]),
+        state=State(t=0.0, q=run.q[-1], qd=run.qd[-1]),
+        pegs=setup.pegs,
+        contact_step=setup.contact_step,
+        tip_force=setup.tip_force,
+        refine=False,
+    )
+    way = np.hypot(*(pulled.tip - pulled.tip[0]).T)
+    slipped = bool((way > slip).any())
+    stop = int(np.argmax(way > slip)) + 1 if slipped else pulled.t.size
+    return Tug(hold=float(tension(pulled)[:stop, 0].max()), slipped=slipped, run=pulled)
+
+
+def _swept(away: Array) -> Array:
+    """Signed angle (T, n), rad, that each link subtends at the origin of `away` (T, n + 1, 2)."""
+    a, b = away[:, :-1], away[:, 1:]
+    cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return np.asarray(np.arctan2(cross, (a * b).sum(axis=-1)))
+
+
+def _gaps(run: Trajectory, peg: Peg) -> Array:
+    """Gap of each link to a peg (T, n), m."""
+    rope = run.setup.rope
+    along = np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
+    to_peg = np.array([peg.x, peg.y]) - run.joints[:, :-1]
+    place = np.clip((to_peg * along).sum(axis=-1), 0.0, rope.length)
+    offset = place[..., None] * along - to_peg
+    return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) - peg.radius - rope.radius)
