@@ -53,23 +53,19 @@ def test_what_sticks_does_not_creep(mu: float, turns: float) -> None:
 def test_a_mass_on_a_string_winds_up_round_a_peg() -> None:
     """Without weight the mass keeps its speed v, and the free length l obeys l^2 = l0^2 - 2 R v t (an involute)."""
     peg, speed, free = hf.Peg(0.0, 0.0, 0.02, 0.5), 2.0, 0.5
-    rope = hf.Rope.uniform(0.6, 1e-4, 100, friction=1e-9, tip_mass=0.1, gravity=(0.0, 0.0))
-    q0 = laid(rope.length, (-0.02 * (1 + 1e-6), 0.1), 0.02 * (1 + 1e-6), 0.0)
+    rope = hf.Rope.uniform(0.6, 5e-3, 100, friction=1e-5, tip_mass=0.2, gravity=(0.0, 0.0))
+    axis = 0.02 * (1.0 + 1e-6)
+    q0 = laid(rope.length, (-axis, 0.1), axis, 0.0)
     qd0 = np.where(np.cumsum(rope.length) > 0.1 + 1e-9, speed / free, 0.0)
-    run = hf.simulate(rope, moved_to(-0.02 * (1 + 1e-6), 0.1), duration=2.0, q0=q0, qd0=qd0, pegs=[peg], refine=False)
+    still = hf.moving_point([0.0, 1.0], [-axis, -axis], [0.1, 0.1])
+    run = hf.simulate(rope, still, duration=2.0, q0=q0, qd0=qd0, pegs=[peg], refine=False)
     left = np.sqrt(free**2 - 2.0 * 0.02 * speed * run.t)
     turned = (free - left) / 0.02
-    angle = np.unwrap(run.q[:, -1])
-    # A polygon of corners d is longer than its circle by d^2 / 12, 0.75 % at d = 0.3, and loses energy at each corner:
-    # 2 % of the angle after a turn and a half.
-    np.testing.assert_allclose(angle, turned, rtol=0, atol=0.02 * turned[-1])
-    assert turned[-1] > 5.0
-    assert hf.wound(run, peg).turns[-1] == pytest.approx((turned[-1] + math.pi) / (2 * math.pi), abs=0.2)
-
-
-def moved_to(x: float, y: float) -> hf.Motion:
-    """A point that stands still at (x, y)."""
-    return hf.moving_point([0.0, 1.0], [x, x], [y, y])
+    # A polygon of corners d = 0.3 is 0.75 % longer than its circle, and the rope has 2.5 % of the mass.
+    np.testing.assert_allclose(run.q[:, -1], turned, rtol=0, atol=0.02 * turned[-1])
+    assert turned[-1] > 9.9
+    # The mass keeps its energy: what joints and contact take of it is below 1 %.
+    assert run.kinetic_energy[-1] == pytest.approx(run.kinetic_energy[0], rel=0.01)
 
 
 def throws(seed: int) -> tuple[hf.Rope, dict[str, object]]:
@@ -85,13 +81,18 @@ def throws(seed: int) -> tuple[hf.Rope, dict[str, object]]:
     return rope, {"pegs": pegs, "q0": q0, "duration": 1.0}
 
 
+def rise(values: np.ndarray) -> float:
+    """By how much values (T,) rise at most above what they were before."""
+    return float((values - np.minimum.accumulate(values)).max())
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_energy_never_grows_in_random_throws(seed: int) -> None:
     rope, how = throws(seed)
     run = hf.simulate(rope, **how)
-    total = run.energy_error
     # The goals of the project, for joints with friction of 1e-4 N m s/rad and more.
-    assert (total - np.minimum.accumulate(total)).max() < 1e-5
+    assert rise(run.energy_error) < 1e-5
+    assert rise(-run.contact_loss) < 1e-5  # contact gives nothing back
     assert run.attrs["contact_deepest"] < 2e-4
     assert run.attrs["contact_unsolved"] <= 0.005 * run.attrs["contact_steps"]
     assert run.attrs["contact_steps"] > 0
@@ -105,10 +106,10 @@ def test_nothing_passes_a_peg_at_fifty_metres_a_second() -> None:
     # It rests on the peg at the angle at which its axis is tangent to the circle of both radii.
     resting = 0.5 * math.pi - math.asin(0.0065 / 0.9)
     assert run.q[-1, 0] == pytest.approx(resting, abs=1e-5)
-    assert abs(run.qd[-1, 0]) < 1e-9
+    assert abs(run.qd[-1, 0]) < 2e-3  # pushed out of a micrometre's penetration at a millimetre a second at most
     # Restitution zero: all of its energy is gone, and it went into the contact.
     energy = 0.5 * (0.05 / 3.0 + 0.25 * 0.05 * 0.0025**2) * 50.0**2
-    assert run.attrs["contact_loss"] == pytest.approx(energy, rel=1e-6)
+    assert run.contact_loss[-1] == pytest.approx(energy, rel=1e-6)
 
 
 def test_a_rope_that_meets_no_peg_moves_as_without() -> None:

@@ -273,8 +273,9 @@ def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 
     Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
-    always, and each solution starts the search for a stiffer one; likewise where the residual (P - P0) / M is not slight
-    yet. The last solution that was found holds: its impulses obey Coulomb's law, its velocities up to the residual.
+    always, and each solution starts the search for a stiffer one; likewise where the residual (P - P0) / M is not
+    slight yet. The last solution that was found holds: its impulses obey Coulomb's law, its velocities up to the
+    residual.
 
     Parameters
     ----------

@@ -75,12 +75,13 @@ def write(desk, course, h, t_out, y_out, seen_out):  # type: ignore[no-untyped-d
         y_out[k, 2 * n] = y[2 * n] + x * desk.account[WORK]
         y_out[k, 2 * n + 1] = y[2 * n + 1] + x * (desk.account[FRICTION] + desk.account[CONTACT])
         see(desk, h, seen_out[k])
+        seen_out[k, 3 * n + 3] = clock[LOST] + x * desk.account[CONTACT]
         clock[INDEX] += 1
 
 
 @kernel
 def see(desk, h, out):  # type: ignore[no-untyped-def]
-    """Means over a step, to ``out`` (3 n + 3,).
+    """Means over a step, to ``out`` (3 n + 4,), whose last entry is left out.
 
     Accelerations, rad/s^2; forces of the pegs on the links, first x, then y, N; force on the rope at its first joint,
     x and y, N, and torque through that joint, N m.
@@ -149,7 +150,7 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
     ----------
     chain, drive, pegs, bounds, course : Chain, Drive, Pegs, Bounds, Course
     pull : (2,) force on the tip beside gravity, N
-    t_out : (m,) increasing times, s; y_out : (m, 2 n + 2) out, as in ``rollout.run``; seen_out : (m, 3 n + 3) out
+    t_out : (m,) increasing times, s; y_out : (m, 2 n + 2) out, as in ``rollout.run``; seen_out : (m, 3 n + 4) out
 
     Returns
     -------

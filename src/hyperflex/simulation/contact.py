@@ -6,16 +6,19 @@ more than was allowed for, it is flown again by the stepper for contacts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.core import contact_run as core
 from hyperflex.core import status
+from hyperflex.core.chain import Chain
 from hyperflex.core.contact_step import Kept
+from hyperflex.core.drive import Drive
 from hyperflex.core.progress import INDEX, MARK, T
 from hyperflex.model import Arm, Peg, Rope, Setup, cuts, refined
 from hyperflex.simulation.rollouts import BUDGET, Rollout, starting_clock
@@ -46,7 +49,8 @@ class Beside:
 
     def __init__(self, run: Rollout, setup: Setup, saved: Mapping[str, Any]) -> None:
         n, m = run.chain.length.size, len(setup.pegs)
-        self.run, self.pegs = run, setup.contacts()
+        self.run = run
+        self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), setup.contacts())
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
         kept = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
         clock = np.zeros(core.CLOCK)
@@ -57,7 +61,7 @@ class Beside:
             clock[core.STEP], clock[core.DUE] = min(float(saved[STEP]), self.longest), 0.0
         self.course = core.Course(run.progress.y, clock, kept)
         self.flights, self.flown = 0, 0.0
-        run.seen = np.full((run.t.size, 3 * n + 3), np.nan)
+        run.seen = np.full((run.t.size, 3 * n + 4), np.nan)
 
     def finish(self, report: Callable[[float], None] | None = None) -> int:
         """Run to the end and return the status code; `report` hears of the simulated time now and then."""
@@ -82,7 +86,7 @@ class Beside:
             return status.OK
         if self.pull.any():
             return status.LEFT
-        gap, speed = core.clearance(run.chain, run.drive, self.pegs, run.time, run.progress.y)
+        gap, speed = core.clearance(*self.system, run.time, run.progress.y)
         bound = FASTER * speed + SUDDEN
         span = gap / bound
         if gap < CLEAR or span < SHORTEST_FLIGHT:
@@ -95,7 +99,7 @@ class Beside:
         run.limits = run.limits._replace(stop=stop)
         if code != status.OK:
             return code
-        gap, speed = core.clearance(run.chain, run.drive, self.pegs, run.time, run.progress.y)
+        gap, speed = core.clearance(*self.system, run.time, run.progress.y)
         if speed > bound or gap <= 0.0:
             run.progress.y[:], clock[:] = y, before
             return self._touch(begin + span)
@@ -116,7 +120,7 @@ class Beside:
         stop = min(run.limits.stop, least) if forced else run.limits.stop
         clear = np.inf if always or forced else CLEAR
         bounds = core.Bounds(stop, self.longest, rate, clear, BUDGET)
-        code = int(core.run(run.chain, run.drive, self.pegs, self.pull, bounds, course, run.t, run.y, run.seen))
+        code = int(core.run(*self.system, self.pull, bounds, course, run.t, run.y, run.seen))
         index = course.clock[core.INDEX]
         clock[:MARK] = starting_clock(float(course.clock[core.T]))
         clock[INDEX], clock[MARK] = index, -np.inf
@@ -128,7 +132,7 @@ class Beside:
         chain, n = run.chain, run.chain.length.size
         lever = chain.length.sum()
         mass = chain.mass.sum() + chain.tip_mass
-        _, speed = core.clearance(chain, run.drive, self.pegs, run.time, run.progress.y)
+        _, speed = core.clearance(*self.system, run.time, run.progress.y)
         torque = float(np.abs(run.drive.coef[:, 3]).max()) if n else 0.0
         return float(mass * (np.hypot(chain.gx, chain.gy) * lever + speed**2) + np.hypot(*self.pull) * lever + torque)
 
@@ -139,7 +143,6 @@ class Beside:
             "contact_unsolved": float(clock[core.UNSOLVED]),
             "contact_impacts": float(clock[core.IMPACTS]),
             "contact_deepest": float(clock[core.DEEPEST]),
-            "contact_loss": float(clock[core.LOST]),
             "energy_appeared": float(clock[core.APPEARED]),
             "free_flights": float(self.flights),
             "free_time": self.flown,
@@ -167,6 +170,26 @@ def finer(
     return refined(rope, pegs, arm=arm), each(q0), each(qd0), state
 
 
-def split(seen: Array, n: int) -> tuple[Array, Array, Array]:
-    """Return accelerations (T, n), forces of the pegs on the links (T, n, 2) and loads (T, 3) of what was seen."""
-    return seen[:, :n], np.stack([seen[:, n : 2 * n], seen[:, 2 * n : 3 * n]], axis=-1), seen[:, 3 * n :]
+def _own(values: Iterable[Any]) -> Iterator[Any]:
+    """Yield arrays as copies that can be written to: the compiler keeps a version of a kernel for each kind."""
+    for value in values:
+        yield np.array(value) if isinstance(value, np.ndarray) else value
+
+
+class Seen(NamedTuple):
+    """What contact makes of a run at its samples."""
+
+    free: npt.NDArray[np.bool_]  # (T,) samples in free flight
+    qdd: Array  # (T, n) rad/s^2; NaN there
+    force: Array  # (T, n, 2) of the pegs on the links, N; 0 there
+    load: Array  # (T, 3) force, N, and torque, N m, at the first joint; NaN there
+    loss: Array  # (T,) energy lost to contact since the start of the run, J
+
+
+def split(seen: Array, n: int) -> Seen:
+    """Take what was seen (T, 3 n + 4) of n links apart."""
+    free = np.isnan(seen[:, 0])
+    force = np.stack([seen[:, n : 2 * n], seen[:, 2 * n : 3 * n]], axis=-1)
+    latest = np.maximum.accumulate(np.where(free, -1, np.arange(free.size)))  # contact loses nothing in free flight
+    loss = np.where(latest < 0, 0.0, seen[np.maximum(latest, 0), 3 * n + 3])
+    return Seen(free, seen[:, :n], np.where(free[:, None, None], 0.0, force), seen[:, 3 * n : 3 * n + 3], loss)

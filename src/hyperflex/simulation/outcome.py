@@ -100,9 +100,10 @@ def _trajectory(run: Rollout, setup: Setup, skip: int, count: int, name: str, me
     qdd, base, scalars = np.empty((count, n)), np.empty((count, 9)), np.empty((count, 5))
     output.observe(run.chain, run.drive, t, y, qdd, base, scalars)
     q, qd = y[:, :n], y[:, n : 2 * n]
-    force = None
-    if run.seen is not None:
-        force = _beside_pegs(run.seen[skip : skip + count], qdd, scalars)[:, n - setup.rope.n_links :]
+    contact = None if run.seen is None else split(run.seen[skip : skip + count], n)
+    if contact is not None:  # in free flight what (1) gives stands
+        touched = ~contact.free
+        qdd[touched], scalars[touched, 2:] = contact.qdd[touched], contact.load[touched]
     if setup.torque_driven and setup.arm is not None:
         angle, rate = q[:, 0], qd[:, 0]
         sin, cos, arm_length = np.sin(angle), np.cos(angle), setup.arm.length
@@ -132,19 +133,9 @@ def _trajectory(run: Rollout, setup: Setup, skip: int, count: int, name: str, me
         status=name,
         message=message,
         attrs={"method": setup.method, "tol": setup.tol, **run.facts},
-        contact_force=force,
+        contact_force=None if contact is None else contact.force[:, n - setup.rope.n_links :],
+        contact_loss=None if contact is None else contact.loss,
     )
-
-
-def _beside_pegs(seen: Array, qdd: Array, scalars: Array) -> Array:
-    """Put what contact makes of accelerations (T, n) and of the load on the first joint; returns its forces (T, n, 2).
-
-    Free flight has none, and what (1) gives stands.
-    """
-    accelerations, forces, loads = split(seen, qdd.shape[1])
-    rows = np.isfinite(loads[:, 0])
-    qdd[rows], scalars[rows, 2:] = accelerations[rows], loads[rows]
-    return np.where(rows[:, None, None], forces, 0.0)
 
 
 def _motor_torque(setup: Setup, angle: Array, rate: Array, acceleration: Array, scalars: Array) -> Array:

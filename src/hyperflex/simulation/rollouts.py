@@ -52,8 +52,8 @@ class Rollout:
         Output times, s.
     y : (T, 2 n + 2) float64
         States at those times: angles, rates, work, dissipation; rows are filled as the run goes on.
-    seen : (T, 3 n + 3) float64, optional
-        Beside pegs: means over the step at each time as in ``contact_run.see``; NaN in free flight.
+    seen : (T, 3 n + 4) float64, optional
+        Beside pegs: what ``contact_run.write`` saw at each time; NaN in free flight.
     facts, kept : dict
         Beside pegs: what the trajectory tells about contacts, and what a run that goes on needs of them.
     """

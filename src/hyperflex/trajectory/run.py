@@ -39,6 +39,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
 }
 OPTIONAL: dict[str, tuple[tuple[str, ...], str, str]] = {
     "contact_force": (("link", "axis"), "N", "force of the pegs on the link, mean over the step at the sample"),
+    "contact_loss": ((), "J", "energy lost to contact since the start of the run, part of dissipated_energy"),
 }
 DERIVED: dict[str, tuple[tuple[str, ...], str, str]] = {
     "joints": (("joint", "axis"), "m", "positions of the joints, the tip last"),
@@ -108,6 +109,8 @@ class Trajectory:
         Name and time, s, of the event that ended the run (``simulate(..., until=...)``); None if none did.
     contact_force : (T, n, 2) float64 or None
         Force of the pegs on each link, N, mean over the step at the sample; None without pegs.
+    contact_loss : (T,) float64 or None
+        Part of `dissipated_energy` that was lost to contact, J; None without pegs.
     """
 
     t: Array
@@ -130,6 +133,7 @@ class Trajectory:
     attrs: dict[str, Any] = field(default_factory=dict)
     event: tuple[str, float] | None = None
     contact_force: Array | None = None
+    contact_loss: Array | None = None
 
     def __post_init__(self) -> None:
         sizes = {"link": self.setup.rope.n_links, "axis": 2}

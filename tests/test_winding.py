@@ -1,0 +1,172 @@
+"""Pegs and finer ropes, and the measures on a wound rope."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import InvalidInput
+from hyperflex.model import cuts
+from hyperflex.winding import turns
+from tests.reference import dense
+from tests.reference.arm import links_of
+from tests.reference.wrapping import capstan
+
+PEG = hf.Peg(0.6, -0.7, 0.03, 0.3)
+
+
+def cable(**changes: object) -> hf.Rope:
+    kept = {"length": 2.0, "mass": 0.125, "n_links": 50, "radius": 0.0025, "friction": 5e-4, **changes}
+    return hf.Rope.uniform(**kept)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"radius": 0.0}, "peg radius has the wrong sign"),
+        ({"x": math.nan}, "peg x is not finite"),
+        ({"mu": -0.1}, "peg mu has the wrong sign"),
+        ({"y": "low"}, "peg y is not a number"),
+    ],
+)
+def test_bad_pegs_are_refused(change: dict[str, object], words: str) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        hf.Peg(**{"x": 0.0, "y": 0.0, "radius": 0.02, "mu": 0.3, **change})
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ({"rope": {"friction_model": "printed"}}, "acts on both links"),
+        ({"rope": {"dry_friction": 1e-4}}, "dry friction"),
+        ({"method": "rk4", "step": 1e-5}, "stepper of its own"),
+        ({"pegs": ["a peg"]}, "pegs holds something else"),
+        ({"tip_force": (1.0, 0.0), "pegs": []}, "tip_force needs"),
+        ({"contact_step": 0.0}, "contact_step has the wrong sign"),
+        ({"until": hf.tip_speed_peak()}, "not there yet beside pegs"),
+    ],
+)
+def test_what_contact_cannot_do_is_refused(what: dict[str, object], words: str) -> None:
+    how = dict(what)
+    rope = cable(**how.pop("rope", {}))  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match=words):
+        hf.simulate(rope, **{"duration": 0.1, "pegs": [PEG], **how})
+
+
+def test_a_set_up_with_pegs_survives_its_file(tmp_path: object) -> None:
+    setup = hf.Setup(cable(), pegs=[PEG, hf.Peg(-0.5, -0.2, 0.05)], contact_step=1e-4, tip_force=(0.1, -0.2))
+    again = hf.Setup.loads(setup.dumps())
+    assert (again.pegs, again.contact_step, again.tip_force) == (setup.pegs, 1e-4, (0.1, -0.2))
+    one = setup.dumps().replace("x = [0.6, -0.5]", "x = 0.6")
+    with pytest.raises(InvalidInput, match="one number of pegs"):
+        hf.Setup.loads(one)
+
+
+def test_a_run_survives_its_file_and_goes_on(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    run = hf.simulate(cable(n_links=20), duration=0.6, q0=np.full(20, 1.4), pegs=[PEG])
+    run.to_netcdf(tmp_path / "run.nc")
+    again = hf.read_trajectory(tmp_path / "run.nc")
+    np.testing.assert_array_equal(again.contact_force, run.contact_force)
+    np.testing.assert_array_equal(again.contact_loss, run.contact_loss)
+    assert again.setup.pegs == (PEG,)
+    assert "contact_force" in again.dataset
+    onwards = [hf.simulate(cable(n_links=20), duration=0.1, state=s, pegs=[PEG]).q for s in (run.state, again.state)]
+    np.testing.assert_array_equal(*onwards)
+
+
+def test_a_finer_rope_is_the_same_rope() -> None:
+    rope = cable(n_links=10, stiffness=1e-3, tip_mass=0.01)
+    fine = hf.refined(rope, [PEG])
+    pieces = cuts(rope, [PEG])
+    far = np.cumsum(rope.length) >= math.hypot(PEG.x, PEG.y) - 0.0325
+    assert (fine.length[np.repeat(far, pieces)] <= 0.3 * 0.0325 + 1e-12).all()
+    assert (pieces[~far] == 1).all()
+    # Straight pieces are the old links: their masses, centres and inertias, so the energies of any shape of these.
+    rng = np.random.default_rng(0)
+    q, w = rng.normal(size=10), rng.normal(size=10)
+    still = (np.zeros(2), np.zeros(2), 0.0)
+    coarse_energy = dense.energies(links_of(rope.replace(stiffness=0.0)), q, w, *still)
+    many = np.repeat(q, pieces), np.repeat(w, pieces)
+    fine_energy = dense.energies(links_of(fine.replace(stiffness=np.zeros(fine.n_links))), *many, *still)
+    np.testing.assert_allclose(fine_energy, coarse_energy, rtol=1e-12)
+    # A bend of the same curvature all along takes as much from the one as from the other.
+    whole = hf.refined(rope, [hf.Peg(0.0, 0.05, 0.03)])
+    for name in ("friction", "stiffness"):
+        powers = []
+        for each in (rope, whole):
+            bend = 0.5 * (each.length[1:] + each.length[:-1])
+            powers.append(float(getattr(each, name)[1:] @ bend**2))
+        # The joints at the ends stand for half a link of either rope: a twentieth of the coarse one.
+        assert powers[1] == pytest.approx(powers[0], rel=0.11)
+
+
+def test_a_fine_rope_is_left_alone_and_an_uneven_link_is_not_cut() -> None:
+    rope = cable(n_links=300)
+    assert hf.refined(rope, [PEG]) is rope
+    uneven = cable(n_links=10).replace(com=np.full(10, 0.05))
+    with pytest.raises(InvalidInput, match="not uniform"):
+        hf.refined(uneven, [PEG])
+
+
+def test_a_coarse_rope_is_refined_by_itself() -> None:
+    run = hf.simulate(cable(), duration=0.05, q0=np.full(50, 0.3), pegs=[PEG])
+    assert run.setup.rope == hf.refined(cable(), [PEG])
+
+
+def wound_up(mu: float = 0.3) -> hf.Trajectory:
+    """A turn and a half round a peg, at rest under 1 N at the tip and 2 N at the other end."""
+    peg, swept = hf.Peg(0.0, 0.0, 0.02, mu), 3.0 * math.pi
+    length = 0.25 + swept * 0.0225
+    rope = hf.Rope.uniform(length, 0.0625 * length, 60, 0.0025, friction=2e-3, gravity=(0.0, 0.0))
+    return hf.simulate(capstan(rope, peg, swept, np.array([0.0, 3.0]), np.array([2.0, 2.0])))
+
+
+def test_measures_of_a_wound_rope() -> None:
+    run = wound_up()
+    peg = run.setup.pegs[0]
+    state = hf.wound(run, peg)
+    # Seen from the centre the straight ends reach from a turn and a half less what they stand off at either side.
+    ends = sum(math.atan(0.0225 / np.hypot(*run.joints[-1, k])) for k in (0, -1))
+    assert state.turns[-1] == pytest.approx(1.5 + (math.pi - ends) / (2.0 * math.pi) - 0.0, abs=0.02)
+    np.testing.assert_array_equal(turns(run, peg), state.turns)
+    assert state.arc[-1] == pytest.approx(3.0 * math.pi, abs=0.4)  # less a link at either end
+    assert state.before[-1] == pytest.approx(2.0, rel=1e-3)
+    assert state.after[-1] == pytest.approx(1.0, rel=1e-3)
+    # The pegs bear what both ends pull, which here point the same way.
+    total = run.contact_force[-1].sum(axis=0)
+    np.testing.assert_allclose(total, [0.0, -3.0], rtol=0, atol=3e-3)
+    with pytest.raises(InvalidInput, match="not one of the run's"):
+        hf.wound(run, hf.Peg(1.0, 0.0, 0.1))
+
+
+def test_tension_of_a_hanging_rope_is_its_weight() -> None:
+    rope = cable(n_links=7, tip_mass=0.02)
+    run = hf.simulate(rope, duration=0.1, pegs=[hf.Peg(1.0, 1.0, 0.1)], refine=False)
+    weight = 9.81 * (0.02 + np.append(np.cumsum(rope.mass[::-1])[::-1], 0.0))
+    np.testing.assert_allclose(hf.tension(run)[-1], weight, rtol=1e-12)
+
+
+def test_a_tug_tells_what_a_wound_rope_holds() -> None:
+    """Pulled off, a rope that hangs over a peg half a turn gives way at exp(mu pi) times the weight of its tail."""
+    rope = hf.Rope.uniform(1.0, 0.02, 60, 0.0025, friction=1e-3, tip_mass=0.2)
+    peg = hf.Peg(0.0, 0.0, 0.03, 0.2)
+    start = hf.moving_point([0.0, 1.0], [-0.0326, -0.0326], [-0.3, -0.3])
+    q0 = over_the_top(rope.length, 0.0326, 0.3)
+    run = hf.simulate(rope, start, duration=0.5, q0=q0, pegs=[peg])
+    pull = hf.tug(run, peg, speed=0.05, distance=0.03)
+    assert pull.slipped
+    tail = 9.81 * (0.2 + 0.02 * (1.0 - 0.3 - math.pi * 0.0325))
+    up = 9.81 * 0.02 * 0.3  # and the weight of the way up
+    # The pull is dynamic, at 0.05 m/s, and the tail swings a little: 10 %.
+    assert pull.hold == pytest.approx(tail * math.exp(0.2 * math.pi) - up, rel=0.1)
+    assert replace(pull, slipped=False).hold == pull.hold
+
+
+def over_the_top(length: np.ndarray, axis: float, rise: float) -> np.ndarray:
+    """Angles of links that go straight up, over a circle of radius `axis` clockwise, and straight down."""
+    along = np.cumsum(length) - 0.5 * length
+    return math.pi - np.clip((along - rise) / axis, 0.0, math.pi)
