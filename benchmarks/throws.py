@@ -126,7 +126,7 @@ def main() -> int:
         for row in pool.map(lambda k: throw(k, not options.coarse), range(1, options.count)):
             rows.append(row)
             print(json.dumps(row), flush=True)
-    found = {"machine": machine.facts(), "links": "40 mm" if options.coarse else "refined", "summary": summary(rows)}
+    found = {"machine": machine.describe(), "links": "40 mm" if options.coarse else "refined", "summary": summary(rows)}
     print(json.dumps(found["summary"], indent=1))
     if options.out != "-":
         files.write_text(options.out, json.dumps(found | {"throws": rows}, indent=1) + "\n")

@@ -233,6 +233,7 @@ def search(chain, found, impulses, motion, h, heavy):  # type: ignore[no-untyped
         if broke == 0 and moved <= SETTLED:
             return turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
+            motion.change[:] = 0.0
             break
     return -ROUNDS
 

@@ -119,6 +119,15 @@ def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def forget(kept):  # type: ignore[no-untyped-def]
+    """Forget the modes and forces of the last step."""
+    for i in range(kept.mode.shape[0]):
+        for p in range(kept.mode.shape[1]):
+            kept.normal[i, p] = kept.tangent[i, p] = 0.0
+            kept.mode[i, p] = OPEN
+
+
+@kernel
 def impact(chain, drive, part, pegs, pull, course, desk, nothing):  # type: ignore[no-untyped-def]
     """Let the links that touch a peg come to rest on it, in no time; `nothing` is a Kept without contacts."""
     least, rounds = attempt(chain, drive, part, pegs, pull, course.clock[T], 0.0, course.y, nothing, desk)
@@ -197,6 +206,9 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
             wanted = h
             clock[REJECTED] += 1.0
         if not (abs(surplus) < np.inf):
+            if kept.mode.any():  # begin anew, from nothing
+                forget(kept)
+                continue
             return status.NOT_FINITE
         if not good:
             clock[FORCED] += 1.0

@@ -26,6 +26,7 @@ from hyperflex.trajectory import State
 
 SHORTEST_FLIGHT = 0.01  # s; for less the hand-over does not pay
 FASTER, SUDDEN = 2.0, 2.0  # a flight allows for speeds so many times as large, and by so much more, m/s
+FLIGHT_TOL = 1e-8  # m; with the usual tolerance a flight would gain and lose more energy than contact may
 CLEAR = 0.03  # m, gap at which a rope that was in contact has left
 # Energy that may come from nowhere, in parts of the energy at stake for each second; and where joint friction is so low
 # that the rope's own motion, and not contact, sets the steps
@@ -49,6 +50,7 @@ class Beside:
 
     def __init__(self, run: Rollout, setup: Setup, saved: Mapping[str, Any]) -> None:
         n, m = run.chain.length.size, len(setup.pegs)
+        run.limits = run.limits._replace(tol=min(run.limits.tol, FLIGHT_TOL))
         self.run = run
         self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), setup.contacts())
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
