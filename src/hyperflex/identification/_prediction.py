@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification._shooting import Plant, fit_state
-from hyperflex.identification._windows import Window, first_state, thin
-from hyperflex.model import Rope
-from hyperflex.recording import Recording
+from hyperflex.identification._loss import Loss
+from hyperflex.identification._plant import Plant
+from hyperflex.identification._shooting import fit_state
+from hyperflex.identification._stages import Measured
+from hyperflex.identification._windows import LEAST, Window, first_state, thin
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,15 +20,15 @@ class HeldOut:
 
     Attributes
     ----------
-    rms : (n,) rad
-        Prediction error of each link's angle over all predicted samples.
-    window_rms : (W, n) rad
+    rms : (C,) rad or m
+        Prediction error of each channel (each link's angle, or each marker's x and y) over all predicted samples.
+    window_rms : (W, C) rad or m
         The same for each predicted stretch.
     starts : (W,) s
         Where each prediction starts.
     lead, ahead : float, s
         Time on which each state was fitted, and time predicted without data.
-    t (m,), measured (m, n), predicted (m, n)
+    t (m,), measured (m, C), predicted (m, C)
         All predicted samples, for drawing; measured is NaN in gaps. A stretch that could not be predicted, or whose
         prediction does not stay finite, is inf throughout, and so is its rms and that of all.
     """
@@ -47,8 +48,10 @@ class HeldOut:
         return self.starts[np.isinf(self.window_rms).any(axis=1)]
 
 
-def predict(plant: Plant, rope: Rope, recording: Recording, lead: float = 0.5, ahead: float = 1.0) -> HeldOut | None:
-    """Predict a recording of angles piece by piece.
+def predict(
+    plant: Plant, x: Array, measured: Measured, lead: float = 0.5, ahead: float = 1.0, loss: Loss | None = None
+) -> HeldOut | None:
+    """Predict what is measured piece by piece, with the parameters x.
 
     The first prediction starts `lead` after the first sample; each next one `ahead` later, its state fitted on the
     `lead` before it (measured data again, not the prediction).
@@ -63,26 +66,28 @@ def predict(plant: Plant, rope: Rope, recording: Recording, lead: float = 0.5, a
     fitted to, and the rms taken over, what is left. All samples count alike in both: the recording's noise is not used
     as a weight.
     """
-    recording = recording.decimate(thin(recording, lead))
-    t, slack = recording.t, 1e-9 + 1e-6 * ahead
-    starts, times, measured, predicted = [], [], [], []
+    step = thin(measured.channels, lead)
+    recording, angles = measured.channels.decimate(step), measured.shape.decimate(step).data
+    t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
+    believed = np.zeros((0, 2 * angles.shape[1])) if measured.believed is None else measured.believed
+    starts, times, seen, predicted = [], [], [], []
     for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
         before = (t >= start - lead - slack) & (t < start + slack)
         after = (t > start + slack) & (t <= start + ahead + slack)
-        known = ~np.isnan(recording.data[before])
-        if not after.any() or known.sum(axis=0).min() < 4:
+        known = ~np.isnan(data[before])
+        if not after.any() or (~np.isnan(angles[before])).sum(axis=0).min() < LEAST:
             continue
-        window = Window(t[before], np.where(known, recording.data[before], 0.0), known.astype(np.float64))
-        found = fit_state(plant, rope, window, first_state(window))
-        every = np.append(window.t[0], t[after])
-        q = None if found is None else plant.predict(rope, every, found[0])
+        guess = first_state(t[before], angles[before])
+        window = Window(t[before], np.where(known, data[before], 0.0), known.astype(np.float64), guess, believed)
+        found = fit_state(plant, x, window, window.guess, loss=loss)
+        y = None if found is None else plant.predict(x, np.append(window.t[0], t[after]), found[0])
         starts.append(float(start))
         times.append(t[after])
-        measured.append(recording.data[after])
-        predicted.append(q[1:] if q is not None and np.isfinite(q).all() else np.full(measured[-1].shape, np.inf))
+        seen.append(data[after])
+        predicted.append(y[1:] if y is not None else np.full(seen[-1].shape, np.inf))
     if not starts:
         return None
-    errors = [p - m for p, m in zip(predicted, measured, strict=True)]
+    errors = [p - m for p, m in zip(predicted, seen, strict=True)]
     return HeldOut(
         _rms(np.concatenate(errors)),
         np.array([_rms(e) for e in errors]),
@@ -90,13 +95,13 @@ def predict(plant: Plant, rope: Rope, recording: Recording, lead: float = 0.5, a
         lead,
         ahead,
         np.concatenate(times),
-        np.concatenate(measured),
+        np.concatenate(seen),
         np.concatenate(predicted),
     )
 
 
 def _rms(error: Array) -> Array:
-    """Return the root mean square (n,) of errors (m, n), gaps (NaN) left out; NaN where there is nothing."""
+    """Return the root mean square (C,) of errors (m, C), gaps (NaN) left out; NaN where there is nothing."""
     known = ~np.isnan(error)
     with np.errstate(invalid="ignore", divide="ignore"):
         result: Array = np.sqrt((np.where(known, error, 0.0) ** 2).sum(axis=0) / known.sum(axis=0))

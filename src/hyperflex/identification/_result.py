@@ -33,10 +33,10 @@ class Identification:
         In words: what can be known, what cannot, and what looks wrong.
     identifiable : bool
         Whether all free parameters can be known.
-    residual_rms : (n,) rad
-        Fit error of each link's angle over all windows.
-    residual_t (m,), residuals (m, n) : s, rad
-        Measured less fitted angles at the fitted samples; NaN in gaps.
+    residual_rms : (C,) rad or m
+        Fit error of each channel (each link's angle, or each marker's x and y) over all windows.
+    residual_t (m,), residuals (m, C) : s, rad or m
+        Measured less fitted channels at the fitted samples; NaN in gaps.
     held_out : HeldOut or None
         Prediction of the part that was not fitted.
     parameters : tuple of str
@@ -50,6 +50,8 @@ class Identification:
         factor, seconds taken.
     status : str
         ``converged``, ``interrupted`` (Ctrl-C; the best so far) or ``not converged``.
+    unit : str
+        Of what was fitted: ``rad`` or ``m``.
     history : tuple of dict
         Round by round: window length, round, cost, gain, damping.
 
@@ -75,11 +77,12 @@ class Identification:
     singular_values: Array
     settings: dict[str, Any]
     status: str
+    unit: str
     history: tuple[dict[str, float], ...]
 
     @property
     def residual_rms_all(self) -> float:
-        """Fit error over all links and windows together, rad."""
+        """Fit error over all channels and windows together, rad or m."""
         return float(np.sqrt(np.nanmean(self.residuals**2)))
 
     def summary(self) -> dict[str, Any]:
@@ -113,10 +116,10 @@ class Identification:
             for name, numbers in value.items():
                 pairs = zip(np.atleast_1d(numbers), np.atleast_1d(spread[name]), strict=True)
                 lines.append(f"  {title} {name:<13}" + "  ".join(f"{x:.5g} ± {s:.2g}" for x, s in pairs))
-        lines.append("  fit error, mrad       " + "  ".join(f"{1e3 * x:.2f}" for x in self.residual_rms))
+        lines.append(f"  fit error, m{self.unit}       " + "  ".join(f"{1e3 * x:.2f}" for x in self.residual_rms))
         if self.held_out is not None:
             lines.append(
-                f"  prediction error over {self.held_out.ahead:g} s, mrad  "
+                f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  "
                 + "  ".join(f"{1e3 * x:.2f}" for x in self.held_out.rms)
             )
         return "\n".join([*lines, *(f"  {text}" for text in self.verdict)])

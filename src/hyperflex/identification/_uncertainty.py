@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification._parameters import Parameters, lumped
-from hyperflex.identification._shooting import PRECISION, Fit, Plant, reduce, state_nudges
+from hyperflex.identification._plant import Plant
+from hyperflex.identification._shooting import Fit, linearise
 from hyperflex.identification._windows import Window
 from hyperflex.model import Rope
 
-CLOSER = (0.01, 0.1, 1.0)  # tolerance of the rollouts for derivatives over the fit's own; the first that works is taken
-UNKNOWN = 1e-4  # singular values below this part of the largest are noise of the differences (measured: 1e-8 to 5e-6)
+UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 TOUCHED = 1e-3  # a parameter or ratio is unknown when this part of it lies in an unknown direction
 
 
@@ -45,7 +44,7 @@ class Information:
         return np.where(beyond & (length > 0.0), np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
 
-def judge(plant: Plant, parameters: Parameters, windows: Sequence[Window], fit: Fit) -> Information:
+def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
     """Return what the fit's windows tell.
 
     Notes
@@ -55,68 +54,24 @@ def judge(plant: Plant, parameters: Parameters, windows: Sequence[Window], fit: 
     as N / tau independent ones. This is crude: it takes the residuals as one stationary process. Model error that
     repeats from window to window is in no way covered by it.
     """
-    widths = parameters.widths
-    rows = []
-    for number, window in enumerate(windows):
-        left = _derivatives(plant, parameters, window, fit, number)
-        if left is not None:
-            rows.append(np.linalg.qr(left * widths, mode="r"))
-    total = len(parameters)
+    parameters = plant.parameters
+    widths, total = parameters.widths, len(parameters)
+    rows, weighted, freedom = [], [], 0.0
+    for window, state, residual in zip(windows, fit.states, fit.residuals, strict=True):
+        linear = linearise(plant, window, fit.x, state, residual, fit.loss)
+        rows.append(np.linalg.qr(linear.reduced()[0] * widths, mode="r"))
+        weight = fit.loss.weight(residual)
+        weighted.append((weight * residual).reshape(window.y.shape))
+        freedom += float((weight * (window.weight.ravel() > 0.0)).sum()) - state.size + window.believed.shape[0]
     stacked = np.vstack([*rows, np.zeros((total, total))])
     _, singular, directions = np.linalg.svd(stacked, full_matrices=False)
     told = singular > UNKNOWN * singular[0]
     known, unknown = directions[told].T, directions[~told].T
-    count = sum(window.values for window in windows)
-    freedom = max(1, count - sum(state.size for state in fit.states) - int(told.sum()))
-    correlation = autocorrelation([r.reshape(w.y.shape) for r, w in zip(fit.residuals, windows, strict=True)])
-    scaled = (known / singular[told] ** 2) @ known.T * (fit.cost / freedom * correlation)
+    cost = sum(float((r**2).sum()) for r in weighted)
+    correlation = autocorrelation(weighted)
+    variance = cost / max(1.0, freedom - int(told.sum()))
+    scaled = (known / singular[told] ** 2) @ known.T * (variance * correlation)
     return Information(fit.x, widths, singular, known, unknown, scaled * np.outer(widths, widths), correlation)
-
-
-def _derivatives(plant: Plant, parameters: Parameters, window: Window, fit: Fit, number: int) -> Array | None:
-    """Return the derivatives (m n, P) of one window by central differences, less what its state absorbs."""
-    state = fit.states[number]
-    for precision in CLOSER:
-        nudges = state_nudges(window, parameters.guess.n_links)
-        by_state = partial(_at_state, plant, parameters.rope(fit.x), window, precision)
-        by_parameter = partial(_at_parameter, plant, parameters, window, state, precision)
-        slope = _central(by_state, state, nudges, np.full(state.size, -np.inf))
-        shared = _central(by_parameter, fit.x, parameters.steps, parameters.lower)
-        if slope is not None and shared is not None:
-            return reduce(slope, shared, fit.residuals[number])[0]
-    return None
-
-
-def _at_state(plant: Plant, rope: Rope, window: Window, precision: float, state: Array) -> Array | None:
-    return plant.residual(rope, window, state, precision * PRECISION)
-
-
-def _at_parameter(
-    plant: Plant, parameters: Parameters, window: Window, state: Array, precision: float, x: Array
-) -> Array | None:
-    return plant.residual(parameters.rope(x), window, state, precision * PRECISION)
-
-
-def _central(function: Callable[[Array], Array | None], at: Array, steps: Array, lower: Array) -> Array | None:
-    """Return derivatives by central differences; None where the function has no value.
-
-    At a lower bound three points on the allowed side take their place. Two would err in the first order of the step,
-    enough to turn directions that cannot be known into ones that touch a weakly known parameter.
-    """
-    columns = []
-    for k, step in enumerate(steps):
-        one, other = at.copy(), at.copy()
-        one[k] += step
-        bounded = at[k] - step < lower[k]
-        other[k] += 2.0 * step if bounded else -step
-        values = [function(one), function(other), function(at) if bounded else None]
-        near, far, middle = values
-        if near is None or far is None or (bounded and middle is None):
-            return None
-        columns.append(
-            (near - far) / (2.0 * step) if middle is None else (4.0 * near - far - 3.0 * middle) / (2.0 * step)
-        )
-    return np.stack(columns, axis=1)
 
 
 def autocorrelation(residuals: Sequence[Array]) -> float:

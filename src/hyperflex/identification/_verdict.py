@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification._parameters import FORMS, SHARE, Parameters, lumped
+from hyperflex.identification._names import SHARE
+from hyperflex.identification._parameters import FORMS, Parameters, lumped
 from hyperflex.identification._prediction import HeldOut
 from hyperflex.identification._uncertainty import TOUCHED, Information
 from hyperflex.model import Rope

@@ -1,0 +1,93 @@
+"""From a recording to what is fitted: angles as they are, or places of markers anywhere along the rope."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.identification._stages import Measured
+from hyperflex.model import Rope
+from hyperflex.recording import Recording, unwrap
+
+BEND = 0.5  # rad, standard deviation of the turn from the middle of a link to that of the next, over sqrt(n links)
+SWAY = 5.0  # rad/s, the same of its rate
+
+
+def checked_arcs(recording: Recording, rope: Rope, arcs: npt.ArrayLike) -> Array:
+    """Return where the markers sit, m from the first joint, if they can sit there."""
+    count = recording.data.shape[1] // 2
+    if recording.kind != "markers":
+        raise InvalidInput("arcs are given, but the recording holds angles", got=recording.kind, allowed="markers")
+    places = checks.array("arcs", arcs, (count,), unit="m")
+    length = rope.total_length
+    if (np.diff(places) <= 0.0).any() or places[0] < 0.0 or places[-1] > 1.001 * length:
+        raise InvalidInput(
+            "arcs are not where markers can be",
+            got=places.tolist(),
+            allowed=f"increasing distances from the first joint, 0 to {length:g} m",
+        )
+    return places
+
+
+def measure(recording: Recording, rope: Rope, arcs: Array | None) -> Measured:
+    """Return what is fitted.
+
+    Parameters
+    ----------
+    recording : Recording
+        Angles, markers at the joints (`arcs` None; their angles are fitted), or markers at `arcs`.
+    rope : Rope
+        The guess; its lengths say which link a marker sits on.
+    arcs : (K,) array, optional
+        See :func:`checked_arcs`.
+
+    Notes
+    -----
+    Fewer markers than links leave bends between them unseen. Then neighbouring links are believed to be about in
+    line: a turn of BEND / sqrt(n), growing at SWAY / sqrt(n), as standard deviations. It is an assumption, weak beside
+    any marker that sees the bend.
+    """
+    if arcs is None:
+        angles = recording.angles()
+        return Measured(angles, angles)
+    shape = _shape(recording, rope, arcs)
+    n = rope.n_links
+    believed = None
+    if arcs.size - 1 < n and n > 1:
+        turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n)
+        none = np.zeros_like(turn)
+        believed = np.block([[turn / BEND, none], [none, turn / SWAY]])
+    return Measured(recording, shape, believed)
+
+
+def _shape(recording: Recording, rope: Rope, arcs: Array) -> Recording:
+    """Return each link's angle (T, n): that of the line between the markers on either side of its middle."""
+    places = recording.data.reshape(recording.t.size, -1, 2)
+    middle = np.cumsum(rope.length) - 0.5 * rope.length
+    angles = np.full((recording.t.size, rope.n_links), np.nan)
+    for row, frame in enumerate(places):
+        known = np.flatnonzero(~np.isnan(frame).any(axis=1))
+        if known.size > 1:
+            step = np.diff(frame[known], axis=0)
+            after = np.clip(np.searchsorted(arcs[known], middle) - 1, 0, known.size - 2)
+            angles[row] = np.arctan2(step[after, 0], -step[after, 1])
+    angles = unwrap(angles)
+    first = np.array([column[np.flatnonzero(~np.isnan(column))[0]] for column in angles.T])
+    angles += np.unwrap(first) - first  # whole turns: neighbours begin within half a turn of each other
+    return replace(recording, data=angles, kind="angles", noise=None, rates=None, convention="")
+
+
+def first_joint(recording: Recording, arcs: Array, pivot: Array) -> Array:
+    """Return where the camera seems to see the origin (2,), m: the first two markers' line, back to the first joint.
+
+    `pivot` (T, 2) is where the first joint is, m, in the frame of its motion.
+    """
+    places = recording.data.reshape(recording.t.size, -1, 2)
+    back = places[:, 0] - (places[:, 1] - places[:, 0]) * arcs[0] / (arcs[1] - arcs[0])
+    result: Array = np.nanmedian(back - pivot, axis=0)
+    return result
