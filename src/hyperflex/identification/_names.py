@@ -73,7 +73,7 @@ def _one(guess: Rope, name: str, link: str | None, law: str, arcs: Array | None,
     """Return the parameters of one word in `free`."""
     if name in SCALARS:
         if link or law:
-            raise InvalidInput(f"{name} belongs to the whole", got=f"{name}[{link}]", allowed=name)
+            raise InvalidInput(f"{name} belongs to the whole rope, or camera", got=f"{name}[{link}]", allowed=name)
         return [_whole(guess, name, arcs, moved)]
     if name == "arc":
         return _arcs(guess, link, law, arcs)

@@ -84,7 +84,7 @@ def predict(
         starts.append(float(start))
         times.append(t[after])
         seen.append(data[after])
-        predicted.append(y[1:] if y is not None else np.full(seen[-1].shape, np.inf))
+        predicted.append(y[1:] if y is not None and np.isfinite(y).all() else np.full(seen[-1].shape, np.inf))
     if not starts:
         return None
     errors = [p - m for p, m in zip(predicted, seen, strict=True)]

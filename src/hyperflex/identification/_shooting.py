@@ -54,6 +54,13 @@ class Linear:
     residual: Array
     known: bool = True  # False: no rollout from its state succeeds, and the derivatives are 0
 
+    def compact(self) -> Linear:
+        """Return the same least squares in as few rows as there are unknowns, and one."""
+        width = self.state.shape[1]
+        both = np.column_stack([self.state, self.shared, self.residual])
+        rows: Array = np.linalg.qr(both, mode="r")
+        return Linear(rows[:, :width], rows[:, width:-1], rows[:, -1], self.known)
+
     def reduced(self) -> tuple[Array, Array]:
         """Return parameter derivatives (M, P) and residuals (M,) less what the window's own state can absorb."""
         basis = np.linalg.qr(self.state)[0]
@@ -124,6 +131,7 @@ def fit(
             ]
             if states_only:
                 linear = [Linear(each.state, each.shared[:, :0], each.residual, each.known) for each in linear]
+            linear = [each.compact() for each in linear]
             promised = _promise(best, linear, lower)
             damping, free = _improve(plant, windows, best, linear, lower, damping)
             gain = (before - best.cost) / before if before > 0.0 else 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
@@ -15,6 +16,7 @@ DENSEST = 200  # samples a window; more of them repeat what their neighbours say
 FEWEST = 8  # samples a window, where the recording allows it
 PART = 1.2  # periods
 TURN = 8.0  # rad a link may turn within a window, as rms rate times time: beyond it fits find false minima
+BLIND = 0.5  # part of a window for which a link may be out of sight
 LEAST = 4  # values of a link's angle in a window
 ROUNDS = 8  # of weighted least squares that come near to least absolute errors
 STILL = 1e-3  # rad, a recording that moves less holds no dynamics
@@ -104,7 +106,8 @@ def cut(
     -------
     windows : list of Window
     dropped : int
-        Windows left out because some link has too few values in them to tell its angle and rate.
+        Windows left out because some link has too few values in them, or is out of sight for too long, to tell its
+        angle and rate.
     """
     t, data, noise = recording.t, recording.data, recording.noise
     weight = np.where(np.isnan(data), 0.0, 1.0 if noise is None else 1.0 / noise)
@@ -116,13 +119,18 @@ def cut(
     windows, dropped = [], 0
     for k in np.unique(number):
         rows = number == k
-        counts = np.count_nonzero(~np.isnan(angles[rows]), axis=0)
+        known = ~np.isnan(angles[rows])
         span = t[rows][-1] - t[rows][0]
-        if counts.min() < LEAST or span < 0.5 * length:
+        if known.sum(axis=0).min() < LEAST or span < 0.5 * length or longest_gap(t[rows], known) > BLIND * span:
             dropped += 1
             continue
         windows.append(Window(t[rows], y[rows], weight[rows], first_state(t[rows], angles[rows]), believed))
     return windows, dropped
+
+
+def longest_gap(t: Array, known: npt.NDArray[np.bool_]) -> float:
+    """Return for how long (s) any link is out of sight at most; `known` (m, n) says when it is seen."""
+    return max(float(np.diff(np.concatenate([t[:1], t[column], t[-1:]])).max()) for column in known.T)
 
 
 def first_state(t: Array, angles: Array) -> Array:
