@@ -104,6 +104,15 @@ def late(locked, margin, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def first_late(locked, margin):  # type: ignore[no-untyped-def]
+    """Return the first margin that says that its event has happened, -1: none."""
+    for i in range(locked.size):
+        if late(locked, margin, i):
+            return i
+    return -1
+
+
+@kernel
 def judge(locked, search, step):  # type: ignore[no-untyped-def]
     """Judge an attempt of the length `step`, s, whose margins are in ``search.here``.
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.core import lanes as ln
 from hyperflex.core.drive import base_state
-from hyperflex.core.events import AGAIN, EVENT, TRIES, begin, judge, late
+from hyperflex.core.events import AGAIN, EVENT, TRIES, begin, first_late, judge, late
 from hyperflex.core.jit import kernel
 from hyperflex.core.progress import CHATTER, PENDING, REJECTED, TAKEN, T, advance
 from hyperflex.core.stick import MOST_WIDENED, come_to_rest, decide, hold, margins, middle, stuck_power, widened
@@ -33,6 +33,7 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
     -------
     step : float, s
     event : int, 0: none; 1: a joint changes its mode; 2: what ends the run has happened
+    joint : int, the one that changes its mode, -1 where none does
     """
     until = limits.until
     y, grip, clock, search, tools = progress.y, progress.grip, progress.clock, room.search, room.bench
@@ -50,7 +51,7 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
         value, slope = reading(until, chain, y[:n], y[n : 2 * n], room.alpha, room.before)
         sense = arm(until, value, slope, t)
         if until.kind == PEAK and sense == 0.0 and clock[PENDING] > 0.0:
-            return 0.0, 2  # the speed grew until here, and falls from here on
+            return 0.0, 2, -1  # the speed grew until here, and falls from here on
         search.low[:, n] = np.inf
         search.here[:, n] = np.inf
         if sense != 0.0:
@@ -79,11 +80,12 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
             come_to_rest(chain, grip, search.here, out, room.after)
         if verdict != AGAIN:
             clock[PENDING] = search.here[0, n] if sense != 0.0 else 0.0
+            joint = first_late(room.locked, search.here) if verdict == EVENT else -1
             if verdict == EVENT and late(room.locked, search.here, n):
                 good = right_side(until, chain, out[:n], out[n : 2 * n], room.after)
                 clock[PENDING] = 0.0
-                return step, 2 if good else 1
-            return step, 1 if verdict == EVENT else 0
+                return step, 2 if good else 1, joint
+            return step, 1 if verdict == EVENT else 0, joint
         step = length
         clock[TAKEN] += 1
         clock[REJECTED] += 1

@@ -180,12 +180,17 @@ def hold(chain, grip, q, base_before, out, base):  # type: ignore[no-untyped-def
 
 
 @kernel
+def stops(margin, i):  # type: ignore[no-untyped-def]
+    """Whether slipping joint i is at rest by its margin and slope (2, n), or will be within an INSTANT."""
+    return margin[0, i] + INSTANT * margin[1, i] <= 0.0
+
+
+@kernel
 def come_to_rest(chain, grip, margin, out, base):  # type: ignore[no-untyped-def]
     """Give joints that have just stopped slipping their parents' rates; stuck ones beyond them follow."""
     n = grip.size
     for i in range(n):
-        slowing = margin[0, i] + INSTANT * margin[1, i] <= 0.0
-        if chain.dry[i] > 0.0 and (grip[i] == 0.0 or slowing):
+        if chain.dry[i] > 0.0 and (grip[i] == 0.0 or stops(margin, i)):
             out[n + i] = out[n + i - 1] if i > 0 else base[3]
 
 

@@ -18,7 +18,20 @@ from hyperflex.core import rollout, status
 from hyperflex.core.chain import Chain
 from hyperflex.core.drive import TORQUE, Drive
 from hyperflex.core.jit import announce_compilation
-from hyperflex.core.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNSETTLED, Limits, Progress, T, switched
+from hyperflex.core.progress import (
+    AFTER,
+    CLOCK,
+    INDEX,
+    JOINT,
+    MARK,
+    MODES,
+    STEP,
+    UNSETTLED,
+    Limits,
+    Progress,
+    T,
+    switched,
+)
 from hyperflex.core.steppers import scheme
 from hyperflex.core.stepsize import FIRST_STEP
 from hyperflex.core.until import NEVER, Until
@@ -84,7 +97,8 @@ def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, li
     clock = np.zeros(CLOCK)
     clock[:MARK] = starting_clock(t[0])
     clock[MARK] = -np.inf
-    progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, np.empty((log, 3)))
+    noted = np.empty((log, MODES + n if chain.dry.any() else JOINT))
+    progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, noted)
     return Rollout(chain, drive, limits, progress, t, np.full((t.size, 2 * n + 2), np.nan))
 
 

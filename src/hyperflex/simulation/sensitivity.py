@@ -14,10 +14,11 @@ from hyperflex.core import status
 from hyperflex.core.chain import Chain
 from hyperflex.core.directions import place_changes
 from hyperflex.core.drive import Drive
-from hyperflex.core.progress import REJECTED, TAKEN, Limits
+from hyperflex.core.progress import MODES, REJECTED, TAKEN, Limits
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
+from hyperflex.simulation.held import held
 from hyperflex.simulation.outcome import failure, refuse_unbalanced
 from hyperflex.simulation.rollouts import TABLES, Rollout, finish, limits, prepare
 from hyperflex.simulation.runs import output_times
@@ -163,7 +164,7 @@ def sensitivities(
     refuse_what_is_not_smooth(setup)
     directions = wanted(setup, wrt)
     t = output_times(t_eval, 0.0, setup.duration)
-    chain, drive = setup.chain(), setup.drive()
+    chain, drive = directions.felt(setup.chain()), setup.drive()
     run = recorded(chain, drive, setup.start(), limits(setup, chain, setup.duration))
     refuse_unbalanced(run, setup)
     y, dy = along(run, directions, setup.start(), t)
@@ -204,7 +205,7 @@ class Slopes:
         SimulationError
             If the run cannot be finished.
         """
-        chain = (rope or self.setup.rope).chain()
+        chain = self.wanted.felt((rope or self.setup.rope).chain())
         bounds = limits(self.setup, chain, float(t[-1]))
         run = recorded(chain, self.drive, (q0, qd0), bounds, float(t[0]))
         y, dy = along(run, self.wanted, (q0, qd0), t)
@@ -233,12 +234,12 @@ def along(run: Rollout, directions: Wanted, start: tuple[Array, Array], t: Array
     times = t if t[0] == begin else np.append(begin, t)
     y, dy = np.zeros((times.size, 2 * n + 2)), np.zeros((times.size, 2 * n, directions.width))
     y[0, :n], y[0, n : 2 * n] = start
-    seeds = directions.directions(run.chain, run.drive.coef.shape[0])
+    dy[:] = directions.start(n)
     steps = run.progress.log
     if steps.size:
-        core.replay(run.chain, run.drive, TABLES, steps, begin, directions.start(n), seeds, times, y, dy)
-    else:
-        dy[:] = directions.start(n)
+        seeds = directions.directions(run.chain, run.drive)
+        begins = held(run.chain, run.drive, begin, y[0, :n], steps[0, MODES:], seeds, dy[0])
+        core.replay(run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
     first = times.size - t.size
     return y[first:], dy[first:]
 
@@ -253,7 +254,7 @@ def _labelled(chain: Chain, drive: Drive, directions: Wanted, t: Array, y: Array
     reach = np.stack([(chain.length * sin).sum(axis=1), -(chain.length * cos).sum(axis=1)], axis=1)
     tip = motion.point(t) + drive.arm_length * np.stack([np.sin(angle), -np.cos(angle)], axis=1) + reach
     dtip = np.zeros((t.size, 2, directions.width))
-    place_changes(drive, directions.directions(chain, drive.coef.shape[0]), t, dtip)
+    place_changes(drive, directions.directions(chain, drive), t, dtip)
     dtip = dtip[:, :, :p] + np.matmul(chain.length * np.stack([cos, sin], axis=1), dq)
     dtip += np.matmul(np.stack([sin, -cos], axis=1), directions.lengths(n))
     return Sensitivities(t, q, y[:, n : 2 * n], tip, directions.names, dq, dy[:, n:, :p], dtip)

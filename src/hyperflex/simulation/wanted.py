@@ -15,17 +15,25 @@ from hyperflex.core import directions as dr
 from hyperflex.core import tangent as tg
 from hyperflex.core.chain import Chain
 from hyperflex.core.directions import Directions
+from hyperflex.core.drive import Drive
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup
 from hyperflex.motion.variation import parameters, variation
 
-LINK_NAMES = ("length", "mass", "com", "inertia", "friction", "stiffness", "rest_angle")
+LINK_NAMES = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffness", "rest_angle")
 STATE_NAMES = ("q0", "qd0")
 # parts of a direction that the user makes himself: how often it is told
 PARTS = (*STATE_NAMES, *LINK_NAMES, "tip_mass", "gravity", "arm_length", "breaks", "coef")
 Part = dict[str, Array]
 Wrt = Iterable[str | Mapping[str, Mapping[str, npt.ArrayLike]]] | str
-_SEED_OF = {"length": tg.LENGTH, "friction": tg.VISCOUS, "stiffness": tg.STIFFNESS, "rest_angle": tg.REST}
+_SEED_OF = {
+    "length": tg.LENGTH,
+    "friction": tg.VISCOUS,
+    "dry_friction": tg.DRY,
+    "stiffness": tg.STIFFNESS,
+    "rest_angle": tg.REST,
+}
+FAINT = 1e-300  # N m, dry friction that is felt by the sign of a joint's rate alone
 
 
 @dataclass(frozen=True)
@@ -53,9 +61,16 @@ class Wanted:
         """Derivatives of the links' lengths (n, P), m."""
         return np.stack([part.get("length", np.zeros(n)) for part in self.parts], axis=1)
 
-    def directions(self, chain: Chain, pieces: int) -> Directions:
-        """The same for the kernels, at the parameters of `chain` and for a drive of so many pieces."""
-        n, pairs = chain.length.size, self.width // 2
+    def felt(self, chain: Chain) -> Chain:
+        """The chain itself, with the faintest dry friction where there is none but a direction changes it."""
+        changed = np.zeros(chain.length.size, dtype=np.bool_)
+        for part in self.parts:
+            changed |= part.get("dry_friction", changed) != 0.0
+        return chain._replace(dry=np.maximum(chain.dry, FAINT * changed)) if changed.any() else chain
+
+    def directions(self, chain: Chain, drive: Drive) -> Directions:
+        """The same for the kernels, at the parameters of `chain` and for a drive."""
+        n, pairs, pieces = chain.length.size, self.width // 2, drive.coef.shape[0]
         links, whole = np.zeros((self.width, n, tg.SEEDS)), np.zeros((self.width, 3))
         driven = np.full(self.width, -1, dtype=np.int64)
         rows: list[Part] = []
@@ -66,6 +81,9 @@ class Wanted:
             if part.keys() & {"breaks", "coef", "arm_length"}:
                 driven[p] = len(rows)
                 rows.append(part)
+        if chain.dry.any() and drive.coef[..., 1:].any():  # events move in every direction, and then the base with them
+            driven[driven < 0] = len(rows)
+            rows.append({})
         breaks, coef, arm = np.zeros((len(rows), pieces + 1)), np.zeros((len(rows), pieces, 4, 6)), np.zeros(len(rows))
         for m, part in enumerate(rows):
             breaks[m], coef[m] = part.get("breaks", 0.0), part.get("coef", 0.0)
@@ -131,8 +149,6 @@ def _by_name(setup: Setup, name: str) -> dict[str, Part]:
     n = setup.rope.n_links
     match = re.fullmatch(r"([a-z_0-9]+)(?:\[(\d+|:)\])?", name)
     base, index = match.groups() if match else (name, None)
-    if base == "dry_friction":
-        _refuse_dry()
     if base in LINK_NAMES or base in STATE_NAMES:
         if index is None and base in LINK_NAMES:
             return {name: {base: np.ones(n)}}
@@ -174,18 +190,8 @@ def _own(setup: Setup, name: str, given: Mapping[str, npt.ArrayLike]) -> Part:
     return {key: checks.array(f"{name}: {key}", value, shapes[key], scalar=True) for key, value in given.items()}
 
 
-def _refuse_dry() -> None:
-    raise InvalidInput(
-        "dry friction cannot be differentiated yet",
-        allowed="ropes and arms whose dry_friction is 0",
-        fix="Set dry_friction=0, or take differences of whole runs",
-    )
-
-
 def refuse_what_is_not_smooth(setup: Setup) -> None:
     """Refuse set-ups whose runs have no derivative that the kernels know."""
-    if setup.rope.dry_friction.any():
-        _refuse_dry()
     if setup.torque_driven:
         raise InvalidInput(
             "a torque-driven arm cannot be differentiated yet", allowed="a prescribed motion, or a fixed point"
