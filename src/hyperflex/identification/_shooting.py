@@ -58,7 +58,7 @@ class Linear:
         """Return the same least squares in as few rows as there are unknowns, and one."""
         width = self.state.shape[1]
         both = np.column_stack([self.state, self.shared, self.residual])
-        rows = np.linalg.qr(both, mode="r").astype(np.float64, copy=False)
+        rows: Array = np.asarray(np.linalg.qr(both, mode="r"))
         return Linear(rows[:, :width], rows[:, width:-1], rows[:, -1], self.known)
 
     def reduced(self) -> tuple[Array, Array]:
