@@ -22,6 +22,7 @@ LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
 ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their sd
 SHORT = 1.0  # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
 ROUGH = 1e-3  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
+STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up
 LEFT = 1e-6  # damping for what the linear model has left to gain: parameters that do not act promise nothing
 Report = Callable[[dict[str, float]], None]
 
@@ -120,7 +121,7 @@ def fit(
     count = sum(window.values for window in windows)
     lower = np.empty(0) if states_only else plant.parameters.lower
     least = min(1e-4, ENOUGH / count) if enough is None else enough
-    damping = 1e-3
+    damping, stalled = 1e-3, 0
     try:
         for number in range(rounds):
             best.loss = best.loss.scaled(best.residuals)
@@ -138,8 +139,9 @@ def fit(
             best.history.append({"round": number, "cost": best.cost, "gain": gain, "damping": damping})
             if report is not None:
                 report(best.history[-1])
-            if gain < least:
-                best.converged = free or promised < max(least, ROUGH) * before
+            stalled = stalled + 1 if gain < least else 0
+            best.converged = stalled > 0 and (free or promised < max(least, ROUGH) * before)
+            if best.converged or stalled == STALLS:
                 break
     except KeyboardInterrupt:
         best.interrupted = True
