@@ -100,7 +100,7 @@ class Plant:
         q, dq = y[:, :n], dy[:, :n, : len(at.wanted.names)]
         dpivot = np.zeros((t.size, 2, at.wanted.width))
         if self.sensor.placed:
-            place_changes(at.drive, at.wanted.directions(at.chain, at.drive.coef.shape[0]), t, dpivot)
+            place_changes(at.drive, at.wanted.directions(at.chain, at.drive), t, dpivot)
         dpivot = dpivot[:, :, : dq.shape[2]]
         seen = self.sensor.see(at.rope, self._pivot(at, t), q, at.own)
         moved = self.sensor.slopes(at.rope, q, dq, dpivot, at.wanted.lengths(n), at.own)
