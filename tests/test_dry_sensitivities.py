@@ -74,7 +74,9 @@ class Frozen:
     def step(self, part: Segment, order: int, length: float, grip: Array) -> Array:
         n, out = self.n, np.empty(2 * self.n + 2)
         scratch = np.empty((2, 2 * n + 2)), self.lanes, self.tip, np.zeros((9, len(COLUMNS))), np.empty(6 * n)
-        steppers.extrapolate(self.chain, self.drive, part, TABLES[order - TABLES[0].order], self.t, length, self.y, out, *scratch)
+        steppers.extrapolate(
+            self.chain, self.drive, part, TABLES[order - TABLES[0].order], self.t, length, self.y, out, *scratch
+        )
         before, after = self.base(part, self.t), self.base(part, self.t + length)
         for i in np.flatnonzero(grip == 0.0):
             out[n + i] = out[n + i - 1] if i else after[3]
@@ -183,12 +185,18 @@ def test_start(name: str, link: int) -> None:
     check(lambda x: replace(it, **{name: getattr(it, name) + x * unit}), f"{name}[{link}]", 2e-4)
 
 
-def test_whole_rope() -> None:
-    base = rope(3)
-    check(lambda x: setup(3, rope=base.replace(dry_friction=base.dry_friction + x)), "dry_friction", 5e-7)
-    check(lambda x: setup(3, rope=base.replace(tip_mass=0.005 + x)), "tip_mass", 1e-5)
-    check(lambda x: setup(3, rope=base.replace(gravity=(x, -9.81))), "gravity[0]", 0.01)
-    check(lambda x: setup(3, arm=hf.Arm(length=0.105 + x)), "arm.length", 3e-4)
+WHOLE: dict[str, tuple[Callable[[float], hf.Setup], float]] = {
+    "dry_friction": (lambda x: setup(3, rope=rope(3, dry_friction=rope(3).dry_friction + x)), 5e-7),
+    "tip_mass": (lambda x: setup(3, rope=rope(3, tip_mass=0.005 + x)), 1e-5),
+    "gravity[0]": (lambda x: setup(3, rope=rope(3, gravity=(x, -9.81))), 2e-3),
+    "arm.length": (lambda x: setup(3, arm=hf.Arm(length=0.105 + x)), 1e-4),
+    "motion.delay": (lambda x: setup(3, motion=hf.move(**MOVE).shifted(0.05 + x)), 1e-4),
+}
+
+
+@pytest.mark.parametrize("name", WHOLE)
+def test_what_belongs_to_no_link(name: str) -> None:
+    check(*WHOLE[name][:1], name, WHOLE[name][1])
 
 
 @pytest.mark.parametrize("name", ["start", "end", "duration"])
@@ -196,7 +204,97 @@ def test_motion(name: str) -> None:
     check(lambda x: setup(3, motion=hf.move(**{**MOVE, name: MOVE[name] + x})), f"motion.{name}", 2e-4)
 
 
-def test_friction_as_printed() -> None:
-    base = rope(2, friction_model="printed")
-    check(lambda x: setup(2, rope=base.replace(dry_friction=base.dry_friction + x)), "dry_friction", 1e-6)
-    check(lambda x: setup(2, rope=base.replace(friction=base.friction + x)), "friction", 1e-6)
+def differences(make: Callable[[float], hf.Setup], times: Array, size: float) -> tuple[Array, Array]:
+    """Differences forwards and backwards of whole runs, which choose their own steps and events."""
+    here, more, less = (
+        np.concatenate([run.q, run.qd], axis=1)
+        for run in (hf.simulate(replace(make(x), tol=1e-12), t_eval=times) for x in (0.0, size, -size))
+    )
+    return (more - here) / size, (here - less) / size
+
+
+def test_a_stuck_joint_takes_a_little_rate_as_a_blow() -> None:
+    """Two links at rest whose second joint sticks: to either side, a little rate of one moves both."""
+    base = rope(2, dry_friction=[1e-4, 5e-3], stiffness=0.0, rest_angle=0.0)
+    times = np.array([0.0, 0.02, 0.05, 0.1, 0.15])
+    for link in range(2):
+
+        def make(x: float, link: int = link) -> hf.Setup:
+            return hf.Setup(base, duration=0.15, q0=[0.6, 0.7], qd0=[2.0, 2.0] + x * np.eye(2)[link])
+
+        got = hf.sensitivities(replace(make(0.0), tol=1e-12), t_eval=times, wrt=f"qd0[{link}]")
+        assert (np.ptp(hf.simulate(make(0.0), t_eval=times).qd, axis=1) == 0.0).all()
+        np.testing.assert_array_equal(got.dqd[0, :, 0], np.eye(2)[link])  # the start itself is what it is
+        dy = np.concatenate([got.dq, got.dqd], axis=1)[1:, :, 0]
+        assert np.abs(dy[:, 2] - dy[:, 3]).max() <= 1e-12
+        for want in differences(make, times, 1e-6):
+            # the spacing times a second derivative: the joint slips for x / 100 rad/s^2, 1e-8 s, beside 0.02 s
+            np.testing.assert_allclose(dy, want[1:], rtol=0.0, atol=1e-5)
+
+
+def test_a_stuck_first_joint_turns_with_the_arm() -> None:
+    """Where the motion's parameter changes the arm's rate, that of a stuck link changes by as much."""
+    base = rope(2, dry_friction=0.5)
+    motion = hf.move(start=0.0, end=0.3, duration=1.0, profile="minimum-jerk")
+    times = np.array([0.3, 0.55, 0.8])
+    got = hf.sensitivities(base, motion, arm=hf.Arm(), duration=0.8, t_eval=times, wrt=["motion.end", "qd0[0]"])
+    swing = motion.angle(times) / 0.3
+    rate = motion.rate(times) / 0.3
+    # both links follow rigidly; the products and sums of 20 steps
+    np.testing.assert_allclose(got.dq[:, :, 0], np.stack([swing, swing], axis=1), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(got.dqd[:, :, 0], np.stack([rate, rate], axis=1), rtol=0.0, atol=1e-12)
+    np.testing.assert_array_equal(got.dq[:, :, 1], 0.0)
+
+
+def test_block_that_slips_until_it_rests() -> None:
+    """One link without gravity: w = w0 - (mu / I) t until it rests at w0 I / mu, having turned w0^2 I / (2 mu)."""
+    inertia, mu, w0 = 2e-3, 5e-3, 1.5
+    block = hf.Rope(length=[0.3], mass=[0.1], com=[0.0], inertia=[inertia], dry_friction=[mu], gravity=(0.0, 0.0))
+    times = np.array([0.1, 0.3, 0.55, 0.65, 1.0])  # it rests at 0.6 s
+    got = hf.sensitivities(
+        block, duration=1.0, q0=[0.0], qd0=[w0], t_eval=times, wrt=["dry_friction", "inertia", "qd0", "friction"]
+    )
+    t = np.minimum(times, w0 * inertia / mu)
+    moving = times < w0 * inertia / mu
+    want_q = np.stack([-(t**2) / (2 * inertia), mu * t**2 / (2 * inertia**2), t], axis=1)
+    want_w = np.stack([-t / inertia, mu * t / inertia**2, np.ones(5)], axis=1) * moving[:, None]
+    # friction eta: dw/dt = -eta w / I, to first order in eta, w0 t - mu t^2 / (2 I) behind
+    lost = -(w0 * t - mu * t**2 / (2 * inertia)) / inertia
+    want_w = np.column_stack([want_w, lost * moving])
+    want_q = np.column_stack([want_q, -(w0 * t**2 / 2 - mu * t**3 / (6 * inertia)) / inertia])
+    # a quadratic of time, which the steps follow to rounding; the event lies within 1e-13 s
+    for ours, want in ((got.dq[:, 0], want_q), (got.dqd[:, 0], want_w)):
+        np.testing.assert_allclose(ours, want, rtol=0.0, atol=1e-10 * np.abs(want).max())
+
+
+def test_no_dry_friction_yet_is_differentiated_towards_more() -> None:
+    """Each time that a joint turns back its torque changes sign: a difference to one side, of runs with a little."""
+    base, times = rope(3, dry_friction=0.0), np.array([0.2, 0.5, 0.9, 1.3])
+    it = setup(3, rope=base, tol=1e-12)
+    got = hf.sensitivities(it, t_eval=times, wrt="dry_friction[:]")
+    np.testing.assert_allclose(got.q, hf.simulate(it, t_eval=times).q, rtol=0.0, atol=1e-9)
+    for link in range(3):
+        unit = np.eye(3)[link]
+        want, _ = differences(lambda x, u=unit: setup(3, rope=base.replace(dry_friction=x * u * (x > 0))), times, 1e-8)
+        size = np.abs(want[:, :3]).max()
+        # the spacing times a second derivative: 1e-8 of a friction that matters at 1e-4 of it
+        np.testing.assert_allclose(got.dq[:, :, link], want[:, :3], rtol=0.0, atol=2e-3 * size)
+
+
+def test_prepared_slopes_take_another_dry_friction_each_time() -> None:
+    it, times = setup(5), np.linspace(0.0, 1.0, 21)
+    slopes = Slopes(it, ["dry_friction", "friction[2]", "q0[0]"])
+    for values in (rope(5).dry_friction, 0.3 * rope(5).dry_friction, np.zeros(5)):
+        other = rope(5, dry_friction=values)
+        q, qd, dq, dqd = slopes(times, it.q0, it.qd0, other)
+        whole = hf.sensitivities(replace(it, rope=other), duration=1.0, t_eval=times, wrt=list(slopes.names))
+        for one, two in ((q, whole.q), (qd, whole.qd), (dq, whole.dq), (dqd, whole.dqd)):
+            np.testing.assert_array_equal(one, two)
+        assert np.abs(dq[:, :, 0]).max() > 0.0
+
+
+def test_states_are_those_of_the_run() -> None:
+    it, times = setup(5), np.linspace(0.0, DURATION, 101)
+    got, run = hf.sensitivities(it, t_eval=times, wrt="friction"), hf.simulate(it, t_eval=times)
+    for name in ("q", "qd", "tip"):  # the same steps; between them accelerations come from the lanes: rounding
+        np.testing.assert_allclose(getattr(got, name), getattr(run, name), rtol=0.0, atol=1e-11)
