@@ -241,7 +241,6 @@ BAD: dict[str, tuple[Any, str]] = {
     "twice": (["friction", "friction"], "once"),
     "own": ({"a": {"weight": 1.0}}, "mass"),
     "own shape": ({"a": {"mass": [1.0, 2.0]}}, "shape 6"),
-    "dry": ("dry_friction", "dry_friction is 0"),
 }
 
 
@@ -252,8 +251,6 @@ def test_what_cannot_be_used_is_refused_with_what_can(wrt: Any, word: str) -> No
 
 
 def test_what_has_no_derivative_is_refused() -> None:
-    with pytest.raises(hf.errors.InvalidInput, match="dry friction"):
-        hf.sensitivities(setup(rope=rope(dry_friction=1e-3)), wrt="q0")
     with pytest.raises(hf.errors.InvalidInput, match="extrapolation"):
         hf.sensitivities(setup(method="rk4", step=1e-5), wrt="q0")
     with pytest.raises(hf.errors.InvalidInput, match="torque-driven"):

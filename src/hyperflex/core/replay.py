@@ -16,7 +16,7 @@ from hyperflex.core.drive import segment
 from hyperflex.core.jit import kernel
 from hyperflex.core.progress import DEGREE, END, JOINT, LENGTH, MODES
 from hyperflex.core.steppers import rates
-from hyperflex.core.turning import end_along, end_at_event, hold_outputs, turning_for
+from hyperflex.core.turning import chatters, end_along, end_at_event, hold_outputs, turning_for
 
 
 @kernel
@@ -85,7 +85,7 @@ def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, 
         step_along(chain, drive, part, table, t, step, y, room.out, directions, room.nodes[2], room)
         room.ys[0], room.ys[2] = y, room.out
         room.nodes[0] = values
-        if joint >= 0 and t_new < min(part.end, stop):
+        if joint >= 0 and t_new < min(part.end, stop) and not chatters(drive, part, t, step, y, grip, joint, turn):
             end_at_event(chain, drive, part, table, t, step, y, values, grip, joint, directions, room, turn)
         if dry:
             end_along(chain, drive, part, t, step, y, values, grip, joint, directions, room, turn)

@@ -19,7 +19,7 @@ from hyperflex.core.chain import Array
 from hyperflex.core.directions import Directions
 from hyperflex.core.drive import base_state
 from hyperflex.core.jit import kernel
-from hyperflex.core.stick import Bench, bear, bench, come_to_rest, hold, margins, stops
+from hyperflex.core.stick import QUICK, Bench, at_rest, bear, bench, come_to_rest, hold, margins, stops
 
 
 class Turning(NamedTuple):
@@ -125,6 +125,14 @@ def margin_rates(chain, drive, part, t, step, y, grip, joint, directions, room, 
     for x in range(result.size):
         result[x] = relative(values, row, joint, x, turn.moved, kind)
     return result, slope
+
+
+@kernel
+def chatters(drive, part, t, step, y, grip, joint, turn):  # type: ignore[no-untyped-def]
+    """Whether the event at the end of a step is but rounding: of a joint at rest, within a step that is too short."""
+    n = grip.size
+    base_state(drive, part, t, turn.before)
+    return step < QUICK and at_rest(y[n + joint], y[n + joint - 1] if joint > 0 else turn.before[3])
 
 
 @kernel

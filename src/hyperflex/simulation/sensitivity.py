@@ -231,7 +231,7 @@ def recorded(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Lim
 def along(run: Rollout, directions: Wanted, start: tuple[Array, Array], t: Array) -> tuple[Array, Array]:
     """Go through a recorded run again: states (T, 2 n + 2) and derivatives (T, 2 n, p) at times t (T,)."""
     n, begin = run.chain.length.size, float(run.t[0])
-    times = t if t[0] == begin else np.append(begin, t)
+    times = np.append([] if t[0] == begin else begin, t)
     y, dy = np.zeros((times.size, 2 * n + 2)), np.zeros((times.size, 2 * n, directions.width))
     y[0, :n], y[0, n : 2 * n] = start
     dy[:] = directions.start(n)

@@ -63,10 +63,14 @@ class Wanted:
 
     def felt(self, chain: Chain) -> Chain:
         """The chain itself, with the faintest dry friction where there is none but a direction changes it."""
-        changed = np.zeros(chain.length.size, dtype=np.bool_)
+        faint = np.zeros(chain.length.size)
         for part in self.parts:
-            changed |= part.get("dry_friction", changed) != 0.0
-        return chain._replace(dry=np.maximum(chain.dry, FAINT * changed)) if changed.any() else chain
+            faint[part.get("dry_friction", faint) != 0.0] = FAINT
+        if (faint <= chain.dry).all():
+            return chain
+        dry = np.maximum(chain.dry, faint)
+        dry.flags.writeable = chain.dry.flags.writeable  # the compiler makes kernels of its own for either
+        return chain._replace(dry=dry)
 
     def directions(self, chain: Chain, drive: Drive) -> Directions:
         """The same for the kernels, at the parameters of `chain` and for a drive."""
