@@ -130,3 +130,14 @@ def test_arcs_off_the_rope_are_refused(arcs: list[float]) -> None:
     places = np.stack([np.cos(5.0 * t), np.sin(t), np.cos(6.0 * t), np.sin(2.0 * t)], axis=1)
     with pytest.raises(InvalidInput, match="arcs"):
         identify(Recording(t, places, kind="markers"), DOUBLE, ["friction"], arcs=arcs)
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["arcs", "at the joints"])
+def test_a_marker_that_never_moves_is_named(told: bool) -> None:
+    t = np.arange(91) / 30.0
+    run = simulate(DOUBLE, duration=t[-1], t_eval=t, q0=[0.8, 1.2], tol=1e-7)
+    places = run.joints.reshape(t.size, -1) + 1e-4 * np.random.default_rng(0).standard_normal((t.size, 6))
+    places[:, 2:4] = [0.1, -0.28]
+    arcs = [0.0, 0.3, 0.55] if told else None
+    with pytest.raises(InvalidInput, match="marker 1 never moves"):
+        identify(Recording(t, places, kind="markers"), DOUBLE, ["friction"], arcs=arcs)

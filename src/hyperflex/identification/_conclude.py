@@ -32,7 +32,8 @@ def conclude(
 ) -> Identification:
     """Put everything together; `remarks` join the verdict."""
     parameters = plant.parameters
-    rope, slopes = parameters.rope(found.x), parameters.slopes(found.x)
+    x = parameters.rounded(found.x)
+    rope, slopes = parameters.rope(x), parameters.slopes(x)
     spreads = information.spread(np.diag(slopes))
     weights = np.concatenate([w.weight for w in windows])
     flat = np.concatenate([r.reshape(w.y.shape) for r, w in zip(found.residuals, windows, strict=True)])
@@ -46,7 +47,7 @@ def conclude(
     words += _poor(windows, rms, unit) + not_noise(information.correlation) + failed_predictions(held_out) + remarks
     return Identification(
         rope=rope,
-        values=_by_name(plant, rope, parameters.values(found.x)),
+        values=_by_name(plant, rope, parameters.values(x)),
         sd=_by_name(plant, None, spreads),
         ratios=ratios(rope),
         ratio_sd=ratio_sd,

@@ -14,7 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification._conclude import conclude
 from hyperflex.identification._loss import LOSSES, Loss, LossName
-from hyperflex.identification._measured import checked_arcs, first_joint, measure
+from hyperflex.identification._measured import checked_arcs, first_joint, measure, refuse_still_markers
 from hyperflex.identification._names import parse
 from hyperflex.identification._parameters import Parameters
 from hyperflex.identification._plant import Plant, pivot_places
@@ -151,6 +151,7 @@ def _checked(recording: Recording, rope: Rope, arcs: npt.ArrayLike | None) -> tu
         )
     if arcs is not None:
         places = checked_arcs(recording, rope, arcs)
+        refuse_still_markers(recording, places)
         return measure(recording, rope, places), places
     if recording.n_links != rope.n_links:
         raise InvalidInput(
@@ -168,6 +169,7 @@ def _checked(recording: Recording, rope: Rope, arcs: npt.ArrayLike | None) -> tu
                 allowed="within a factor of two, in m",
                 fix="Check the unit or scale of the markers, or the lengths of the guess",
             )
+    refuse_still_markers(recording, np.append(0.0, np.cumsum(rope.length)))
     return measure(recording, rope, None), None
 
 

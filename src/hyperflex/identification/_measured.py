@@ -11,10 +11,12 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification._stages import Measured
+from hyperflex.identification._windows import STILL
 from hyperflex.model import Rope
 from hyperflex.recording import Recording, unwrap
 
 BEND = 0.5  # rad, standard deviation of the turn from the middle of a link to that of the next, over sqrt(n links)
+STUCK = 0.02  # of the swing of the marker that swings most, per distance from the first joint
 SWAY = 5.0  # rad/s, the same of its rate
 
 
@@ -32,6 +34,23 @@ def checked_arcs(recording: Recording, rope: Rope, arcs: npt.ArrayLike) -> Array
             allowed=f"increasing distances from the first joint, 0 to {length:g} m",
         )
     return places
+
+
+def refuse_still_markers(recording: Recording, arcs: Array) -> None:
+    """Refuse markers that stay where they are while the rope swings: the tracker holds something else there."""
+    if recording.kind != "markers":
+        return
+    places = recording.data.reshape(recording.t.size, -1, 2)
+    reach = np.hypot(*(np.nanmax(places, axis=0) - np.nanmin(places, axis=0)).T)
+    beyond = arcs > 1e-9 * arcs.max()
+    swing = reach[beyond] / arcs[beyond]
+    if swing.max() > STILL and (swing < STUCK * swing.max()).any():
+        marker = int(np.flatnonzero(beyond)[np.argmin(swing)])
+        raise InvalidInput(
+            f"marker {marker} never moves while others do",
+            got=f"{reach[marker]:.3g} m over the recording, marker {int(np.argmax(reach))} {reach.max():.3g} m",
+            fix="Look what the tracker holds there, and leave that marker out (and say where the others sit, arcs=...)",
+        )
 
 
 def measure(recording: Recording, rope: Rope, arcs: Array | None) -> Measured:

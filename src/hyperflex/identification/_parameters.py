@@ -33,6 +33,7 @@ FORMS: dict[str, Form] = {
 }
 ROPE_SCALARS = ("tip_mass", "gravity_angle")
 SCALARS = (*ROPE_SCALARS, "delay", "origin_x", "origin_y")
+TRACE = 1e-9  # of the scale of dry friction
 SEEN_ONLY = ("origin_x", "origin_y", "arc")  # how the rope is looked at: they do not move it
 WIDTHS = {"gravity_angle": 0.1, "delay": 0.1, "origin_x": 0.1, "origin_y": 0.1, "arc": 0.1}
 
@@ -63,7 +64,14 @@ class Parameter:
     @property
     def first(self) -> float:
         """The x that it starts from."""
-        return float(np.log(self.start)) if self.form == "log" else self.start / self.scale
+        return float(np.log(self.start)) if self.form == "log" else max(self.start / self.scale, self.least)
+
+    @property
+    def least(self) -> float:
+        """The least x. Without any dry friction no run turns where it would act, and none tells what it would do."""
+        if self.form != "nonnegative":
+            return -np.inf
+        return TRACE if self.name == "dry_friction" else 0.0
 
     @property
     def width(self) -> float:
@@ -107,7 +115,11 @@ class Parameters:
     @property
     def lower(self) -> Array:
         """Lower bounds of x (P,)."""
-        return np.array([0.0 if p.form == "nonnegative" else -np.inf for p in self.all])
+        return np.array([p.least for p in self.all])
+
+    def rounded(self, x: Array) -> Array:
+        """Return x (P,) with a trace of dry friction that is left at its bound as none."""
+        return np.where((x > 0.0) & (x <= self.lower), 0.0, x)
 
     @property
     def widths(self) -> Array:

@@ -21,7 +21,7 @@ from hyperflex.identification._windows import Window
 LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
 ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their sd
 SHORT = 1.0  # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
-ROUGH = 1e-3  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
+ROUGH = 1e-5  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
 STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up
 LEFT = 1e-6  # damping for what the linear model has left to gain: parameters that do not act promise nothing
 Report = Callable[[dict[str, float]], None]

@@ -157,7 +157,7 @@ def _values(parameters: Parameters, information: Information, rope: Rope) -> lis
     """Return what looks odd about single values."""
     said = []
     sd = information.spread(np.diag(parameters.slopes(information.x)))
-    values = parameters.values(information.x)
+    values = parameters.values(parameters.rounded(information.x))
     for parameter, value, spread in zip(parameters.all, values, sd, strict=True):
         if parameter.form == "nonnegative" and value == 0.0:
             said.append(f"{parameter.label} went to 0, the least allowed: the data show none of it.")
