@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -194,6 +195,8 @@ def _plant(
         place = first_joint(recording, arcs, pivot_places(motion, arm, recording.t))
     else:
         place = checks.array("origin", origin, (2,), unit="m")
+    starts = {"origin_x": float(place[0]), "origin_y": float(place[1])}
+    chosen = [replace(each, start=starts.get(each.name, each.start)) for each in chosen]
     return Plant(Parameters(guess, chosen), Places(), np.concatenate([place, arcs]), motion, arm)
 
 

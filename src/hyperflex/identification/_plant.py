@@ -149,8 +149,7 @@ class Plant:
         own = self.own.copy()
         for parameter, each in zip(self.parameters.all, x, strict=True):
             if (place := _place(parameter.name, parameter.links)) is not None:
-                start = 0.0 if parameter.name == "arc" else self.own[place]
-                own[place] = start + parameter.value(each)
+                own[place] = parameter.value(each)
         moving = self.parameters.parts(x, rope)
         n = rope.n_links
         unit = np.eye(n)
