@@ -13,8 +13,8 @@ from hyperflex.identification._parameters import lumped
 from hyperflex.identification._prediction import HeldOut
 from hyperflex.identification._regression import LeastSquares, Regression, regression
 from hyperflex.identification._result import Identification
-from hyperflex.identification._revision import Revision, Round, revise
-from hyperflex.identification._simplex import InitialState, initial_state
+from hyperflex.identification._revision import Profile, Revision, Round, revise
+from hyperflex.identification._simplex import InitialState, initial_state, squared_error
 from hyperflex.identification._uncertainty import ratios
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "Identification",
     "InitialState",
     "LeastSquares",
+    "Profile",
     "Regression",
     "Revision",
     "Round",
@@ -34,5 +35,6 @@ __all__ = [
     "ratios",
     "regression",
     "revise",
+    "squared_error",
     "swing_period",
 ]

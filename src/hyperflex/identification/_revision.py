@@ -155,15 +155,13 @@ def revise(
         If the recording does not fit the rope, or there is dry friction and ``profile="response"``.
     IdentificationError
         If the rope cannot be simulated from the guess.
-    KeyboardInterrupt
-        Before the first round is done; later the best so far is returned with ``status == "interrupted"``.
-
     Notes
     -----
     Paper III A-B. A calculated profile fulfils (4) with the very J and eta that it was calculated with, so (6) returns
     them: with ``"calculated"`` nothing ever moves. With ``"measured"`` the errors of the angles, multiplied by gravity,
-    outweigh J's torque a hundredfold and the rounds diverge; with ``"measured rates"`` they creep, and noise in the
-    rates makes eta too small. Only the default settles at the least error. ``identify`` does all at once, and faster.
+    outweigh J's torque a hundredfold and the rounds diverge; with ``"measured rates"`` they creep, and the noise of the
+    rates biases eta. Only the default settles at the least error. ``identify`` does all at once, and faster. Ctrl-C
+    returns the best so far, marked as interrupted.
     """
     began = time.perf_counter()
     measured = fitting(recording, rope_guess)
@@ -176,6 +174,9 @@ def revise(
         for _ in range(checks.count("rounds", rounds) + 1):
             found = revision.state(values, done[-1] if done else None, began)
             done.append(found)
+            if revision.interrupted:
+                status = "interrupted"
+                break
             if progress is not None:
                 progress(found)
             if len(done) > 1 and _still(done[-2], found, sd):
@@ -208,6 +209,7 @@ class _Revision:
 
     def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: Profile, most: int) -> None:
         self.measured, self.guess, self.rates, self.profile, self.most = measured, guess, rates, profile, most
+        self.interrupted = False
         self.slopes = None
         if profile == "response":
             wanted = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
@@ -228,8 +230,7 @@ class _Revision:
             ) from error
         start = None if before is None else (before.q, before.qd)
         found = initial_state(self.measured, rope, rates=self.rates, start=start, most=self.most)
-        if found.status == "interrupted":
-            raise KeyboardInterrupt
+        self.interrupted = found.status == "interrupted"
         plain = squared_error(self.measured, rope, first_state(self.measured, self.rates))
         seconds = time.perf_counter() - began
         inertia, friction = float(values[0]), float(values[1])

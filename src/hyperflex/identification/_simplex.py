@@ -25,6 +25,7 @@ ANGLE_STEP, ERROR_STEP = (
     1e-4,
     1e-6,
 )  # rad and rad^2: far below the noise of a camera; the simplex is done when below both
+BEYOND = 1e3  # rad or rad/s: no state that a simplex may try
 MOST = 400  # rollouts for each unknown, in each of the two descents
 
 
@@ -154,9 +155,19 @@ class _Descent:
 
 
 def squared_error(measured: Recording, rope: Rope, state: Array) -> float:
-    """Return E of (7), rad^2, of the run from `state` (2n,) at the first sample; inf where it cannot be simulated."""
+    """Return E of (7), rad^2; inf where the rope cannot be simulated.
+
+    Parameters
+    ----------
+    measured : Recording
+        Of angles.
+    rope : Rope
+        With as many links.
+    state : (2 n,) float64
+        Angles, rad, and rates, rad/s, at the first sample.
+    """
     n = rope.n_links
-    if not np.isfinite(state).all() or np.abs(state).max() > 1e3:
+    if not np.isfinite(state).all() or np.abs(state).max() > BEYOND:
         return float("inf")
     try:
         q = angles(rope, measured.t, state[:n], state[n:], tol=PRECISION * rope.total_length)[0]

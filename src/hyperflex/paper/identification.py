@@ -18,15 +18,15 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification import (
     InitialState,
+    Profile,
     Revision,
     cylinder_inertia,
     initial_state,
     natural_frequency_inertia,
     revise,
+    squared_error,
     swing_period,
 )
-from hyperflex.identification._revision import Profile
-from hyperflex.identification._simplex import squared_error
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import angles, simulate
@@ -38,7 +38,7 @@ RATE, POINTS, FEW = 7.5, 81, 22  # frames a second; samples; samples of the firs
 NOISE = 0.01  # rad, root mean square over all samples of a recording
 FINE = 40  # links of the finer chain
 SEED = 2007
-COUNTS = (12, 17, 22, 27, 32, 41, 51, 61, 71, 81)  # samples used, Fig. 6
+COUNTS = (12, 17, 22, 27, 32, 41, 51, 61, 81)  # samples used, Fig. 6
 
 
 @dataclass(frozen=True)
@@ -136,13 +136,13 @@ def revised(swing: Swing, points: int = POINTS, profile: Profile = "response", s
     """
     recording = record(swing, seed)
     part = recording.window(-np.inf, (points - 0.5) / RATE)
-    return revise(part, guess(), profile=profile)
+    return revise(part, guess(), profile=profile, rounds=8 if profile == "response" else 5)
 
 
 def whole_error(swing: Swing, found: Revision, seed: int = SEED) -> float:
     """Return E over all 81 samples, rad^2, of a revision that may have used fewer."""
     state = np.append(found.best.q, found.best.qd)
-    return squared_error(record(swing, seed).angles(), found.rope, state)
+    return squared_error(record(swing, seed), found.rope, state)
 
 
 def per_sample(error: float) -> float:
