@@ -155,6 +155,7 @@ def revise(
         If the recording does not fit the rope, or there is dry friction and ``profile="response"``.
     IdentificationError
         If the rope cannot be simulated from the guess.
+
     Notes
     -----
     Paper III A-B. A calculated profile fulfils (4) with the very J and eta that it was calculated with, so (6) returns

@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from hyperflex import paper
-from hyperflex.paper import OUTCOMES, T_MOVE, T_REST, Claim, cable, casting_arm
+from hyperflex.paper import OUTCOMES, T_MOVE, T_REST, cable, casting_arm
 from hyperflex.report import casting
 from hyperflex.report.page import Picture, Section
-from hyperflex.report.picture_files import write_picture
+from hyperflex.report.part import Part, write_picture
 from hyperflex.report.style import png
-from hyperflex.report.tables import markdown, reaches_table
+from hyperflex.report.tables import reaches_table
 
 NAMES = ("fig9", "fig10", "fig11", "fig12")
 TITLE = "Casting a rope by swinging"
@@ -28,10 +28,8 @@ _CAPTIONS = {
 }
 
 
-def write(
-    wanted: Sequence[str], folder: Path, tell: Callable[[str], None]
-) -> tuple[list[str], list[Claim], list[Section]]:
-    """Write the wanted figures to `folder`; return names of files, claims, and sections of the page."""
+def write(wanted: Sequence[str], folder: Path, tell: Callable[[str], None]) -> Part:
+    """Write the wanted figures to `folder`."""
     tell("simulating the casts")
     casts = paper.casts()
     written: list[str] = []
@@ -49,12 +47,7 @@ def write(
         Section("Reach of the tip", text=("Greatest |x| of the tip in each 2 s, m.",), table=reaches_table()),
         Section("Set-up", text=(_setup_text(),)),
     ]
-    return written, claims, sections
-
-
-def text() -> str:
-    """Return what the Markdown file says beside the claims."""
-    return "\n\n".join(["## Greatest |x| of the tip in each 2 s, m", markdown(reaches_table())])
+    return Part(written, claims, sections)
 
 
 def _setup_text() -> str:

@@ -96,7 +96,7 @@ def fig6() -> Figure:
     with look():
         figure = new_figure(7.6, 4.4)
         axis = figure.subplots()
-        for swing, colour in zip(CURVES, COLOURS, strict=True):
+        for swing, colour in zip(CURVES, COLOURS, strict=False):
             axis.plot(counts, table.columns[f"error_{swing.key}"], "o-", ms=4.5, color=colour, label=swing.title)
         axis.plot(*zip(*PAPER_FIG6.items(), strict=True), "D", ms=6.5, mfc="none", mec=INK, mew=1.3, label="the paper")
         axis.axvline(FEW, color=GREY, lw=0.8, ls=(0, (4.0, 2.0)))

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from hyperflex import paper
 from hyperflex.identification import Profile, Revision
-from hyperflex.paper import SWINGS, Claim, methods, revised
+from hyperflex.paper import SWINGS, methods, revised
 from hyperflex.paper.identification import LENGTH, LINK_MASS, LINKS, NOISE, POINTS, RATE, guess, per_sample, true_rope
 from hyperflex.paper.identification_figures import DRAWN, periods_text
 from hyperflex.report import identification
 from hyperflex.report.page import Picture, Section
-from hyperflex.report.picture_files import write_numbers, write_picture
+from hyperflex.report.part import Part, write_numbers, write_picture
 from hyperflex.report.style import png
-from hyperflex.report.tables import TextTable, markdown
+from hyperflex.report.tables import TextTable
 
 NAMES = ("table1", "table2", "fig3", "fig5", "fig6")
 TITLE = "Identifying a rope by iterative revision"
@@ -36,17 +36,13 @@ _PAPER_TABLE1 = (("5.09", "1.26", "4.64"), ("0.143", "0.631", "2.23"), ("0.143",
 _PAPER_TABLE2 = {"NF": ("102", "16.3"), "CM": ("5.09", "2.62"), "IR": ("0.143", "2.23"), "IR(theta_0)": ("0.143", "")}
 
 
-def write(
-    wanted: Sequence[str], folder: Path, tell: Callable[[str], None]
-) -> tuple[list[str], list[Claim], list[Section]]:
-    """Write the wanted tables and figures to `folder`; return names of files, claims, and sections of the page."""
-    for swing in DRAWN:
-        tell(f"revising: {swing.title}")
-        revised(swing)
+def write(wanted: Sequence[str], folder: Path, tell: Callable[[str], None]) -> Part:
+    """Write the wanted tables and figures to `folder`."""
     written: list[str] = []
+    sections: list[Section] = []
     pictures = []
     for name in wanted:
-        tell(f"making {name}")
+        tell(f"making {name}; each revision takes a second or two")
         table = getattr(paper, name)()
         if name in _CAPTIONS:
             content = png(getattr(identification, name)())
@@ -54,35 +50,24 @@ def write(
             pictures.append(Picture(content, _CAPTIONS[name]))
         else:
             written += write_numbers(folder, name, table)
+            sections += _table1() if name == "table1" else _table2()
     tell("measuring the claims on identification")
     claims = paper.identification_claims()
-    sections = [
-        Section("Table I: change of J, eta and E", text=(_UNIT,), table=rounds_table()),
-        Section("Table II: NF, CM and IR", text=(f"T_nat: {periods_text()}.",), table=methods_table()),
-        Section("What step 4 may mean", text=_STEP4, table=profiles_table()),
-        Section("Set-up of the identification", text=(_setup_text(),)),
-    ]
     if pictures:
-        sections.insert(2, Section("Figures on identification", pictures=tuple(pictures)))
-    return written, claims, sections
+        sections.append(Section("Figures on identification", pictures=tuple(pictures)))
+    sections.append(Section("Set-up of the identification", text=(_setup_text(),)))
+    return Part(written, claims, sections)
 
 
-def text() -> str:
-    """Return what the Markdown file says beside the claims."""
-    parts = [
-        "## Table I: change of J, eta and E",
-        _UNIT,
-        markdown(rounds_table()).rstrip(),
-        "## Table II: NF, CM and IR",
-        f"T_nat: {periods_text()}.",
-        markdown(methods_table()).rstrip(),
-        "## What step 4 may mean",
-        "\n\n".join(_STEP4),
-        markdown(profiles_table()).rstrip(),
-        "## Set-up",
-        _setup_text(),
+def _table1() -> list[Section]:
+    return [
+        Section("Table I: change of J, eta and E", text=(_UNIT,), table=rounds_table()),
+        Section("What step 4 may mean", text=_STEP4, table=profiles_table()),
     ]
-    return "\n\n".join(parts) + "\n"
+
+
+def _table2() -> list[Section]:
+    return [Section("Table II: NF, CM and IR", text=(f"T_nat: {periods_text()}.",), table=methods_table())]
 
 
 _UNIT = (

@@ -11,6 +11,7 @@ from hyperflex.paper import Claim
 from hyperflex.report import casting_part, identification_part
 from hyperflex.report.folder import whole_folder
 from hyperflex.report.page import Section, write_page
+from hyperflex.report.part import Part
 from hyperflex.report.tables import claims_table, markdown, verdicts
 
 PARTS = (identification_part, casting_part)
@@ -79,25 +80,29 @@ def _write(
         own = [name for name in wanted if name in part.NAMES]
         if not own:
             continue
-        names, measured, content = part.write(own, folder, tell)
-        written += names
-        claims += measured
-        sections += [_verdict(part.TITLE, measured), *content]
-        texts.append(_claims_text(part.CLAIMS, measured, part.text()))
+        done = part.write(own, folder, tell)
+        written += done.written
+        claims += done.claims
+        sections += [_verdict(part.TITLE, done.claims), *done.sections]
+        texts.append(_claims_text(part.CLAIMS, done))
         leads.append(part.LEAD)
         titles.append(part.TITLE)
-    files.write_text(folder / "claims.md", "\n\n".join(texts))
+    files.write_text(folder / "claims.md", "\n\n".join(texts) + "\n")
     write_page(folder / "report.html", "; ".join(titles), " ".join(leads), "simulated", sections)
     return (*written, "claims.md", "report.html"), tuple(claims)
 
 
-def _claims_text(title: str, claims: Sequence[Claim], more: str) -> str:
+def _claims_text(title: str, done: Part) -> str:
+    """Return the claims of a part and its tables as Markdown."""
     parts = [
         f"# {title}",
-        markdown(claims_table(claims)).rstrip(),
-        "\n".join(f"- {sentence}" for sentence in verdicts(claims)),
-        more,
+        markdown(claims_table(done.claims)).rstrip(),
+        "\n".join(f"- {sentence}" for sentence in verdicts(done.claims)),
     ]
+    for section in done.sections:
+        if not section.pictures:
+            parts += [f"## {section.title}", *section.text]
+            parts += [markdown(section.table).rstrip()] if section.table else []
     return "\n\n".join(parts)
 
 

@@ -1,11 +1,32 @@
-"""A figure of the paper as files: the picture and the numbers behind it."""
+"""A part of the paper as it is reproduced: what was written, what was measured, and what the page says of it."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from hyperflex import files
-from hyperflex.paper import Table
+from hyperflex.paper import Claim, Table
+from hyperflex.report.page import Section
+
+
+@dataclass(frozen=True)
+class Part:
+    """What became of one part of the paper.
+
+    Attributes
+    ----------
+    written : list of str
+        Names of files, in order.
+    claims : list of Claim
+        Its claims with their verdicts.
+    sections : list of Section
+        Of the page.
+    """
+
+    written: list[str]
+    claims: list[Claim]
+    sections: list[Section]
 
 
 def write_picture(folder: Path, name: str, content: bytes, table: Table) -> list[str]:
