@@ -80,7 +80,7 @@ def test_ctrl_c_keeps_the_best_state_so_far(monkeypatch):
     recording, seen = swing(noise=0.01), []
 
     def error(measured, rope, state):
-        if len(seen) == 40:
+        if len(seen) > 40 and seen[-1] > min(seen):
             raise KeyboardInterrupt
         seen.append(squared_error(measured, rope, state))
         return seen[-1]
@@ -88,8 +88,8 @@ def test_ctrl_c_keeps_the_best_state_so_far(monkeypatch):
     monkeypatch.setattr(_simplex, "squared_error", error)
     found = hf.initial_state(recording, ROPE)
     assert found.status == "interrupted"
-    assert found.error == min(seen)
-    assert found.evaluations == 40
+    assert found.error == min(seen) < seen[-1]
+    assert found.evaluations == len(seen)
 
 
 def test_the_revision_settles_at_the_truth_and_tells_its_rounds():
@@ -117,7 +117,7 @@ def test_the_uncertainty_of_the_revision_is_that_of_repeated_noise():
     for name in ("inertia", "friction"):
         values = np.array([getattr(draw.best, name) for draw in draws])
         # 16 draws: a standard deviation known within 18 % (one sigma), and a mean within a quarter of it.
-        assert values.std(ddof=1) == pytest.approx(draws[0].sd[name], rel=0.54)
+        assert 0.6 < values.std(ddof=1) / draws[0].sd[name] < 1.6
         assert abs(values.mean() - getattr(ROPE, name)[0]) < 1.0 * draws[0].sd[name]
 
 
@@ -132,9 +132,10 @@ def test_a_calculated_profile_returns_what_it_was_calculated_with():
 
 @pytest.mark.parametrize("profile", ["measured", "measured rates"])
 def test_mixed_profiles_use_the_recording_and_stay_away_from_the_truth(profile):
-    found = hf.revise(swing(noise=0.01), GUESS, profile=profile, rounds=2)
+    found = hf.revise(swing(noise=0.01), GUESS, profile=profile, rounds=3)
     best = hf.revise(swing(noise=0.01), GUESS)
     assert found.rounds[1].friction != pytest.approx(4e-3, rel=1e-3)
+    assert found.error == min(each.error for each in found.rounds)
     assert found.error > 1.2 * best.error
 
 
@@ -155,17 +156,24 @@ def test_gaps_are_left_out():
     assert found.best.friction == pytest.approx(2e-3, rel=1e-3)
 
 
-def test_what_would_become_negative_stops_at_zero():
-    # A recording of ropes with less than no inertia there is not; one with none, and noise, asks for it half the time.
+def test_what_would_become_negative_stops_at_zero_and_the_rest_adapts():
+    # Links without inertia of their own, and noise that asks for less than none: one recording of two or so.
     none = ROPE.replace(inertia=np.zeros(3))
-    found = [
-        hf.revise(hf.Recording(T, swing(none).data + 5e-3 * np.random.default_rng(k).standard_normal((41, 3))), GUESS)
-        for k in range(4)
+    data = swing(none).data
+    for seed in range(8):
+        recording = hf.Recording(T, data + 5e-3 * np.random.default_rng(seed).standard_normal(data.shape))
+        found = hf.revise(recording, GUESS)
+        assert found.status == "settled"
+        if found.best.inertia == 0.0:
+            break
+    assert found.best.inertia == 0.0
+    # With J at 0, E is least at the eta that was found: as much is lost on either side of it.
+    lost = [
+        hf.initial_state(recording, found.rope.replace(friction=found.rope.friction + step)).error - found.error
+        for step in (-found.sd["friction"], found.sd["friction"])
     ]
-    values = np.array([each.best.inertia for each in found])
-    assert (values >= 0.0).all()
-    assert (values == 0.0).any()
-    assert all(each.status == "settled" for each in found)
+    assert min(lost) > 0.0
+    assert lost[0] == pytest.approx(lost[1], rel=0.25)  # a tenth of sd, where it settles, makes a fifth of it at most
 
 
 def test_ctrl_c_keeps_the_best_round_so_far(monkeypatch):
@@ -242,11 +250,12 @@ def test_cylinder_inertia_is_the_ropes_default():
     assert cylinder_inertia(hf.Rope.uniform(1.0, 5 * 1.53e-3, 5))[0] == pytest.approx(5.09e-6, rel=5e-3)
 
 
-def test_period_of_a_measured_swing():
-    t = np.arange(200) * 0.1
-    noise = 0.02 * np.random.default_rng(2).standard_normal(t.size)
-    angle = np.exp(-0.2 * t) * np.cos(2.0 * np.pi * t / 1.7) + noise
-    # Ten or so half periods are counted; the first and the last crossing are off by 0.02 rad / (2 rad/s) or so each.
+@pytest.mark.parametrize(("step", "noise"), [(0.1, 0.02), (0.01, 0.03)], ids=["few samples", "noise about zero"])
+def test_period_of_a_measured_swing(step, noise):
+    t = np.arange(0.0, 8.0, step)
+    angle = np.exp(-0.2 * t) * np.cos(2.0 * np.pi * t / 1.7)
+    angle += noise * np.random.default_rng(2).standard_normal(t.size)
+    # Nine half periods are counted; the first and the last crossing are off by 0.03 rad / (2 rad/s) or so each.
     assert swing_period(hf.Recording(t, angle[:, None])) == pytest.approx(1.7, rel=0.01)
     with pytest.raises(InvalidInput, match="too few swings"):
         swing_period(hf.Recording(t, 1.0 + 0.1 * angle[:, None]))

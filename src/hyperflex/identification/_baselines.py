@@ -11,6 +11,8 @@ from hyperflex.identification._parameters import lumped
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
+SIDE = 0.1  # part of the greatest angle beyond which a rope is clearly on one side
+
 
 def cylinder_inertia(rope: Rope) -> Array:
     """Return the inertia of each link as a cylinder (n,), kg m^2: CM of Table II.
@@ -95,20 +97,24 @@ def swing_period(recording: Recording, link: int = -1) -> float:
 
     Notes
     -----
-    Crossings are where straight lines between samples cross zero. Those nearer to the one before than half the median
-    distance are noise, or higher modes, and are left out; so are those that follow once the swing has come down to a
-    tenth of its greatest angle.
+    Only samples beyond a tenth of the greatest angle count as a side; between two of them on different sides lies one
+    crossing, the mean of where straight lines between the samples in between cross zero. Noise about zero, and the end
+    of a swing that has died down, add none.
     """
     measured = recording.angles()
     column = measured.data[:, link]
     known = ~np.isnan(column)
     t, angle = measured.t[known], column[known]
-    large = np.flatnonzero(np.abs(angle) > 0.1 * np.abs(angle).max())
-    t, angle = t[: large[-1] + 1], angle[: large[-1] + 1]
-    k = np.flatnonzero(np.sign(angle[:-1]) * np.sign(angle[1:]) < 0.0)
-    crossings = t[k] - angle[k] * (t[k + 1] - t[k]) / (angle[k + 1] - angle[k])
+    large = np.flatnonzero(np.abs(angle) > SIDE * np.abs(angle).max())
+    passed = np.flatnonzero(np.sign(angle[large[:-1]]) != np.sign(angle[large[1:]]))
+    spans = [slice(large[k], large[k + 1] + 1) for k in passed]
+    crossings = np.array([_crossing(t[span], angle[span]) for span in spans])
     if crossings.size < 3:
         raise InvalidInput("too few swings for a period", got=f"{crossings.size} zero crossings", allowed="at least 3")
-    apart = np.diff(crossings)
-    kept = apart[apart > 0.5 * np.median(apart)]
-    return float(2.0 * kept.mean())
+    return float(2.0 * np.diff(crossings).mean())
+
+
+def _crossing(t: Array, angle: Array) -> float:
+    """Return the mean of the times at which straight lines between samples cross zero, s."""
+    k = np.flatnonzero((angle[:-1] > 0.0) != (angle[1:] > 0.0))
+    return float((t[k] - angle[k] * (t[k + 1] - t[k]) / (angle[k + 1] - angle[k])).mean())
