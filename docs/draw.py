@@ -9,7 +9,7 @@ import numpy as np
 
 import hyperflex as hf
 from hyperflex import paper
-from hyperflex.report import casting
+from hyperflex.report import casting, identification
 from hyperflex.report.animation import animate
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import BLUE, GREY, RED, look, new_figure, save_png
@@ -63,6 +63,8 @@ def main() -> None:
     speed = np.linalg.norm(cracked.tip_velocity, axis=1)
     print(f"whip: {speed.max():.0f} m/s at t = {cracked.t[speed.argmax()]:.2f} s")
     save_png(growth(), IMAGES / "growth.png", dpi=2 * DPI)
+    for figure in (identification.fig3, identification.fig5, identification.fig6):
+        save_png(figure(), IMAGES / f"{figure.__name__}.png", dpi=DPI)
     casts = paper.casts()
     for draw in (casting.fig10, casting.fig11, casting.fig12):
         save_png(draw(casts), IMAGES / f"{draw.__name__}.png", dpi=DPI)

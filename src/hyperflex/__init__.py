@@ -9,7 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hyperflex.identification import Identification, identify
+    from hyperflex.identification import Identification, Revision, identify, initial_state, regression, revise
     from hyperflex.model import Arm, Rope, Setup
     from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
@@ -39,6 +39,7 @@ _HOMES = {
     "Motion": "motion",
     "Predictability": "simulation",
     "Recording": "recording",
+    "Revision": "identification",
     "Rope": "model",
     "Sensitivities": "simulation",
     "Setup": "model",
@@ -47,6 +48,7 @@ _HOMES = {
     "angle_reached": "simulation",
     "hold": "motion",
     "identify": "identification",
+    "initial_state": "identification",
     "move": "motion",
     "moving_point": "motion",
     "phase_reached": "simulation",
@@ -54,6 +56,8 @@ _HOMES = {
     "read_motion": "motion",
     "read_recording": "recording",
     "read_trajectory": "trajectory",
+    "regression": "identification",
+    "revise": "identification",
     "sampled": "motion",
     "sensitivities": "simulation",
     "simulate": "simulation",
@@ -72,6 +76,7 @@ __all__ = [
     "Motion",
     "Predictability",
     "Recording",
+    "Revision",
     "Rope",
     "Sensitivities",
     "Setup",
@@ -81,6 +86,7 @@ __all__ = [
     "angle_reached",
     "hold",
     "identify",
+    "initial_state",
     "move",
     "moving_point",
     "phase_reached",
@@ -88,6 +94,8 @@ __all__ = [
     "read_motion",
     "read_recording",
     "read_trajectory",
+    "regression",
+    "revise",
     "sampled",
     "sensitivities",
     "simulate",

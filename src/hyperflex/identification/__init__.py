@@ -2,10 +2,39 @@
 
 from __future__ import annotations
 
+from hyperflex.identification._baselines import (
+    cylinder_inertia,
+    natural_frequency_inertia,
+    natural_period,
+    swing_period,
+)
 from hyperflex.identification._identify import identify
 from hyperflex.identification._parameters import lumped
 from hyperflex.identification._prediction import HeldOut
+from hyperflex.identification._regression import LeastSquares, Regression, regression
 from hyperflex.identification._result import Identification
+from hyperflex.identification._revision import Profile, Revision, Round, revise
+from hyperflex.identification._simplex import InitialState, initial_state, squared_error
 from hyperflex.identification._uncertainty import ratios
 
-__all__ = ["HeldOut", "Identification", "identify", "lumped", "ratios"]
+__all__ = [
+    "HeldOut",
+    "Identification",
+    "InitialState",
+    "LeastSquares",
+    "Profile",
+    "Regression",
+    "Revision",
+    "Round",
+    "cylinder_inertia",
+    "identify",
+    "initial_state",
+    "lumped",
+    "natural_frequency_inertia",
+    "natural_period",
+    "ratios",
+    "regression",
+    "revise",
+    "squared_error",
+    "swing_period",
+]
