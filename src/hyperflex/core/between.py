@@ -10,7 +10,7 @@ from hyperflex.core.along import CELL, PARTS, K, enter, set_ends, spread, step_a
 from hyperflex.core.chain import sines
 from hyperflex.core.drive import base_state
 from hyperflex.core.jit import kernel
-from hyperflex.core.output import FEW, basis, interpolate, piece
+from hyperflex.core.output import basis, interpolate, piece
 
 
 @kernel
@@ -145,14 +145,7 @@ def write_inside(chain, drive, part, table, t, step, y, values, fresh, t_out, di
     right, high = 1.0, t_out.size
     while high > 0:
         left, low = piece(chain, step, right, fresh, t, t_out, high)
-        if fresh and high - low <= FEW:
-            change = room.change.copy()
-            room.change[:] = -room.shift
-            spread(values, room.store)
-            for k in range(low, high):
-                step_along(chain, drive, part, table, t, t_out[k] - t, y, y_out[k], directions, dy_out[k], room)
-            room.change[:] = change
-        else:
+        if low < high:
             times, states, slopes = t_out[low:high], y_out[low:high], dy_out[low:high]
             write_piece(
                 chain, drive, part, table, t, step, y, values, left, right, times, directions, room, states, slopes

@@ -28,7 +28,6 @@ _SUMS = _hermite(1)  # (6, 6): value and first derivative
 
 
 CALM = 4.0  # see calm
-FEW = 2  # outputs of a piece behind a switch that are as soon found each by a step of its own
 
 
 @kernel
@@ -49,7 +48,7 @@ def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
     """State at theta in -1..1 within a step from its values ys (3, 2 n + 2) and derivatives dys at -1, 0, 1.
 
     Angles follow the polynomial of degree 8 through angles, rates and accelerations; rates are its derivative; work
-    and dissipation follow one of degree 5. Behind a switch, where friction settles, for parts of a step (:func:`piece`).
+    and dissipation follow one of degree 5. Behind a switch, where friction settles, for parts of steps (:func:`piece`).
     """
     n = (ys.shape[1] - 2) // 2
     half = 0.5 * step

@@ -12,7 +12,7 @@ from hyperflex.core.chain import sines
 from hyperflex.core.drive import base_state, segment
 from hyperflex.core.jit import kernel
 from hyperflex.core.locate import locate, settle
-from hyperflex.core.output import FEW, interpolate, piece
+from hyperflex.core.output import interpolate, piece
 from hyperflex.core.progress import (
     AFTER,
     CHATTER,
@@ -184,10 +184,7 @@ def write_between(chain, drive, part, table, fixed, progress, step, room, t_out,
     fresh, right, high = fixed == 0.0 and clock[FRESH] == 1.0, 1.0, times.size
     while high > 0:
         left, low = piece(chain, step, right, fresh, t, times, high)
-        if fresh and high - low <= FEW:
-            for m in range(low, high):
-                advance(chain, drive, part, table, fixed, t, times[m] - t, y, grip, states[m], room)
-        else:
+        if low < high:
             inside, out = times[low:high], states[low:high]
             write_piece(chain, drive, part, table, fixed, progress, step, left, right, room, inside, out)
         right, high = left, low
