@@ -6,11 +6,11 @@ import numpy as np
 
 from hyperflex.core import lanes as ln
 from hyperflex.core import tangent as tg
-from hyperflex.core.along import CELL, PARTS, K, enter, set_ends, spread, step_along
+from hyperflex.core.along import CELL, PARTS, K, enter, set_ends, step_along
 from hyperflex.core.chain import sines
 from hyperflex.core.drive import base_state
 from hyperflex.core.jit import kernel
-from hyperflex.core.output import basis, interpolate, piece
+from hyperflex.core.output import basis, interpolate
 
 
 @kernel
@@ -116,38 +116,10 @@ def follow(weight, half, i, ys, dys, moving, longer, dq, dw):  # type: ignore[no
 
 
 @kernel
-def write_piece(chain, drive, part, table, t, step, y, values, left, right, t_out, directions, room, y_out, dy_out):  # type: ignore[no-untyped-def]
-    """Write states and derivatives at times t_out (m,) within the part left..right of a step, by one polynomial.
-
-    The step begins at `y` and `values`; its end is in ``room.ys[2]`` and ``room.nodes[2]``, and stays there.
-    """
-    shift, change = room.shift.copy(), room.change.copy()
-    end, slopes = room.ys[2].copy(), room.nodes[2].copy()
-    spread(values, room.store)
-    for k in range(3):
-        far = left + 0.5 * k * (right - left)
-        if far == 0.0:
-            room.ys[k], room.nodes[k] = y, values
-        elif far < 1.0:
-            room.change[:] = far * change
-            step_along(chain, drive, part, table, t, far * step, y, room.ys[k], directions, room.nodes[k], room)
-    begin, length = t + left * step, (right - left) * step
-    room.shift[:], room.change[:] = shift + left * change, (right - left) * change
-    bends_along(chain, drive, part, begin, length, directions, room)
-    blend(begin, length, t_out, room, y_out, dy_out)
-    room.shift[:], room.change[:] = shift, change
-    room.ys[2], room.nodes[2] = end, slopes
-
-
-@kernel
-def write_inside(chain, drive, part, table, t, step, y, values, fresh, t_out, directions, room, y_out, dy_out):  # type: ignore[no-untyped-def]
-    """Write states and derivatives at times t_out (m,) within a step, as ``rollout.write_between`` the states."""
-    right, high = 1.0, t_out.size
-    while high > 0:
-        left, low = piece(chain, step, right, fresh, t, t_out, high)
-        if low < high:
-            times, states, slopes = t_out[low:high], y_out[low:high], dy_out[low:high]
-            write_piece(
-                chain, drive, part, table, t, step, y, values, left, right, times, directions, room, states, slopes
-            )
-        right, high = left, low
+def write_inside(chain, drive, part, table, t, step, y, t_out, directions, room, y_out, dy_out):  # type: ignore[no-untyped-def]
+    """Write states and derivatives at times t_out (m,) within a step, whose ends are in the room's nodes."""
+    room.change[:] *= 0.5
+    step_along(chain, drive, part, table, t, 0.5 * step, y, room.ys[1], directions, room.nodes[1], room)
+    room.change[:] *= 2.0
+    bends_along(chain, drive, part, t, step, directions, room)
+    blend(t, step, t_out, room, y_out, dy_out)

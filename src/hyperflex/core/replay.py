@@ -14,6 +14,7 @@ from hyperflex.core.along import room_for, spread, step_along
 from hyperflex.core.between import write_inside
 from hyperflex.core.drive import segment
 from hyperflex.core.jit import kernel
+from hyperflex.core.output import calm
 from hyperflex.core.progress import DEGREE, END, JOINT, LENGTH, MODES
 from hyperflex.core.steppers import rates
 from hyperflex.core.turning import chatters, end_along, end_at_event, hold_outputs, turning_for
@@ -93,10 +94,14 @@ def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, 
         while last < t_out.size and t_out[last] < t_new:
             last += 1
         times, states, slopes = t_out[index:last], y_out[index:last], dy_out[index:last]
-        if last > index:
-            write_inside(
-                chain, drive, part, table, t, t_new - t, y, values, fresh, times, directions, room, states, slopes
-            )
+        if last > index and fresh and not calm(chain, t_new - t):
+            change = room.change.copy()
+            room.change[:] = -room.shift
+            for k in range(times.size):
+                step_along(chain, drive, part, table, t, times[k] - t, y, states[k], directions, slopes[k], room)
+            room.change[:] = change
+        elif last > index:
+            write_inside(chain, drive, part, table, t, t_new - t, y, times, directions, room, states, slopes)
         if last > index and not grip.all():
             hold_outputs(chain, drive, part, t, y, values, grip, times, directions, room, turn, states, slopes)
         index = last

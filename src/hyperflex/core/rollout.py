@@ -12,7 +12,7 @@ from hyperflex.core.chain import sines
 from hyperflex.core.drive import base_state, segment
 from hyperflex.core.jit import kernel
 from hyperflex.core.locate import locate, settle
-from hyperflex.core.output import interpolate, piece
+from hyperflex.core.output import calm, interpolate
 from hyperflex.core.progress import (
     AFTER,
     CHATTER,
@@ -151,48 +151,34 @@ def write_until(clock, t_out, t, y, y_out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def write_piece(chain, drive, part, table, fixed, progress, step, left, right, room, t_out, y_out):  # type: ignore[no-untyped-def]
-    """Write the outputs t_out (m,) within the part left..right of a step by the polynomial over it."""
-    y, grip, t = progress.y, progress.grip, progress.clock[T]
-    ys, dys = room.ys, room.dys
-    for k in range(3):
-        far = left + 0.5 * k * (right - left)
-        if far == 0.0:
-            ys[k] = y
-        elif far == 1.0:
-            ys[k] = room.out
-        else:
-            advance(chain, drive, part, table, fixed, t, far * step, y, grip, ys[k], room)
-        rates(chain, drive, part, t + far * step, ys[k], grip, dys[k], room.bench.work)
-    begin, length = t + left * step, (right - left) * step
-    for m in range(t_out.size):
-        interpolate(2.0 * (t_out[m] - begin) / length - 1.0, length, ys, dys, y_out[m])
-
-
-@kernel
 def write_between(chain, drive, part, table, fixed, progress, step, room, t_out, y_out):  # type: ignore[no-untyped-def]
     """Write the outputs strictly within the step from where `progress` stands to ``room.out``."""
     y, grip, clock = progress.y, progress.grip, progress.clock
-    t, first = clock[T], int(clock[INDEX])
-    high = first
-    while high < t_out.size and t_out[high] < t + step:
-        high += 1
-    if high == first:
+    t = clock[T]
+    end = t + step
+    if clock[INDEX] >= t_out.size or t_out[int(clock[INDEX])] >= end:
         return
-    clock[INDEX] = high
-    times, states = t_out[first:high], y_out[first:high]
-    fresh, right, high = fixed == 0.0 and clock[FRESH] == 1.0, 1.0, times.size
-    while high > 0:
-        left, low = piece(chain, step, right, fresh, t, times, high)
-        if low < high:
-            inside, out = times[low:high], states[low:high]
-            write_piece(chain, drive, part, table, fixed, progress, step, left, right, room, inside, out)
-        right, high = left, low
+    ys, dys = room.ys, room.dys
+    ys[0], ys[2] = y, room.out
+    first = int(clock[INDEX])
+    alone = fixed == 0.0 and clock[FRESH] == 1.0 and not calm(chain, step)
+    while alone and clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+        index = int(clock[INDEX])
+        advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, grip, y_out[index], room)
+        clock[INDEX] += 1
+    if clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+        advance(chain, drive, part, table, fixed, t, 0.5 * step, y, grip, ys[1], room)
+        for k in range(3):
+            rates(chain, drive, part, t + 0.5 * k * step, ys[k], grip, dys[k], room.bench.work)
+    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+        index = int(clock[INDEX])
+        interpolate(2.0 * (t_out[index] - t) / step - 1.0, step, ys, dys, y_out[index])
+        clock[INDEX] += 1
     if not grip.all():
-        for m in range(times.size):
-            base_state(drive, part, times[m], room.after)
-            hold(chain, grip, y, room.before, states[m], room.after)
-            states[m, 2 * grip.size + 1] += stuck_loss(room.power, step, (times[m] - t) / step)
+        for index in range(first, int(clock[INDEX])):
+            base_state(drive, part, t_out[index], room.after)
+            hold(chain, grip, y, room.before, y_out[index], room.after)
+            y_out[index, 2 * grip.size + 1] += stuck_loss(room.power, step, (t_out[index] - t) / step)
 
 
 @kernel
