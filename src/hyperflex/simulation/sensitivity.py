@@ -14,7 +14,7 @@ from hyperflex.core import status
 from hyperflex.core.chain import Chain
 from hyperflex.core.directions import place_changes
 from hyperflex.core.drive import Drive
-from hyperflex.core.progress import MODES, REJECTED, TAKEN, Limits
+from hyperflex.core.progress import JOINT, MODES, REJECTED, TAKEN, Limits
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
@@ -240,9 +240,9 @@ class Slopes:
 
 def recorded(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Limits, begin: float = 0.0) -> Rollout:
     """Run to the end, noting every step; raises where that fails."""
-    count = STEPS
+    count, width = STEPS, MODES + chain.length.size if chain.dry.any() else JOINT
     while True:
-        run = prepare(chain, drive, start, np.array([begin]), bounds, log=count)
+        run = prepare(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
         code = finish(run)
         if code != status.OK:
             raise failure(code, run)
