@@ -18,20 +18,7 @@ from hyperflex.core import rollout, status
 from hyperflex.core.chain import Chain
 from hyperflex.core.drive import TORQUE, Drive
 from hyperflex.core.jit import announce_compilation
-from hyperflex.core.progress import (
-    AFTER,
-    CLOCK,
-    INDEX,
-    JOINT,
-    MARK,
-    MODES,
-    STEP,
-    UNSETTLED,
-    Limits,
-    Progress,
-    T,
-    switched,
-)
+from hyperflex.core.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNSETTLED, Limits, Progress, T, switched
 from hyperflex.core.steppers import scheme
 from hyperflex.core.stepsize import FIRST_STEP
 from hyperflex.core.until import NEVER, Until
@@ -88,8 +75,10 @@ class Rollout:
         return int(rollout.run(self.chain, self.drive, TABLES, self.limits, self.progress, self.t, self.y))
 
 
-def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits, log: int = 0) -> Rollout:
-    """Make a rollout of angles and rates `start` (n,) from time ``t[0]`` with outputs at `t`; notes `log` steps."""
+def prepare(
+    chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits, log: Array | None = None
+) -> Rollout:
+    """Make a rollout of angles and rates `start` (n,) from time ``t[0]`` with outputs at `t`; steps go to the `log`."""
     announce_compilation()
     n = chain.length.size
     y = np.zeros(2 * n + 2)
@@ -97,7 +86,7 @@ def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, li
     clock = np.zeros(CLOCK)
     clock[:MARK] = starting_clock(t[0])
     clock[MARK] = -np.inf
-    noted = np.empty((log, MODES + n if chain.dry.any() else JOINT))
+    noted = np.empty((0, 3)) if log is None else log
     progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, noted)
     return Rollout(chain, drive, limits, progress, t, np.full((t.size, 2 * n + 2), np.nan))
 
@@ -117,8 +106,7 @@ def lever(chain: Chain) -> Array:
 
 def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until: Until = NEVER) -> Limits:
     """Return the bounds of a run until `stop`, s, or what ends it before; refuses an unstable Runge-Kutta step."""
-    weight = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy)
-    reach = float(chain.length.sum())
+    weight, reach = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy), float(chain.length.sum())
     scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
     bounds = Limits(
         stop, setup.tol, lever(chain), reach, scale, setup.step or 0.0, LEAST_ORDER, MOST_ORDER, budget, until
@@ -139,8 +127,7 @@ def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until:
 def resume(run: Rollout, state: State, setup: Setup) -> None:
     """Let a run go on from a saved state: bit for bit if nothing but its end has changed."""
     n = run.chain.length.size
-    y, clock = run.progress.y, run.progress.clock
-    saved = state.checkpoint
+    y, clock, saved = run.progress.y, run.progress.clock, state.checkpoint
     if saved and "y" in saved and np.size(saved["y"]) != 2 * n + 2:
         raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")
     if saved and np.size(saved.get("clock", ())) != MARK:
@@ -233,8 +220,7 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
     n = run.chain.length.size
     begin, stop = run.time, run.limits.stop
     times, torques = [], []
-    code = status.OK
-    count = 0
+    code, count = status.OK, 0
     while run.time < stop and code == status.OK:
         y = run.progress.y
         now = run.time

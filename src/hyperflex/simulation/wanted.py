@@ -15,7 +15,7 @@ from hyperflex.core import directions as dr
 from hyperflex.core import tangent as tg
 from hyperflex.core.chain import Chain
 from hyperflex.core.directions import Directions
-from hyperflex.core.drive import Drive
+from hyperflex.core.drive import TORQUE, Drive
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup
 from hyperflex.motion.variation import parameters, variation
@@ -24,6 +24,12 @@ LINK_NAMES = ("length", "mass", "com", "inertia", "friction", "dry_friction", "s
 STATE_NAMES = ("q0", "qd0")
 # parts of a direction that the user makes himself: how often it is told
 PARTS = (*STATE_NAMES, *LINK_NAMES, "tip_mass", "gravity", "arm_length", "breaks", "coef")
+# of a torque-driven arm, the chain's first link: its own names, and those of the links
+ARM_NAMES = {
+    **{f"arm.{name}": name for name in LINK_NAMES if name not in ("stiffness", "rest_angle")},
+    "arm_angle0": "q0",
+    "arm_rate0": "qd0",
+}
 Part = dict[str, Array]
 Wrt = Iterable[str | Mapping[str, Mapping[str, npt.ArrayLike]]] | str
 _SEED_OF = {
@@ -93,7 +99,7 @@ class Wanted:
             breaks[m], coef[m] = part.get("breaks", 0.0), part.get("coef", 0.0)
             arm[m] = part.get("arm_length", np.zeros(1))[0]
         ends = (driven >= 0) | whole.any(axis=1)
-        own = links.any(axis=(1, 2))
+        own = links.any(axis=(1, 2)) | ((driven >= 0) & drive.coef[:, TORQUE].any())
         kind = np.where(own.reshape(pairs, 2).any(axis=1), dr.LINKS, 0)
         kind += np.where(ends.reshape(pairs, 2).any(axis=1), dr.ENDS, 0)
         return Directions(
@@ -136,13 +142,31 @@ def wanted(setup: Setup, wrt: Wrt) -> Wanted:
         raise InvalidInput("wrt is empty", allowed=_allowed(setup))
     if len(set(names)) != len(names):
         raise InvalidInput("wrt names something twice", got=names, allowed="each name once")
+    if setup.torque_driven:
+        parts = [_with_arm(part, setup.rope.n_links) for part in parts]
     return Wanted(tuple(names), tuple(parts))
+
+
+def _with_arm(part: Part, n: int) -> Part:
+    """A direction of the rope's n links, and of the arm, as one of a chain that begins with the arm."""
+    joined = {name: value for name, value in part.items() if name not in (*STATE_NAMES, *LINK_NAMES, *ARM_NAMES)}
+    if "arm_length" in joined:
+        part = {**part, "arm.length": joined.pop("arm_length")}
+    arm = {name: part[own] for own, name in ARM_NAMES.items() if own in part}
+    for name in (*STATE_NAMES, *LINK_NAMES):
+        if name in part or name in arm:
+            joined[name] = np.append(arm.get(name, 0.0), part.get(name, np.zeros(n)))
+    return joined
 
 
 def _allowed(setup: Setup) -> str:
     links = ", ".join((*STATE_NAMES, *LINK_NAMES))
     moving = ", ".join(f"motion.{name}" for name in parameters(setup.motion)[:8]) if setup.motion else ""
+    if setup.torque is not None:
+        moving = ", ".join(f"torque.{name}" for name in parameters(setup.torque)[:8])
     arm = ", arm.length" if setup.arm is not None else ""
+    if setup.torque_driven:
+        arm = "".join(f", {name}" for name in ARM_NAMES)
     return (
         f"{links} (of all links as one, name[3] of one, name[:] of each; q0 and qd0 are always of each), tip_mass, "
         f"gravity[0], gravity[1]{arm}{moving and ', ' + moving}, or a mapping {{name: {{property: change}}}}"
@@ -164,11 +188,14 @@ def _by_name(setup: Setup, name: str) -> dict[str, Part]:
         return {name: {"tip_mass": np.ones(1)}}
     if base == "gravity" and index in ("0", "1"):
         return {name: _gravity(setup, np.eye(2)[int(index)])}
+    if name in ARM_NAMES and setup.torque_driven:
+        return {name: {name: np.ones(1)}}
     if name == "arm.length" and setup.arm is not None:
         return {name: {"arm_length": np.ones(1)}}
-    if name.startswith("motion.") and setup.motion is not None:
-        breaks, coef = variation(setup.motion, name.removeprefix("motion."))
-        return {name: {"breaks": breaks, "coef": coef}}
+    for prefix, source in (("motion.", setup.motion), ("torque.", setup.torque)):
+        if name.startswith(prefix) and source is not None:
+            breaks, coef = variation(source, name.removeprefix(prefix))
+            return {name: {"breaks": breaks, "coef": coef}}
     raise InvalidInput("wrt names what is not there", got=name, allowed=_allowed(setup))
 
 
@@ -186,8 +213,11 @@ def _own(setup: Setup, name: str, given: Mapping[str, npt.ArrayLike]) -> Part:
     n = setup.rope.n_links
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*STATE_NAMES, *LINK_NAMES), (n,))
     shapes |= {"tip_mass": (1,), "gravity": (2,), "arm_length": (1,)}
-    if setup.motion is not None:
-        shapes |= {"breaks": setup.motion.breaks.shape, "coef": setup.motion.coef.shape}
+    if setup.torque_driven:
+        shapes |= dict.fromkeys(ARM_NAMES, (1,))
+    source = setup.motion or setup.torque
+    if source is not None:
+        shapes |= {"breaks": source.breaks.shape, "coef": source.coef.shape}
     if not isinstance(given, Mapping) or not given or set(given) - set(shapes):
         got = sorted(given) if isinstance(given, Mapping) else given
         raise InvalidInput(f"direction {name!r} cannot be used", got=got, allowed=", ".join(shapes))
@@ -196,9 +226,5 @@ def _own(setup: Setup, name: str, given: Mapping[str, npt.ArrayLike]) -> Part:
 
 def refuse_what_is_not_smooth(setup: Setup) -> None:
     """Refuse set-ups whose runs have no derivative that the kernels know."""
-    if setup.torque_driven:
-        raise InvalidInput(
-            "a torque-driven arm cannot be differentiated yet", allowed="a prescribed motion, or a fixed point"
-        )
     if setup.method != "extrapolation":
         raise InvalidInput("sensitivities follow the extrapolation", got=setup.method, allowed="method='extrapolation'")
