@@ -12,6 +12,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.identification._band import doubt
 from hyperflex.identification._conclude import conclude
 from hyperflex.identification._loss import LOSSES, Loss, LossName
 from hyperflex.identification._measured import checked_arcs, first_joint, measure
@@ -134,7 +135,11 @@ def identify(
     length = min(length, 1.001 * fitted.channels.duration)
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
     information = judge(plant, windows, found)
-    held_out = None if rest is None else predict(plant, found.x, rest, lead, ahead, Loss(loss))
+    try:
+        unsure = doubt(information, windows, found)
+        held_out = None if rest is None else predict(plant, found.x, rest, lead, ahead, Loss(loss), unsure)
+    except KeyboardInterrupt:  # what was fitted is worth more than its trial
+        found.interrupted, held_out = True, None
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": information.correlation, "seconds": time.monotonic() - began}
     remarks = [] if arcs is not None else other_lengths(recording, rope_guess)
