@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -142,6 +143,7 @@ def identify(
         found.interrupted, held_out = True, None
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": information.correlation, "seconds": time.monotonic() - began}
+    settings |= _arranged(free, loss, places, origin, motion, arm)
     remarks = [] if arcs is not None else other_lengths(recording, rope_guess)
     return conclude(plant, information, found, windows, held_out, settings, remarks)
 
@@ -218,6 +220,24 @@ def _split(measured: Measured, train: float | None, lead: float, ahead: float) -
     fitted = measured.between(-np.inf, time)
     rest = every.t >= time
     return fitted, measured.between(time, np.inf) if rest.sum() > 1 else None
+
+
+def _arranged(
+    free: Sequence[str],
+    loss: LossName,
+    arcs: Array | None,
+    origin: npt.ArrayLike | None,
+    motion: Motion | None,
+    arm: Arm | None,
+) -> dict[str, Any]:
+    """Return how the fit was set up, in plain words and numbers."""
+    base = "fixed" if motion is None else "moved" if arm is None else f"moved by an arm of {arm.length:g} m"
+    result: dict[str, Any] = {"free": list(free), "loss": loss, "base": base}
+    if arcs is not None:
+        result["arcs"] = arcs.tolist()
+    if origin is not None:
+        result["origin"] = np.asarray(origin, dtype=np.float64).tolist()
+    return result
 
 
 def _reporter(progress: bool | Report) -> Report:

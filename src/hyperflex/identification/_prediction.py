@@ -15,6 +15,7 @@ from hyperflex.identification._stages import Measured
 from hyperflex.identification._windows import LEAST, Window, first_state, thin
 
 BAND = 1.96  # standard deviations on either side that hold 95 %
+TINY = 1e-9  # rad or m, the least noise that samples are weighed by
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +85,14 @@ def predict(
     -----
     Recordings with more than 200 samples in `lead` are decimated first (every k-th sample is picked): the states are
     fitted to, and the rms taken over, what is left. All samples count alike in both: the recording's noise is not used
-    as a weight.
+    as a weight. Where something is believed of a state, they count by the noise that the fit has found (1 rad or m
+    without `unsure`).
     """
     step = thin(measured.channels, lead)
     recording, angles = measured.channels.decimate(step), measured.shape.decimate(step).data
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
     believed = np.zeros((0, 2 * angles.shape[1])) if measured.believed is None else measured.believed
+    size = 1.0 if unsure is None else max(float(np.sqrt(np.mean(unsure.noise**2))), TINY)
     starts, times, seen, predicted, sd = [], [], [], [], []
     for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
         before = (t >= start - lead - slack) & (t < start + slack)
@@ -98,7 +101,7 @@ def predict(
         if not after.any() or (~np.isnan(angles[before])).sum(axis=0).min() < LEAST:
             continue
         guess = first_state(t[before], angles[before])
-        window = Window(t[before], np.where(known, data[before], 0.0), known.astype(np.float64), guess, believed)
+        window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, believed)
         found = fit_state(plant, x, window, window.guess, loss=loss)
         starts.append(float(start))
         times.append(t[after])
