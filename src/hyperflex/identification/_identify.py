@@ -87,7 +87,8 @@ def identify(
     lead, ahead : float, s
         Held-out part: states are fitted on `lead` and angles predicted `ahead`.
     progress : bool or callable
-        True prints a line a round on standard error; a callable gets a dict with window, round, cost, gain, damping.
+        True prints a line a round on standard error; a callable gets a dict with window, stage, stages, round, cost,
+        gain, damping.
 
     Returns
     -------
@@ -136,11 +137,12 @@ def identify(
     length = min(length, 1.001 * fitted.channels.duration)
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
     information = judge(plant, windows, found)
+    held_out = None
     try:
-        unsure = doubt(information, windows, found)
-        held_out = None if rest is None else predict(plant, found.x, rest, lead, ahead, Loss(loss), unsure)
+        if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
+            held_out = predict(plant, found.x, rest, lead, ahead, Loss(loss), doubt(information, windows, found))
     except KeyboardInterrupt:  # what was fitted is worth more than its trial
-        found.interrupted, held_out = True, None
+        found.interrupted = True
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": information.correlation, "seconds": time.monotonic() - began}
     settings |= _arranged(free, loss, places, origin, motion, arm)

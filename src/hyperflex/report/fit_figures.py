@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 _WIDTH = 10.0  # inches, of every figure on the page
 _LAGS = 40
 _COLUMNS = 4  # of small multiples
-_SHAPES = 7  # instants
+_SHAPES = 5  # instants
+_SPARSE, _DENSE = 300, 4000  # samples: below, each is drawn as a ring; above, as a speck
 
 
 def broken(axis: Any, t: Array, values: Array, number: Array | None = None, **style: Any) -> None:
@@ -29,6 +30,14 @@ def broken(axis: Any, t: Array, values: Array, number: Array | None = None, **st
         ends |= np.diff(number) != 0
     breaks = np.flatnonzero(ends) + 1
     axis.plot(np.insert(t, breaks, np.nan), np.insert(values, breaks, np.nan), **style)
+
+
+def samples(axis: Any, t: Array, values: Array) -> None:
+    """Draw measured samples: rings where they are few, specks where they are many."""
+    if t.size < _SPARSE:
+        axis.plot(t, values, "o", ms=4.0, mfc="none", mec=INK, mew=0.7, label="measured")
+    else:
+        axis.plot(t, values, ".", ms=3.0 if t.size < _DENSE else 2.0, color=GREY, label="measured")
 
 
 def fit_figure(view: Fitted) -> Figure:
@@ -57,7 +66,7 @@ FEW_WINDOWS = 3  # so few are seen well enough on the whole
 
 
 def _draw_fit(axis: Any, view: Fitted, channel: int) -> None:
-    axis.plot(view.t, view.measured[:, channel], ".", ms=2.5, color=GREY, label="measured")
+    samples(axis, view.t, view.measured[:, channel])
     broken(axis, view.fit_t, view.fitted[:, channel], view.window, color=BLUE, label="fitted")
     held = view.found.held_out
     if held is not None:
@@ -77,14 +86,16 @@ def _stretch(held: HeldOut) -> Array:
 
 def _draw_worst(axis: Any, view: Fitted, channel: int) -> None:
     """Draw the worst window with its neighbours' nearest parts."""
-    start, end = view.worst_window(channel)
+    number, start, end = view.worst_window(channel)
     margin = 0.25 * (end - start)
     near = (view.t >= start - margin) & (view.t <= end + margin)
     fit_near = (view.fit_t >= start - margin) & (view.fit_t <= end + margin)
     axis.axvspan(start, end, color=BLUE, alpha=0.06, lw=0)
-    axis.plot(view.t[near], view.measured[near, channel], ".", ms=3.5, color=GREY)
+    samples(axis, view.t[near], view.measured[near, channel])
     broken(axis, view.fit_t[fit_near], view.fitted[fit_near, channel], view.window[fit_near], color=BLUE)
-    axis.set_title("its worst window")
+    worst = float(np.sqrt(np.nanmean(view.found.residuals[fit_near & (view.window == number), channel] ** 2)))
+    unit = readable(view.found.unit, worst)
+    axis.set_title(f"its worst window: {worst / unit.size:.3g} {unit.name}")
     axis.locator_params(axis="x", nbins=4)
 
 
@@ -99,7 +110,7 @@ def prediction_figure(view: Fitted, held: HeldOut) -> Figure:
         axes = figure.subplots(len(view.chosen), 2, squeeze=False, sharex=True)
         for row, channel in zip(axes, view.chosen, strict=True):
             inside = view.t >= view.end
-            row[0].plot(view.t[inside], view.measured[inside, channel], ".", ms=2.5, color=GREY, label="measured")
+            samples(row[0], view.t[inside], view.measured[inside, channel])
             _draw_predicted(row[0], held, channel, label="predicted without data")
             row[0].set(ylabel=_label(view, channel), title=view.names[channel])
             _draw_error(row[1], view, held, channel)
@@ -146,7 +157,7 @@ def residual_figure(view: Fitted) -> Figure:
             _draw_histogram(row[1], values[~np.isnan(values)], unit)
             _draw_correlogram(row[2], lag, correlation[:, channel], band[:, channel])
         axes[0, 1].set_title("how often; line: normal")
-        axes[0, 2].set_title("correlation; shaded: white")
+        axes[0, 2].set_title("autocorrelation; shaded: white")
         for axis, text in zip(axes[-1], ("time, s", f"residual, {unit.name}", "lag, s"), strict=True):
             axis.set_xlabel(text)
     return figure

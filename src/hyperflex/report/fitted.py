@@ -27,7 +27,7 @@ class Fitted:
     names : tuple of str
         Of the channels, counted from 0 as in the verdict.
     chosen : tuple of int
-        Channels that say the most: first, middle and last of the rope, and the one that fits worst.
+        Channels that say the most: first, middle and last link, or middle and last marker, and the one that fits worst.
     """
 
     found: Identification
@@ -50,13 +50,14 @@ class Fitted:
         length = min(float(self.found.settings["window"]), 2.0 * (self.t[-1] - self.t[0]))
         return np.asarray(np.floor((self.fit_t - self.fit_t[0]) / length + 1e-6 * step / length))
 
-    def worst_window(self, channel: int) -> tuple[float, float]:
-        """Return first and last time, s, of the window in which a channel fits worst."""
+    def worst_window(self, channel: int) -> tuple[float, float, float]:
+        """Return the number, and first and last time, s, of the window in which a channel fits worst."""
         number = self.window
         squares = self.found.residuals[:, channel] ** 2
         means = {k: float(np.nanmean(s)) for k in np.unique(number) if not np.isnan(s := squares[number == k]).all()}
-        inside = self.fit_t[number == max(means, key=lambda k: means[k])]
-        return float(inside[0]), float(inside[-1])
+        worst = max(means, key=lambda k: means[k])
+        inside = self.fit_t[number == worst]
+        return float(worst), float(inside[0]), float(inside[-1])
 
 
 def beside(recording: Recording, found: Identification) -> Fitted:
@@ -75,7 +76,7 @@ def _names(channels: Recording, found: Identification) -> tuple[str, ...]:
 
 
 def _chosen(found: Identification) -> tuple[int, ...]:
-    """Return the channels to show: all of a few, else first, middle, last and worst; markers with both places."""
+    """Return the channels to show: all of a few, see :class:`Fitted`; of a marker both places."""
     rms = found.residual_rms
     if rms.size <= FEW:
         return tuple(range(rms.size))

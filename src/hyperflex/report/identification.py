@@ -21,7 +21,7 @@ from hyperflex.report.fit_figures import (
 from hyperflex.report.fitted import Fitted, beside
 from hyperflex.report.folder import whole_folder
 from hyperflex.report.page import Picture, Section, write_page
-from hyperflex.report.parameters import numbers, parameters_table, ratio_words, ratios_table, rope_table, ties
+from hyperflex.report.parameters import numbers, parameters_table, ratios_table, rope_table, ties
 from hyperflex.report.setting import fit_table, lead, recording_table
 from hyperflex.report.style import png
 from hyperflex.report.units import readable
@@ -93,7 +93,7 @@ def _verdict(found: Identification) -> Section:
     unit = readable(found.unit, rms)
     known = sum(np.isfinite(each.sd) for each in every)
     tiles = [
-        (f"{known} of {len(every)}", "free numbers that this motion can tell by themselves"),
+        (f"{known} of {len(every)}", "free numbers that this motion can tell on their own"),
         (f"{rms / unit.size:.3g} {unit.name}", "left by the fit (rms over all channels)"),
     ]
     marks = [(sentence.startswith("All free parameters can be known"), sentence) for sentence in found.verdict]
@@ -120,12 +120,16 @@ def _trust(held: HeldOut) -> list[tuple[bool, str]]:
 def _found(found: Identification, guess: Rope | None) -> list[Section]:
     """Return parameters, and ratios where some of them were free."""
     table = parameters_table(found, guess)
-    own = "intervals" if getattr(found, "intervals", None) else "value plus and minus 1.96 standard deviations"
+    intervals = "as the fit gives it" if getattr(found, "intervals", None) else "value plus and minus 1.96 sd"
+    factor = found.settings["autocorrelation"]
+    counted = "Residuals are taken as independent from sample to sample"
+    if factor > 1.05:
+        counted = f"As residuals hang together, {factor:.3g} samples count as one"
     notes = [
-        f"95 % interval: {own if own != 'intervals' else 'as the fit gives it, from the profile where the cost is skewed'}. "
-        f"Standard deviations count a sample as 1/{found.settings['autocorrelation']:.3g} of an independent one, as the "
-        "residuals hang together; errors of the model itself are not in them.",
-        "Links and markers count from 0: link 0 hangs from the first joint.",
+        "sd: standard deviation; it, the interval and the guess are in the unit of the value. "
+        f"95 % interval: {intervals}. {counted}. Errors of the model itself are not in any of them.",
+        "Where a value cannot be known, the one given is one of many that move alike. Links and markers count from 0: "
+        "link 0 hangs from the first joint.",
     ]
     if tied := ties(found):
         notes.append(f"These err together (correlation): {', '.join(tied)}.")
@@ -135,18 +139,22 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
     sections = [Section("Parameters", pictures=pictures, table=table, notes=tuple(notes), folded=long)]
     ratios = ratios_table(found)
     if ratios is not None:
-        text = "What a free swing can tell at most, whatever the rope weighs: properties over the first moment p of link 0."
+        text = (
+            "What a free swing can tell at most, whatever the rope weighs: everything over p1, the first moment of link 0 "
+            "about its joint. Moments and inertias count all mass beyond a link as if it sat at the link's far end."
+        )
         long = f"All {len(ratios.rows)} ratios" if len(ratios.rows) > LONG else ""
-        sections.append(Section("Ratios", text=(text,), table=ratios, notes=ratio_words(found), folded=long))
+        sections.append(Section("Ratios", text=(text,), table=ratios, folded=long))
     return sections
 
 
 def _fit(view: Fitted, many: bool) -> Section:
-    some = "First, middle and last of the rope, and the one that fits worst. " if many else ""
+    which = "First, middle and last link" if view.found.unit == "rad" else "Middle and last marker"
+    some = f"{which}, and the one that fits worst. " if many else ""
     pictures = [
         Picture(
             png(fit_figure(view), dpi=_DPI),
-            f"{some}Grey: measured; blue: fitted, window by window; red: predicted in the part that was held out.",
+            f"{some}The fit goes window by window, each from a state of its own; red: what was held out.",
         )
     ]
     if view.found.unit == "m":
@@ -156,13 +164,17 @@ def _fit(view: Fitted, many: bool) -> Section:
 
 
 def _prediction(view: Fitted) -> Section:
-    held = view.found.held_out
+    found, held = view.found, view.found.held_out
     title = "Prediction of what the fit has not seen"
     if held is None:
-        return Section(title, text=("Nothing was held out: the recording was fitted to its end, or is too short.",))
+        why = "the recording was fitted to its end, or what was left of it is too short"
+        if found.status == "interrupted":
+            why = "the fit was interrupted"
+        return Section(title, text=(f"Nothing was predicted: {why}.",))
+    times = "once" if held.starts.size == 1 else f"{held.starts.size} times, one after the other"
     text = (
         f"From {view.end:.4g} s on nothing was fitted. There the state is found on {held.lead:g} s, and the next "
-        f"{held.ahead:g} s are predicted without data, {held.starts.size} times over."
+        f"{held.ahead:g} s are predicted without data; this is done {times}."
     )
     caption = (
         "Left: measured and predicted. Right: the error, in the band that should hold 95 % of it. The band is a "
@@ -181,6 +193,8 @@ def _residuals(view: Fitted) -> Section:
 
 
 def _history(found: Identification) -> Section:
+    if not found.history:
+        return Section("How the fit went", text=("It was interrupted before its first round was done.",))
     caption = "Sum of squares after each round, over the least of its stage; short windows first, which forgive a poor guess."
     return Section("How the fit went", pictures=(Picture(png(history_figure(found), dpi=_DPI), caption),))
 
@@ -193,7 +207,7 @@ def _rope(found: Identification) -> Section:
 
 
 def _all(view: Fitted) -> Section:
-    picture = Picture(png(multiples_figure(view), dpi=_DPI), "Every channel: grey measured, blue fitted, red predicted.")
+    picture = Picture(png(multiples_figure(view), dpi=_DPI), "Every channel: measured, fitted (blue), predicted (red).")
     return Section(
         "All channels", pictures=(picture,), folded=f"Show all {len(view.names)} channels", anchor="all"
     )

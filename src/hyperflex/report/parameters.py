@@ -31,11 +31,11 @@ WORDS = {
 PER_LINK = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffness")
 _POSITIVE = ("inertia", "mass", "length", "friction", "dry_friction", "stiffness", "tip_mass")
 _RATIOS = {
-    "J/p1": "inertia about the joint, all mass beyond it at its far end, over p of link 0",
-    "p/p1": "first moment about the joint, all mass beyond it at its far end, over p of link 0",
-    "c/p1": "viscous friction over p of link 0",
-    "dry/p1": "dry friction over p of link 0",
-    "k/p1": "stiffness over p of link 0",
+    "J/p1": "inertia about the joint",
+    "p/p1": "first moment about the joint",
+    "c/p1": "viscous friction",
+    "dry/p1": "dry friction",
+    "k/p1": "stiffness",
 }
 _LABEL = re.compile(r"(?P<name>[a-z_]+)(?:\[(?P<place>\d+)\])?(?::(?P<law>\w+))?\Z")
 
@@ -107,12 +107,12 @@ def parameters_table(found: Identification, guess: Rope | None) -> TextTable:
             low, high = (rounded(end / unit.size, sd) for end in (each.low, each.high))
             cells += [short(sd), f"{low} to {high}"]
         else:
-            cells += ["cannot be known", "none: any value would do"]
+            cells += ["", "cannot be known"]
         if guess is not None:
             start = _start(each, found, guess)
             cells.append("" if start is None else f"{start / unit.size:.4g}")
         rows.append(tuple(cells))
-    header = ("in free", "what it is", "value", "sd", "95 % interval")
+    header = ("name", "what it is", "value", "sd", "95 % interval")
     return TextTable(header if guess is None else (*header, "first guess"), tuple(rows))
 
 
@@ -147,22 +147,20 @@ def ratios_table(found: Identification) -> TextTable | None:
     """Return what a motion without known forces can tell, or None where nothing of it was free."""
     rows = []
     for name, values in found.ratios.items():
-        unit = readable(name, values)
-        for link, (value, sd) in enumerate(zip(values, found.ratio_sd[name], strict=True)):
+        unit, spreads = readable(name, values), found.ratio_sd[name]
+        pairs = list(zip(values, spreads, strict=True))
+        alike = len(pairs) > 1 and np.ptp(values) <= 1e-12 * np.abs(values).max() and len({*spreads.round(15)}) == 1
+        for link, (value, sd) in enumerate(pairs[:1] if alike else pairs):
             if sd > 0.0:
-                rows.append((name, str(link), rounded(value, sd) + unit.after, *_spread(value, sd)))
-    return TextTable(("ratio", "link", "value", "sd", "95 % interval"), tuple(rows)) if rows else None
+                whose = "each" if alike else str(link)
+                rows.append((name, whose, rounded(value, sd) + unit.after, *_spread(value, sd), _RATIOS[name]))
+    return TextTable(("ratio", "link", "value", "sd", "95 % interval", "what it is"), tuple(rows)) if rows else None
 
 
 def _spread(value: float, sd: float) -> tuple[str, str]:
     if not np.isfinite(sd):
-        return "cannot be known", "none"
+        return "", "cannot be known"
     return short(sd), f"{rounded(value - BAND * sd, sd)} to {rounded(value + BAND * sd, sd)}"
-
-
-def ratio_words(found: Identification) -> tuple[str, ...]:
-    """Return what each ratio is."""
-    return tuple(f"{name}: {_RATIOS[name]}" for name in found.ratios if name in _RATIOS)
 
 
 def rope_table(rope: Rope, found: Identification) -> TextTable:

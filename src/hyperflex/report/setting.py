@@ -31,7 +31,7 @@ def recording_table(recording: Recording) -> TextTable:
     rows = [
         ("recording", recording.name or "without a name"),
         ("source", recording.source or "not said"),
-        ("holds", f"{_kind(recording)}: {recording.convention}"),
+        ("contents", f"{_kind(recording)}: {recording.convention}"),
         ("samples", f"{recording.t.size}, every {1e3 * usual:.4g} ms ({1.0 / usual:.4g} a second){even}"),
         ("time", f"{recording.t[0]:.6g} to {recording.t[-1]:.6g} s"),
         ("gaps", f"{recording.gaps} missing values ({share:.2g} %)" if recording.gaps else "none"),
@@ -65,16 +65,16 @@ def fit_table(found: Identification) -> TextTable:
     left = f"; {done['left_out']} left out, where too little is seen" if done["left_out"] else ""
     picked = f", every {done['decimation']}th sample" if done["decimation"] > 1 else ""
     rows = [
-        ("free", ", ".join(done.get("free", found.parameters))),
+        ("free", ", ".join(_told(word) for word in done["free"])),
         ("held as given", ", ".join(held) or "nothing"),
         ("taken as 0", ", ".join(none) or "nothing"),
         ("tip mass", f"{rope.tip_mass:.4g} kg" + (" (fitted)" if "tip_mass" in free else "")),
         ("gravity", f"({rope.gravity[0]:.4g}, {rope.gravity[1]:.4g}) m/s²"),
-        ("first joint", str(done.get("base", "not said"))),
+        ("first joint", str(done["base"])),
         *_markers(found),
         ("fitted time", f"{done['fitted_from']:.6g} to {done['fitted_to']:.6g} s"),
         ("windows", f"{done['windows']} of {done['window']:.4g} s, each from a state of its own{left}{picked}"),
-        ("counted by", _LOSS.get(str(done.get("loss")), "squares")),
+        ("loss", _LOSS[done["loss"]]),
         ("ended", f"{found.status}, after {len(found.history)} rounds and {done['seconds']:.2g} s"),
         ("versions", ", ".join([*(f"{name} {version(name)}" for name in _PACKAGES), _python()])),
     ]
@@ -94,9 +94,19 @@ def _python() -> str:
     return f"Python {platform.python_version()} on {platform.system()}, {platform.machine()}"
 
 
+def _told(word: str) -> str:
+    """Return a word of ``free`` as people say it."""
+    name, _, law = word.partition(":")
+    name, _, place = name.partition("[")
+    whose = {"shared": " (one value for all links)", "factor": " (one factor for all links)"}
+    laws = whose | {"taper": " (its growth along the rope)"}
+    where = f" of {'marker' if name == 'arc' else 'link'} {place[:-1]}" if place else ""
+    return name.replace("_", " ") + where + laws.get(law, "")
+
+
 def lead(recording: Recording, found: Identification, rope: Rope) -> str:
     """Return in a sentence what was identified from what."""
-    words = ", ".join(found.settings.get("free", found.parameters))
+    words = ", ".join(_told(word) for word in found.settings["free"])
     links = "one link" if rope.n_links == 1 else f"{rope.n_links} links"
     return (
         f"What {recording.duration:.4g} s of {_kind(recording)} ({recording.t.size} samples) tell about a rope of "

@@ -26,8 +26,8 @@ _LADDERS: dict[str, tuple[tuple[float, str], ...]] = {
     "c/p1": ((1.0, "m/s"),),
     "dry/p1": ((1.0, "m/s²"),),
     "k/p1": ((1.0, "m/s²"),),
-    "rad": ((1.0, "rad"), (1e-3, "mrad"), (1e-6, "µrad")),
-    "m": (*_METRES, (1e-6, "µm")),
+    "rad": ((1.0, "rad"), (1e-3, "mrad")),
+    "m": _METRES,
 }
 
 
@@ -40,8 +40,8 @@ class Unit:
 
     @property
     def after(self) -> str:
-        """Its name after a space, or nothing."""
-        return f" {self.name}" if self.name else ""
+        """Its name after a space, or nothing; no line breaks within."""
+        return f" {self.name}".replace(" ", "\u00a0") if self.name else ""
 
 
 def readable(what: str, values: npt.ArrayLike) -> Unit:
@@ -71,4 +71,5 @@ def rounded(value: float, sd: float) -> str:
 
 def short(sd: float) -> str:
     """Return a standard deviation with two digits."""
-    return f"{sd:.0f}" if sd >= 10.0 else f"{sd:#.2g}"
+    decimals = 1 - int(np.floor(np.log10(sd))) if sd > 0.0 else 1
+    return f"{sd:.{max(decimals, 0)}f}" if decimals <= 7 else f"{sd:.1e}"
