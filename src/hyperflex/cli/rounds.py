@@ -12,7 +12,8 @@ Heard = Callable[[dict[str, float]], None]
 
 def reached(entry: dict[str, float]) -> float:
     """Return the part of a fit that is done after a round: stages count alike, rounds of a stage less and less."""
-    return (entry["stage"] + 1.0 - 0.7 ** (entry["round"] + 1.0)) / entry["stages"]
+    of_stage: float = 1.0 - 0.7 ** (entry["round"] + 1.0)
+    return (entry["stage"] + of_stage) / entry["stages"]
 
 
 def told(entry: dict[str, float]) -> str:

@@ -1,4 +1,4 @@
-"""Pictures of any identification: fit over data, what the fit leaves, prediction with its band, and how it got there."""
+"""Pictures of any identification: fit over data, what it leaves, prediction with its band, and how it got there."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def identification_page(
         _residuals(view),
         _history(found),
         Section("Recording", table=recording_table(recording)),
-        Section("Fit", table=fit_table(found)),
+        Section("How it was fitted", table=fit_table(found)),
         _rope(found),
         *([_all(view)] if many else []),
     ]
@@ -111,10 +111,10 @@ def _verdict(found: Identification) -> Section:
 
 def _trust(held: HeldOut) -> list[tuple[bool, str]]:
     """Return what the held-out part says of the fit's own uncertainty."""
-    part = f"{100.0 * held.inside:.0f} % of the values that the fit has not seen lie in the band in which it expects 95 %"
+    part = f"{100.0 * held.inside:.0f} % of the values that the fit has not seen lie where it expects 95 %"
     if held.inside >= _TRUSTED:
         return [(True, f"{part}: its uncertainties can be believed over {held.ahead:g} s.")]
-    return [(False, f"Only {part}: the model leaves something out, and real uncertainties are larger than those below.")]
+    return [(False, f"Only {part}: the model leaves something out, and real uncertainties are larger than given here.")]
 
 
 def _found(found: Identification, guess: Rope | None) -> list[Section]:
@@ -124,13 +124,13 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
     factor = found.settings["autocorrelation"]
     counted = "Residuals are taken as independent from sample to sample"
     if factor > 1.05:
-        counted = f"As residuals hang together, {factor:.3g} samples count as one"
-    notes = [
+        counted = f"That residuals hang together, over {factor:.3g} samples, is counted in"
+    deviations = (
         "sd: standard deviation; it, the interval and the guess are in the unit of the value. "
-        f"95 % interval: {intervals}. {counted}. Errors of the model itself are not in any of them.",
-        "Where a value cannot be known, the one given is one of many that move alike. Links and markers count from 0: "
-        "link 0 hangs from the first joint.",
-    ]
+        f"95 % interval: {intervals}. {counted}. Errors of the model itself are not in any of them."
+    )
+    counting = "Links and markers count from 0: link 0 hangs from the first joint."
+    notes = [deviations, "Where a value cannot be known, the one given is one of many that move alike.", counting]
     if tied := ties(found):
         notes.append(f"These err together (correlation): {', '.join(tied)}.")
     along = along_figure(found, guess)
@@ -140,8 +140,8 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
     ratios = ratios_table(found)
     if ratios is not None:
         text = (
-            "What a free swing can tell at most, whatever the rope weighs: everything over p1, the first moment of link 0 "
-            "about its joint. Moments and inertias count all mass beyond a link as if it sat at the link's far end."
+            "What a free swing can tell at most, whatever the rope weighs: everything over p1, the first moment of "
+            "link 0 about its joint. Moments and inertias count all mass beyond a link as if it sat at the link's far end."
         )
         long = f"All {len(ratios.rows)} ratios" if len(ratios.rows) > LONG else ""
         sections.append(Section("Ratios", text=(text,), table=ratios, folded=long))
@@ -158,7 +158,7 @@ def _fit(view: Fitted, many: bool) -> Section:
         )
     ]
     if view.found.unit == "m":
-        pictures.append(Picture(png(shapes_figure(view), dpi=_DPI), "Markers (circles) and fit (line) at some instants."))
+        pictures.append(Picture(png(shapes_figure(view), dpi=_DPI), "Markers (rings) and fit (line) at some instants."))
     links = (("all", f"All {len(view.names)} channels"),) if many else ()
     return Section("Fit over data", pictures=tuple(pictures), links=links)
 
@@ -195,7 +195,7 @@ def _residuals(view: Fitted) -> Section:
 def _history(found: Identification) -> Section:
     if not found.history:
         return Section("How the fit went", text=("It was interrupted before its first round was done.",))
-    caption = "Sum of squares after each round, over the least of its stage; short windows first, which forgive a poor guess."
+    caption = "What the fit leaves after each round, over the least of its stage; short windows forgive a poor guess."
     return Section("How the fit went", pictures=(Picture(png(history_figure(found), dpi=_DPI), caption),))
 
 
@@ -203,11 +203,10 @@ def _rope(found: Identification) -> Section:
     table = rope_table(found.rope, found)
     long = f"All {found.rope.n_links} links" if found.rope.n_links > LONG else ""
     total = f"{found.rope.total_length:.4g} m, {found.rope.total_mass:.4g} kg in all."
-    return Section("The rope", text=(total,), table=table, notes=("* fitted; all else as the guess has it",), folded=long)
+    notes = ("* fitted; all else as the guess has it",)
+    return Section("The rope", text=(total,), table=table, notes=notes, folded=long)
 
 
 def _all(view: Fitted) -> Section:
     picture = Picture(png(multiples_figure(view), dpi=_DPI), "Every channel: measured, fitted (blue), predicted (red).")
-    return Section(
-        "All channels", pictures=(picture,), folded=f"Show all {len(view.names)} channels", anchor="all"
-    )
+    return Section("All channels", pictures=(picture,), folded=f"Show all {len(view.names)} channels", anchor="all")
