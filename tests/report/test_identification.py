@@ -14,7 +14,13 @@ from hyperflex import files
 from hyperflex.identification import Identification, correlogram
 from hyperflex.recording import Recording
 from hyperflex.report import identification
-from hyperflex.report.fit_figures import fit_figure, history_figure, multiples_figure, prediction_figure, residual_figure
+from hyperflex.report.fit_figures import (
+    fit_figure,
+    history_figure,
+    multiples_figure,
+    prediction_figure,
+    residual_figure,
+)
 from hyperflex.report.fitted import beside
 from hyperflex.report.identification import identification_page, write_identification
 from hyperflex.report.parameters import numbers, parameters_table, ratios_table, rope_table, ties
@@ -225,7 +231,13 @@ def test_what_errs_together_is_named(swing):
 def test_ratios_leave_out_what_was_held_and_join_what_is_alike(swing, markers):
     table = ratios_table(swing[1])
     assert table is not None
-    assert [row[:2] for row in table.rows] == [("J/p1", "0"), ("J/p1", "1"), ("p/p1", "1"), ("c/p1", "0"), ("c/p1", "1")]
+    assert [row[:2] for row in table.rows] == [
+        ("J/p1", "0"),
+        ("J/p1", "1"),
+        ("p/p1", "1"),
+        ("c/p1", "0"),
+        ("c/p1", "1"),
+    ]
     alike = changed(markers[1], ratios={"c/p1": np.full(6, 0.1)}, ratio_sd={"c/p1": np.full(6, 0.01)})
     (row,) = ratios_table(alike).rows  # type: ignore[union-attr]
     assert row[:4] == ("c/p1", "each", "0.100\u00a0m/s", "0.010")

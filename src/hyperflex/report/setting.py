@@ -26,7 +26,11 @@ def recording_table(recording: Recording) -> TextTable:
     """Return what was measured."""
     steps = np.diff(recording.t)
     usual = float(np.median(steps))
-    even = "" if np.allclose(steps, usual, rtol=0.01) else f", uneven: {1e3 * steps.min():.4g} to {1e3 * steps.max():.4g} ms"
+    even = (
+        ""
+        if np.allclose(steps, usual, rtol=0.01)
+        else f", uneven: {1e3 * steps.min():.4g} to {1e3 * steps.max():.4g} ms"
+    )
     share = 100.0 * recording.gaps / recording.data.size
     rows = [
         ("recording", recording.name or "without a name"),
