@@ -19,7 +19,7 @@ _WIDTH = 10.0  # inches, of every figure on the page
 _LAGS = 40
 _COLUMNS = 4  # of small multiples
 _SHAPES = 5  # instants
-_SPARSE, _DENSE = 300, 4000  # samples: below, each is drawn as a ring; above, as a speck
+_SPARSE, _DENSE = 120, 4000  # samples: below, each is drawn as a ring; above, as a speck
 
 
 def broken(axis: Any, t: Array, values: Array, number: Array | None = None, **style: Any) -> None:

@@ -141,7 +141,7 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
     if ratios is not None:
         text = (
             "What a free swing can tell at most, whatever the rope weighs: everything over p1, the first moment of "
-            "link 0 about its joint. Moments and inertias count all mass beyond a link as if it sat at the link's far end."
+            "link 0 about its joint. Moments and inertias count all mass beyond a link as if it sat at its far end."
         )
         long = f"All {len(ratios.rows)} ratios" if len(ratios.rows) > LONG else ""
         sections.append(Section("Ratios", text=(text,), table=ratios, folded=long))
