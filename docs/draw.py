@@ -64,9 +64,11 @@ def identified() -> Figure:
     noise = np.radians(np.random.default_rng(1).normal(0.0, 0.2, swing.q.shape))
     recording = hf.Recording(swing.t, swing.q + noise, noise=np.radians(0.2))
     found = hf.identify(recording, truth.replace(friction=1e-3), ["inertia", "friction"])
-    assert found.held_out is not None
-    print(f"identified: {100.0 * found.held_out.inside:.0f} % within the band")
-    return prediction_figure(beside(recording, found), found.held_out)
+    view, held = beside(recording, found), found.held_out
+    if held is None:
+        raise SystemExit("nothing is held out")
+    print(f"identified: {100.0 * held.inside:.0f} % within the band")
+    return prediction_figure(view, held)
 
 
 def main() -> None:

@@ -402,6 +402,13 @@ def test_very_uneven_times_count_samples():
 
 
 @pytest.mark.usefixtures("unseen")
+def test_a_pause_of_years_is_bridged():
+    t = np.append(np.arange(20.0), 1e12 + np.arange(20.0))
+    lag, correlation, _ = correlogram(t, np.random.default_rng(6).normal(size=(40, 1)), 4)
+    assert lag.size == 4
+    assert np.isfinite(correlation).all()
+
+
 def test_files_beside_the_page_hold_the_band(tmp_path, swing):
     written = write_identification(tmp_path / "out", *swing)
     content = files.read_toml(written["rope"])["identification"]

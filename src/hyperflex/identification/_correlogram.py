@@ -49,5 +49,5 @@ def correlogram(t: Array, residuals: Array, lags: int) -> tuple[Array, Array, Ar
     sums = np.array([(filled[k:] * filled[:-k]).sum(axis=0) for k in number]).reshape(number.size, -1)
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = sums / pairs / variance
-        band = 1.0 / np.sqrt(pairs)
+        band = 1.96 / np.sqrt(pairs)
     return step * number, np.where(pairs > 0, correlation, np.nan), np.where(pairs > 0, band, np.nan)

@@ -53,7 +53,7 @@ class Identification:
     unit : str
         Of what was fitted: ``rad`` or ``m``.
     history : tuple of dict
-        Round by round: window length, round, cost, gain, damping.
+        Round by round: window length, stage (of how many stages), round, cost, gain, damping.
 
     Notes
     -----

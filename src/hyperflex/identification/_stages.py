@@ -58,18 +58,18 @@ def fit_in_stages(
             windows = windows[:: max(1, len(windows) // STAGE_WINDOWS)]
             if not _enough(plant, windows):
                 continue
-        tell = _with_stage(report, {"window": part, "stage": number, "stages": len(lengths)})
+        stage = {"window": part, "stage": number, "stages": len(lengths)}
         try:
             known = {} if not done else {w.t[0]: s for w, s in zip(done[-1][1], done[-1][0].states, strict=True)}
             usable, states = _starts(plant, windows, x, known, loss, refine=bool(done))
             enough = None if part == length else HARDLY
-            found = fit(plant, usable, x, states, loss=loss, enough=enough, report=tell)
+            found = fit(plant, usable, x, states, loss=loss, enough=enough, report=_with_stage(report, stage))
         except KeyboardInterrupt:
             if not done:
                 raise
             done[-1][0].interrupted = True
             break
-        history += [entry | {"window": part} for entry in found.history]
+        history += [entry | stage for entry in found.history]
         left_out = dropped + len(windows) - len(usable)
         settings = {"window": part, "windows": len(usable), "left_out": left_out, "decimation": step}
         done.append((found, usable, settings))

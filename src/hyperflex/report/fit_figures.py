@@ -231,15 +231,14 @@ def history_figure(found: Identification) -> Figure:
         figure = new_figure(_WIDTH, 2.4)
         axis: Any = figure.subplots()
         first = 0
-        for length in dict.fromkeys(entry["window"] for entry in found.history):
-            cost = np.array([entry["cost"] for entry in found.history if entry["window"] == length])
+        for stage in dict.fromkeys(entry["stage"] for entry in found.history):
+            own = [entry for entry in found.history if entry["stage"] == stage]
+            cost, length = np.array([entry["cost"] for entry in own]), own[0]["window"]
             rounds = first + np.arange(cost.size)
             axis.plot(rounds, cost / max(float(cost.min()), 1e-300), "o-", ms=3.5, color=BLUE)
             axis.axvline(first - 0.5, color=GREY, lw=0.8, ls=(0, (3.0, 2.0)))
-            told = "all in one window" if np.isinf(length) else f"windows of {length:.3g} s"
-            axis.text(
-                first - 0.4, 1.02, told, transform=axis.get_xaxis_transform(), fontsize=8.0, va="bottom", color=INK
-            )
+            place = {"transform": axis.get_xaxis_transform(), "va": "bottom"}
+            axis.text(first - 0.4, 1.02, f"windows of {length:.3g} s", fontsize=8.0, color=INK, **place)
             first += cost.size
         axis.set(yscale="log", xlabel="round", ylabel="cost over its stage's least", xlim=(-0.5, first - 0.5))
         axis.locator_params(axis="x", integer=True)
