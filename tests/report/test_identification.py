@@ -130,6 +130,7 @@ def test_an_interrupted_fit_says_so(tmp_path, swing):
     text = page(tmp_path, (recording, cut))
     assert '<span class="badge">interrupted</span>' in text
     assert "before its first round" in text
+    assert 'class="fine"' not in text  # nothing is good news yet
     assert "Nothing was predicted: the fit was interrupted" in text
 
 
@@ -240,7 +241,9 @@ def test_ratios_leave_out_what_was_held_and_join_what_is_alike(swing, markers):
     ]
     alike = changed(markers[1], ratios={"c/p1": np.full(6, 0.1)}, ratio_sd={"c/p1": np.full(6, 0.01)})
     (row,) = ratios_table(alike).rows  # type: ignore[union-attr]
-    assert row[:4] == ("c/p1", "each", "0.100\u00a0m/s", "0.010")
+    assert row[:5] == ("c/p1", "each", "0.100\u00a0m/s", "0.010", "0.080 to 0.120")
+    wide = changed(alike, ratio_sd={"c/p1": np.full(6, 0.1)})
+    assert ratios_table(wide).rows[0][4] == "0.00 to 0.30"  # type: ignore[union-attr]
     held = changed(markers[1], ratio_sd={name: np.zeros(6) for name in markers[1].ratios})
     assert ratios_table(held) is None
 

@@ -96,7 +96,10 @@ def _verdict(found: Identification) -> Section:
         (f"{known} of {len(every)}", "free numbers that this motion can tell on their own"),
         (f"{rms / unit.size:.3g} {unit.name}", "left by the fit (rms over all channels)"),
     ]
-    marks = [(sentence.startswith("All free parameters can be known"), sentence) for sentence in found.verdict]
+    settled = found.status == "converged"
+    marks = [
+        (settled and sentence.startswith("All free parameters can be known"), sentence) for sentence in found.verdict
+    ]
     held = found.held_out
     if held is not None:
         error = float(np.sqrt(np.mean(held.rms**2)))
@@ -130,7 +133,9 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
         f"95 % interval: {intervals}. {counted}. Errors of the model itself are not in any of them."
     )
     counting = "Links and markers count from 0: link 0 hangs from the first joint."
-    notes = [deviations, "Where a value cannot be known, the one given is one of many that move alike.", counting]
+    unknown = not all(np.isfinite(each.sd) for each in numbers(found))
+    many = ["Where a value cannot be known, the one given is one of many that move alike."] if unknown else []
+    notes = [deviations, *many, counting]
     if tied := ties(found):
         notes.append(f"These err together (correlation): {', '.join(tied)}.")
     along = along_figure(found, guess)
@@ -150,11 +155,12 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
 
 def _fit(view: Fitted, many: bool) -> Section:
     which = "First, middle and last link" if view.found.unit == "rad" else "Middle and last marker"
+    held = "" if view.found.held_out is None else "; red: what was held out"
     some = f"{which}, and the one that fits worst. " if many else ""
     pictures = [
         Picture(
             png(fit_figure(view), dpi=_DPI),
-            f"{some}The fit goes window by window, each from a state of its own; red: what was held out.",
+            f"{some}The fit goes window by window, each from a state of its own{held}.",
         )
     ]
     if view.found.unit == "m":

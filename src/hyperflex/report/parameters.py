@@ -160,7 +160,7 @@ def ratios_table(found: Identification) -> TextTable | None:
 def _spread(value: float, sd: float) -> tuple[str, str]:
     if not np.isfinite(sd):
         return "", "cannot be known"
-    return short(sd), f"{rounded(value - BAND * sd, sd)} to {rounded(value + BAND * sd, sd)}"
+    return short(sd), f"{rounded(max(value - BAND * sd, 0.0), sd)} to {rounded(value + BAND * sd, sd)}"
 
 
 def rope_table(rope: Rope, found: Identification) -> TextTable:
