@@ -606,7 +606,7 @@ def test_progress_is_told_and_printed(free_swing: Recording, capsys: pytest.Capt
     told: list[dict[str, float]] = []
     result = identify(free_swing, GUESS, ["friction"], progress=told.append)
     assert [tuple(sorted(e.items())) for e in told] == [tuple(sorted(e.items())) for e in result.history]
-    assert {"window", "round", "cost", "gain", "damping"} == set(told[0])
+    assert {"window", "stage", "stages", "round", "cost", "gain", "damping"} == set(told[0])
     assert capsys.readouterr() == ("", "")
     identify(free_swing, GUESS, ["friction"], progress=True)
     out, err = capsys.readouterr()

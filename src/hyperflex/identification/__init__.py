@@ -8,9 +8,10 @@ from hyperflex.identification._baselines import (
     natural_period,
     swing_period,
 )
+from hyperflex.identification._correlogram import correlogram
 from hyperflex.identification._identify import identify
 from hyperflex.identification._parameters import lumped
-from hyperflex.identification._prediction import HeldOut
+from hyperflex.identification._prediction import BAND, HeldOut
 from hyperflex.identification._regression import LeastSquares, Regression, regression
 from hyperflex.identification._result import Identification
 from hyperflex.identification._revision import Profile, Revision, Round, revise
@@ -18,6 +19,7 @@ from hyperflex.identification._simplex import InitialState, initial_state, squar
 from hyperflex.identification._uncertainty import ratios
 
 __all__ = [
+    "BAND",
     "HeldOut",
     "Identification",
     "InitialState",
@@ -26,6 +28,7 @@ __all__ = [
     "Regression",
     "Revision",
     "Round",
+    "correlogram",
     "cylinder_inertia",
     "identify",
     "initial_state",

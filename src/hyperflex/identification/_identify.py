@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.identification._band import doubt
 from hyperflex.identification._conclude import conclude
 from hyperflex.identification._loss import LOSSES, Loss, LossName
 from hyperflex.identification._measured import checked_arcs, first_joint, measure, refuse_still_markers
@@ -86,7 +88,8 @@ def identify(
     lead, ahead : float, s
         Held-out part: states are fitted on `lead` and angles predicted `ahead`.
     progress : bool or callable
-        True prints a line a round on standard error; a callable gets a dict with window, round, cost, gain, damping.
+        True prints a line a round on standard error; a callable gets a dict with window, stage, stages, round, cost,
+        gain, damping.
 
     Returns
     -------
@@ -135,9 +138,15 @@ def identify(
     length = min(length, 1.001 * fitted.channels.duration)
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
     information = judge(plant, windows, found)
-    held_out = None if rest is None else predict(plant, found.x, rest, lead, ahead, Loss(loss))
+    held_out = None
+    try:
+        if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
+            held_out = predict(plant, found.x, rest, lead, ahead, Loss(loss), doubt(information, windows, found))
+    except KeyboardInterrupt:  # what was fitted is worth more than its trial
+        found.interrupted = True
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": information.correlation, "seconds": time.monotonic() - began}
+    settings |= _arranged(free, loss, places, origin, motion, arm)
     remarks = [] if arcs is not None else other_lengths(recording, rope_guess)
     return conclude(plant, information, found, windows, held_out, settings, remarks)
 
@@ -218,6 +227,24 @@ def _split(measured: Measured, train: float | None, lead: float, ahead: float) -
     fitted = measured.between(-np.inf, time)
     rest = every.t >= time
     return fitted, measured.between(time, np.inf) if rest.sum() > 1 else None
+
+
+def _arranged(
+    free: Sequence[str],
+    loss: LossName,
+    arcs: Array | None,
+    origin: npt.ArrayLike | None,
+    motion: Motion | None,
+    arm: Arm | None,
+) -> dict[str, Any]:
+    """Return how the fit was set up, in plain words and numbers."""
+    base = "fixed" if motion is None else "moved" if arm is None else f"moved by an arm of {arm.length:g} m"
+    result: dict[str, Any] = {"free": list(free), "loss": loss, "base": base}
+    if arcs is not None:
+        result["arcs"] = arcs.tolist()
+    if origin is not None:
+        result["origin"] = np.asarray(origin, dtype=np.float64).tolist()
+    return result
 
 
 def _reporter(progress: bool | Report) -> Report:

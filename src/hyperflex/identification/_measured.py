@@ -18,6 +18,7 @@ from hyperflex.recording import Recording, unwrap
 BEND = 0.5  # rad, standard deviation of the turn from the middle of a link to that of the next, over sqrt(n links)
 STUCK = 0.02  # of the swing of the marker that swings most, per distance from the first joint
 SWAY = 5.0  # rad/s, the same of its rate
+UNTOLD = 2e-3  # of the rope's length: noise of a marker where none is given and it must be weighed against these
 
 
 def checked_arcs(recording: Recording, rope: Rope, arcs: npt.ArrayLike) -> Array:
@@ -69,7 +70,8 @@ def measure(recording: Recording, rope: Rope, arcs: Array | None) -> Measured:
     -----
     Fewer markers than links leave bends between them unseen. Then neighbouring links are believed to be about in
     line: a turn of BEND / sqrt(n), growing at SWAY / sqrt(n), as standard deviations. It is an assumption, weak beside
-    any marker that sees the bend.
+    any marker that sees the bend. To be weighed against it, markers without given noise count as if theirs were 0.2 %
+    of the rope's length.
     """
     if arcs is None:
         angles = recording.angles()
@@ -81,6 +83,8 @@ def measure(recording: Recording, rope: Rope, arcs: Array | None) -> Measured:
         turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n)
         none = np.zeros_like(turn)
         believed = np.block([[turn / BEND, none], [none, turn / SWAY]])
+        if recording.noise is None:
+            recording = replace(recording, noise=np.array(UNTOLD * rope.total_length))
     return Measured(recording, shape, believed)
 
 

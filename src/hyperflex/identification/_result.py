@@ -47,13 +47,13 @@ class Identification:
         Of the scaled information, largest first.
     settings : dict
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
-        factor, seconds taken.
+        factor, seconds taken; how the fit was set up: words in ``free``, loss, base, and `arcs` and `origin` if given.
     status : str
         ``converged``, ``interrupted`` (Ctrl-C; the best so far) or ``not converged``.
     unit : str
         Of what was fitted: ``rad`` or ``m``.
     history : tuple of dict
-        Round by round: window length, round, cost, gain, damping.
+        Round by round: window length, stage (of how many stages), round, cost, gain, damping.
 
     Notes
     -----
@@ -88,13 +88,14 @@ class Identification:
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
         tables = {name: getattr(self, name) for name in ("values", "sd", "ratios", "ratio_sd")}
-        result: dict[str, Any] = {"status": self.status, "identifiable": self.identifiable}
+        result: dict[str, Any] = {"status": self.status, "identifiable": self.identifiable, "unit": self.unit}
         result |= {name: {key: _plain(value) for key, value in table.items()} for name, table in tables.items()}
         result |= {"residual_rms": _plain(self.residual_rms), "residual_rms_all": self.residual_rms_all}
         if self.held_out is not None:
             held = self.held_out
             result["held_out"] = {"lead": held.lead, "ahead": held.ahead, "predictions": held.starts.size}
             result["held_out"] |= {"rms": _plain(held.rms), "window_rms": _plain(held.window_rms)}
+            result["held_out"]["inside_band"] = _plain(np.array(held.inside))
         result["verdict"] = list(self.verdict)
         result["settings"] = dict(self.settings)
         result["rope"] = self.rope.table()
@@ -111,7 +112,8 @@ class Identification:
         files.write_toml(path, {"rope": rope, "identification": _without_none(content)})
 
     def __str__(self) -> str:
-        lines = [f"Identification {self.status}: " + ", ".join(f"{k} {_short(v)}" for k, v in self.settings.items())]
+        told = (f"{k} {_short(v)}" for k, v in self.settings.items() if not isinstance(v, list))
+        lines = [f"Identification {self.status}: " + ", ".join(told)]
         for title, value, spread in (("value", self.values, self.sd), ("ratio", self.ratios, self.ratio_sd)):
             for name, numbers in value.items():
                 pairs = zip(np.atleast_1d(numbers), np.atleast_1d(spread[name]), strict=True)

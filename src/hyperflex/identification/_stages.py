@@ -50,24 +50,26 @@ def fit_in_stages(
     spacing = float(np.median(np.diff(measured.channels.t)))
     x, history = plant.parameters.start, []
     done: list[Done] = []
-    for part in stage_lengths(length, usual, spacing):
+    lengths = stage_lengths(length, usual, spacing)
+    for number, part in enumerate(lengths):
         step = thin(measured.channels, part)
         windows, dropped = measured.windows(part, step)
         if part < length:
             windows = windows[:: max(1, len(windows) // STAGE_WINDOWS)]
             if not _enough(plant, windows):
                 continue
+        stage = {"window": part, "stage": number, "stages": len(lengths)}
         try:
             known = {} if not done else {w.t[0]: s for w, s in zip(done[-1][1], done[-1][0].states, strict=True)}
             usable, states = _starts(plant, windows, x, known, loss, refine=bool(done))
             enough = None if part == length else HARDLY
-            found = fit(plant, usable, x, states, loss=loss, enough=enough, report=_with_window(report, part))
+            found = fit(plant, usable, x, states, loss=loss, enough=enough, report=_with_stage(report, stage))
         except KeyboardInterrupt:
             if not done:
                 raise
             done[-1][0].interrupted = True
             break
-        history += [entry | {"window": part} for entry in found.history]
+        history += [entry | stage for entry in found.history]
         left_out = dropped + len(windows) - len(usable)
         settings = {"window": part, "windows": len(usable), "left_out": left_out, "decimation": step}
         done.append((found, usable, settings))
@@ -94,8 +96,8 @@ def _enough(plant: Plant, windows: list[Window]) -> bool:
     return spare > len(plant.parameters)
 
 
-def _with_window(report: Report, part: float) -> Report:
-    return lambda entry: report(entry | {"window": part})
+def _with_stage(report: Report, stage: dict[str, float]) -> Report:
+    return lambda entry: report(entry | stage)
 
 
 def _starts(

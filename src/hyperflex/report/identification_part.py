@@ -10,7 +10,6 @@ from hyperflex.identification import Profile, Revision
 from hyperflex.paper import SWINGS, methods, revised
 from hyperflex.paper.identification import LENGTH, LINK_MASS, LINKS, NOISE, POINTS, RATE, guess, per_sample, true_rope
 from hyperflex.paper.identification_figures import DRAWN, periods_text
-from hyperflex.report import identification
 from hyperflex.report.page import Picture, Section
 from hyperflex.report.part import Part, write_numbers, write_picture
 from hyperflex.report.style import png
@@ -45,7 +44,7 @@ def write(wanted: Sequence[str], folder: Path, tell: Callable[[str], None]) -> P
         tell(f"making {name}; each revision takes a second or two")
         table = getattr(paper, name)()
         if name in _CAPTIONS:
-            content = png(getattr(identification, name)())
+            content = png(getattr(identification_figures, name)())
             written += write_picture(folder, name, content, table)
             pictures.append(Picture(content, _CAPTIONS[name]))
         else:
