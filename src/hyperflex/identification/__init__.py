@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from hyperflex.identification._identify import identify
+from hyperflex.identification._intervals import Interval
 from hyperflex.identification._parameters import lumped
 from hyperflex.identification._prediction import HeldOut
+from hyperflex.identification._profile import Profile, profile
 from hyperflex.identification._result import Identification
 from hyperflex.identification._uncertainty import ratios
 
-__all__ = ["HeldOut", "Identification", "identify", "lumped", "ratios"]
+__all__ = ["HeldOut", "Identification", "Interval", "Profile", "identify", "lumped", "profile", "ratios"]

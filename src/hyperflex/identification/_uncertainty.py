@@ -55,6 +55,16 @@ class Information:
         return np.where(beyond & (length > 0.0), np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
 
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """What further questions about a fit need: the plant, its windows, where the fit stands, and what they tell."""
+
+    plant: Plant
+    windows: list[Window]
+    fit: Fit
+    information: Information
+
+
 def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
     """Return what the fit's windows tell.
 
@@ -166,9 +176,7 @@ def _svd(rows: Sequence[Array], total: int) -> tuple[Array, Array]:
 
 def _variance(models: Sequence[_Model], fit: Fit, count: float, absorbed: float, freedom: float) -> float:
     """Return the variance of what each residual counts, see :func:`judge`."""
-    slopes = [
-        fit.loss.sensitivity(r)[m.seen.ravel() > 0.0] for r, m in zip(fit.residuals, models, strict=True)
-    ]
+    slopes = [fit.loss.sensitivity(r)[m.seen.ravel() > 0.0] for r, m in zip(fit.residuals, models, strict=True)]
     slope = np.concatenate(slopes)
     mean = max(float(slope.mean()), LEAST_SENSITIVITY)
     factor = 1.0 + absorbed / count * float(slope.var()) / mean**2
