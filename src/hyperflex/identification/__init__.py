@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hyperflex.identification._bootstrap import Bootstrap, bootstrap
 from hyperflex.identification._identify import identify
 from hyperflex.identification._intervals import Interval
 from hyperflex.identification._parameters import lumped
@@ -10,4 +11,15 @@ from hyperflex.identification._profile import Profile, profile
 from hyperflex.identification._result import Identification
 from hyperflex.identification._uncertainty import ratios
 
-__all__ = ["HeldOut", "Identification", "Interval", "Profile", "identify", "lumped", "profile", "ratios"]
+__all__ = [
+    "Bootstrap",
+    "HeldOut",
+    "Identification",
+    "Interval",
+    "Profile",
+    "bootstrap",
+    "identify",
+    "lumped",
+    "profile",
+    "ratios",
+]

@@ -24,14 +24,14 @@ MOST = 8  # profiles that "auto" takes on
 class Interval:
     """Where a number lies, SI units.
 
-    `kind` says how it was found: ``covariance`` (Student's quantile times the standard deviation), ``profile``, or
-    ``unknown`` where the data set no limits. `ends` says of either end whether it is one (``crossed``), the
-    parameter's own bound (``bound``), or no limit at all (``open``).
+    `kind` says how it was found: ``covariance`` (Student's quantile times the standard deviation), ``profile``,
+    ``bootstrap``, or ``unknown`` where the data set no limits. `ends` says of either end whether it is one
+    (``crossed``), the parameter's own bound (``bound``), or no limit at all (``open``).
     """
 
     low: float
     high: float
-    kind: Literal["covariance", "profile", "unknown"]
+    kind: Literal["covariance", "profile", "bootstrap", "unknown"]
     ends: tuple[End, End] = ("crossed", "crossed")
     level: float = LEVEL
 

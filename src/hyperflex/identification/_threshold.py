@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 
@@ -19,6 +20,7 @@ DRAWS = 4000  # their chance error is mostly cancelled by that of the F quantile
 SWEEPS = 300  # of coordinate descent, at most
 SETTLED = 1e-4  # sd
 SEED = 1
+Mask = npt.NDArray[np.bool_]
 
 
 def quantile(level: float, freedom: float) -> float:
@@ -29,10 +31,10 @@ def quantile(level: float, freedom: float) -> float:
     return float(stdtrit(freedom, upper) if freedom < 1e6 else ndtri(upper)) ** 2
 
 
-def felt(covariance: Array, above: Array) -> Array:
+def felt(covariance: Array, above: Array) -> Mask:
     """Return which parameters (P,) stand less than NEAR sd `above` their bounds (P,), inf where there is none."""
     sd = np.sqrt(np.diag(covariance))
-    result: Array = (above < NEAR * sd) & (sd > 0.0)
+    result: Mask = (above < NEAR * sd) & (sd > 0.0)
     return result
 
 
@@ -98,10 +100,11 @@ def _rise(wanted: Array, inverse: Array, limit: Array, *, tested: bool) -> Array
     crossing = (wanted + away < limit)[:, free].any(axis=1)
     if crossing.any():
         away[crossing] = _descend(wanted[crossing], away[crossing], inverse, limit, free)
-    return np.einsum("ni,ij,nj->n", away, inverse, away)
+    rise: Array = np.einsum("ni,ij,nj->n", away, inverse, away)
+    return rise
 
 
-def _descend(wanted: Array, away: Array, inverse: Array, limit: Array, free: Array) -> Array:
+def _descend(wanted: Array, away: Array, inverse: Array, limit: Array, free: npt.NDArray[np.intp]) -> Array:
     """Return the best v - u (N, k) within the limits, coordinate by coordinate; those not `free` stay."""
     for _ in range(SWEEPS):
         moved = 0.0

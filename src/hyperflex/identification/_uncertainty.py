@@ -83,23 +83,21 @@ def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
     even, and weights that are right up to a common factor. Model error is no such process: what repeats from window to
     window is in no way covered. The cost is that of one round of the fit.
     """
-    parameters = plant.parameters
-    widths, total = parameters.widths, len(parameters)
-    models = _models(plant, windows, fit)
+    widths, total = plant.parameters.widths, len(plant.parameters)
+    slopes = _sensitivities(windows, fit)
+    mean = max(float(slopes.mean()), LEAST_SENSITIVITY)
+    models = _models(plant, windows, fit, mean)
     singular, directions = _svd([model.shared * widths for model in models], total)
     told = singular > UNKNOWN * singular[0]
     known, unknown = directions[told].T, directions[~told].T
     inner = known / singular[told]  # A^+ = inner inner^T
     pieces = [model.piece(inner * widths[:, None]) for model in models]
     terms = autoregression(pieces)
-    meat = np.zeros((total, total))
-    absorbed = 0.0
-    for model, piece in zip(models, pieces, strict=True):
-        meat += model.meat(terms) * np.outer(widths, widths)
-        absorbed += float((piece.basis * coloured(terms, piece.basis)).sum()) - model.believed
-    count = float(sum(piece.seen.sum() for piece in pieces))
-    freedom = max(1.0, count - absorbed)
-    variance = _variance(models, fit, count, absorbed, freedom)
+    absorbed = sum(float((piece.basis * coloured(terms, piece.basis)).sum()) for piece in pieces)
+    freedom = max(1.0, slopes.size - absorbed)
+    factor = 1.0 + absorbed / slopes.size * float(slopes.var()) / mean**2
+    variance = factor**2 * sum(float((p.residual**2).sum()) for p in pieces) / freedom / mean
+    meat = np.sum([model.meat(terms) for model in models], axis=0) * np.outer(widths, widths)
     plain, sandwich = inner @ inner.T, inner @ (inner.T @ meat @ inner) @ inner.T
     scale = variance * np.outer(widths, widths)
     memory = correlations(terms, max(piece.residual.shape[0] for piece in pieces))
@@ -124,22 +122,21 @@ def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
 class _Model:
     """A window at the optimum: derivatives less what its state absorbs (M, P), and what that is.
 
-    own (M, 2n): orthonormal directions of the state. The first m C rows are the window's values, the rest beliefs.
+    own (M, 2n): orthonormal directions of the state. follow (2n, P): how the state moves with the parameters.
+    influence, seen (m, C): psi of the residuals, and 0 in gaps, else 1. The first m C of M rows are the window's
+    values, the rest beliefs.
     """
 
     shared: Array
     own: Array
-    follow: Array  # (2n, P): how the state moves with the parameters
-    influence: Array  # (m, C)
-    seen: Array  # (m, C)
-    believed: int
-    known: bool
+    follow: Array
+    influence: Array
+    seen: Array
 
     def piece(self, inner: Array) -> Piece:
         """Return its residuals, and all directions (m, C, 2n + k) that the fit absorbs; inner (P, k)."""
-        size, shape = self.influence.size, self.influence.shape
-        basis = np.column_stack([self.own, self.shared @ inner])[:size]
-        return Piece(self.influence, self.seen, basis.reshape(*shape, -1) * self.seen[:, :, None])
+        basis = np.column_stack([self.own, self.shared @ inner])[: self.influence.size]
+        return Piece(self.influence, self.seen, basis.reshape(*self.influence.shape, -1) * self.seen[:, :, None])
 
     def meat(self, terms: Array) -> Array:
         """Return S^T R S (P, P)."""
@@ -149,22 +146,25 @@ class _Model:
         return result
 
 
-def _models(plant: Plant, windows: Sequence[Window], fit: Fit) -> list[_Model]:
-    """Return all windows' derivatives, times the root of the mean sensitivity of what counts."""
-    seen = [(window.weight > 0.0).astype(np.float64) for window in windows]
-    slopes = [fit.loss.sensitivity(r)[s.ravel() > 0.0] for r, s in zip(fit.residuals, seen, strict=True)]
-    root = np.sqrt(max(float(np.concatenate(slopes).mean()), LEAST_SENSITIVITY))
+def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float) -> list[_Model]:
+    """Return all windows' derivatives, those of values times the root of the mean of psi'."""
     models = []
-    for window, state, residual, mask in zip(windows, fit.states, fit.residuals, seen, strict=True):
+    for window, state, residual in zip(windows, fit.states, fit.residuals, strict=True):
         linear = linearise(plant, window, fit.x, state, residual, Loss())
-        scale = np.append(np.full(residual.size, root), np.ones(linear.residual.size - residual.size))[:, None]
+        scale = np.ones((linear.residual.size, 1))
+        scale[: residual.size] = np.sqrt(mean)
         by_state, shared = scale * linear.state, scale * linear.shared
         own = np.linalg.qr(by_state)[0] if linear.known else np.zeros_like(by_state)
-        follow = -least_squares(by_state, shared)
-        influence = fit.loss.influence(residual).reshape(mask.shape)
         left = shared - own @ (own.T @ shared)
-        models.append(_Model(left, own, follow, influence, mask, window.believed.shape[0], linear.known))
+        influence, seen = fit.loss.influence(residual), (window.weight > 0.0).astype(np.float64)
+        models.append(_Model(left, own, -least_squares(by_state, shared), influence.reshape(seen.shape), seen))
     return models
+
+
+def _sensitivities(windows: Sequence[Window], fit: Fit) -> Array:
+    """Return psi' of all residuals, gaps left out."""
+    seen = [window.weight.ravel() > 0.0 for window in windows]
+    return np.concatenate([fit.loss.sensitivity(r)[s] for r, s in zip(fit.residuals, seen, strict=True)])
 
 
 def _svd(rows: Sequence[Array], total: int) -> tuple[Array, Array]:
@@ -172,16 +172,6 @@ def _svd(rows: Sequence[Array], total: int) -> tuple[Array, Array]:
     small = [np.linalg.qr(each, mode="r") for each in rows]
     _, singular, directions = np.linalg.svd(np.vstack([*small, np.zeros((total, total))]), full_matrices=False)
     return singular, directions
-
-
-def _variance(models: Sequence[_Model], fit: Fit, count: float, absorbed: float, freedom: float) -> float:
-    """Return the variance of what each residual counts, see :func:`judge`."""
-    slopes = [fit.loss.sensitivity(r)[m.seen.ravel() > 0.0] for r, m in zip(fit.residuals, models, strict=True)]
-    slope = np.concatenate(slopes)
-    mean = max(float(slope.mean()), LEAST_SENSITIVITY)
-    factor = 1.0 + absorbed / count * float(slope.var()) / mean**2
-    total = sum(float((model.influence**2).sum()) for model in models)
-    return factor**2 * total / freedom / mean
 
 
 RATIOS = {
