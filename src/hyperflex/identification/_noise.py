@@ -107,9 +107,9 @@ def whiteness(pieces: Sequence[Piece]) -> float:
     if sums[0] <= 0.0 or lags == 0:
         return 1.0
     white = _expected(pieces, np.zeros(0), lags)
-    pairs = np.array([sum(_apart(p.seen, p.seen, lag) for p in pieces) for lag in range(1, lags + 1)])
+    pairs = np.array([sum(_apart(p.seen, p.seen, lag) for p in pieces) for lag in range(lags + 1)])
     away = sums[1 : lags + 1] / sums[0] - white[1:] / white[0]
-    return float(gammaincc(0.5 * lags, 0.5 * (pairs * away**2).sum()))
+    return float(gammaincc(0.5 * lags, 0.5 * (pairs[0] ** 2 / np.maximum(pairs[1:], 1.0) * away**2).sum()))
 
 
 def autocorrelation(residuals: Sequence[Array]) -> float:
