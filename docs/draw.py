@@ -9,7 +9,7 @@ import numpy as np
 
 import hyperflex as hf
 from hyperflex import paper
-from hyperflex.report import casting, identification_figures
+from hyperflex.report import casting, revision_figures
 from hyperflex.report.animation import animate
 from hyperflex.report.fit_figures import prediction_figure
 from hyperflex.report.fitted import beside
@@ -81,7 +81,7 @@ def main() -> None:
     speed = np.linalg.norm(cracked.tip_velocity, axis=1)
     print(f"whip: {speed.max():.0f} m/s at t = {cracked.t[speed.argmax()]:.2f} s")
     save_png(growth(), IMAGES / "growth.png", dpi=2 * DPI)
-    for figure in (identification_figures.fig3, identification_figures.fig5, identification_figures.fig6):
+    for figure in (revision_figures.fig3, revision_figures.fig5, revision_figures.fig6):
         save_png(figure(), IMAGES / f"{figure.__name__}.png", dpi=DPI)
     save_png(identified(), IMAGES / "identified.png", dpi=DPI)
     casts = paper.casts()

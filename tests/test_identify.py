@@ -16,12 +16,13 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import Identification, identify, lumped, ratios
 from hyperflex.identification._names import parse
+from hyperflex.identification._noise import autocorrelation
 from hyperflex.identification._parameters import Parameters
 from hyperflex.identification._plant import Plant
 from hyperflex.identification._prediction import HeldOut, predict
 from hyperflex.identification._shooting import Fit, Linear, fit, fit_state
 from hyperflex.identification._stages import Measured
-from hyperflex.identification._uncertainty import Information, autocorrelation, judge, ratio_spread
+from hyperflex.identification._uncertainty import Information, judge, ratio_spread
 from hyperflex.identification._verdict import (
     failed_predictions,
     not_arrived,

@@ -7,7 +7,7 @@ import pytest
 
 from hyperflex import files, paper
 from hyperflex.paper import SMALL, SWINGS, WIDE, Claim, Swing, identification_figures, methods, record, revised
-from hyperflex.report import identification_figures, identification_part
+from hyperflex.report import identification_part, revision_figures
 from hyperflex.report.reproduce import reproduce
 from hyperflex.report.tables import verdicts
 
@@ -16,12 +16,12 @@ from hyperflex.report.tables import verdicts
 def few_counts(monkeypatch):
     """Fig. 6 with three counts in place of nine, and no finer chain: seconds in place of half a minute."""
     monkeypatch.setattr(identification_figures, "COUNTS", (22, 41, 81))
-    monkeypatch.setattr(identification_figures, "CURVES", SWINGS)
-    monkeypatch.setattr(identification_figures, "CURVES", SWINGS)
+    monkeypatch.setattr(revision_figures, "CURVES", SWINGS)
+    monkeypatch.setattr(revision_figures, "CURVES", SWINGS)
 
 
 def test_fig3_shows_both_starts_of_every_link():
-    figure = identification_figures.fig3()
+    figure = revision_figures.fig3()
     assert len(figure.axes) == 2 * len(SWINGS)
     table = paper.fig3()
     for axis, swing in zip(figure.axes[::2], SWINGS, strict=True):
@@ -35,12 +35,12 @@ def test_fig3_shows_both_starts_of_every_link():
 
 
 def test_fig5_shows_circles_where_it_was_measured_and_what_is_left():
-    top, below = identification_figures.fig5().axes
+    top, below = revision_figures.fig5().axes
     circles = next(line for line in top.get_lines() if line.get_label() == "measured")
     assert circles.get_linestyle() == "None"
     np.testing.assert_array_equal(circles.get_ydata(), record(SMALL).data[:, -1])
     left = {line.get_color(): np.sqrt(np.mean(line.get_ydata() ** 2)) for line in below.get_lines()}
-    revised_left, guessed_left = left[identification_figures.BLUE], left[identification_figures.RED]
+    revised_left, guessed_left = left[revision_figures.BLUE], left[revision_figures.RED]
     assert revised_left < 12.0 < guessed_left  # mrad; the noise is 10
     table = paper.fig5()
     away = table.columns["measured_5"] - table.columns["calculated_5"]
@@ -48,7 +48,7 @@ def test_fig5_shows_circles_where_it_was_measured_and_what_is_left():
 
 
 def test_fig6_has_a_curve_for_each_swing_and_the_papers_two_values(few_counts):
-    axis = identification_figures.fig6().axes[0]
+    axis = revision_figures.fig6().axes[0]
     drawn = {line.get_label(): line for line in axis.get_lines()}
     table = paper.fig6()
     for swing in SWINGS:

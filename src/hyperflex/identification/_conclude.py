@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.identification._intervals import Interval, of_ratios
 from hyperflex.identification._parameters import SCALARS
 from hyperflex.identification._plant import Plant
 from hyperflex.identification._prediction import HeldOut
 from hyperflex.identification._result import Identification
 from hyperflex.identification._sensors import Angles
-from hyperflex.identification._shooting import Fit
-from hyperflex.identification._uncertainty import Information, ratio_spread, ratios
-from hyperflex.identification._verdict import failed_predictions, not_arrived, not_noise, verdict
+from hyperflex.identification._uncertainty import Basis, ratio_spread, ratios
+from hyperflex.identification._verdict import failed_predictions, not_arrived, not_noise, too_large, verdict
 from hyperflex.identification._windows import Window
 from hyperflex.model import Rope
 
@@ -23,15 +23,14 @@ ORIGIN = {"origin_x": 0, "origin_y": 1}  # where they stand among the sensor's v
 
 
 def conclude(
-    plant: Plant,
-    information: Information,
-    found: Fit,
-    windows: list[Window],
+    basis: Basis,
     held_out: HeldOut | None,
     settings: dict[str, Any],
     remarks: list[str],
+    intervals: dict[str, Interval] | None = None,
 ) -> Identification:
-    """Put everything together; `remarks` join the verdict."""
+    """Put everything together; `remarks` join the verdict, intervals of the ratios those of the parameters."""
+    plant, information, found, windows = basis.plant, basis.information, basis.fit, basis.windows
     parameters = plant.parameters
     x = parameters.rounded(found.x)
     rope, slopes = parameters.rope(x), parameters.slopes(x)
@@ -44,14 +43,19 @@ def conclude(
     rms = np.sqrt(np.nanmean(residuals**2, axis=0))
     ratio_sd = ratio_spread(parameters, information)
     status = "interrupted" if found.interrupted else "converged" if found.converged else "not converged"
-    words = not_arrived(status) + verdict(parameters, information, rope, ratio_sd)
-    words += _poor(windows, rms, unit) + not_noise(information.correlation) + failed_predictions(held_out) + remarks
+    words = not_arrived(status) + verdict(parameters, information, rope, ratio_sd) + _poor(windows, rms, unit)
+    words += not_noise(information.correlation, information.whiteness) + failed_predictions(held_out) + remarks
+    if ((weights != 0.0) & (weights != 1.0)).any():  # the recording says what its noise is
+        words += too_large(information.variance, information.freedom)
+    if intervals is not None:
+        intervals = intervals | of_ratios(ratios(rope), ratio_sd, information.freedom)
     return Identification(
         rope=rope,
         values=_by_name(plant, rope, parameters.values(x)),
         sd=_by_name(plant, None, spreads),
         ratios=ratios(rope),
         ratio_sd=ratio_sd,
+        intervals=intervals or {},
         verdict=tuple(words),
         identifiable=information.unknown.shape[1] == 0,
         residual_rms=rms,
@@ -65,7 +69,7 @@ def conclude(
         status=status,
         unit=unit,
         history=tuple(found.history),
-    )
+    ).resting_on(basis)
 
 
 def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array]:

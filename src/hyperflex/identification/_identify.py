@@ -16,6 +16,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification._band import doubt
 from hyperflex.identification._conclude import conclude
+from hyperflex.identification._intervals import HOWS, How, all_intervals
 from hyperflex.identification._loss import LOSSES, Loss, LossName
 from hyperflex.identification._measured import checked_arcs, first_joint, measure, refuse_still_markers
 from hyperflex.identification._names import parse
@@ -26,7 +27,7 @@ from hyperflex.identification._result import Identification
 from hyperflex.identification._sensors import Angles, Places
 from hyperflex.identification._shooting import Report
 from hyperflex.identification._stages import Measured, fit_in_stages
-from hyperflex.identification._uncertainty import judge
+from hyperflex.identification._uncertainty import Basis, judge
 from hyperflex.identification._verdict import other_lengths
 from hyperflex.identification._windows import check_motion, usual_length
 from hyperflex.model import Arm, Rope
@@ -50,6 +51,7 @@ def identify(
     loss: LossName = "squares",
     lead: float = 0.5,
     ahead: float = 1.0,
+    intervals: How | None = "auto",
     progress: bool | Report = False,
 ) -> Identification:
     """Identify a rope from its recorded motion by output-error shooting with exact derivatives.
@@ -87,6 +89,9 @@ def identify(
         ``cauchy`` keeps gross outliers from ruling the fit; ``huber`` counts them less than their squares.
     lead, ahead : float, s
         Held-out part: states are fitted on `lead` and angles predicted `ahead`.
+    intervals : {"auto", "covariance", "profile", None}
+        How 95 % intervals are found: from standard deviations; by profile likelihood (some six short fits a
+        parameter); ``auto`` profiles where the covariance is skewed, as that of a parameter near 0; None finds none.
     progress : bool or callable
         True prints a line a round on standard error; a callable gets a dict with window, stage, stages, round, cost,
         gain, damping.
@@ -127,6 +132,8 @@ def identify(
     """
     began = time.monotonic()
     checks.choice("loss", loss, LOSSES)
+    if intervals is not None:
+        checks.choice("intervals", intervals, HOWS)
     measured, places = _checked(recording, rope_guess, arcs)
     if arm is not None and motion is None:
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
@@ -137,18 +144,21 @@ def identify(
     length = usual if window is None else checks.number("window", window, sign="positive", infinite=True)
     length = min(length, 1.001 * fitted.channels.duration)
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
-    information = judge(plant, windows, found)
+    basis = Basis(plant, windows, found, judge(plant, windows, found))
+    how = intervals if found.converged or intervals is None else "covariance"
+    ranges = None if how is None else all_intervals(basis, how)
     held_out = None
     try:
         if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
-            held_out = predict(plant, found.x, rest, lead, ahead, Loss(loss), doubt(information, windows, found))
+            spread = doubt(basis.information, windows, found)
+            held_out = predict(plant, found.x, rest, lead, ahead, Loss(loss), spread)
     except KeyboardInterrupt:  # what was fitted is worth more than its trial
         found.interrupted = True
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
-    settings |= {"autocorrelation": information.correlation, "seconds": time.monotonic() - began}
+    settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
     settings |= _arranged(free, loss, places, origin, motion, arm)
     remarks = [] if arcs is not None else other_lengths(recording, rope_guess)
-    return conclude(plant, information, found, windows, held_out, settings, remarks)
+    return conclude(basis, held_out, settings, remarks, ranges)
 
 
 def _checked(recording: Recording, rope: Rope, arcs: npt.ArrayLike | None) -> tuple[Measured, Array | None]:

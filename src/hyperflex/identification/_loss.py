@@ -20,12 +20,12 @@ NORMAL = 1.4826  # standard deviation over the median of absolute values, of a n
 class Loss:
     """Costs and weights of residuals; `scale` is their standard deviation without the outliers."""
 
-    def __init__(self, name: LossName = "squares", scale: float = 1.0) -> None:
-        self.name, self.scale = name, scale
+    def __init__(self, name: LossName = "squares", scale: float = 1.0, *, fixed: bool = False) -> None:
+        self.name, self.scale, self.fixed = name, scale, fixed
 
     def scaled(self, residuals: Sequence[Array]) -> Loss:
-        """Return the same loss with the scale that these residuals show."""
-        if self.name == "squares":
+        """Return the same loss with the scale that these residuals show, unless it is fixed."""
+        if self.name == "squares" or self.fixed:
             return self
         sizes = np.abs(np.concatenate(residuals))
         sizes = sizes[sizes > 0.0]
@@ -48,3 +48,17 @@ class Loss:
         ratio = np.abs(residual) / (TUNING[self.name] * self.scale)
         weight = 1.0 / (1.0 + ratio**2) if self.name == "cauchy" else 1.0 / np.maximum(ratio, 1.0)
         return np.sqrt(weight)
+
+    def influence(self, residual: Array) -> Array:
+        """Return psi (m,), half the slope of the cost: the residuals themselves while they are small."""
+        result: Array = self.weight(residual) ** 2 * residual
+        return result
+
+    def sensitivity(self, residual: Array) -> Array:
+        """Return d psi / d residual (m,): 1 while residuals are small."""
+        if self.name == "squares":
+            return np.ones(residual.size)
+        ratio = np.abs(residual) / (TUNING[self.name] * self.scale)
+        if self.name == "cauchy":
+            return np.asarray((1.0 - ratio**2) / (1.0 + ratio**2) ** 2)
+        return np.where(ratio <= 1.0, 1.0, 0.0)

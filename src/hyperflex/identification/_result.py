@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Self
 
 import numpy as np
 
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.files import PathLike
+from hyperflex.identification._intervals import Interval
 from hyperflex.identification._prediction import HeldOut
+from hyperflex.identification._uncertainty import Basis
 from hyperflex.model import Rope
 
 
@@ -29,6 +31,9 @@ class Identification:
     ratios, ratio_sd : dict of str to ndarray (n,)
         ``J/p1``, ``p/p1``, ``c/p1`` and, where fitted, ``dry/p1``, ``k/p1``: what a motion without known forces can
         tell (p_i = m_i a_i + l_i m_beyond, J_i = inertia_i + m_i a_i^2 + l_i^2 m_beyond; p1 is that of link 0).
+    intervals : dict of str to Interval
+        Of each of `parameters`, and of the ratios of each link (``J/p1[0]``): low, high, how it was found, and what
+        either end is; 95 %. Empty where none were asked for.
     verdict : tuple of str
         In words: what can be known, what cannot, and what looks wrong.
     identifiable : bool
@@ -66,6 +71,7 @@ class Identification:
     sd: dict[str, Array]
     ratios: dict[str, Array]
     ratio_sd: dict[str, Array]
+    intervals: dict[str, Interval]
     verdict: tuple[str, ...]
     identifiable: bool
     residual_rms: Array
@@ -79,6 +85,12 @@ class Identification:
     status: str
     unit: str
     history: tuple[dict[str, float], ...]
+    _basis: Basis | None = field(default=None, init=False, repr=False)
+
+    def resting_on(self, basis: Basis) -> Self:
+        """Keep the fit itself, `basis`, for :func:`profile` and :func:`bootstrap`; return this same result."""
+        object.__setattr__(self, "_basis", basis)
+        return self
 
     @property
     def residual_rms_all(self) -> float:
@@ -90,6 +102,10 @@ class Identification:
         tables = {name: getattr(self, name) for name in ("values", "sd", "ratios", "ratio_sd")}
         result: dict[str, Any] = {"status": self.status, "identifiable": self.identifiable, "unit": self.unit}
         result |= {name: {key: _plain(value) for key, value in table.items()} for name, table in tables.items()}
+        result["intervals"] = {
+            name: {"low": _plain(np.array(each.low)), "high": _plain(np.array(each.high)), "kind": each.kind}
+            for name, each in self.intervals.items()
+        }
         result |= {"residual_rms": _plain(self.residual_rms), "residual_rms_all": self.residual_rms_all}
         if self.held_out is not None:
             held = self.held_out
@@ -118,6 +134,11 @@ class Identification:
             for name, numbers in value.items():
                 pairs = zip(np.atleast_1d(numbers), np.atleast_1d(spread[name]), strict=True)
                 lines.append(f"  {title} {name:<13}" + "  ".join(f"{x:.5g} ± {s:.2g}" for x, s in pairs))
+        lines += [
+            f"  {100 * self.intervals[name].level:g} % {name:<13} {self.intervals[name]}"
+            for name in self.parameters
+            if name in self.intervals
+        ]
         lines.append(f"  fit error, m{self.unit}       " + "  ".join(f"{1e3 * x:.2f}" for x in self.residual_rms))
         if self.held_out is not None:
             lines.append(

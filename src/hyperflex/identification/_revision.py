@@ -19,7 +19,7 @@ from hyperflex.model import Rope, Setup
 from hyperflex.recording import Recording
 from hyperflex.simulation import Slopes, angles
 
-Profile = Literal["response", "calculated", "measured", "measured rates"]
+RevisionProfile = Literal["response", "calculated", "measured", "measured rates"]
 
 PROFILES = ("response", "calculated", "measured", "measured rates")
 SETTLED = 0.1  # standard deviations: revisions that move J and eta by less no longer count
@@ -113,7 +113,7 @@ def revise(
     rope_guess: Rope,
     *,
     rates: Rates = "rest",
-    profile: Profile = "response",
+    profile: RevisionProfile = "response",
     rounds: int = 8,
     most: int = MOST,
     progress: Callable[[Round], None] | None = None,
@@ -208,7 +208,7 @@ def _still(before: Round, now: Round, sd: dict[str, float]) -> bool:
 class _Revision:
     """The two halves of a round."""
 
-    def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: Profile, most: int) -> None:
+    def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: RevisionProfile, most: int) -> None:
         self.measured, self.guess, self.rates, self.profile, self.most = measured, guess, rates, profile, most
         self.interrupted = False
         self.slopes = None

@@ -98,8 +98,9 @@ def fit(
     rounds: int = 60,
     enough: float | None = None,
     report: Report | None = None,
+    held: Sequence[int] = (),
 ) -> Fit:
-    """Fit parameters and all states together, or the states alone, from first guesses.
+    """Fit parameters and all states together, or the states alone, from first guesses; parameters `held` stay.
 
     It ends with a round that gains less than the part `enough` of the cost; by default less than parameters move by
     chance.
@@ -130,6 +131,8 @@ def fit(
                 linearise(plant, *each, best.loss)
                 for each in zip(windows, [best.x] * len(windows), best.states, best.residuals, strict=True)
             ]
+            for each in linear:
+                each.shared[:, list(held)] = 0.0
             if states_only:
                 linear = [Linear(each.state, each.shared[:, :0], each.residual, each.known) for each in linear]
             linear = [each.compact() for each in linear]

@@ -18,8 +18,8 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification import (
     InitialState,
-    Profile,
     Revision,
+    RevisionProfile,
     cylinder_inertia,
     initial_state,
     natural_frequency_inertia,
@@ -121,7 +121,7 @@ def record(swing: Swing, seed: int = SEED) -> Recording:
 
 
 @cache
-def revised(swing: Swing, points: int = POINTS, profile: Profile = "response", seed: int = SEED) -> Revision:
+def revised(swing: Swing, points: int = POINTS, profile: RevisionProfile = "response", seed: int = SEED) -> Revision:
     """Return the iterative revision on the first `points` samples of a swing; each is made once in a process.
 
     Parameters

@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from hyperflex import paper
-from hyperflex.identification import Profile, Revision
+from hyperflex.identification import Revision, RevisionProfile
 from hyperflex.paper import SWINGS, methods, revised
 from hyperflex.paper.identification import LENGTH, LINK_MASS, LINKS, NOISE, POINTS, RATE, guess, per_sample, true_rope
 from hyperflex.paper.identification_figures import DRAWN, periods_text
+from hyperflex.report import revision_figures
 from hyperflex.report.page import Picture, Section
 from hyperflex.report.part import Part, write_numbers, write_picture
 from hyperflex.report.style import png
@@ -22,7 +23,7 @@ LEAD = (
     "Identification by iterative revision: section III of Suzuki and Ebihara, Casting Control for Hyper-Flexible "
     "Manipulation (ICRA 2007), on a simulated twin of its experiment. Length and mass of the rope are inferred."
 )
-PROFILES: tuple[Profile, ...] = ("response", "calculated", "measured", "measured rates")
+PROFILES: tuple[RevisionProfile, ...] = ("response", "calculated", "measured", "measured rates")
 _CAPTIONS = {
     "fig3": "Initial angles as measured and as the downhill simplex finds them, and what the tip link is off by from "
     "either start, with the revised J and eta.",
@@ -44,7 +45,7 @@ def write(wanted: Sequence[str], folder: Path, tell: Callable[[str], None]) -> P
         tell(f"making {name}; each revision takes a second or two")
         table = getattr(paper, name)()
         if name in _CAPTIONS:
-            content = png(getattr(identification_figures, name)())
+            content = png(getattr(revision_figures, name)())
             written += write_picture(folder, name, content, table)
             pictures.append(Picture(content, _CAPTIONS[name]))
         else:
