@@ -9,7 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hyperflex.identification import Identification, identify
+    from hyperflex.identification import Identification, ModelComparison, compare_models, identify
     from hyperflex.model import Arm, Rope, Setup
     from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
@@ -36,6 +36,7 @@ _HOMES = {
     "Batch": "simulation",
     "Event": "simulation",
     "Identification": "identification",
+    "ModelComparison": "identification",
     "Motion": "motion",
     "Predictability": "simulation",
     "Recording": "recording",
@@ -45,6 +46,7 @@ _HOMES = {
     "State": "trajectory",
     "Trajectory": "trajectory",
     "angle_reached": "simulation",
+    "compare_models": "identification",
     "hold": "motion",
     "identify": "identification",
     "move": "motion",
@@ -69,6 +71,7 @@ __all__ = [
     "Batch",
     "Event",
     "Identification",
+    "ModelComparison",
     "Motion",
     "Predictability",
     "Recording",
@@ -79,6 +82,7 @@ __all__ = [
     "Trajectory",
     "__version__",
     "angle_reached",
+    "compare_models",
     "hold",
     "identify",
     "move",

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from hyperflex.identification._choice import FittedModel, ModelComparison, compare_models
 from hyperflex.identification._identify import identify
 from hyperflex.identification._parameters import lumped
 from hyperflex.identification._prediction import HeldOut
 from hyperflex.identification._result import Identification
 from hyperflex.identification._uncertainty import ratios
 
-__all__ = ["HeldOut", "Identification", "identify", "lumped", "ratios"]
+__all__ = [
+    "FittedModel",
+    "HeldOut",
+    "Identification",
+    "ModelComparison",
+    "compare_models",
+    "identify",
+    "lumped",
+    "ratios",
+]

@@ -119,7 +119,8 @@ class ModelComparison:
             values = [getattr(model, name) for model in self.models]
             numbers = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
             columns[name] = ("model", numbers, {"units": unit, "long_name": about})
-        return xr.Dataset(columns, {"model": [model.name for model in self.models]}, {"preferred": self.preferred or ""})
+        names = [model.name for model in self.models]
+        return xr.Dataset(columns, {"model": names}, {"preferred": self.preferred or ""})
 
     def summary(self) -> dict[str, Any]:
         """Return the table, the preference and the words as plain numbers, lists and strings; None for no number."""
@@ -137,19 +138,21 @@ class ModelComparison:
         least = min((m.bic for m in self.models if m.bic is not None), default=0.0)
         head = f"{'model':<{wide}}  links  parameters  BIC over best  fit, m{self.unit}  held out, m{self.unit}  white"
         lines = [f"Models compared ({self.status})", f"  {head}"]
-        for m in self.models:
-            if m.identification is None:
-                lines.append(f"  {m.name:<{wide}}  {m.links:5d}  failed: {m.reason}")
-                continue
-            above = "-" if m.bic is None else f"{m.bic - least:.1f}"
-            white = f"{'yes' if m.whiteness >= COLOURED else 'no'} (p = {m.whiteness:.2g})"
-            held = f"{1e3 * m.held_out_rms:.3f}" if np.isfinite(m.held_out_rms) else "-"
-            mark = f"  {m.reason}" if m.reason else ""
-            lines.append(
-                f"  {m.name:<{wide}}  {m.links:5d}  {m.parameters:10d}  {above:>13}  {1e3 * m.fit_rms:{7 + len(self.unit)}.3f}"
-                f"  {held:>{12 + len(self.unit)}}  {white}{mark}"
-            )
+        lines += [f"  {_row(model, wide, least, len(self.unit))}" for model in self.models]
         return "\n".join([*lines, f"  {self.recommendation}"])
+
+
+def _row(model: FittedModel, wide: int, least: float, unit: int) -> str:
+    """Return a model's line of the table; `least` is the best BIC."""
+    start = f"{model.name:<{wide}}  {model.links:5d}"
+    if model.identification is None:
+        return f"{start}  failed: {model.reason}"
+    above = "-" if model.bic is None else f"{model.bic - least:.1f}"
+    white = f"{'yes' if model.whiteness >= COLOURED else 'no'} (p = {model.whiteness:.2g})"
+    held = f"{1e3 * model.held_out_rms:.3f}" if np.isfinite(model.held_out_rms) else "-"
+    fit = f"{1e3 * model.fit_rms:.3f}"
+    mark = f"  {model.reason}" if model.reason else ""
+    return f"{start}  {model.parameters:10d}  {above:>13}  {fit:>{6 + unit}}  {held:>{11 + unit}}  {white}{mark}"
 
 
 def compare_models(

@@ -62,7 +62,8 @@ def _criterion(work: Work, tau: float, scale: float) -> float:
         misfit = cost / (tau * scale**2)
     states = np.array([window.guess.size - window.believed.shape[0] for window in work.windows])
     known = work.information.known.shape[1]
-    return misfit + known * float(np.log(count)) + float((states * np.log(np.maximum(values / tau, 1.0))).sum())
+    of_states = float((states * np.log(np.maximum(values / tau, 1.0))).sum())
+    return float(misfit + known * np.log(count) + of_states)
 
 
 def worse(one: HeldOut, best: HeldOut) -> bool:
@@ -96,10 +97,11 @@ def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, s
         return known[0].name, f"Only {known[0].name} could be fitted: there was nothing to compare it with."
     least = min(known, key=lambda each: each.bic or 0.0)
     likely = [each for each in known if _bic(each) - _bic(least) < STRONG]
-    predicted = [each for each in known if each.held_out is not None]
+    predicted = [each for each in known if np.isfinite(error(each.held_out))]
     first = min(likely, key=lambda each: each.unknowns)
     if not predicted:
-        return first.name, f"{_by_bic(first, known)} Nothing was held out, so no prediction was compared." + _hue(first)
+        alone = "Nothing was held out or could be predicted, so only fits were compared."
+        return first.name, f"{_by_bic(first, known)} {alone}{_hue(first)}"
     nearest = min(predicted, key=lambda each: error(each.held_out))
     good = [each for each in predicted if not worse(each.held_out, nearest.held_out)]  # type: ignore[arg-type]
     both = [each for each in likely if each in good]
@@ -130,19 +132,16 @@ def _by_bic(chosen: Evidence, known: Sequence[Evidence]) -> str:
     next_one = next(each for each in known if each is not chosen and _bic(each) == rest)
     if ahead >= STRONG:
         return f"{chosen.name}: BIC is lower by {ahead:.0f} than that of the next, {next_one.name}."
-    if ahead >= 0.0:
-        return f"{chosen.name}: BIC is lower than that of {next_one.name} by {ahead:.1f} only, which is no strong evidence."
-    return (
-        f"{chosen.name}: BIC is higher than that of {next_one.name} by {-ahead:.1f} only, which is no strong evidence, "
-        "and it is the simpler of the two."
-    )
+    what = "lower" if ahead >= 0.0 else "higher"
+    weak = f"{chosen.name}: BIC is {what} than that of {next_one.name} by {abs(ahead):.1f} only: no strong evidence"
+    return f"{weak}." if ahead >= 0.0 else f"{weak}, and it is the simpler of the two."
 
 
 def _hue(chosen: Evidence) -> str:
     """Return a warning where even the chosen model leaves more than noise."""
     if chosen.whiteness >= COLOURED:
         return ""
-    return f" But its residuals are no white noise (p = {chosen.whiteness:.1g}): something is missing in all candidates."
+    return f" But its residuals are no white noise (p = {chosen.whiteness:.1g}): all candidates miss something."
 
 
 def _short(each: Evidence, unit: str) -> str:
