@@ -9,7 +9,15 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hyperflex.identification import Identification, ModelComparison, compare_models, identify
+    from hyperflex.identification import (
+        Design,
+        Experiment,
+        Identification,
+        ModelComparison,
+        compare_models,
+        design,
+        identify,
+    )
     from hyperflex.model import Arm, Rope, Setup
     from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
@@ -34,7 +42,9 @@ __version__ = "0.1.0"
 _HOMES = {
     "Arm": "model",
     "Batch": "simulation",
+    "Design": "identification",
     "Event": "simulation",
+    "Experiment": "identification",
     "Identification": "identification",
     "ModelComparison": "identification",
     "Motion": "motion",
@@ -47,6 +57,7 @@ _HOMES = {
     "Trajectory": "trajectory",
     "angle_reached": "simulation",
     "compare_models": "identification",
+    "design": "identification",
     "hold": "motion",
     "identify": "identification",
     "move": "motion",
@@ -69,7 +80,9 @@ _HOMES = {
 __all__ = [
     "Arm",
     "Batch",
+    "Design",
     "Event",
+    "Experiment",
     "Identification",
     "ModelComparison",
     "Motion",
@@ -83,6 +96,7 @@ __all__ = [
     "__version__",
     "angle_reached",
     "compare_models",
+    "design",
     "hold",
     "identify",
     "move",

@@ -161,7 +161,7 @@ def fitted(
     measured, places = _checked(recording, rope_guess, arcs)
     if arm is not None and motion is None:
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
-    plant = _plant(recording, rope_guess, free, places, origin, motion, arm)
+    plant = planned(recording, rope_guess, free, places, origin, motion, arm)
     fitted, rest = _split(measured, train, lead, ahead)
     check_motion(fitted.shape)
     usual = usual_length(fitted.shape, rope_guess)
@@ -206,7 +206,7 @@ def _checked(recording: Recording, rope: Rope, arcs: npt.ArrayLike | None) -> tu
     return measure(recording, rope, None), None
 
 
-def _plant(
+def planned(
     recording: Recording,
     guess: Rope,
     free: Sequence[str],

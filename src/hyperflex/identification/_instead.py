@@ -1,0 +1,109 @@
+"""What to measure where no motion can tell what is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyperflex.errors import HyperflexError
+from hyperflex.identification._experiments import Experiment
+from hyperflex.identification._foresight import Foresight, foresee
+from hyperflex.identification._verdict import PARALLEL, scaling
+from hyperflex.model import Arm, Rope
+
+WEIGHED = ("mass", "com", "tip_mass")  # what a pair of scales can tell
+TORQUE_NOISE = 0.01  # of the torque that holds the rope out level, for a motor torque that could be measured
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What was asked of ``design``."""
+
+    rope: Rope
+    want: tuple[str, ...]
+    free: tuple[str, ...]
+    arm: Arm | None
+    noise: float
+
+
+def instead(asked: Asked, experiments: Sequence[Experiment], seen: Foresight) -> str:
+    """Return in words why no candidate tells what is wanted, and what would.
+
+    Parameters
+    ----------
+    asked : Asked
+    experiments : sequence of Experiment
+        Those that could be simulated.
+    seen : Foresight
+        What one of them tells.
+    """
+    lost = [name for name, (sd, _) in seen.spreads(asked.want).items() if not np.isfinite(sd)]
+    names = ", ".join(lost) or ", ".join(asked.want)
+    if _common(seen):
+        said = [
+            f"No candidate can tell {names}: no known force or torque acts, and without one all masses, inertias and "
+            "frictions are known to a common factor only."
+        ]
+    else:
+        said = [
+            f"No candidate can tell {names}: it does not act in these motions, or acts just as others that are free."
+        ]
+    said += [text for text in (_weigh(asked, experiments), _torque(asked, experiments), _ratio(asked, seen)) if text]
+    if len(said) == 1:
+        said.append("Free fewer parameters, or try motions in which they act differently.")
+    return " ".join(said)
+
+
+def _common(seen: Foresight) -> bool:
+    """Tell whether the common factor of all moments and frictions is among what is unknown."""
+    common, unknown = scaling(seen.parameters, seen.information.x), seen.information.unknown
+    return common is not None and bool(np.linalg.norm(common - unknown @ (unknown.T @ common)) <= PARALLEL)
+
+
+def _weigh(asked: Asked, experiments: Sequence[Experiment]) -> str:
+    """Return what weighing the links would help."""
+    kept = tuple(word for word in asked.free if word.partition(":")[0].partition("[")[0] not in WEIGHED)
+    own = [word for word in asked.want if word.partition("[")[0] in WEIGHED]
+    if own:
+        return f"Weigh it: a pair of scales, and a knife edge for com, tell {', '.join(own)} directly."
+    if not kept or kept == asked.free:
+        return ""
+    found = _best(replace(asked, free=kept), experiments)
+    return "" if not found else f"Weigh the links and leave {_without(asked.free, kept)} out of free: {found}."
+
+
+def _torque(asked: Asked, experiments: Sequence[Experiment]) -> str:
+    """Return what a measured motor torque would help."""
+    return ""
+
+
+def _ratio(asked: Asked, seen: Foresight) -> str:
+    """Return which ratios are known anyway."""
+    known = [name for name in ("J/p1", "p/p1", "c/p1") if _tells(seen, name)]
+    return f"Known without it are the ratios over the first moment, want={known!r}." if known else ""
+
+
+def _tells(seen: Foresight, name: str) -> bool:
+    spreads = seen.spreads([name])
+    return bool(spreads) and all(np.isfinite(sd) for sd, _ in spreads.values())
+
+
+def _best(asked: Asked, experiments: Sequence[Experiment]) -> str:
+    """Return which experiment then tells what is wanted, and how well; empty if none does."""
+    scores: dict[str, float] = {}
+    for experiment in experiments:
+        try:
+            spreads = foresee(asked.rope, experiment, asked.free, asked.arm, asked.noise).spreads(asked.want)
+        except HyperflexError:
+            continue
+        scores[experiment.name] = max(part for _, part in spreads.values())
+    name = min(scores, key=lambda each: scores[each], default="")
+    if not name or not np.isfinite(scores[name]):
+        return ""
+    return f"then {name} tells {', '.join(asked.want)} to {100.0 * scores[name]:.3g} %"
+
+
+def _without(free: Sequence[str], kept: Sequence[str]) -> str:
+    return " and ".join(word for word in free if word not in kept)
