@@ -168,6 +168,8 @@ def compare_models(
     arm: Arm | None = None,
     arcs: npt.ArrayLike | None = None,
     origin: npt.ArrayLike | None = None,
+    torque: npt.ArrayLike | None = None,
+    torque_noise: npt.ArrayLike | None = None,
     loss: LossName = "squares",
     lead: float = 0.5,
     ahead: float = 1.0,
@@ -190,7 +192,7 @@ def compare_models(
     links : sequence of int
         Further numbers of equal links into which the guess is cut, with what is free in the first model. Needs markers:
         their places are what all candidates must explain.
-    window, train, motion, arm, arcs, origin, loss, lead, ahead
+    window, train, motion, arm, arcs, origin, torque, torque_noise, loss, lead, ahead
         As in :func:`hyperflex.identify`, the same for all candidates.
     progress : bool
         Show a bar over the candidates on standard error.
@@ -225,7 +227,14 @@ def compare_models(
         arcs = np.append(0.0, np.cumsum(rope_guess.length))
     todo = candidates(rope_guess, free, models, links)
     options: dict[str, Any] = {"train": train, "motion": motion, "arm": arm, "arcs": arcs, "origin": origin}
-    options |= {"loss": loss, "lead": lead, "ahead": ahead, "progress": False}
+    options |= {
+        "torque": torque,
+        "torque_noise": torque_noise,
+        "loss": loss,
+        "lead": lead,
+        "ahead": ahead,
+        "progress": False,
+    }
     with _bar(len(todo), progress) as report:
         done, stopped = _fit_all(recording, todo, window, options, report)
     return _compared(todo[: len(done)], done, stopped)

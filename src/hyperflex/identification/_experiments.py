@@ -74,15 +74,12 @@ class Experiment:
         """Times of the frames (T,), s."""
         return np.arange(int(np.floor(self.duration * self.rate + 1e-9)) + 1) / self.rate
 
-    def start(self, rope: Rope) -> dict[str, Array]:
-        """Return angles and rates (n,) at the start, as far as they are given."""
+    def start(self, rope: Rope) -> tuple[Array | None, Array | None]:
+        """Return angles and rates (n,) at the start; None where they are not given."""
         n = rope.n_links
-        given = {"q0": (self.q0, "rad"), "qd0": (self.qd0, "rad/s")}
-        return {
-            name: checks.array(f"experiment {name}", value, (n,), unit=unit, scalar=True)
-            for name, (value, unit) in given.items()
-            if value is not None
-        }
+        q0 = None if self.q0 is None else checks.array("experiment q0", self.q0, (n,), unit="rad", scalar=True)
+        qd0 = None if self.qd0 is None else checks.array("experiment qd0", self.qd0, (n,), unit="rad/s", scalar=True)
+        return q0, qd0
 
 
 def motions(rope: Rope, arm: Arm | None) -> list[Experiment]:

@@ -88,7 +88,8 @@ def foresee(rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | 
     t, motion = experiment.t, experiment.motion
     base = arm if motion is not None else None
     tol = PRECISION * rope.total_length
-    run = simulate(rope, motion, arm=base, duration=float(t[-1]), t_eval=t, tol=tol, **experiment.start(rope))
+    q0, qd0 = experiment.start(rope)
+    run = simulate(rope, motion, arm=base, duration=float(t[-1]), t_eval=t, tol=tol, q0=q0, qd0=qd0)
     spread = experiment.noise or noise
     if experiment.markers is None:
         arcs, recording = None, Recording(t, run.q, noise=np.full(1, spread).repeat(rope.n_links))
@@ -108,10 +109,10 @@ def foresee(rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | 
 def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Information:
     """Return what the windows tell where the model holds and the noise is as given."""
     x, widths = plant.parameters.start, plant.parameters.widths
-    rows = [np.zeros((x.size, x.size))]
+    rows: list[Array] = [np.zeros((x.size, x.size))]
     for window, state in zip(windows, states, strict=True):
         linear = linearise(plant, window, x, state, np.zeros(window.y.size), Loss())
-        rows.append(np.linalg.qr(linear.reduced()[0] * widths, mode="r"))
+        rows.append(np.asarray(np.linalg.qr(linear.reduced()[0] * widths, mode="r")))
     _, singular, directions = np.linalg.svd(np.vstack(rows), full_matrices=False)
     told = singular > UNKNOWN * singular[0]
     known, unknown = directions[told].T, directions[~told].T

@@ -14,7 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification._conclude import Work, conclude
 from hyperflex.identification._loss import LOSSES, Loss, LossName
-from hyperflex.identification._measured import checked_arcs, first_joint, measure
+from hyperflex.identification._measured import checked_arcs, first_joint, measure, with_torque
 from hyperflex.identification._names import parse
 from hyperflex.identification._parameters import Parameters
 from hyperflex.identification._plant import Plant, pivot_places
@@ -44,6 +44,8 @@ def identify(
     arm: Arm | None = None,
     arcs: npt.ArrayLike | None = None,
     origin: npt.ArrayLike | None = None,
+    torque: npt.ArrayLike | None = None,
+    torque_noise: npt.ArrayLike | None = None,
     loss: LossName = "squares",
     lead: float = 0.5,
     ahead: float = 1.0,
@@ -67,6 +69,7 @@ def identify(
         `motion` comes later in the recording's time), ``arc`` (m; each marker's place, or ``arc[2]``). ``friction[2]``
         frees one link only, ``friction:shared`` one value for all links, ``friction:factor`` one factor on the guess of
         all, ``friction:taper`` the logarithm by which it grows along the rope, pivoted at its middle.
+        ``arm_inertia`` and ``arm_friction`` (of the shaft) with a measured torque.
     window : float, s, optional
         Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope, or less
         where links turn fast; it does not depend on the guess of what is free.
@@ -80,6 +83,11 @@ def identify(
     origin : (2,) array_like, m, optional
         Where the camera sees the origin of the motion (the first joint, if it is fixed). With `arcs` and without it,
         it is fitted as well, as ``origin_x`` and ``origin_y``.
+    torque : (T,) array_like, N m, optional
+        Torque of the motor at the recording's times, NaN in gaps; it fixes the absolute scale. It needs `motion` and
+        `arm`.
+    torque_noise : float or (T,) array_like, N m, optional
+        Its standard deviation; given with a torque, beside the noise of the recording.
     loss : {"squares", "huber", "cauchy"}
         ``cauchy`` keeps gross outliers from ruling the fit; ``huber`` counts them less than their squares.
     lead, ahead : float, s
@@ -131,6 +139,8 @@ def identify(
         arm=arm,
         arcs=arcs,
         origin=origin,
+        torque=torque,
+        torque_noise=torque_noise,
         loss=loss,
         lead=lead,
         ahead=ahead,
@@ -150,6 +160,8 @@ def fitted(
     arm: Arm | None,
     arcs: npt.ArrayLike | None,
     origin: npt.ArrayLike | None,
+    torque: npt.ArrayLike | None,
+    torque_noise: npt.ArrayLike | None,
     loss: LossName,
     lead: float,
     ahead: float,
@@ -161,15 +173,20 @@ def fitted(
     measured, places = _checked(recording, rope_guess, arcs)
     if arm is not None and motion is None:
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
-    plant = planned(recording, rope_guess, free, places, origin, motion, arm)
+    if torque is not None and arm is None:
+        raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
+    plant = planned(recording, rope_guess, free, places, origin, motion, arm, torque=torque is not None)
+    foretold = plant.without_torque()  # what is held out is predicted without force or torque
     fitted, rest = _split(measured, train, lead, ahead)
+    if torque is not None:
+        fitted, _ = _split(with_torque(measured, torque, torque_noise), train, lead, ahead)
     check_motion(fitted.shape)
     usual = usual_length(fitted.shape, rope_guess)
     length = usual if window is None else checks.number("window", window, sign="positive", infinite=True)
     length = min(length, 1.001 * fitted.channels.duration)
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
     information = judge(plant, windows, found)
-    held_out = None if rest is None else predict(plant, found.x, rest, lead, ahead, Loss(loss))
+    held_out = None if rest is None else predict(foretold, found.x, rest, lead, ahead, Loss(loss))
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": information.correlation, "seconds": time.monotonic() - began}
     remarks = [] if arcs is not None else other_lengths(recording, rope_guess)
@@ -214,20 +231,23 @@ def planned(
     origin: npt.ArrayLike | None,
     motion: Motion | None,
     arm: Arm | None,
+    *,
+    torque: bool = False,
 ) -> Plant:
     """Return what predicts the measurements, with all that is free."""
-    chosen = parse(guess, free, arcs, moved=motion is not None)
+    chosen = parse(guess, free, arcs, moved=motion is not None, arm=arm if torque else None)
     if arcs is None:
         if origin is not None:
             raise InvalidInput("origin is given, but angles are fitted", fix="Give arcs=... as well, or leave it out")
-        return Plant(Parameters(guess, chosen), Angles(), None, motion, arm)
+        return Plant(Parameters(guess, chosen), Angles(), None, motion, arm, torque=torque)
     if origin is None:
         words = [word for word in ("origin_x", "origin_y") if word not in free]
         chosen += parse(guess, words, arcs) if words else []
         place = first_joint(recording, arcs, pivot_places(motion, arm, recording.t))
     else:
         place = checks.array("origin", origin, (2,), unit="m")
-    return Plant(Parameters(guess, chosen), Places(), np.concatenate([place, arcs]), motion, arm)
+    own = np.concatenate([place, arcs])
+    return Plant(Parameters(guess, chosen), Places(), own, motion, arm, torque=torque)
 
 
 def _split(measured: Measured, train: float | None, lead: float, ahead: float) -> tuple[Measured, Measured | None]:

@@ -41,15 +41,11 @@ def instead(asked: Asked, experiments: Sequence[Experiment], seen: Foresight) ->
     """
     lost = [name for name, (sd, _) in seen.spreads(asked.want).items() if not np.isfinite(sd)]
     names = ", ".join(lost) or ", ".join(asked.want)
+    why = "it does not act in these motions, or acts just as others that are free"
     if _common(seen):
-        said = [
-            f"No candidate can tell {names}: no known force or torque acts, and without one all masses, inertias and "
-            "frictions are known to a common factor only."
-        ]
-    else:
-        said = [
-            f"No candidate can tell {names}: it does not act in these motions, or acts just as others that are free."
-        ]
+        why = "no known force or torque acts, and without one all masses, inertias and frictions are known to a common "
+        why += "factor only"
+    said = [f"No candidate can tell {names}: {why}."]
     said += [text for text in (_weigh(asked, experiments), _torque(asked, experiments), _ratio(asked, seen)) if text]
     if len(said) == 1:
         said.append("Free fewer parameters, or try motions in which they act differently.")

@@ -54,6 +54,8 @@ class Identification:
         Of what was fitted: ``rad`` or ``m``.
     history : tuple of dict
         Round by round: window length, round, cost, gain, damping.
+    torque_residuals : (m,) N m, or None
+        Measured less fitted motor torque, where it was measured; NaN in gaps.
 
     Notes
     -----
@@ -79,11 +81,17 @@ class Identification:
     status: str
     unit: str
     history: tuple[dict[str, float], ...]
+    torque_residuals: Array | None = None
 
     @property
     def residual_rms_all(self) -> float:
         """Fit error over all channels and windows together, rad or m."""
         return float(np.sqrt(np.nanmean(self.residuals**2)))
+
+    @property
+    def torque_rms(self) -> float | None:
+        """Fit error of the motor torque, N m; None where it was not measured."""
+        return None if self.torque_residuals is None else float(np.sqrt(np.nanmean(self.torque_residuals**2)))
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
@@ -91,6 +99,8 @@ class Identification:
         result: dict[str, Any] = {"status": self.status, "identifiable": self.identifiable}
         result |= {name: {key: _plain(value) for key, value in table.items()} for name, table in tables.items()}
         result |= {"residual_rms": _plain(self.residual_rms), "residual_rms_all": self.residual_rms_all}
+        if self.torque_residuals is not None:
+            result["torque_rms"] = self.torque_rms
         if self.held_out is not None:
             held = self.held_out
             result["held_out"] = {"lead": held.lead, "ahead": held.ahead, "predictions": held.starts.size}
@@ -117,6 +127,8 @@ class Identification:
                 pairs = zip(np.atleast_1d(numbers), np.atleast_1d(spread[name]), strict=True)
                 lines.append(f"  {title} {name:<13}" + "  ".join(f"{x:.5g} ± {s:.2g}" for x, s in pairs))
         lines.append(f"  fit error, m{self.unit}       " + "  ".join(f"{1e3 * x:.2f}" for x in self.residual_rms))
+        if self.torque_rms is not None:
+            lines.append(f"  torque error, mN m     {1e3 * self.torque_rms:.3f}")
         if self.held_out is not None:
             lines.append(
                 f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  "
