@@ -170,7 +170,7 @@ def design(
     checks.number("noise", noise, sign="positive", unit="m or rad")
     todo = _todo(rope, candidates, arm)
     asked = Asked(rope, words, tuple(free), arm, noise)
-    parse(rope, free, np.array([0.0, rope.total_length]), moved=True)  # a wrong word is wrong for all candidates
+    parse(rope, free, np.array([0.0, rope.total_length]), moved=True, arm=arm or Arm())  # wrong for one, wrong for all
     plans: list[Plan] = []
     seen: list[Foresight] = []
     status: Literal["complete", "interrupted"] = "complete"

@@ -45,6 +45,8 @@ class Experiment:
         measured.
     noise : float, optional
         Standard deviation of a marker's coordinate, m, or of an angle, rad; None: as given to ``design``.
+    torque_noise : float, optional
+        Standard deviation of the measured motor torque, N m; None: it is not measured.
     """
 
     name: str
@@ -55,9 +57,10 @@ class Experiment:
     duration: float = DURATION
     markers: int | None = None
     noise: float | None = None
+    torque_noise: float | None = None
 
     def __post_init__(self) -> None:
-        for name, unit in (("rate", "1/s"), ("duration", "s"), ("noise", "m or rad")):
+        for name, unit in (("rate", "1/s"), ("duration", "s"), ("noise", "m or rad"), ("torque_noise", "N m")):
             if getattr(self, name) is not None:
                 checks.number(f"experiment {name}", getattr(self, name), sign="positive", unit=unit)
         if self.motion is not None and not isinstance(self.motion, Motion):

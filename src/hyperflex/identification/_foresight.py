@@ -12,7 +12,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification._experiments import Experiment
 from hyperflex.identification._identify import planned
 from hyperflex.identification._loss import Loss
-from hyperflex.identification._measured import measure
+from hyperflex.identification._measured import measure, with_torque
 from hyperflex.identification._parameters import Parameter, Parameters
 from hyperflex.identification._plant import PRECISION, Plant, pivot_places
 from hyperflex.identification._sensors import Places
@@ -98,8 +98,13 @@ def foresee(rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | 
         own = np.concatenate([np.zeros(2), arcs])
         places = Places().see(rope, pivot_places(motion, base, t), run.q, own)
         recording = Recording(t, places, "markers", np.full(places.shape[1], spread))
-    plant = planned(recording, rope, free, arcs, None, motion, base)
+    torque = experiment.torque_noise
+    if torque is not None and base is None:
+        raise InvalidInput("the torque of no motor can be measured", fix="Give a motion, and arm=... to design")
+    plant = planned(recording, rope, free, arcs, None, motion, base, torque=torque is not None)
     measured = measure(recording, rope, arcs)
+    if torque is not None:
+        measured = with_torque(measured, run.motor_torque, torque)
     length = min(usual_length(measured.shape, rope), 1.001 * recording.duration)
     windows, _ = measured.windows(length, thin(recording, length))
     states = np.hstack([run.q, run.qd])[np.searchsorted(t, [window.t[0] for window in windows])]

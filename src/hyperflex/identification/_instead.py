@@ -14,7 +14,9 @@ from hyperflex.identification._verdict import PARALLEL, scaling
 from hyperflex.model import Arm, Rope
 
 WEIGHED = ("mass", "com", "tip_mass")  # what a pair of scales can tell
-TORQUE_NOISE = 0.01  # of the torque that holds the rope out level, for a motor torque that could be measured
+TORQUE_NOISE = (
+    0.01  # of the torque that holds arm and rope out level, all mass at the tip: a motor torque that could be measured
+)
 
 
 @dataclass(frozen=True)
@@ -41,15 +43,15 @@ def instead(asked: Asked, experiments: Sequence[Experiment], seen: Foresight) ->
     """
     lost = [name for name, (sd, _) in seen.spreads(asked.want).items() if not np.isfinite(sd)]
     names = ", ".join(lost) or ", ".join(asked.want)
-    why = "it does not act in these motions, or acts just as others that are free"
-    if _common(seen):
-        why = "no known force or torque acts, and without one all masses, inertias and frictions are known to a common "
-        why += "factor only"
-    said = [f"No candidate can tell {names}: {why}."]
-    said += [text for text in (_weigh(asked, experiments), _torque(asked, experiments), _ratio(asked, seen)) if text]
-    if len(said) == 1:
-        said.append("Free fewer parameters, or try motions in which they act differently.")
-    return " ".join(said)
+    if not _common(seen):
+        why = "it does not act in these motions, or acts just as others that are free"
+        weighed = _weigh(asked, experiments) or "Free fewer parameters, or try motions in which they act differently."
+        return f"No candidate can tell {names}: {why}. {weighed}"
+    why = (
+        "no known force or torque acts, and without one all masses, inertias and frictions are known to a common factor"
+    )
+    helps = (_weigh(asked, experiments), _torque(asked, experiments), _ratio(seen))
+    return " ".join([f"No candidate can tell {names}: {why} only.", *(text for text in helps if text)])
 
 
 def _common(seen: Foresight) -> bool:
@@ -72,10 +74,18 @@ def _weigh(asked: Asked, experiments: Sequence[Experiment]) -> str:
 
 def _torque(asked: Asked, experiments: Sequence[Experiment]) -> str:
     """Return what a measured motor torque would help."""
-    return ""
+    moved = [each for each in experiments if each.motion is not None and each.torque_noise is None]
+    if asked.arm is None or not moved:
+        return (
+            "" if asked.arm is not None else "Or swing it by a motor whose torque is measured (arm=..., torque_noise)."
+        )
+    reach = asked.arm.length + asked.rope.total_length
+    noise = float(f"{TORQUE_NOISE * asked.rope.total_mass * float(np.hypot(*asked.rope.gravity)) * reach:.1g}")
+    found = _best(asked, [replace(each, torque_noise=noise) for each in moved])
+    return "" if not found else f"Or measure the motor's torque, say to {noise:g} N m: {found}."
 
 
-def _ratio(asked: Asked, seen: Foresight) -> str:
+def _ratio(seen: Foresight) -> str:
     """Return which ratios are known anyway."""
     known = [name for name in ("J/p1", "p/p1", "c/p1") if _tells(seen, name)]
     return f"Known without it are the ratios over the first moment, want={known!r}." if known else ""
