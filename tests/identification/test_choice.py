@@ -15,7 +15,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification import _choice
 from hyperflex.identification._candidates import candidates, recut
 from hyperflex.identification._evidence import Evidence, criteria, error, recommend, worse
-from hyperflex.identification._identify import fitted
+from hyperflex.identification._identify import identify
 from hyperflex.identification._parameters import lumped
 from hyperflex.identification._prediction import HeldOut
 from hyperflex.identification._whiteness import Left, whiteness
@@ -49,7 +49,7 @@ def remains(noise: Array, there: Array, basis: Array) -> Left:
     """What is left of noise (m, C) where the basis is taken out of what is there."""
     basis = np.linalg.qr(basis * there.reshape(-1, 1))[0]
     flat = (noise * there).ravel()
-    return Left((flat - basis @ (basis.T @ flat)).reshape(noise.shape) * there, there, basis)
+    return Left((flat - basis @ (basis.T @ flat)).reshape(noise.shape) * there, there, basis.reshape(*noise.shape, -1))
 
 
 def drawn(rng: np.random.Generator, colour: float = 0.0, windows: int = 8) -> float:
@@ -90,7 +90,7 @@ def test_one_channel_without_a_fit_is_the_test_of_ljung_and_box() -> None:
     e = np.random.default_rng(2).standard_normal(2000)
     r = np.array([(e[k:] * e[:-k]).sum() / (e**2).sum() for k in range(1, 11)])
     statistic = 2000 * 2002 * (r**2 / (2000 - np.arange(1, 11))).sum()
-    p = whiteness([Left(e[:, None], np.ones((2000, 1)), np.zeros((2000, 0)))])
+    p = whiteness([Left(e[:, None], np.ones((2000, 1)), np.zeros((2000, 1, 0)))])
     assert p == pytest.approx(chi2.sf(statistic, 10), abs=2e-3)
 
 
@@ -99,24 +99,20 @@ def test_one_channel_without_a_fit_is_the_test_of_ljung_and_box() -> None:
 
 def test_bic_is_schwarz_s_with_states_counted_in_their_own_window() -> None:
     recording = swing(DOUBLE)
-    options = {"motion": None, "arm": None, "arcs": None, "origin": None, "loss": "squares", "lead": 0.5, "ahead": 1.0}
-    works = [
-        fitted(recording, GUESS, free, window=1.0, train=None, progress=False, **options)  # type: ignore[arg-type]
-        for free in MODELS.values()
-    ]
-    simple, rich = criteria(works)
+    fits = [basis for free in MODELS.values() if (basis := identify(recording, GUESS, free, window=1.0)._basis)]
+    simple, rich = criteria(fits)
     assert simple is not None
     assert rich is not None
-    tau = min(work.information.correlation for work in works)
-    for work, bic, parameters in ((works[0], simple, 4), (works[1], rich, 6)):
-        residuals = np.concatenate(work.found.residuals)
-        each = [window.y.size for window in work.windows]
+    tau = min(each.information.correlation for each in fits)
+    for one, bic, parameters in ((fits[0], simple, 4), (fits[1], rich, 6)):
+        residuals = np.concatenate(one.fit.residuals)
+        each = [window.y.size for window in one.windows]
         count = sum(each) / tau
         states = sum(4 * np.log(size / tau) for size in each)
         by_hand = count * np.log((residuals**2).mean()) + parameters * np.log(count) + states
         assert bic == pytest.approx(by_hand, rel=1e-12)
-    fewer = works[1]._replace(windows=works[1].windows[1:])
-    assert criteria([works[0], fewer])[1] is None  # other samples: no comparison
+    fewer = replace(fits[1], windows=fits[1].windows[1:])
+    assert criteria([fits[0], fewer])[1] is None  # other samples: no comparison
 
 
 # ---- twins
@@ -184,15 +180,15 @@ def test_ctrl_c_keeps_the_candidates_that_are_done(monkeypatch: pytest.MonkeyPat
         calls.append(1)
         if len(calls) == 2:
             raise KeyboardInterrupt
-        return fitted(*arguments, **options)  # type: ignore[arg-type]
+        return identify(*arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(_choice, "fitted", second_stops)
+    monkeypatch.setattr(_choice, "identify", second_stops)
     found = compare_models(swing(DOUBLE), GUESS, MODELS)
     assert found.status == "interrupted"
     assert [model.name for model in found.models] == ["viscous"]
     assert found.preferred == "viscous"
     assert "nothing to compare it with" in found.recommendation
-    monkeypatch.setattr(_choice, "fitted", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(_choice, "identify", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         compare_models(swing(DOUBLE), GUESS, MODELS)
 

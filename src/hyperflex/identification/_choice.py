@@ -15,11 +15,11 @@ from hyperflex import files
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.identification._candidates import Candidate, candidates
-from hyperflex.identification._conclude import Work, conclude
 from hyperflex.identification._evidence import COLOURED, Evidence, criteria, error, recommend
-from hyperflex.identification._identify import fitted
+from hyperflex.identification._identify import identify
 from hyperflex.identification._loss import LossName
 from hyperflex.identification._result import Identification
+from hyperflex.identification._uncertainty import Basis
 from hyperflex.identification._whiteness import left, whiteness
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
@@ -246,64 +246,64 @@ def _bar(count: int, wanted: bool) -> AbstractContextManager[Any]:
 
 def _fit_all(
     recording: Recording, todo: Sequence[Candidate], window: float | None, options: dict[str, Any], report: Any
-) -> tuple[list[Work | str], bool]:
-    """Return what each candidate's fit left behind, or why it failed; and whether Ctrl-C cut the rest."""
-    done: list[Work | str] = []
+) -> tuple[list[Identification | str], bool]:
+    """Return each candidate's fit, or why it failed; and whether Ctrl-C cut the rest."""
+    done: list[Identification | str] = []
     for number, each in enumerate(todo):
         try:
-            work = fitted(recording, each.guess, each.free, window=window, **options)
+            found = identify(recording, each.guess, each.free, window=window, **options)
         except HyperflexError as failure:
             done.append(str(failure))
         except KeyboardInterrupt:
-            if not any(isinstance(one, Work) for one in done):
+            if all(isinstance(one, str) for one in done):
                 raise
             return done, True
         else:
-            done.append(work)
-            window = work.settings["window"]  # the same for all
-            if work.found.interrupted:
+            done.append(found)
+            window = found.settings["window"]  # the same for all
+            if found.status == "interrupted":
                 return done, True
         if report is not None:
             report(number + 1.0)
     return done, False
 
 
-def _compared(todo: Sequence[Candidate], done: Sequence[Work | str], stopped: bool) -> ModelComparison:
+def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], stopped: bool) -> ModelComparison:
     """Put the candidates side by side."""
-    works = [work for work in done if isinstance(work, Work)]
-    whole = [work for work in works if work.found.converged]
-    scores = dict(zip(map(id, whole), criteria(whole) if whole else [], strict=True))
+    whole = [each for each in done if not isinstance(each, str) and each.status == "converged"]
+    fits = [each._basis for each in whole if each._basis is not None]
+    scores = dict(zip(map(id, fits), criteria(fits) if fits else [], strict=True))
     models, evidence, unit = [], [], "rad"
-    for each, work in zip(todo, done, strict=True):
-        if isinstance(work, str):
-            models.append(FittedModel(each.name, each.free, each.guess.n_links, reason=work))
+    for each, found in zip(todo, done, strict=True):
+        if isinstance(found, str) or found._basis is None:
+            models.append(FittedModel(each.name, each.free, each.guess.n_links, reason=str(found)))
             continue
-        model = _judged(each, work, scores.get(id(work)))
-        models.append(model)
-        unit = model.identification.unit if model.identification is not None else unit
-        states = sum(window.guess.size - window.believed.shape[0] for window in work.windows)
-        evidence.append(Evidence(each.name, model.parameters + states, model.bic, work.held_out, model.whiteness))
+        basis = found._basis
+        models.append(_judged(each, found, basis, scores.get(id(basis))))
+        unit = found.unit
+        states = sum(window.guess.size - window.believed.shape[0] for window in basis.windows)
+        unknowns = models[-1].parameters + states
+        evidence.append(Evidence(each.name, unknowns, models[-1].bic, found.held_out, models[-1].whiteness))
     preferred, words = recommend(evidence, unit)
     return ModelComparison(tuple(models), preferred, words, "interrupted" if stopped else "complete", unit)
 
 
-def _judged(candidate: Candidate, work: Work, bic: float | None) -> FittedModel:
+def _judged(candidate: Candidate, found: Identification, basis: Basis, bic: float | None) -> FittedModel:
     """Return a candidate with its figures."""
-    result = conclude(*work)
     reason = "" if bic is not None else "it fits other samples than the rest, so its BIC is another thing"
-    if result.status != "converged":
-        reason = f"the fit is {result.status}"
+    if found.status != "converged":
+        reason = f"the fit is {found.status}"
     return FittedModel(
         candidate.name,
         candidate.free,
         candidate.guess.n_links,
-        result,
+        found,
         reason,
-        work.information.known.shape[1],
+        basis.information.known.shape[1],
         bic,
-        result.residual_rms_all,
-        error(work.held_out),
-        whiteness(left(work.plant, work.windows, work.found)),
+        found.residual_rms_all,
+        error(found.held_out),
+        whiteness(left(basis)),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -19,18 +19,6 @@ from hyperflex.identification._windows import Window
 from hyperflex.model import Rope
 
 POOR = 0.2  # part of the motion that may stay unexplained before the verdict calls the fit poor
-
-
-class Work(NamedTuple):
-    """All that a fit leaves behind: what :func:`conclude` takes."""
-
-    plant: Plant
-    information: Information
-    found: Fit
-    windows: list[Window]
-    held_out: HeldOut | None
-    settings: dict[str, Any]
-    remarks: list[str]
 
 
 def conclude(

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification._conclude import Work
 from hyperflex.identification._prediction import HeldOut
+from hyperflex.identification._uncertainty import Basis
 
 STRONG = 6.0  # difference of BIC from which evidence is strong (Kass and Raftery 1995, doi:10.2307/2291091)
 COLOURED = 0.01  # probability below which residuals are no white noise
@@ -29,7 +29,7 @@ class Evidence:
     whiteness: float
 
 
-def criteria(works: Sequence[Work]) -> list[float | None]:
+def criteria(fits: Sequence[Basis]) -> list[float | None]:
     """Return the BIC of each fit; None where it fits other samples than the one with the most.
 
     Notes
@@ -40,28 +40,28 @@ def criteria(works: Sequence[Work]) -> list[float | None]:
     the shortest, for what even the best leaves correlated is no fresh evidence. With a robust loss the squares are
     what the loss makes of them, over the least scale among the candidates.
     """
-    sizes = [np.concatenate([window.t for window in work.windows]) for work in works]
+    sizes = [np.concatenate([window.t for window in one.windows]) for one in fits]
     whole = max(sizes, key=lambda t: t.size)
-    width = works[int(np.argmax([t.size for t in sizes]))].windows[0].y.shape[1]
-    tau = min(work.information.correlation for work in works)
-    scale = min(work.found.loss.scaled(work.found.residuals).scale for work in works)
+    width = fits[int(np.argmax([t.size for t in sizes]))].windows[0].y.shape[1]
+    tau = min(one.information.correlation for one in fits)
+    scale = min(one.fit.loss.scaled(one.fit.residuals).scale for one in fits)
     result: list[float | None] = []
-    for work, t in zip(works, sizes, strict=True):
-        same = np.array_equal(t, whole) and work.windows[0].y.shape[1] == width
-        result.append(_criterion(work, tau, scale) if same else None)
+    for one, t in zip(fits, sizes, strict=True):
+        same = np.array_equal(t, whole) and one.windows[0].y.shape[1] == width
+        result.append(_criterion(one, tau, scale) if same else None)
     return result
 
 
-def _criterion(work: Work, tau: float, scale: float) -> float:
-    values = np.array([window.values for window in work.windows])
+def _criterion(one: Basis, tau: float, scale: float) -> float:
+    values = np.array([window.values for window in one.windows])
     count = float(values.sum()) / tau
-    cost = sum(work.found.loss.scaled([]).cost(residual) for residual in work.found.residuals)
-    if work.found.loss.name == "squares":
+    cost = sum(one.fit.loss.scaled([]).cost(residual) for residual in one.fit.residuals)
+    if one.fit.loss.name == "squares":
         misfit = count * float(np.log(cost / values.sum()))
     else:
         misfit = cost / (tau * scale**2)
-    states = np.array([window.guess.size - window.believed.shape[0] for window in work.windows])
-    known = work.information.known.shape[1]
+    states = np.array([window.guess.size - window.believed.shape[0] for window in one.windows])
+    known = one.information.known.shape[1]
     of_states = float((states * np.log(np.maximum(values / tau, 1.0))).sum())
     return float(misfit + known * np.log(count) + of_states)
 

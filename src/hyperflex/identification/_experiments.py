@@ -78,7 +78,7 @@ class Experiment:
         return np.arange(int(np.floor(self.duration * self.rate + 1e-9)) + 1) / self.rate
 
     def start(self, rope: Rope) -> tuple[Array | None, Array | None]:
-        """Return angles and rates (n,) at the start; None where they are not given."""
+        """Return angles and rates (n,) of a `rope` at the start; None where they are not given."""
         n = rope.n_links
         q0 = None if self.q0 is None else checks.array("experiment q0", self.q0, (n,), unit="rad", scalar=True)
         qd0 = None if self.qd0 is None else checks.array("experiment qd0", self.qd0, (n,), unit="rad/s", scalar=True)

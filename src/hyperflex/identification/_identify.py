@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification._conclude import Work, conclude
+from hyperflex.identification._conclude import conclude
 from hyperflex.identification._loss import LOSSES, Loss, LossName
 from hyperflex.identification._measured import checked_arcs, first_joint, measure, with_torque
 from hyperflex.identification._names import parse
@@ -23,7 +23,7 @@ from hyperflex.identification._result import Identification
 from hyperflex.identification._sensors import Angles, Places
 from hyperflex.identification._shooting import Report
 from hyperflex.identification._stages import Measured, fit_in_stages
-from hyperflex.identification._uncertainty import judge
+from hyperflex.identification._uncertainty import Basis, judge
 from hyperflex.identification._verdict import other_lengths
 from hyperflex.identification._windows import check_motion, usual_length
 from hyperflex.model import Arm, Rope
@@ -129,45 +129,6 @@ def identify(
     >>> bool(abs(result.rope.friction[0] / 2e-4 - 1.0) < 1e-3)
     True
     """
-    work = fitted(
-        recording,
-        rope_guess,
-        free,
-        window=window,
-        train=train,
-        motion=motion,
-        arm=arm,
-        arcs=arcs,
-        origin=origin,
-        torque=torque,
-        torque_noise=torque_noise,
-        loss=loss,
-        lead=lead,
-        ahead=ahead,
-        progress=progress,
-    )
-    return conclude(*work)
-
-
-def fitted(
-    recording: Recording,
-    rope_guess: Rope,
-    free: Sequence[str],
-    *,
-    window: float | None,
-    train: float | None,
-    motion: Motion | None,
-    arm: Arm | None,
-    arcs: npt.ArrayLike | None,
-    origin: npt.ArrayLike | None,
-    torque: npt.ArrayLike | None,
-    torque_noise: npt.ArrayLike | None,
-    loss: LossName,
-    lead: float,
-    ahead: float,
-    progress: bool | Report,
-) -> Work:
-    """Fit as :func:`identify` does, and return all that its result is made of."""
     began = time.monotonic()
     checks.choice("loss", loss, LOSSES)
     measured, places = _checked(recording, rope_guess, arcs)
@@ -190,7 +151,8 @@ def fitted(
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": information.correlation, "seconds": time.monotonic() - began}
     remarks = [] if arcs is not None else other_lengths(recording, rope_guess)
-    return Work(plant, information, found, windows, held_out, settings, remarks)
+    result = conclude(plant, information, found, windows, held_out, settings, remarks)
+    return result.resting_on(Basis(plant, windows, found, information))
 
 
 def _checked(recording: Recording, rope: Rope, arcs: npt.ArrayLike | None) -> tuple[Measured, Array | None]:

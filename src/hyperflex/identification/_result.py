@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Self
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.files import PathLike
 from hyperflex.identification._prediction import HeldOut
+from hyperflex.identification._uncertainty import Basis
 from hyperflex.model import Rope
 
 
@@ -82,6 +83,12 @@ class Identification:
     unit: str
     history: tuple[dict[str, float], ...]
     torque_residuals: Array | None = None
+    _basis: Basis | None = field(default=None, init=False, repr=False)
+
+    def resting_on(self, basis: Basis) -> Self:
+        """Keep the fit itself, `basis`, for further questions; return this same result."""
+        object.__setattr__(self, "_basis", basis)
+        return self
 
     @property
     def residual_rms_all(self) -> float:

@@ -44,6 +44,16 @@ class Information:
         return np.where(beyond & (length > 0.0), np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
 
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """What further questions about a fit need: the plant, its windows, where the fit stands, and what they tell."""
+
+    plant: Plant
+    windows: list[Window]
+    fit: Fit
+    information: Information
+
+
 def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
     """Return what the fit's windows tell.
 

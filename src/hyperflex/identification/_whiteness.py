@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification._plant import Plant
-from hyperflex.identification._shooting import Fit, linearise
-from hyperflex.identification._windows import Window
+from hyperflex.identification._shooting import linearise
+from hyperflex.identification._uncertainty import Basis
 
 LAGS = 10  # samples, or a quarter of the shortest window
 
@@ -19,28 +18,30 @@ LAGS = 10  # samples, or a quarter of the shortest window
 class Left:
     """What a fit leaves of one window.
 
-    residual (m, C): weighted, 0 in gaps. there (m, C): 1, or 0 in gaps. basis (m C, k): orthonormal directions along
-    which the fit has taken the noise out.
+    residual (m, C): weighted. seen (m, C): 0 in gaps, else 1. basis (m, C, K): orthonormal over m C, along which the
+    fit has taken the noise out.
     """
 
     residual: Array
-    there: Array
+    seen: Array
     basis: Array
 
 
-def left(plant: Plant, windows: Sequence[Window], found: Fit) -> list[Left]:
+def left(basis: Basis) -> list[Left]:
     """Return what a fit leaves of its windows."""
+    found = basis.fit
     lines = [
-        linearise(plant, window, found.x, state, residual, found.loss)
-        for window, state, residual in zip(windows, found.states, found.residuals, strict=True)
+        linearise(basis.plant, window, found.x, state, residual, found.loss)
+        for window, state, residual in zip(basis.windows, found.states, found.residuals, strict=True)
     ]
     reduced = [line.reduced()[0] for line in lines]
     inverse = np.linalg.pinv(np.linalg.qr(np.vstack(reduced), mode="r"), rcond=1e-6)
     result = []
-    for window, line, shared in zip(windows, lines, reduced, strict=True):
-        basis = np.column_stack([np.linalg.qr(line.state)[0], shared @ inverse])[: window.y.size]
-        there = (window.weight > 0.0).astype(np.float64)
-        result.append(Left(line.residual[: window.y.size].reshape(there.shape), there, basis))
+    for window, line, shared in zip(basis.windows, lines, reduced, strict=True):
+        size, shape = window.y.size, window.y.shape
+        taken = np.column_stack([np.linalg.qr(line.state)[0], shared @ inverse])[:size]
+        seen = (window.weight > 0.0).astype(np.float64)
+        result.append(Left(line.residual[:size].reshape(shape), seen, taken.reshape(*shape, -1)))
     return result
 
 
@@ -78,9 +79,9 @@ def whiteness(parts: Sequence[Left]) -> float:
 def _spread(parts: Sequence[Left]) -> Array:
     """Return the covariance (C, C) of the channels' noise."""
     products = sum(part.residual.T @ part.residual for part in parts)
-    pairs = sum(part.there.T @ part.there for part in parts)
+    pairs = sum(part.seen.T @ part.seen for part in parts)
     taken = sum(float((part.basis**2).sum()) for part in parts)
-    values = sum(float(part.there.sum()) for part in parts)
+    values = sum(float(part.seen.sum()) for part in parts)
     result: Array = products / np.maximum(pairs, 1.0) * values / max(1.0, values - taken)
     return result
 
@@ -91,9 +92,8 @@ def _moments(part: Left, spread: Array, lags: Array) -> tuple[Array, Array]:
     The residuals' covariance is M B M with M = 1 - Q Q^T, and B the channels' covariance at each instant:
     B + U D U^T with U = [Q, B Q].
     """
-    shape = part.residual.shape
-    basis = part.basis.reshape(*shape, -1)
-    moved = part.there[:, :, None] * np.einsum("cd,mdk->mck", spread, part.there[:, :, None] * basis)
+    basis = part.basis
+    moved = part.seen[:, :, None] * np.einsum("cd,mdk->mck", spread, part.seen[:, :, None] * basis)
     both = np.concatenate([basis, moved], axis=2)
     count = basis.shape[2]
     inner = np.einsum("mck,mcl->kl", basis, moved)
@@ -105,11 +105,11 @@ def _moments(part: Left, spread: Array, lags: Array) -> tuple[Array, Array]:
     mean = np.array([float((middle * each).sum()) for each in through])
     covariance = np.zeros((lags.size, lags.size))
     for a, k in enumerate(lags):
-        together = part.there[k:] * part.there[:-k]
+        together = part.seen[k:] * part.seen[:-k]
         covariance[a, a] += float((spread**2 * (together.T @ together)).sum())
-        seen = part.there[:, :, None] * np.einsum("cd,mdk->mck", spread, part.there[:, :, None] * shifted[a])
+        turned = part.seen[:, :, None] * np.einsum("cd,mdk->mck", spread, part.seen[:, :, None] * shifted[a])
         for b in range(lags.size):
-            cross = seen.reshape(flat.shape).T @ shifted[b].reshape(flat.shape)
+            cross = turned.reshape(flat.shape).T @ shifted[b].reshape(flat.shape)
             covariance[a, b] += 4.0 * float((middle * cross).sum())
             covariance[a, b] += 2.0 * float(((middle @ through[a]) * (middle @ through[b]).T).sum())
     return mean, 0.5 * (covariance + covariance.T)
