@@ -9,7 +9,19 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hyperflex.identification import Identification, Revision, identify, initial_state, regression, revise
+    from hyperflex.identification import (
+        Design,
+        Experiment,
+        Identification,
+        ModelComparison,
+        Revision,
+        compare_models,
+        design,
+        identify,
+        initial_state,
+        regression,
+        revise,
+    )
     from hyperflex.model import Arm, Rope, Setup
     from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
@@ -34,8 +46,11 @@ __version__ = "0.1.0"
 _HOMES = {
     "Arm": "model",
     "Batch": "simulation",
+    "Design": "identification",
     "Event": "simulation",
+    "Experiment": "identification",
     "Identification": "identification",
+    "ModelComparison": "identification",
     "Motion": "motion",
     "Predictability": "simulation",
     "Recording": "recording",
@@ -46,6 +61,8 @@ _HOMES = {
     "State": "trajectory",
     "Trajectory": "trajectory",
     "angle_reached": "simulation",
+    "compare_models": "identification",
+    "design": "identification",
     "hold": "motion",
     "identify": "identification",
     "initial_state": "identification",
@@ -71,8 +88,11 @@ _HOMES = {
 __all__ = [
     "Arm",
     "Batch",
+    "Design",
     "Event",
+    "Experiment",
     "Identification",
+    "ModelComparison",
     "Motion",
     "Predictability",
     "Recording",
@@ -84,6 +104,8 @@ __all__ = [
     "Trajectory",
     "__version__",
     "angle_reached",
+    "compare_models",
+    "design",
     "hold",
     "identify",
     "initial_state",

@@ -9,7 +9,10 @@ from hyperflex.identification._baselines import (
     swing_period,
 )
 from hyperflex.identification._bootstrap import Bootstrap, bootstrap
+from hyperflex.identification._choice import FittedModel, ModelComparison, compare_models
 from hyperflex.identification._correlogram import correlogram
+from hyperflex.identification._design import Design, Plan, design
+from hyperflex.identification._experiments import Experiment
 from hyperflex.identification._identify import identify
 from hyperflex.identification._intervals import Interval
 from hyperflex.identification._parameters import lumped
@@ -24,19 +27,26 @@ from hyperflex.identification._uncertainty import ratios
 __all__ = [
     "BAND",
     "Bootstrap",
+    "Design",
+    "Experiment",
+    "FittedModel",
     "HeldOut",
     "Identification",
     "InitialState",
     "Interval",
     "LeastSquares",
+    "ModelComparison",
+    "Plan",
     "Profile",
     "Regression",
     "Revision",
     "RevisionProfile",
     "Round",
     "bootstrap",
+    "compare_models",
     "correlogram",
     "cylinder_inertia",
+    "design",
     "identify",
     "initial_state",
     "lumped",

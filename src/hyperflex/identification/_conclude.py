@@ -40,6 +40,9 @@ def conclude(
     with np.errstate(divide="ignore", invalid="ignore"):
         residuals = np.where(weights > 0.0, -flat / weights, np.nan)
     unit = "rad" if isinstance(plant.sensor, Angles) else "m"
+    torque = None
+    if plant.motor is not None:
+        residuals, torque = residuals[:, :-1], residuals[:, -1]
     rms = np.sqrt(np.nanmean(residuals**2, axis=0))
     ratio_sd = ratio_spread(parameters, information)
     status = "interrupted" if found.interrupted else "converged" if found.converged else "not converged"
@@ -69,6 +72,7 @@ def conclude(
         status=status,
         unit=unit,
         history=tuple(found.history),
+        torque_residuals=torque,
     ).resting_on(basis)
 
 
@@ -95,7 +99,7 @@ def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array
 
 def _poor(windows: list[Window], rms: Array, unit: str) -> list[str]:
     """Return a warning where the model leaves much of the motion unexplained."""
-    known = [np.where(w.weight > 0.0, w.y, np.nan) for w in windows]
+    known = [np.where(w.weight > 0.0, w.y, np.nan)[:, : rms.size] for w in windows]
     spread = np.sqrt(np.mean([np.nanvar(y, axis=0) for y in known], axis=0))
     worst = int(np.argmax(rms / np.maximum(spread, 1e-12)))
     if rms[worst] <= POOR * spread[worst]:

@@ -18,7 +18,13 @@ from hyperflex.identification._band import doubt
 from hyperflex.identification._conclude import conclude
 from hyperflex.identification._intervals import HOWS, How, all_intervals
 from hyperflex.identification._loss import LOSSES, Loss, LossName
-from hyperflex.identification._measured import checked_arcs, first_joint, measure, refuse_still_markers
+from hyperflex.identification._measured import (
+    checked_arcs,
+    first_joint,
+    measure,
+    refuse_still_markers,
+    with_torque,
+)
 from hyperflex.identification._names import parse
 from hyperflex.identification._parameters import Parameters
 from hyperflex.identification._plant import Plant, pivot_places
@@ -48,6 +54,8 @@ def identify(
     arm: Arm | None = None,
     arcs: npt.ArrayLike | None = None,
     origin: npt.ArrayLike | None = None,
+    torque: npt.ArrayLike | None = None,
+    torque_noise: npt.ArrayLike | None = None,
     loss: LossName = "squares",
     lead: float = 0.5,
     ahead: float = 1.0,
@@ -72,6 +80,7 @@ def identify(
         `motion` comes later in the recording's time), ``arc`` (m; each marker's place, or ``arc[2]``). ``friction[2]``
         frees one link only, ``friction:shared`` one value for all links, ``friction:factor`` one factor on the guess of
         all, ``friction:taper`` the logarithm by which it grows along the rope, pivoted at its middle.
+        ``arm_inertia`` and ``arm_friction`` (of the shaft) with a measured torque.
     window : float, s, optional
         Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope, or less
         where links turn fast; it does not depend on the guess of what is free.
@@ -85,6 +94,11 @@ def identify(
     origin : (2,) array_like, m, optional
         Where the camera sees the origin of the motion (the first joint, if it is fixed). With `arcs` and without it,
         it is fitted as well, as ``origin_x`` and ``origin_y``.
+    torque : (T,) array_like, N m, optional
+        Torque of the motor at the recording's times, NaN in gaps; it fixes the absolute scale. It needs `motion` and
+        `arm`.
+    torque_noise : float or (T,) array_like, N m, optional
+        Its standard deviation; given with a torque, beside the noise of the recording.
     loss : {"squares", "huber", "cauchy"}
         ``cauchy`` keeps gross outliers from ruling the fit; ``huber`` counts them less than their squares.
     lead, ahead : float, s
@@ -137,8 +151,13 @@ def identify(
     measured, places = _checked(recording, rope_guess, arcs)
     if arm is not None and motion is None:
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
-    plant = _plant(recording, rope_guess, free, places, origin, motion, arm)
+    if torque is not None and arm is None:
+        raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
+    plant = planned(recording, rope_guess, free, places, origin, motion, arm, torque=torque is not None)
+    foretold = plant.without_torque()  # what is held out is predicted without force or torque
     fitted, rest = _split(measured, train, lead, ahead)
+    if torque is not None:
+        fitted, _ = _split(with_torque(measured, torque, torque_noise), train, lead, ahead)
     check_motion(fitted.shape)
     usual = usual_length(fitted.shape, rope_guess)
     length = usual if window is None else checks.number("window", window, sign="positive", infinite=True)
@@ -151,7 +170,7 @@ def identify(
     try:
         if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
             spread = doubt(basis.information, windows, found)
-            held_out = predict(plant, found.x, rest, lead, ahead, Loss(loss), spread)
+            held_out = predict(foretold, found.x, rest, lead, ahead, Loss(loss), spread)
     except KeyboardInterrupt:  # what was fitted is worth more than its trial
         found.interrupted = True
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
@@ -193,7 +212,7 @@ def _checked(recording: Recording, rope: Rope, arcs: npt.ArrayLike | None) -> tu
     return measure(recording, rope, None), None
 
 
-def _plant(
+def planned(
     recording: Recording,
     guess: Rope,
     free: Sequence[str],
@@ -201,13 +220,15 @@ def _plant(
     origin: npt.ArrayLike | None,
     motion: Motion | None,
     arm: Arm | None,
+    *,
+    torque: bool = False,
 ) -> Plant:
     """Return what predicts the measurements, with all that is free."""
-    chosen = parse(guess, free, arcs, moved=motion is not None)
+    chosen = parse(guess, free, arcs, moved=motion is not None, arm=arm if torque else None)
     if arcs is None:
         if origin is not None:
             raise InvalidInput("origin is given, but angles are fitted", fix="Give arcs=... as well, or leave it out")
-        return Plant(Parameters(guess, chosen), Angles(), None, motion, arm)
+        return Plant(Parameters(guess, chosen), Angles(), None, motion, arm, torque=torque)
     if origin is None:
         words = [word for word in ("origin_x", "origin_y") if word not in free]
         chosen += parse(guess, words, arcs) if words else []
@@ -216,7 +237,8 @@ def _plant(
         place = checks.array("origin", origin, (2,), unit="m")
     starts = {"origin_x": float(place[0]), "origin_y": float(place[1])}
     chosen = [replace(each, start=starts.get(each.name, each.start)) for each in chosen]
-    return Plant(Parameters(guess, chosen), Places(), np.concatenate([place, arcs]), motion, arm)
+    own = np.concatenate([place, arcs])
+    return Plant(Parameters(guess, chosen), Places(), own, motion, arm, torque=torque)
 
 
 def _split(measured: Measured, train: float | None, lead: float, ahead: float) -> tuple[Measured, Measured | None]:

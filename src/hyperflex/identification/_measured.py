@@ -88,6 +88,31 @@ def measure(recording: Recording, rope: Rope, arcs: Array | None) -> Measured:
     return Measured(recording, shape, believed)
 
 
+def with_torque(measured: Measured, torque: npt.ArrayLike, noise: npt.ArrayLike | None) -> Measured:
+    """Return what is fitted with the motor's torque (T,), N m, NaN in gaps, as the last channel.
+
+    `noise` (T,), or one number, is its standard deviation. Torque and angles are different things, so how they count
+    can only follow from the noise of both.
+    """
+    channels = measured.channels
+    values = checks.array("torque", torque, (channels.t.size,), unit="N m", gaps=True)
+    if np.isnan(values).all():
+        raise InvalidInput("torque has no value at all, only gaps", allowed="at least one value, in N m")
+    if noise is None or channels.noise is None:
+        missing = "torque_noise" if noise is None else "the noise of the recording"
+        raise InvalidInput(
+            f"a torque is measured, but {missing} is not given",
+            fix="Give both: Recording(..., noise=...) and torque_noise=...; only then is it known how they count",
+        )
+    spread = checks.array("torque_noise", noise, (values.size,), sign="positive", unit="N m", scalar=True)
+    joined = Recording(  # of any channels: those who fit them ask for no kind
+        channels.t,
+        np.column_stack([channels.data, values]),
+        noise=np.column_stack([channels.noise, spread]),
+    )
+    return replace(measured, channels=joined)
+
+
 def _shape(recording: Recording, rope: Rope, arcs: Array) -> Recording:
     """Return each link's angle (T, n): that of the line between the markers on either side of its middle."""
     places = recording.data.reshape(recording.t.size, -1, 2)

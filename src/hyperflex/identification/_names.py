@@ -9,8 +9,8 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification._parameters import FORMS, SCALARS, Parameter, lumped
-from hyperflex.model import Rope
+from hyperflex.identification._parameters import ARM, FORMS, SCALARS, Parameter, lumped
+from hyperflex.model import Arm, Rope
 
 SHARE = 0.01  # size of an unknown small torque, as a part of gravity's, in the scale of a friction that starts from 0
 DELAY = 0.05  # s, scale of the time between camera and motor
@@ -18,7 +18,9 @@ ORIGIN = 0.1  # scale of the place of the first joint, in lengths of the rope
 _NAME = re.compile(r"(?P<name>[a-z_]+)(?:\[(?P<link>\d+)\])?(?::(?P<law>shared|factor|taper))?\Z")
 
 
-def parse(guess: Rope, free: Sequence[str], arcs: Array | None = None, *, moved: bool = False) -> list[Parameter]:
+def parse(
+    guess: Rope, free: Sequence[str], arcs: Array | None = None, *, moved: bool = False, arm: Arm | None = None
+) -> list[Parameter]:
     """Return the parameters that the words in `free` stand for.
 
     Parameters
@@ -27,11 +29,14 @@ def parse(guess: Rope, free: Sequence[str], arcs: Array | None = None, *, moved:
     free : sequence of str
         A property, for each link's own value; ``friction[2]`` of one link; ``friction:shared`` one value for all;
         ``friction:factor`` one factor on all links' guesses; ``friction:taper`` its logarithmic growth along the rope;
-        ``tip_mass``, ``gravity_angle``, ``delay``, ``origin_x``, ``origin_y`` of the whole; ``arc[2]`` of a marker.
+        ``tip_mass``, ``gravity_angle``, ``delay``, ``origin_x``, ``origin_y``, ``arm_inertia``, ``arm_friction`` of the
+        whole; ``arc[2]`` of a marker.
     arcs : (K,) array, m, optional
         Where markers sit along the rope.
     moved : bool
         Whether the first joint is moved, so that a delay means something.
+    arm : Arm, optional
+        The arm whose motor's torque is measured, if it is.
     """
     if isinstance(free, str) or len(free) == 0:
         raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
@@ -45,7 +50,7 @@ def parse(guess: Rope, free: Sequence[str], arcs: Array | None = None, *, moved:
                 allowed=f"{', '.join(FORMS)}; 'friction[2]' for one link, 'friction:shared' for one value of all "
                 "links, 'friction:factor' and 'friction:taper' for laws along the rope",
             )
-        result += _one(guess, match["name"], match["link"], match["law"] or "", arcs, moved)
+        result += _one(guess, match["name"], match["link"], match["law"] or "", arcs, moved, arm)
     _refuse_twice(result, free)
     return result
 
@@ -69,12 +74,14 @@ def _refuse_twice(chosen: list[Parameter], free: Sequence[str]) -> None:
         )
 
 
-def _one(guess: Rope, name: str, link: str | None, law: str, arcs: Array | None, moved: bool) -> list[Parameter]:
+def _one(
+    guess: Rope, name: str, link: str | None, law: str, arcs: Array | None, moved: bool, arm: Arm | None
+) -> list[Parameter]:
     """Return the parameters of one word in `free`."""
     if name in SCALARS:
         if link or law:
             raise InvalidInput(f"{name} belongs to the whole rope, or camera", got=f"{name}[{link}]", allowed=name)
-        return [_whole(guess, name, arcs, moved)]
+        return [_of_arm(guess, name, arm) if name in ARM else _whole(guess, name, arcs, moved)]
     if name == "arc":
         return _arcs(guess, link, law, arcs)
     n = guess.n_links
@@ -104,6 +111,19 @@ def _whole(guess: Rope, name: str, arcs: Array | None, moved: bool) -> Parameter
         return Parameter(name, (), name, guess.tip_mass, max(guess.tip_mass, SHARE * guess.total_mass))
     scale = {"delay": DELAY, "gravity_angle": 1.0}.get(name, ORIGIN * guess.total_length)
     return Parameter(name, (), name, 0.0, scale)
+
+
+def _of_arm(guess: Rope, name: str, arm: Arm | None) -> Parameter:
+    """Return a property of the arm; what starts from 0 gets a small part of the level rope's as scale."""
+    if arm is None:
+        raise InvalidInput(
+            f"{name} is free, but no torque is measured", fix="Give torque=... and arm=..., or leave it out"
+        )
+    level = SHARE * guess.total_mass * guess.total_length**2
+    if name == "arm_inertia":
+        return Parameter(name, (), name, arm.inertia, max(arm.inertia, level))
+    typical = level * float(np.sqrt(np.hypot(*guess.gravity) / guess.total_length))
+    return Parameter(name, (), name, arm.friction, max(arm.friction, typical or level))
 
 
 def _arcs(guess: Rope, marker: str | None, law: str, arcs: Array | None) -> list[Parameter]:

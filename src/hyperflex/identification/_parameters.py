@@ -30,11 +30,14 @@ FORMS: dict[str, Form] = {
     "origin_x": "linear",
     "origin_y": "linear",
     "arc": "linear",
+    "arm_inertia": "nonnegative",
+    "arm_friction": "nonnegative",
 }
 ROPE_SCALARS = ("tip_mass", "gravity_angle")
-SCALARS = (*ROPE_SCALARS, "delay", "origin_x", "origin_y")
+ARM = ("arm_inertia", "arm_friction")
+SCALARS = (*ROPE_SCALARS, "delay", "origin_x", "origin_y", *ARM)
 TRACE = 1e-9  # of the scale of dry friction
-SEEN_ONLY = ("origin_x", "origin_y", "arc")  # how the rope is looked at: they do not move it
+SEEN_ONLY = ("origin_x", "origin_y", "arc", *ARM)  # what is looked at: they do not move the rope
 WIDTHS = {"gravity_angle": 0.1, "delay": 0.1, "origin_x": 0.1, "origin_y": 0.1, "arc": 0.1}
 
 
@@ -134,9 +137,9 @@ class Parameters:
         """Return d value / d x (P,)."""
         return np.array([p.slope(each) for p, each in zip(self.all, x, strict=True)])
 
-    def single(self, name: str, x: Array) -> float:
-        """Return the value of a parameter of the whole, 0 where it is not free."""
-        return next((p.value(each) for p, each in zip(self.all, x, strict=True) if p.name == name), 0.0)
+    def single(self, name: str, x: Array, held: float = 0.0) -> float:
+        """Return the value of a parameter of the whole, `held` where it is not free."""
+        return next((p.value(each) for p, each in zip(self.all, x, strict=True) if p.name == name), held)
 
     def rope(self, x: Array) -> Rope:
         """Return the guess with the free parameters set to x."""

@@ -13,8 +13,9 @@ from hyperflex.core.directions import place_changes
 from hyperflex.core.drive import Drive
 from hyperflex.core.progress import Limits
 from hyperflex.errors import SimulationError
-from hyperflex.identification._parameters import Parameters
+from hyperflex.identification._parameters import ARM, Parameters
 from hyperflex.identification._sensors import Angles, Sensor
+from hyperflex.identification._torque import MotorTorque
 from hyperflex.identification._windows import Window
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion, hold
@@ -34,6 +35,7 @@ class _At:
     motion: Motion
     drive: Drive
     own: Array  # values of the sensor
+    arm: Array  # inertia and friction of the arm
     moving: list[int]  # which parameters move the rope
     wanted: Wanted  # state first, then those
 
@@ -58,6 +60,8 @@ class Plant:
         Values of the sensor where they are not free.
     motion, arm : Motion, Arm, optional
         What the first joint does; by default it hangs from a fixed point.
+    torque : bool
+        Whether the torque of the arm's motor is measured as well: the last channel.
     """
 
     def __init__(
@@ -67,12 +71,19 @@ class Plant:
         own: Array | None = None,
         motion: Motion | None = None,
         arm: Arm | None = None,
+        *,
+        torque: bool = False,
     ) -> None:
         self.parameters, self.sensor = parameters, sensor or Angles()
         self.own = np.zeros(0) if own is None else own
         self.motion, self.arm = motion, arm
+        self.motor = MotorTorque(arm) if torque and arm is not None else None
         self._setup = Setup(parameters.guess, motion, arm, tol=PRECISION * parameters.guess.total_length)
         self._last: tuple[bytes, _At | None] = (b"", None)
+
+    def without_torque(self) -> Plant:
+        """Return the same without the torque channel."""
+        return self if self.motor is None else Plant(self.parameters, self.sensor, self.own, self.motion, self.arm)
 
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         """Return what is seen (m, C) at times t (m,) from `state` (2n,) at t[0]; None where the rollout fails."""
@@ -84,6 +95,8 @@ class Plant:
         if finish(run) != status.OK:
             return None
         seen = self.sensor.see(at.rope, self._pivot(at, t), run.y[:, :n], at.own)
+        if self.motor is not None:
+            seen = np.column_stack([seen, self.motor.see(at.chain, at.drive, at.arm, t, run.y)])
         return seen if np.isfinite(seen).all() else None
 
     def slopes(self, x: Array, t: Array, state: Array) -> Seen | None:
@@ -107,6 +120,13 @@ class Plant:
         shared = np.zeros((*seen.shape, len(self.parameters)))
         shared[:, :, at.moving] = moved[:, :, 2 * n :]
         self._add_own(at, q, shared)
+        if self.motor is not None:
+            torque = self._torque_slopes(at, t, y, dy)
+            seen = np.column_stack([seen, self.motor.see(at.chain, at.drive, at.arm, t, y)])
+            moved, shared = (
+                np.concatenate([before, added[:, None]], axis=1)
+                for before, added in zip((moved, shared), torque, strict=True)
+            )
         if not (np.isfinite(seen).all() and np.isfinite(moved).all()):
             return None
         return Seen(seen, moved[:, :, : 2 * n], shared)
@@ -122,6 +142,21 @@ class Plant:
         for k, parameter in enumerate(self.parameters.all):
             if (place := _place(parameter.name, parameter.links)) is not None:
                 shared[:, :, k] = parameter.scale * own[:, :, place]
+
+    def _torque_slopes(self, at: _At, t: Array, y: Array, dy: Array) -> tuple[Array, Array]:
+        """Return the derivatives of the motor's torque: (m, 2n + D) as the run's, and (m, P) by the parameters."""
+        motor, n = self.motor, at.rope.n_links
+        if motor is None:
+            raise TypeError("no torque is measured")
+        parts = at.wanted.parts[2 * n :]
+        moved = motor.slopes(at.chain, at.drive, at.arm, parts, t, y, dy[:, :, : len(at.wanted.names)])
+        shared = np.zeros((t.size, len(self.parameters)))
+        shared[:, at.moving] = moved[:, 2 * n :]
+        own = motor.own_slopes(at.chain, at.drive, t, y)
+        for k, parameter in enumerate(self.parameters.all):
+            if parameter.name in ARM:
+                shared[:, k] = parameter.scale * own[:, ARM.index(parameter.name)]
+        return moved, shared
 
     def _limits(self, at: _At, t: Array) -> Limits:
         return limits(self._setup, at.chain, float(t[-1]), 1_000_000)
@@ -150,6 +185,8 @@ class Plant:
         for parameter, each in zip(self.parameters.all, x, strict=True):
             if (place := _place(parameter.name, parameter.links)) is not None:
                 own[place] = parameter.value(each)
+        held = (0.0, 0.0) if self.arm is None else (self.arm.inertia, self.arm.friction)
+        arm = np.array([self.parameters.single(name, x, value) for name, value in zip(ARM, held, strict=True)])
         moving = self.parameters.parts(x, rope)
         n = rope.n_links
         unit = np.eye(n)
@@ -160,7 +197,7 @@ class Plant:
                 part = {"breaks": breaks, "coef": np.zeros_like(drive.coef)}
             parts.append(part)
         names = tuple(str(k) for k in range(len(parts)))
-        return _At(rope, rope.chain(), motion, drive, own, [k for k, _ in moving], Wanted(names, tuple(parts)))
+        return _At(rope, rope.chain(), motion, drive, own, arm, [k for k, _ in moving], Wanted(names, tuple(parts)))
 
 
 def _place(name: str, markers: tuple[int, ...]) -> int | None:

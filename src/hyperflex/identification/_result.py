@@ -59,6 +59,8 @@ class Identification:
         Of what was fitted: ``rad`` or ``m``.
     history : tuple of dict
         Round by round: window length, stage (of how many stages), round, cost, gain, damping.
+    torque_residuals : (m,) N m, or None
+        Measured less fitted motor torque, where it was measured; NaN in gaps.
 
     Notes
     -----
@@ -85,10 +87,11 @@ class Identification:
     status: str
     unit: str
     history: tuple[dict[str, float], ...]
+    torque_residuals: Array | None = None
     _basis: Basis | None = field(default=None, init=False, repr=False)
 
     def resting_on(self, basis: Basis) -> Self:
-        """Keep the fit itself, `basis`, for :func:`profile` and :func:`bootstrap`; return this same result."""
+        """Keep the fit itself, `basis`, for further questions; return this same result."""
         object.__setattr__(self, "_basis", basis)
         return self
 
@@ -96,6 +99,11 @@ class Identification:
     def residual_rms_all(self) -> float:
         """Fit error over all channels and windows together, rad or m."""
         return float(np.sqrt(np.nanmean(self.residuals**2)))
+
+    @property
+    def torque_rms(self) -> float | None:
+        """Fit error of the motor torque, N m; None where it was not measured."""
+        return None if self.torque_residuals is None else float(np.sqrt(np.nanmean(self.torque_residuals**2)))
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
@@ -107,6 +115,8 @@ class Identification:
             for name, each in self.intervals.items()
         }
         result |= {"residual_rms": _plain(self.residual_rms), "residual_rms_all": self.residual_rms_all}
+        if self.torque_residuals is not None:
+            result["torque_rms"] = self.torque_rms
         if self.held_out is not None:
             held = self.held_out
             result["held_out"] = {"lead": held.lead, "ahead": held.ahead, "predictions": held.starts.size}
@@ -140,6 +150,8 @@ class Identification:
             if name in self.intervals
         ]
         lines.append(f"  fit error, m{self.unit}       " + "  ".join(f"{1e3 * x:.2f}" for x in self.residual_rms))
+        if self.torque_rms is not None:
+            lines.append(f"  torque error, mN m     {1e3 * self.torque_rms:.3f}")
         if self.held_out is not None:
             lines.append(
                 f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  "
