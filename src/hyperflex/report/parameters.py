@@ -156,10 +156,8 @@ def ratios_table(found: Identification) -> TextTable | None:
         for link, (value, sd) in enumerate(pairs[:1] if alike else pairs):
             if sd > 0.0:
                 whose = "each" if alike else str(link)
-                rows.append(
-                    (name, whose, rounded(value, sd) + unit.after, *_spread(found, f"{name}[{link}]", value, sd))
-                )
-                rows[-1] += (_RATIOS[name],)
+                spread = _spread(found, f"{name}[{link}]", value, sd)
+                rows.append((name, whose, rounded(value, sd) + unit.after, *spread, _RATIOS[name]))
     return TextTable(("ratio", "link", "value", "sd", "95 % interval", "what it is"), tuple(rows)) if rows else None
 
 
