@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -196,10 +197,24 @@ def test_parameters_are_told_with_unit_deviation_interval_and_guess(markers):
 
 def test_intervals_of_the_identification_itself_come_first(markers):
     found = changed(markers[1])
-    given = np.tile([1e-4, 9e-4], (6, 1))
-    object.__setattr__(found, "intervals", {"friction": given})
+    given = {
+        "friction[3]": SimpleNamespace(low=1e-4, high=9e-4),
+        "friction[4]": SimpleNamespace(low=1e-4, high=np.inf),
+        "c/p1[3]": SimpleNamespace(low=0.25, high=0.75),
+    }
+    object.__setattr__(found, "intervals", given)
+    object.__setattr__(found, "sd", found.sd | {"friction": np.full(6, 1e-5)})
+    object.__setattr__(found, "ratio_sd", {"c/p1": np.full(6, 0.01)})
+    object.__setattr__(found, "ratios", {"c/p1": np.linspace(0.3, 0.6, 6)})
     (number,) = [each for each in numbers(found) if each.label == "friction[3]"]
     assert (number.low, number.high) == (1e-4, 9e-4)
+    rows = {row[0]: row for row in parameters_table(found, None).rows}
+    assert rows["friction[4]"][4] in ("100 or more", "0.100 or more")  # in µN or mN
+    assert [row[4] for row in ratios_table(found).rows if row[1] == "3"] == ["0.250 to 0.750"]  # type: ignore[union-attr]
+
+
+def test_what_cannot_be_known_has_no_interval(swing):
+    assert all(np.isnan([each.low, each.high]).all() for each in numbers(swing[1]))
 
 
 def test_laws_along_the_rope_are_told_as_factors(markers):
@@ -337,11 +352,11 @@ def test_the_channels_chosen_of_many_hold_the_worst(markers):
     nine = changed(
         found,
         unit="rad",
-        residual_rms=np.arange(9.0)[::-1].copy() + 1.0,
+        residual_rms=np.array([1.0, 1.0, 9.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]),
         residuals=np.zeros((9, 9)),
         residual_t=np.arange(9.0),
     )
-    assert beside(angles, nine).chosen == (0, 4, 8)
+    assert beside(angles, nine).chosen == (0, 2, 4, 8)
 
 
 def test_figures_show_each_chosen_channel_and_multiples_all(swing, markers):

@@ -79,11 +79,7 @@ def _number(found: Identification, label: str) -> Number:
     key = label if law in ("factor", "taper") else name
     index = () if found.values[key].ndim == 0 else (place or 0,)
     value, sd = float(found.values[key][index]), float(found.sd[key][index])
-    given = getattr(found, "intervals", None) or {}
-    if key in given:
-        low, high = (float(end) for end in np.asarray(given[key])[index])
-    else:
-        low, high = value - BAND * sd, value + BAND * sd
+    low, high = _interval(found, label, value, sd)
     if not np.isfinite(sd):
         low = high = float("nan")
     if law == "taper":
@@ -91,6 +87,14 @@ def _number(found: Identification, label: str) -> Number:
     elif (name in _POSITIVE or law == "factor") and low < 0.0:
         low = 0.0
     return Number(label, name, place, law, float(value), float(sd), float(low), float(high))
+
+
+def _interval(found: Identification, label: str, value: float, sd: float) -> tuple[float, float]:
+    """Return the identification's own 95 % interval, where it has one, else value plus and minus 1.96 sd."""
+    given = (getattr(found, "intervals", None) or {}).get(label)
+    if given is None:
+        return value - BAND * sd, value + BAND * sd
+    return float(given.low), float(given.high)
 
 
 def parameters_table(found: Identification, guess: Rope | None) -> TextTable:
@@ -104,8 +108,7 @@ def parameters_table(found: Identification, guess: Rope | None) -> TextTable:
         value, sd = each.value / unit.size, each.sd / unit.size
         cells = [each.label, each.words, rounded(value, sd) + unit.after]
         if np.isfinite(sd):
-            low, high = (rounded(end / unit.size, sd) for end in (each.low, each.high))
-            cells += [short(sd), f"{low} to {high}"]
+            cells += [short(sd), _span(each.low / unit.size, each.high / unit.size, sd)]
         else:
             cells += ["", "cannot be known"]
         if guess is not None:
@@ -153,14 +156,25 @@ def ratios_table(found: Identification) -> TextTable | None:
         for link, (value, sd) in enumerate(pairs[:1] if alike else pairs):
             if sd > 0.0:
                 whose = "each" if alike else str(link)
-                rows.append((name, whose, rounded(value, sd) + unit.after, *_spread(value, sd), _RATIOS[name]))
+                spread = _spread(found, f"{name}[{link}]", value, sd)
+                rows.append((name, whose, rounded(value, sd) + unit.after, *spread, _RATIOS[name]))
     return TextTable(("ratio", "link", "value", "sd", "95 % interval", "what it is"), tuple(rows)) if rows else None
 
 
-def _spread(value: float, sd: float) -> tuple[str, str]:
+def _spread(found: Identification, label: str, value: float, sd: float) -> tuple[str, str]:
+    """Return deviation and interval of a ratio."""
     if not np.isfinite(sd):
         return "", "cannot be known"
-    return short(sd), f"{rounded(max(value - BAND * sd, 0.0), sd)} to {rounded(value + BAND * sd, sd)}"
+    low, high = _interval(found, label, value, sd)
+    return short(sd), _span(max(low, 0.0), high, sd)
+
+
+def _span(low: float, high: float, sd: float) -> str:
+    """Return an interval in words; an end that is not finite is no end."""
+    ends = [rounded(end, sd) if np.isfinite(end) else "" for end in (low, high)]
+    if ends[0] and ends[1]:
+        return f"{ends[0]} to {ends[1]}"
+    return f"{ends[0]} or more" if ends[0] else f"{ends[1]} or less" if ends[1] else "cannot be known"
 
 
 def rope_table(rope: Rope, found: Identification) -> TextTable:
