@@ -19,7 +19,6 @@ from hyperflex.identification._windows import Window
 from hyperflex.model import Rope
 
 POOR = 0.2  # part of the motion that may stay unexplained before the verdict calls the fit poor
-ORIGIN = {"origin_x": 0, "origin_y": 1}  # where they stand among the sensor's values
 
 
 def conclude(
@@ -83,9 +82,8 @@ def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array
     result: dict[str, Array] = {}
     for parameter, number in zip(parameters.all, numbers, strict=True):
         name, held = parameter.name, np.zeros(n)
-        if name in SCALARS:  # an origin is fitted as what is to be added to the first look at it
-            first = plant.own[ORIGIN[name]] if name in ORIGIN and rope is not None else 0.0
-            result[name] = np.array(first + number)
+        if name in SCALARS:
+            result[name] = np.array(number)
         elif parameter.law != "own":
             result[parameter.label] = np.array(number)
         else:
