@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy.optimize import brentq
 
 import hyperflex as hf
 from hyperflex.checks import Array
@@ -66,15 +67,15 @@ class Frozen:
         return float((abs(held) - self.links.dry[joint]) / self.links.dry[joint])
 
     def until(self, part: Segment, order: int, length: float, grip: Array, joint: int) -> float:
-        """Length at which the margin of a joint is zero: secants, until rounding stops them."""
-        last, value = length, self.margin(part, order, length, grip, joint)
-        length *= 1.001
-        for _ in range(20):
-            now = self.margin(part, order, length, grip, joint)
-            if now == value or abs(length - last) < 1e-16:
-                break
-            last, length, value = length, length - now * (length - last) / (now - value), now
-        return length
+        """Length at which the margin of a joint is zero, the one nearest to `length`."""
+
+        def margin(h: float) -> float:
+            return self.margin(part, order, h, grip, joint)
+
+        wide = 1e-5 * length
+        while margin(length - wide) * margin(length + wide) > 0.0:
+            wide *= 2.0
+        return float(brentq(margin, length - wide, length + wide, xtol=1e-17, rtol=1e-15))
 
     def log(self) -> Array:
         """The log of the run with this set-up's lengths of steps."""

@@ -56,7 +56,7 @@ LINKS = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffn
     ("n", "name", "link"),
     [(1, name, 0) for name in ("length", "friction", "dry_friction")]
     + [(5, name, 1) for name in LINKS]
-    + [(5, "dry_friction", link) for link in (0, 2, 3, 4)],
+    + [(5, "dry_friction", link) for link in (0, 4)],
 )
 def test_rope_parameter_of_one_link(n: int, name: str, link: int) -> None:
     run = check(changed(n, name, link)[0], f"{name}[{link}]", changed(n, name, link)[1])
@@ -116,9 +116,10 @@ def test_a_stuck_joint_takes_a_little_rate_as_a_blow() -> None:
         np.testing.assert_array_equal(got.dqd[0, :, 0], np.eye(2)[link])  # the start itself is what it is
         dy = np.concatenate([got.dq, got.dqd], axis=1)[1:, :, 0]
         assert np.abs(dy[:, 2] - dy[:, 3]).max() <= 1e-12
-        for want in differences(make, times, 1e-6):
-            # the spacing times a second derivative: the joint slips for x / 100 rad/s^2, 1e-8 s, beside 0.02 s
-            np.testing.assert_allclose(dy, want[1:], rtol=0.0, atol=1e-5)
+        for want in differences(make, times, 3e-6):
+            # the spacing times a second derivative: the joint slips for x / 100 rad/s^2, 3e-8 s, beside 0.02 s; and
+            # rates of runs that choose their own steps differ by some 2e-11 rad/s
+            np.testing.assert_allclose(dy, want[1:], rtol=0.0, atol=3e-5)
 
 
 def test_a_stuck_first_joint_turns_with_the_arm() -> None:

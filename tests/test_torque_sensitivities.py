@@ -49,14 +49,14 @@ def raised(values: Any, x: float, at: int) -> Any:
 WAYS: dict[str, tuple[Callable[[float], hf.Setup], float]] = {
     "arm_angle0": (lambda x: setup(arm_angle0=0.2 + x), 1e-4),
     "q0[1]": (lambda x: setup(q0=raised([0.1, -0.2], x, 1)), 1e-4),
-    "qd0[1]": (lambda x: setup(qd0=raised([0.4, -0.3], x, 1)), 3e-4),
+    "qd0[1]": (lambda x: setup(qd0=raised([0.4, -0.3], x, 1)), 1e-3),
     "friction[1]": (lambda x: setup(rope=rope(friction=raised([2e-4, 1e-4], x, 1))), 3e-7),
     "dry_friction[0]": (lambda x: setup(rope=rope(dry_friction=raised([1.5e-3, 5e-4], x, 0))), 5e-7),
     "tip_mass": (lambda x: setup(rope=rope(tip_mass=0.001 + x)), 3e-6),
     "torque.torque[2]": (lambda x: setup(torque=hf.torque_profile(TIMES, raised(TORQUES, x, 2))), 1e-5),
-    "torque.delay": (lambda x: setup(torque=hf.torque_profile(TIMES, TORQUES).shifted(0.05 + x)), 1e-4),
+    "torque.delay": (lambda x: setup(torque=hf.torque_profile(TIMES, TORQUES).shifted(0.05 + x)), 3e-5),
     **{
-        f"arm.{name}": (lambda x, name=name: setup(arm=hf.Arm(**{**ARM, name: ARM[name] + x})), 1e-3 * ARM[name])  # type: ignore[misc]
+        f"arm.{name}": (lambda x, name=name: setup(arm=hf.Arm(**{**ARM, name: ARM[name] + x})), 3e-3 * ARM[name])  # type: ignore[misc]
         for name in ARM
     },
 }

@@ -27,9 +27,6 @@ _ANGLES = _hermite(2)  # (9, 9): value, first and second derivative at three nod
 _SUMS = _hermite(1)  # (6, 6): value and first derivative
 
 
-CALM = 1.0  # see calm
-
-
 @kernel
 def basis(order, theta, weight):  # type: ignore[no-untyped-def]
     """Derivative of the given order of the interpolation's basis (9,) at theta; of values, rates and accelerations."""
@@ -48,7 +45,7 @@ def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
     """State at theta in -1..1 within a step from its values ys (3, 2 n + 2) and derivatives dys at -1, 0, 1.
 
     Angles follow the polynomial of degree 8 through angles, rates and accelerations; rates are its derivative; work
-    and dissipation follow one of degree 5. Not for a step behind a switch in which friction settles (:func:`calm`).
+    and dissipation follow one of degree 5. Not for the step behind a switch, where friction settles (docs/models.md).
     """
     n = (ys.shape[1] - 2) // 2
     half = 0.5 * step
@@ -74,27 +71,6 @@ def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
                 weight += _SUMS[b, k] * theta**k
             total += weight * (ys[node, i] if b < 3 else half * dys[node, i])
         out[i] = total
-
-
-@kernel
-def calm(chain, step):  # type: ignore[no-untyped-def]
-    """Whether joints settle so slowly that a polynomial over a step, s, follows them behind a switch, too.
-
-    Their rates are bounded by 2 (eta_i + eta_(i+1)) / J_i, and for springs by the root of as much. Where they settle no
-    more than CALM times within the step, work and dissipation are off by 3e-6 of what settles, angles by 1e-10.
-    """
-    n = chain.length.size
-    fastest = 0.0
-    for i in range(n):
-        near, far = (2.0 if i > 0 else 1.0), (2.0 if i < n - 1 else 0.0)
-        j = min(i + 1, n - 1)
-        rate = near * chain.viscous[i] + far * chain.viscous[j]
-        spring = near * chain.stiffness[i] + far * chain.stiffness[j]
-        if rate > 0.0:
-            fastest = max(fastest, rate / chain.inertia[i])
-        if spring > 0.0:
-            fastest = max(fastest, math.sqrt(spring / chain.inertia[i]))
-    return fastest * step <= CALM
 
 
 @kernel

@@ -14,7 +14,6 @@ from hyperflex.core.along import room_for, spread, step_along
 from hyperflex.core.between import write_inside
 from hyperflex.core.drive import segment
 from hyperflex.core.jit import kernel
-from hyperflex.core.output import calm
 from hyperflex.core.progress import DEGREE, END, JOINT, LENGTH, MODES
 from hyperflex.core.steppers import rates
 from hyperflex.core.turning import chatters, end_along, end_at_event, hold_outputs, turning_for
@@ -94,7 +93,7 @@ def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, 
         while last < t_out.size and t_out[last] < t_new:
             last += 1
         times, states, slopes = t_out[index:last], y_out[index:last], dy_out[index:last]
-        if last > index and fresh and not calm(chain, t_new - t):
+        if last > index and fresh:
             change = room.change.copy()
             room.change[:] = -room.shift
             for k in range(times.size):

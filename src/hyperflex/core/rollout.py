@@ -12,7 +12,7 @@ from hyperflex.core.chain import sines
 from hyperflex.core.drive import base_state, segment
 from hyperflex.core.jit import kernel
 from hyperflex.core.locate import locate, settle
-from hyperflex.core.output import calm, interpolate
+from hyperflex.core.output import interpolate
 from hyperflex.core.progress import (
     AFTER,
     CHATTER,
@@ -161,8 +161,7 @@ def write_between(chain, drive, part, table, fixed, progress, step, room, t_out,
     ys, dys = room.ys, room.dys
     ys[0], ys[2] = y, room.out
     first = int(clock[INDEX])
-    alone = fixed == 0.0 and clock[FRESH] == 1.0 and not calm(chain, step)
-    while alone and clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+    while fixed == 0.0 and clock[FRESH] == 1.0 and clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
         index = int(clock[INDEX])
         advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, grip, y_out[index], room)
         clock[INDEX] += 1
