@@ -115,6 +115,28 @@ def test_a_linear_problem_has_the_interval_of_its_covariance() -> None:
         assert label == found.name
 
 
+@pytest.mark.parametrize("truth", [0.0, 0.1])
+def test_an_estimate_at_its_bound_has_it_as_its_end(truth: float) -> None:
+    plant = waves(60, truth=np.array([truth, 10.0]))
+    noise = next(  # the first that pushes the estimate to 0, or to within it
+        each
+        for each in (np.random.default_rng(k).standard_normal((60, 1)) for k in range(99))
+        if (fitted(plant, each).fit.x[0] == 0.0) == (truth == 0.0)
+    )
+    basis = fitted(plant, noise)
+    one = profiled(basis, 0, 0.95)
+    assert (one.low, one.ends) == (0.0, ("bound", "crossed"))
+    assert one.high > truth
+
+
+def test_what_is_tied_to_a_parameter_beside_its_bound_is_skewed() -> None:
+    noise = np.random.default_rng(4).standard_normal((60, 1))
+    beside = np.array([0.1, 10.0])
+    tied, apart = (fitted(waves(60, truth=beside, tied=tied), noise) for tied in (0.8, 0.0))
+    assert [skewed(tied, 0), skewed(tied, 1)] == [True, True]
+    assert [skewed(apart, 0), skewed(apart, 1)] == [True, False]
+
+
 def test_coloured_noise_widens_a_profile_as_it_does_the_covariance() -> None:
     basis = fitted(waves(120), autoregressive(np.random.default_rng(4), (120, 1), 0.8))
     assert basis.information.terms.size > 0
