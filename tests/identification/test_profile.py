@@ -15,6 +15,7 @@ from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Identification, _intervals, identify, profile
 from hyperflex.identification._intervals import all_intervals, skewed
+from hyperflex.identification._loss import Loss
 from hyperflex.identification._profile import profiled
 from hyperflex.identification._threshold import _rise, quantile, threshold
 from hyperflex.model import Rope
@@ -145,6 +146,7 @@ def test_robust_losses_profile_what_their_covariance_says() -> None:
     noise = random.standard_normal((300, 1)) * np.where(random.uniform(size=(300, 1)) < 0.05, 10.0, 1.0)
     basis = fitted(waves(300), noise, "huber")
     one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(basis, 0, 0.95)
+    assert Loss("huber", 2.0, fixed=True).scaled([noise.ravel()]).scale == 2.0  # costs along it are of one kind
     # Huber's formula takes the mean of psi', the profile each residual's own: alike to some 1 / sqrt(300)
     assert found.high - found.low == pytest.approx(one.high - one.low, rel=0.15)
 
