@@ -281,8 +281,8 @@ def sentence(kind: str, rows: list[dict[str, Any]], limits: dict[str, tuple[floa
         return (
             f"{within_band} {low:.1%} to {high:.1%}. {common} {warned:.1%} are told that their residuals are no noise."
         )
-    bias = ", ".join(f"{name} by a factor of {share(rows, name).ratio:.3g}" for name in names(rows))
-    held = ", ".join(f"{share(rows, name).held:.0%}" for name in names(rows))
+    bias = " and ".join(f"{share(rows, name).ratio:.3g} times {name}" for name in names(rows))
+    held = " and ".join(f"{share(rows, name).held:.1%}" for name in names(rows))
     return (
         f"The coarse model is biased: it finds {bias} of the rope simply cut, and the intervals hold that truth in "
         f"{held} of the experiments only. They are right for the best rope of five links, not for a finer one. "

@@ -32,13 +32,13 @@ class Line(Plant):
         return Seen(self.shared @ (x - self.truth) + self.own @ state, self.own, self.shared)
 
 
-def waves(samples: int, channels: int = 1, truth: float = 10.0) -> Line:
-    """Parameters act as two waves; the state as a mean and a trend."""
+def waves(samples: int, channels: int = 1, truth: Array | float = 10.0, tied: float = 0.5) -> Line:
+    """Parameters act as two waves, `tied` as the first is in the second; the state as a mean and a trend."""
     t = np.linspace(0.0, 1.0, samples)
-    shared = np.stack([np.sin(20.0 * t), np.cos(33.0 * t) + 0.5 * np.sin(20.0 * t)], axis=1)
+    shared = np.stack([np.sin(20.0 * t), np.cos(33.0 * t) + tied * np.sin(20.0 * t)], axis=1)
     own = np.stack([np.ones(samples), t - 0.5], axis=1)
     wide = np.arange(1, channels + 1)[None, :, None]
-    return Line(shared[:, None] * wide, own[:, None] / wide, np.full(2, truth))
+    return Line(shared[:, None] * wide, own[:, None] / wide, np.full(2, truth, dtype=np.float64))
 
 
 def fitted(plant: Line, noise: Array, loss: LossName = "squares", pieces: int = 1) -> Basis:

@@ -264,7 +264,7 @@ def test_candidates_that_cannot_be_read_are_refused(models: object) -> None:
 def held(errors: list[float]) -> HeldOut:
     none = np.zeros(0)
     rms = np.array(errors)[:, None]
-    return HeldOut(rms.mean(axis=0), rms, np.arange(len(errors)) * 1.0, 0.5, 1.0, none, none, none)
+    return HeldOut(rms.mean(axis=0), rms, np.arange(len(errors)) * 1.0, 0.5, 1.0, none, none, none, none)
 
 
 def test_prediction_decides_where_bic_trusts_coloured_residuals() -> None:

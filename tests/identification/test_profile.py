@@ -15,6 +15,7 @@ from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Identification, _intervals, identify, profile
 from hyperflex.identification._intervals import all_intervals, skewed
+from hyperflex.identification._loss import Loss
 from hyperflex.identification._profile import profiled
 from hyperflex.identification._threshold import _rise, quantile, threshold
 from hyperflex.model import Rope
@@ -115,6 +116,24 @@ def test_a_linear_problem_has_the_interval_of_its_covariance() -> None:
         assert label == found.name
 
 
+@pytest.mark.parametrize("at", [True, False])
+def test_an_estimate_at_its_bound_or_near_it_has_it_as_its_end(at: bool) -> None:
+    plant = waves(60, truth=np.array([0.0, 10.0]))
+    draws = (fitted(plant, np.random.default_rng(k).standard_normal((60, 1))) for k in range(99))
+    basis = next(b for b in draws if (b.fit.x[0] == 0.0) == at and b.fit.x[0] ** 2 < b.information.covariance[0, 0])
+    one = profiled(basis, 0, 0.95)
+    assert (one.low, one.ends) == (0.0, ("bound", "crossed"))
+    assert one.high > 0.0
+
+
+def test_what_is_tied_to_a_parameter_beside_its_bound_is_skewed() -> None:
+    noise = np.random.default_rng(4).standard_normal((60, 1))
+    beside = np.array([0.1, 10.0])
+    tied, apart = (fitted(waves(60, truth=beside, tied=tied), noise) for tied in (0.8, 0.0))
+    assert [skewed(tied, 0), skewed(tied, 1)] == [True, True]
+    assert [skewed(apart, 0), skewed(apart, 1)] == [True, False]
+
+
 def test_coloured_noise_widens_a_profile_as_it_does_the_covariance() -> None:
     basis = fitted(waves(120), autoregressive(np.random.default_rng(4), (120, 1), 0.8))
     assert basis.information.terms.size > 0
@@ -127,6 +146,7 @@ def test_robust_losses_profile_what_their_covariance_says() -> None:
     noise = random.standard_normal((300, 1)) * np.where(random.uniform(size=(300, 1)) < 0.05, 10.0, 1.0)
     basis = fitted(waves(300), noise, "huber")
     one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(basis, 0, 0.95)
+    assert Loss("huber", 2.0, fixed=True).scaled([noise.ravel()]).scale == 2.0  # costs along it are of one kind
     # Huber's formula takes the mean of psi', the profile each residual's own: alike to some 1 / sqrt(300)
     assert found.high - found.low == pytest.approx(one.high - one.low, rel=0.15)
 

@@ -8,6 +8,7 @@ from scipy.stats import binom
 
 from hyperflex.checks import Array
 from hyperflex.identification import identify
+from hyperflex.identification._loss import LossName
 from hyperflex.identification._noise import Piece, autoregression, coloured, correlations, levinson, whiteness
 from hyperflex.identification._threshold import quantile
 from hyperflex.identification._verdict import not_noise, too_large
@@ -95,10 +96,29 @@ def test_white_residuals_give_the_textbook_covariance() -> None:
     np.testing.assert_allclose(basis.information.follow[0] @ move, follow, rtol=1e-9)
 
 
-def scatter(noise: list[Array], loss: str, pieces: int = 1) -> tuple[Array, Array]:
+@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+def test_robust_losses_have_hubers_covariance(loss: LossName) -> None:
+    random = np.random.default_rng(1)
+    plant, noise = waves(80), random.standard_normal((80, 1)) * np.where(random.uniform(size=(80, 1)) < 0.2, 6.0, 1.0)
+    basis = fitted(plant, noise, loss)
+    whole = np.hstack([plant.shared[:, 0], plant.own[:, 0]])
+    residual, step = basis.fit.residuals[0], 1e-6
+    half_cost = [0.5 * np.array([basis.fit.loss.cost(np.array([r + d])) for r in residual]) for d in (-step, 0.0, step)]
+    psi = (half_cost[2] - half_cost[0]) / (2.0 * step)
+    slope = np.array(
+        [np.diff(basis.fit.loss.influence(np.array([r - step, r + step])))[0] / (2.0 * step) for r in residual]
+    )
+    n, p = whole.shape
+    factor = 1.0 + p / n * slope.var() / slope.mean() ** 2
+    expected = factor**2 * (psi @ psi / (n - p)) / slope.mean() ** 2 * np.linalg.inv(whole.T @ whole)[:2, :2]
+    np.testing.assert_allclose(basis.information.covariance, expected, rtol=1e-4)  # of differences
+    assert basis.information.variance == pytest.approx(factor**2 * (psi @ psi / (n - p)) / slope.mean(), rel=1e-4)
+
+
+def scatter(noise: list[Array], loss: LossName, pieces: int = 1) -> tuple[Array, Array]:
     """How often 95 % intervals held the truth (2,), and mean of the variances said over that which estimates show."""
     plant = waves(noise[0].shape[0] // pieces, noise[0].shape[1])
-    bases = [fitted(plant, each, loss, pieces) for each in noise]  # type: ignore[arg-type]
+    bases = [fitted(plant, each, loss, pieces) for each in noise]
     away = np.array([b.fit.x - plant.truth for b in bases])
     variance = np.array([np.diag(b.information.covariance) for b in bases])
     limit = np.sqrt([quantile(0.95, b.information.freedom) for b in bases])[:, None]
@@ -106,7 +126,7 @@ def scatter(noise: list[Array], loss: str, pieces: int = 1) -> tuple[Array, Arra
 
 
 @pytest.mark.parametrize("loss", ["squares", "huber", "cauchy"])
-def test_robust_losses_know_how_their_estimates_scatter(loss: str) -> None:
+def test_robust_losses_know_how_their_estimates_scatter(loss: LossName) -> None:
     random, count = np.random.default_rng(5), 200
     noise = [
         random.standard_normal((100, 1)) * np.where(random.uniform(size=(100, 1)) < 0.1, 8.0, 1.0) for _ in range(count)

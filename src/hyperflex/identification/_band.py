@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,10 @@ class Doubt:
     covariance: Array
     noise: Array
     correlation: float
+
+    def of(self, count: int) -> Doubt:
+        """Return the same of the first channels alone: a motor's torque is not predicted."""
+        return replace(self, noise=self.noise[:count])
 
 
 def doubt(information: Information, windows: Sequence[Window], found: Fit) -> Doubt:

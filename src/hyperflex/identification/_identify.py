@@ -169,7 +169,7 @@ def identify(
     held_out = None
     try:
         if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
-            spread = doubt(basis.information, windows, found)
+            spread = doubt(basis.information, windows, found).of(measured.channels.data.shape[1])
             held_out = predict(foretold, found.x, rest, lead, ahead, Loss(loss), spread)
     except KeyboardInterrupt:  # what was fitted is worth more than its trial
         found.interrupted = True

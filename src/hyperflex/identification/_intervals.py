@@ -17,7 +17,7 @@ HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
 LEVEL = 0.95
 TIED = 0.1  # correlation with a parameter beside its bound from which the bound is felt
 BENT = 0.1  # part by which the root of the rise may depart from a straight line before the covariance is left
-MOST = 8  # profiles that "auto" takes on
+MOST = 4  # profiles that "auto" takes on, each as dear as two or three fits
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,9 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL) -> dict[str, Int
     ----------
     basis : Basis
     how : {"auto", "covariance", "profile"}
-        ``auto`` profiles up to eight parameters whose covariance is skewed: a non-negative one within four sd of 0,
-        those that correlate with it, and those along which the squares do not rise as a parabola does.
+        ``auto`` profiles up to four parameters whose covariance is skewed: a non-negative one within four sd of 0,
+        those that correlate with it, and those along which the squares do not rise as a parabola does; of more, those
+        nearest to their bounds in sd.
     level : float
         How often they shall hold the truth.
 
@@ -63,8 +64,7 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL) -> dict[str, Int
     if how == "covariance":
         return result
     try:
-        chosen = [k for k in range(len(labels)) if how == "profile" or skewed(basis, k)]
-        for k in chosen[: None if how == "profile" else MOST]:
+        for k in _worst(basis) if how == "auto" else range(len(labels)):
             if result[labels[k]].kind != "unknown":
                 found = profiled(basis, k, level)
                 result[labels[k]] = Interval(found.low, found.high, "profile", found.ends, level)
@@ -119,6 +119,18 @@ def skewed(basis: Basis, which: int) -> bool:
         if rise is None or abs(np.sqrt(max(rise, 0.0)) / abs(step) - 1.0) > BENT:
             return True
     return False
+
+
+def _worst(basis: Basis) -> list[int]:
+    """Return which parameters "auto" profiles."""
+    information = basis.information
+    sd = np.sqrt(np.diag(information.covariance))
+    above = (information.x - basis.plant.parameters.lower) / np.where(sd > 0.0, sd, 1.0)
+    chosen: list[int] = []
+    for k in np.argsort(above, kind="stable"):
+        if len(chosen) < MOST and skewed(basis, int(k)):
+            chosen.append(int(k))
+    return chosen
 
 
 def _rise(basis: Basis, move: Array) -> float | None:

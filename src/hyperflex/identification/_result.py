@@ -52,7 +52,8 @@ class Identification:
         Of the scaled information, largest first.
     settings : dict
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
-        factor, seconds taken; how the fit was set up: words in ``free``, loss, base, and `arcs` and `origin` if given.
+        time of the residuals (samples), seconds taken; how the fit was set up: words in ``free``, loss, base, and `arcs`
+        and `origin` if given.
     status : str
         ``converged``, ``interrupted`` (Ctrl-C; the best so far) or ``not converged``.
     unit : str
@@ -64,8 +65,8 @@ class Identification:
 
     Notes
     -----
-    Standard deviations take the residuals' autocorrelation into account by an effective sample number: the variance of
-    independent residuals times ``settings["autocorrelation"]``. Errors of the model itself are not in them.
+    Standard deviations allow for robust losses and for residuals that hang together in time (see
+    ``_uncertainty.judge``), intervals for bounds and skewness as well. Errors of the model itself are in neither.
     """
 
     rope: Rope
