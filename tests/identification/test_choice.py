@@ -16,9 +16,10 @@ from hyperflex.identification import _choice
 from hyperflex.identification._candidates import candidates, recut
 from hyperflex.identification._evidence import Evidence, criteria, error, recommend, worse
 from hyperflex.identification._identify import identify
+from hyperflex.identification._noise import Piece
 from hyperflex.identification._parameters import lumped
 from hyperflex.identification._prediction import HeldOut
-from hyperflex.identification._whiteness import Left, whiteness
+from hyperflex.identification._whiteness import whiteness
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
@@ -45,11 +46,11 @@ def smooth(m: int, channels: int, degree: int) -> Array:
     return np.einsum("mk,cd->mckd", powers, np.eye(channels)).reshape(m * channels, -1)
 
 
-def remains(noise: Array, there: Array, basis: Array) -> Left:
+def remains(noise: Array, there: Array, basis: Array) -> Piece:
     """What is left of noise (m, C) where the basis is taken out of what is there."""
     basis = np.linalg.qr(basis * there.reshape(-1, 1))[0]
     flat = (noise * there).ravel()
-    return Left((flat - basis @ (basis.T @ flat)).reshape(noise.shape) * there, there, basis.reshape(*noise.shape, -1))
+    return Piece((flat - basis @ (basis.T @ flat)).reshape(noise.shape) * there, there, basis.reshape(*noise.shape, -1))
 
 
 def drawn(rng: np.random.Generator, colour: float = 0.0, windows: int = 8) -> float:
@@ -90,7 +91,7 @@ def test_one_channel_without_a_fit_is_the_test_of_ljung_and_box() -> None:
     e = np.random.default_rng(2).standard_normal(2000)
     r = np.array([(e[k:] * e[:-k]).sum() / (e**2).sum() for k in range(1, 11)])
     statistic = 2000 * 2002 * (r**2 / (2000 - np.arange(1, 11))).sum()
-    p = whiteness([Left(e[:, None], np.ones((2000, 1)), np.zeros((2000, 1, 0)))])
+    p = whiteness([Piece(e[:, None], np.ones((2000, 1)), np.zeros((2000, 1, 0)))])
     assert p == pytest.approx(chi2.sf(statistic, 10), abs=2e-3)
 
 
@@ -193,6 +194,42 @@ def test_ctrl_c_keeps_the_candidates_that_are_done(monkeypatch: pytest.MonkeyPat
         compare_models(swing(DOUBLE), GUESS, MODELS)
 
 
+def test_all_candidates_are_cut_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The usual length of windows depends on the fastest link, and so on how many links there are."""
+    windows: list[object] = []
+
+    def noted(*arguments: object, **options: object) -> object:
+        windows.append(options["window"])
+        return identify(*arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(_choice, "identify", noted)
+    found = compare_models(swing(DOUBLE), GUESS, MODELS)
+    first = found["viscous"].identification
+    assert first is not None
+    assert windows == [None, first.settings["window"]]
+
+
+def test_a_richer_model_that_fits_worse_is_fitted_again_from_the_simpler(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its first fit is cut short, far off; what the simpler one found then starts it where it is no worse."""
+    recording = swing(STIFF)
+    guesses: list[Rope] = []
+
+    def poor_at_first(recording: Recording, guess: Rope, free: object, **options: object) -> object:
+        guesses.append(guess)
+        if len(guesses) == 2:
+            return identify(recording, guess, ["stiffness"], **options)  # type: ignore[arg-type]
+        return identify(recording, guess, free, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(_choice, "identify", poor_at_first)
+    found = compare_models(recording, GUESS, MODELS)
+    simple, rich = (found[name].identification for name in MODELS)
+    assert simple is not None
+    assert rich is not None
+    np.testing.assert_array_equal(guesses[2].inertia, simple.rope.inertia)
+    np.testing.assert_array_equal(guesses[2].stiffness, GUESS.stiffness)
+    assert rich.residual_rms_all < simple.residual_rms_all
+
+
 # ---- candidates
 
 
@@ -207,6 +244,8 @@ def test_default_candidates_are_the_ones_that_resist() -> None:
     }
     assert [float(each.guess.stiffness[0]) for each in found] == [0.0, 0.0, 2e-3, 2e-3]
     assert [float(each.guess.dry_friction[0]) for each in found] == [0.0, 1e-3, 0.0, 1e-3]
+    started = candidates(GUESS, ["inertia", "friction"], None, [])[1].guess.dry_friction
+    np.testing.assert_allclose(started, 1e-3 * 9.81 * lumped(GUESS)[0])
     own = candidates(guess, ["inertia", "friction", "stiffness[1]"], None, [])
     assert own[2].free == ("inertia", "friction", "stiffness[1]")
 
@@ -302,6 +341,7 @@ def test_a_prediction_is_worse_beyond_its_scatter_only() -> None:
     assert not worse(held([0.012, 0.019, 0.012, 0.019]), best)  # here better, there worse
     assert worse(held([0.012, 0.022, 0.012, 0.022]), best)
     assert worse(held([0.012, 0.022, np.inf, 0.022]), best)
+    assert not worse(held([0.0101, 0.0201, 0.0101, 0.0201]), best)  # sure, and too small to matter
     assert worse(held([0.0112]), held([0.010]))  # one stretch: 10 %
     assert not worse(held([0.0109]), held([0.010]))
     assert error(None) == np.inf

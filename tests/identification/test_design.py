@@ -101,6 +101,7 @@ def test_by_default_motions_are_tried_first_and_the_best_is_varied() -> None:
     assert by_name[f"{motion}, 120 frames/s"] < by_name[motion] < by_name[f"{motion}, 7.5 frames/s"]
     assert by_name[f"{motion}, 20 s"] < by_name[motion] < by_name[f"{motion}, 5 s"]
     assert [each.markers for each in variations(Experiment("", markers=11))[4:]] == [3, 6]
+    assert [each.markers for each in variations(Experiment("", markers=6))[4:]] == [3]
 
 
 def test_a_common_factor_is_said_to_need_scales_or_a_torque() -> None:

@@ -119,15 +119,16 @@ def test_slopes_by_the_parameters_are_those_of_the_reference() -> None:
     t, y = states(np.random.default_rng(2))
     own = np.array([ARM.inertia, ARM.friction])
     free = ["inertia", "mass", "com", "length", "friction", "stiffness", "tip_mass", "gravity_angle"]
-    parameters = plant(free).parameters
+    rope = ROPE.replace(gravity=(2.0, -9.0))
+    parameters = plant(free, rope).parameters
     x = parameters.start
-    parts = tuple(part for _, part in parameters.parts(x, ROPE))
+    parts = tuple(part for _, part in parameters.parts(x, rope))
     still = np.zeros((t.size, 4, 4 + len(parts)))
-    slopes = MotorTorque(ARM).slopes(ROPE.chain(), _drive(swings(0.7, 0.4)), own, parts, t, y, still)
+    slopes = MotorTorque(ARM).slopes(rope.chain(), _drive(swings(0.7, 0.4)), own, parts, t, y, still)
     for k, label in enumerate(parameters.labels):
         ends = [parameters.rope(x + h * np.eye(x.size)[k]) for h in (1e-5, -1e-5)]
         for row, time in enumerate(t):
-            up, down = (by_matrices(rope, ARM, time, y[row, :2], y[row, 2:]) for rope in ends)
+            up, down = (by_matrices(each, ARM, time, y[row, :2], y[row, 2:]) for each in ends)
             assert slopes[row, 4 + k] == pytest.approx(float((up - down) / 2e-5), rel=1e-7, abs=1e-9), label
 
 

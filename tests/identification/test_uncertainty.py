@@ -9,9 +9,10 @@ from scipy.stats import binom
 from hyperflex.checks import Array
 from hyperflex.identification import identify
 from hyperflex.identification._loss import LossName
-from hyperflex.identification._noise import Piece, autoregression, coloured, correlations, levinson, whiteness
+from hyperflex.identification._noise import Piece, autoregression, coloured, correlations, levinson
 from hyperflex.identification._threshold import quantile
 from hyperflex.identification._verdict import not_noise, too_large
+from hyperflex.identification._whiteness import whiteness
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate

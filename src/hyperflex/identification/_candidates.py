@@ -10,9 +10,11 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.identification._parameters import lumped
 from hyperflex.model import Rope
-from hyperflex.model.rope_table import MOST_LINKS
+from hyperflex.model.rope_table import LINK_FIELDS, MOST_LINKS
 
+SLIGHT = 1e-3  # dry friction at the start, as a part of gravity's torque
 RESISTANCES = ("dry_friction", "stiffness")  # beyond the viscous friction that every candidate may have
 
 
@@ -23,6 +25,16 @@ class Candidate:
     name: str
     guess: Rope
     free: tuple[str, ...]
+
+    def within(self, other: Candidate) -> bool:
+        """Tell whether all that is free here is free in `other` as well, which frees more."""
+        return set(self.free) < set(other.free) and self.guess.n_links == other.guess.n_links
+
+    def handed_on(self, other: Candidate, rope: Rope) -> Rope:
+        """Return the guess of `other` with what was fitted here, to `rope`, as its start; laws keep their guess."""
+        plain = [word for word in self.free if word.partition(":")[2] in ("", "shared")]
+        names = {_property(word) for word in plain} & {*LINK_FIELDS, "tip_mass"}
+        return other.guess.replace(**{name: getattr(rope, name) for name in sorted(names)})
 
 
 def candidates(
@@ -74,6 +86,8 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
     plain = tuple(word for word in free if _property(word) not in RESISTANCES)
     own = {_property(word): word for word in free}
     law = ":shared" if ":" in own.get("friction", "") else ""
+    if not guess.dry_friction.any():  # started from 0 it may stay there: a joint that never sticks tells little of it
+        guess = guess.replace(dry_friction=SLIGHT * lumped(guess)[0] * float(np.hypot(*guess.gravity)))
     result = []
     for name, beside in (
         ("viscous", ()),

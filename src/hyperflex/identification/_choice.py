@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,12 +15,11 @@ from hyperflex import files
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.identification._candidates import Candidate, candidates
-from hyperflex.identification._evidence import COLOURED, Evidence, criteria, error, recommend
+from hyperflex.identification._evidence import COLOURED, Evidence, criteria, error, probability, recommend
 from hyperflex.identification._identify import identify
 from hyperflex.identification._loss import LossName
 from hyperflex.identification._result import Identification
 from hyperflex.identification._uncertainty import Basis
-from hyperflex.identification._whiteness import left, whiteness
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
@@ -28,6 +27,8 @@ from hyperflex.simulation.rollouts import progress_bar
 
 if TYPE_CHECKING:
     import xarray as xr
+
+WORSE = 1.001  # ratio of costs: within it fits have met the same optimum, as far as they go
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +149,7 @@ def _row(model: FittedModel, wide: int, least: float, unit: int) -> str:
     if model.identification is None:
         return f"{start}  failed: {model.reason}"
     above = "-" if model.bic is None else f"{model.bic - least:.1f}"
-    white = f"{'yes' if model.whiteness >= COLOURED else 'no'} (p = {model.whiteness:.2g})"
+    white = f"{'yes' if model.whiteness >= COLOURED else 'no'} ({probability(model.whiteness)})"
     held = f"{1e3 * model.held_out_rms:.3f}" if np.isfinite(model.held_out_rms) else "-"
     fit = f"{1e3 * model.fit_rms:.3f}"
     mark = f"  {model.reason}" if model.reason else ""
@@ -212,9 +213,10 @@ def compare_models(
     -----
     BIC counts how much better a model fits for each parameter more, and takes residuals for white noise; the held-out
     error asks how well it foretells what it has not seen. A candidate is supported by BIC within 6 of the least, and by
-    prediction if it is not worse than the best by two standard errors over the held-out stretches (10 % where there
-    are fewer than three). The simplest that both support is preferred. Where none is, prediction decides, unless the
-    residuals of BIC's choice are white. All candidates must be fitted to the same samples; one that is not has no BIC.
+    prediction if it is not worse than the best by 2 % and by two standard errors over the held-out stretches (by 10 %
+    where there are fewer than three). The simplest that both support is preferred. Where none is, prediction decides,
+    unless the residuals of BIC's choice are white. All candidates must be fitted to the same samples; one that is not
+    has no BIC. A model that fits worse than one within it has met a false optimum, and is fitted again from there.
     """
     if links and recording.kind != "markers":
         raise InvalidInput(
@@ -234,6 +236,7 @@ def compare_models(
         "lead": lead,
         "ahead": ahead,
         "progress": False,
+        "intervals": None,
     }
     with _bar(len(todo), progress) as report:
         done, stopped = _fit_all(recording, todo, window, options, report)
@@ -252,6 +255,7 @@ def _fit_all(
     for number, each in enumerate(todo):
         try:
             found = identify(recording, each.guess, each.free, window=window, **options)
+            found = _unstuck(recording, each, found, zip(todo, done, strict=False), options)
         except HyperflexError as failure:
             done.append(str(failure))
         except KeyboardInterrupt:
@@ -266,6 +270,29 @@ def _fit_all(
         if report is not None:
             report(number + 1.0)
     return done, False
+
+
+def _unstuck(
+    recording: Recording,
+    candidate: Candidate,
+    found: Identification,
+    simpler: Iterable[tuple[Candidate, Identification | str]],
+    options: dict[str, Any],
+) -> Identification:
+    """Return a fit that is no worse than those of models within it: where one is better, fitted again from there."""
+    for other, fit in simpler:
+        if isinstance(fit, str) or not other.within(candidate) or found.status == "interrupted":
+            continue
+        if fit.residual_t.size == found.residual_t.size and WORSE * _cost(fit) < _cost(found):
+            start = other.handed_on(candidate, fit.rope)
+            again = identify(recording, start, candidate.free, window=found.settings["window"], **options)
+            if again.status == "interrupted" or _cost(again) < _cost(found):
+                found = again
+    return found
+
+
+def _cost(found: Identification) -> float:
+    return float("inf") if found._basis is None else found._basis.fit.cost
 
 
 def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], stopped: bool) -> ModelComparison:
@@ -303,7 +330,7 @@ def _judged(candidate: Candidate, found: Identification, basis: Basis, bic: floa
         bic,
         found.residual_rms_all,
         error(found.held_out),
-        whiteness(left(basis)),
+        basis.information.whiteness,
     )
 
 

@@ -12,9 +12,11 @@ from hyperflex.identification._prediction import HeldOut
 from hyperflex.identification._uncertainty import Basis
 
 STRONG = 6.0  # difference of BIC from which evidence is strong (Kass and Raftery 1995, doi:10.2307/2291091)
+TINY = 1e-9  # probabilities below it are not told apart
 COLOURED = 0.01  # probability below which residuals are no white noise
 CLEAR = 2.0  # standard errors by which a prediction must be worse on the mean to count as worse
 FEW = 3  # predicted stretches, fewer have no standard error to speak of
+MATTERS = 1.02  # ratio of rms errors below which a difference is too small to matter
 ALIKE = 1.1  # ratio of rms errors within which predictions are as good as each other, where there are few
 
 
@@ -74,7 +76,8 @@ def worse(one: HeldOut, best: HeldOut) -> bool:
     if mine.size < FEW or mine.size != other.size:
         return bool(np.sqrt(mine.mean()) > ALIKE * np.sqrt(other.mean()))
     gap = mine - other
-    return bool(gap.mean() > CLEAR * gap.std(ddof=1) / np.sqrt(gap.size))
+    sure = gap.mean() > CLEAR * gap.std(ddof=1) / np.sqrt(gap.size)
+    return bool(sure and mine.mean() > MATTERS**2 * other.mean())
 
 
 def error(held_out: HeldOut | None) -> float:
@@ -137,11 +140,16 @@ def _by_bic(chosen: Evidence, known: Sequence[Evidence]) -> str:
     return f"{weak}." if ahead >= 0.0 else f"{weak}, and it is the simpler of the two."
 
 
+def probability(value: float) -> str:
+    """Return a probability in words; the smallest ones mean no more than that they are small."""
+    return f"p = {value:.2g}" if value >= TINY else f"p < {TINY:.0e}"
+
+
 def _hue(chosen: Evidence) -> str:
     """Return a warning where even the chosen model leaves more than noise."""
     if chosen.whiteness >= COLOURED:
         return ""
-    return f" But its residuals are no white noise (p = {chosen.whiteness:.1g}): all candidates miss something."
+    return f" But its residuals are no white noise ({probability(chosen.whiteness)}): all candidates miss something."
 
 
 def _short(each: Evidence, unit: str) -> str:

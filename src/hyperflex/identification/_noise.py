@@ -1,4 +1,4 @@
-"""What the residuals are like as noise: how they hang together in time, and whether they look like noise at all."""
+"""What the residuals are like as noise: how they hang together in time."""
 
 from __future__ import annotations
 
@@ -91,25 +91,6 @@ def coloured(terms: Array, values: Array) -> Array:
     lags = np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
     result: Array = np.tensordot(correlations(terms, m)[lags], values, axes=1)
     return result
-
-
-def whiteness(pieces: Sequence[Piece]) -> float:
-    """Return the probability that white noise would leave residuals at least so autocorrelated.
-
-    Ljung and Box's sum over the first lags, less what the fit itself brings in; chi squared, a little too large where
-    the fit has absorbed much.
-    """
-    from scipy.special import gammaincc
-
-    sums = _lagged(pieces)
-    longest = max(piece.residual.shape[0] for piece in pieces)
-    lags = min(MOST_TERMS, longest // 4)
-    if sums[0] <= 0.0 or lags == 0:
-        return 1.0
-    white = _expected(pieces, np.zeros(0), lags)
-    pairs = np.array([sum(_apart(p.seen, p.seen, lag) for p in pieces) for lag in range(lags + 1)])
-    away = sums[1 : lags + 1] / sums[0] - white[1:] / white[0]
-    return float(gammaincc(0.5 * lags, 0.5 * (pairs[0] ** 2 / np.maximum(pairs[1:], 1.0) * away**2).sum()))
 
 
 def autocorrelation(residuals: Sequence[Array]) -> float:

@@ -52,8 +52,8 @@ class Identification:
         Of the scaled information, largest first.
     settings : dict
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
-        time of the residuals (samples), seconds taken; how the fit was set up: words in ``free``, loss, base, and `arcs`
-        and `origin` if given.
+        time of the residuals (samples), seconds taken; how the fit was set up: words in ``free``, loss, base, and
+        `arcs` and `origin` if given.
     status : str
         ``converged``, ``interrupted`` (Ctrl-C; the best so far) or ``not converged``.
     unit : str

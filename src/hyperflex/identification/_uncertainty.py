@@ -9,10 +9,11 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification._loss import Loss
-from hyperflex.identification._noise import Piece, autocorrelation, autoregression, coloured, correlations, whiteness
+from hyperflex.identification._noise import Piece, autocorrelation, autoregression, coloured, correlations
 from hyperflex.identification._parameters import Parameters, lumped
 from hyperflex.identification._plant import Plant
 from hyperflex.identification._shooting import Fit, least_squares, linearise
+from hyperflex.identification._whiteness import whiteness
 from hyperflex.identification._windows import Window
 from hyperflex.model import Rope
 

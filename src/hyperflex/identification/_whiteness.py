@@ -3,68 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification._shooting import linearise
-from hyperflex.identification._uncertainty import Basis
+from hyperflex.identification._noise import Piece
 
 LAGS = 10  # samples, or a quarter of the shortest window
 
 
-@dataclass(frozen=True)
-class Left:
-    """What a fit leaves of one window.
-
-    residual (m, C): weighted. seen (m, C): 0 in gaps, else 1. basis (m, C, K): orthonormal over m C, along which the
-    fit has taken the noise out.
-    """
-
-    residual: Array
-    seen: Array
-    basis: Array
-
-
-def left(basis: Basis) -> list[Left]:
-    """Return what a fit leaves of its windows."""
-    found = basis.fit
-    lines = [
-        linearise(basis.plant, window, found.x, state, residual, found.loss)
-        for window, state, residual in zip(basis.windows, found.states, found.residuals, strict=True)
-    ]
-    reduced = [line.reduced()[0] for line in lines]
-    inverse = np.linalg.pinv(np.linalg.qr(np.vstack(reduced), mode="r"), rcond=1e-6)
-    result = []
-    for window, line, shared in zip(basis.windows, lines, reduced, strict=True):
-        size, shape = window.y.size, window.y.shape
-        taken = np.column_stack([np.linalg.qr(line.state)[0], shared @ inverse])[:size]
-        seen = (window.weight > 0.0).astype(np.float64)
-        result.append(Left(line.residual[:size].reshape(shape), seen, taken.reshape(*shape, -1)))
-    return result
-
-
-def whiteness(parts: Sequence[Left]) -> float:
+def whiteness(parts: Sequence[Piece]) -> float:
     """Return the probability that white noise would leave residuals as autocorrelated as these.
 
     Parameters
     ----------
-    parts : sequence of Left
+    parts : sequence of Piece
         One a window; windows are taken as independent of each other.
 
     Notes
     -----
-    The products of residuals k samples apart, k = 1..10, summed over channels and windows, are compared with their
-    mean and covariance under white noise (Ljung and Box 1978, doi:10.1093/biomet/65.2.297; for several channels
-    Hosking 1980, doi:10.1080/01621459.1980.10477520). Channels may be correlated with each other, as angles of
-    neighbouring links are that share a marker. A fit takes part of the noise out and makes what is left negatively
-    correlated; with many windows, each with a state of its own, that alone would look like colour. Mean and covariance
-    are those of projected noise, so it does not.
+    Fewer than two samples a window, or nothing left at all, tell nothing: 1. Otherwise the products of residuals k
+    samples apart, k = 1..10, summed over channels and windows, are compared with their mean and covariance under white
+    noise (Ljung and Box 1978, doi:10.1093/biomet/65.2.297; for several channels Hosking 1980,
+    doi:10.1080/01621459.1980.10477520). Channels may be correlated with each other, as angles of neighbouring links are
+    that share a marker. A fit takes part of the noise out and makes what is left negatively correlated; with many
+    windows, each with a state of its own, that alone would look like colour. Mean and covariance are those of projected
+    noise, so it does not.
     """
     from scipy.special import gammaincc
 
     shortest = min(part.residual.shape[0] for part in parts)
+    if shortest < 2 or not any(part.residual.any() for part in parts):
+        return 1.0
     lags = np.arange(1, max(1, min(LAGS, shortest // 4)) + 1)
     spread = _spread(parts)
     away, covariance = np.zeros(lags.size), np.zeros((lags.size, lags.size))
@@ -76,7 +46,7 @@ def whiteness(parts: Sequence[Left]) -> float:
     return float(gammaincc(0.5 * lags.size, 0.5 * statistic))
 
 
-def _spread(parts: Sequence[Left]) -> Array:
+def _spread(parts: Sequence[Piece]) -> Array:
     """Return the covariance (C, C) of the channels' noise."""
     products = sum(part.residual.T @ part.residual for part in parts)
     pairs = sum(part.seen.T @ part.seen for part in parts)
@@ -86,7 +56,7 @@ def _spread(parts: Sequence[Left]) -> Array:
     return result
 
 
-def _moments(part: Left, spread: Array, lags: Array) -> tuple[Array, Array]:
+def _moments(part: Piece, spread: Array, lags: Array) -> tuple[Array, Array]:
     """Return mean (K,) and covariance (K, K) of a window's sums of products, were its noise white.
 
     The residuals' covariance is M B M with M = 1 - Q Q^T, and B the channels' covariance at each instant:
