@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hyperflex.core import events, stick
+from hyperflex.core import events, modes, stick
 from tests.core.helpers import chain_of
 from tests.reference import dense
 from tests.reference.cases import State, random_grip, random_links, random_state
@@ -40,7 +40,7 @@ def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n: int) -> None:
         held = np.abs(dense.accelerations(links, *state, grip=np.zeros(n)).held).astype(float)
         links = links._replace(dry=held * np.random.default_rng(seed).uniform(0.4, 1.6, n))
         grip, room = np.zeros(n), stick.bench(n)
-        assert stick.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
+        assert modes.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
         np.testing.assert_array_equal(grip, lawful(links, *state))
         kinds |= set(grip)
     assert len(kinds) == 3 or n == 1
@@ -49,7 +49,7 @@ def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n: int) -> None:
 def test_a_joint_that_turns_slips_whatever_its_load() -> None:
     links, state = random_links(5, 1), random_state(5, 1)
     grip, room = np.zeros(5), stick.bench(5)
-    assert stick.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
+    assert modes.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
     np.testing.assert_array_equal(grip, np.sign(np.diff(state.w, prepend=state.base[3])))
 
 

@@ -27,13 +27,12 @@ from hyperflex.core.members import (
     base_motion,
     chain_of,
 )
+from hyperflex.core.modes import settled
 from hyperflex.core.stick import (
-    MOST_WIDENED,
     QUICK,
     Bench,
     bench,
     come_to_rest,
-    decide,
     hold,
     margins,
     middle,
@@ -112,14 +111,15 @@ def settle_lane(members, terms, m, lanes, path, j, lane, watch):  # type: ignore
         start[i] = lanes[((i + 1) * ln.ROW + ln.Q_START) * k + j]
         start[n + i] = lanes[((i + 1) * ln.ROW + ln.W_START) * k + j]
     torque = base_at(path, j, lane[TIME] - lane[ORIGIN], base)
-    widen = widened(lane[CHATTER], n)
-    chain = unloaded(members, terms, m)
-    good = decide(chain, start[:n], start[n : 2 * n], base[:7], torque, widen, grip, watch.bench)
+    chain, before = unloaded(members, terms, m), watch.out[j, :n]
+    rates = start[n : 2 * n]
+    good, chatter = settled(chain, start[:n], rates, base[:7], torque, lane[CHATTER], grip, before, watch.bench)
+    lane[CHATTER] = chatter
     for i in range(n):
         lanes[((i + 1) * ln.ROW + ln.GRIP) * k + j] = grip[i]
         watch.locked[j, i] = 1.0 - grip[i] * grip[i]
     lane[UNSETTLED] = 0.0
-    return good and widen <= MOST_WIDENED
+    return good
 
 
 @kernel

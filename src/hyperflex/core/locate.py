@@ -8,8 +8,9 @@ from hyperflex.core import lanes as ln
 from hyperflex.core.drive import base_state
 from hyperflex.core.events import AGAIN, EVENT, TRIES, begin, judge, late
 from hyperflex.core.jit import kernel
+from hyperflex.core.modes import settled
 from hyperflex.core.progress import CHATTER, PENDING, REJECTED, TAKEN, T, advance
-from hyperflex.core.stick import MOST_WIDENED, come_to_rest, decide, hold, margins, middle, stuck_power, widened
+from hyperflex.core.stick import come_to_rest, hold, margins, middle, stuck_power, widened
 from hyperflex.core.until import NOTHING, PEAK, arm, reading, right_side
 
 
@@ -19,10 +20,11 @@ def settle(chain, drive, part, progress, room):  # type: ignore[no-untyped-def]
     y, grip, clock = progress.y, progress.grip, progress.clock
     n = grip.size
     torque = base_state(drive, part, clock[T], room.after)
-    widen = widened(clock[CHATTER], n)
-    good = decide(chain, y[:n], y[n : 2 * n], room.after[:7], torque, widen, grip, room.bench)
+    now, before = room.after[:7], room.out[:n]
+    good, chatter = settled(chain, y[:n], y[n : 2 * n], now, torque, clock[CHATTER], grip, before, room.bench)
+    clock[CHATTER] = chatter
     ln.set_grip(ln.COLUMNS, room.lanes, grip)
-    return good and widen <= MOST_WIDENED
+    return good
 
 
 @kernel
