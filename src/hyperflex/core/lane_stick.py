@@ -117,6 +117,7 @@ def settle_lane(members, terms, m, lanes, path, j, lane, watch):  # type: ignore
     lane[CHATTER] = chatter
     for i in range(n):
         lanes[((i + 1) * ln.ROW + ln.GRIP) * k + j] = grip[i]
+        lanes[((i + 1) * ln.ROW + ln.W_START) * k + j] = rates[i]
         watch.locked[j, i] = 1.0 - grip[i] * grip[i]
     lane[UNSETTLED] = 0.0
     return good

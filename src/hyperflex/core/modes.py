@@ -6,9 +6,10 @@ import numpy as np
 
 from hyperflex.core.chain import PRINTED, Chain
 from hyperflex.core.jit import kernel
-from hyperflex.core.stick import MOST_WIDENED, at_rest, bear, widened, wider
+from hyperflex.core.stick import MOST_WIDENED, STILL, at_rest, bear, widened, wider
 
 SENSE = 1e-11  # part of the largest acceleration below which the sense of a joint's acceleration is rounding
+CALM = 1e-8  # rad/s, slower than this a joint that chatters may be brought to rest
 
 
 @kernel
@@ -17,7 +18,7 @@ def settled(chain, q, w, base, torque, chatter, grip, before, room):  # type: ig
 
     Parameters
     ----------
-    chain, q, w, base, torque, grip, room : as in ``decide``
+    chain, q, w, base, torque, grip, room : as in ``decide``; where joints chatter, `w` changes by up to CALM
     chatter : float
         Quick events so far.
     before : (n,) scratch
@@ -31,12 +32,23 @@ def settled(chain, q, w, base, torque, chatter, grip, before, room):  # type: ig
     before[:] = grip
     good = False
     while not good and widened(chatter, n) <= MOST_WIDENED:
+        if chatter > n + 4.0:
+            calm(chain, w, base, min(STILL * widened(chatter, n), CALM))
         good = decide(chain, q, w, base, torque, widened(chatter, n), grip, room)
         if not good:
             chatter = wider(chatter, n)
     if good and chatter > 0.0 and (grip == before).all():
         chatter = max(chatter, wider(0.0, n))  # an event after a quick one, and nothing has changed: rounding
     return good and widened(chatter, n) <= MOST_WIDENED, chatter
+
+
+@kernel
+def calm(chain, w, base, still):  # type: ignore[no-untyped-def]
+    """Bring joints with dry friction to rest in `w` (n,) that turn by no more than `still`, rad/s."""
+    for i in range(w.size):
+        up = w[i - 1] if i > 0 else base[3]
+        if chain.dry[i] > 0.0 and abs(w[i] - up) <= still:
+            w[i] = up
 
 
 @kernel
@@ -113,7 +125,7 @@ def lawless(chain, q, w, base, torque, widen, grip, room, any_will_do):  # type:
             far = (abs(room.load[i]) - chain.dry[i] - widen * room.slack[i]) / chain.dry[i]
         else:
             up = room.alpha[i - 1] if i > 0 else base[2]
-            far = -grip[i] * (room.alpha[i] - up) / (largest + 1e-300) - widen * SENSE
+            far = -grip[i] * (room.alpha[i] - up) / (largest + 1e-300) - SENSE
         if far > worst and not (any_will_do and at >= 0):
             worst, at = far, i
     return at

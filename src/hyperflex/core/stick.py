@@ -20,7 +20,7 @@ SLACK = 1e-12  # part of the dry friction, and
 NOISE = 1e-13  # part of all torques on a link, by which a torque must exceed dry friction to count: above rounding
 INSTANT = 1e-13  # s, how well an event is located
 QUICK = 1e-9  # s; event after event in steps shorter than this is chatter
-MOST_WIDENED = 1e6  # see widened
+MOST_WIDENED = 1e8  # see widened
 
 
 class Bench(NamedTuple):
