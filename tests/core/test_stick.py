@@ -73,7 +73,7 @@ def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
     modes = np.array([locked])
     search.low[:, 0] = value(0.0), slope(0.0)
     events.begin(search)
-    search.middle[0] = value(0.5 * step)
+    search.middle[:, 0] = value(0.5 * step), slope(0.5 * step)
     attempts = 0
     verdict = events.AGAIN
     while verdict == events.AGAIN:
