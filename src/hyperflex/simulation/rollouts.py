@@ -103,8 +103,7 @@ def lever(chain: Chain) -> Array:
 
 def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until: Until = NEVER) -> Limits:
     """Return the bounds of a run until `stop`, s, or what ends it before; refuses an unstable Runge-Kutta step."""
-    weight = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy)
-    reach = float(chain.length.sum())
+    weight, reach = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy), float(chain.length.sum())
     scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
     bounds = Limits(
         stop, setup.tol, lever(chain), reach, scale, setup.step or 0.0, LEAST_ORDER, MOST_ORDER, budget, until
@@ -125,8 +124,7 @@ def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until:
 def resume(run: Rollout, state: State, setup: Setup) -> None:
     """Let a run go on from a saved state: bit for bit if nothing but its end has changed."""
     n = run.chain.length.size
-    y, clock = run.progress.y, run.progress.clock
-    saved = state.checkpoint
+    y, clock, saved = run.progress.y, run.progress.clock, state.checkpoint
     if saved and "y" in saved and np.size(saved["y"]) != 2 * n + 2:
         raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")
     if saved and np.size(saved.get("clock", ())) != MARK:
@@ -219,8 +217,7 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
     n = run.chain.length.size
     begin, stop = run.time, run.limits.stop
     times, torques = [], []
-    code = status.OK
-    count = 0
+    code, count = status.OK, 0
     while run.time < stop and code == status.OK:
         y = run.progress.y
         now = run.time
@@ -232,7 +229,10 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
         until = min(begin + count * period, stop)
         coef = run.drive.coef[:1].copy()
         coef[0, TORQUE, 0] = torques[-1]
-        run.drive = run.drive._replace(breaks=np.array([now, until]), coef=coef, switch=np.ones(2, dtype=np.bool_))
+        breaks, switch = np.array([now, until]), np.ones(2, dtype=np.bool_)
+        for array in (breaks, coef, switch):  # read-only as others are: the kernels are compiled for one kind
+            array.setflags(write=False)
+        run.drive = run.drive._replace(breaks=breaks, coef=coef, switch=switch)
         run.limits = run.limits._replace(stop=until)
         code = finish(run)
     return code, np.array(times), np.array(torques)
