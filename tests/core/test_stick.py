@@ -77,6 +77,29 @@ def test_friction_without_reaction_leaves_lawful_modes_as_well(n: int, seeds: in
     assert stubborn > 0 or n == 1
 
 
+def test_events_that_change_nothing_are_rounding_and_chatter_has_an_end() -> None:
+    n = 3
+    links, state = random_links(n, 1), random_state(n, 1)
+    state = State(state.q, np.full(n, state.base[3]), state.base)
+    grip, room = np.zeros(n), stick.bench(n)
+    known = (chain_of(links), state.q, state.w, state.base, 0.0)
+    assert modes.decide(*known, 1.0, grip, room)
+
+    def settled(chatter: float, before: Real) -> tuple[bool, float]:
+        answer: tuple[bool, float] = modes.settled(*known, chatter, before.copy(), np.zeros(n), room)
+        return answer
+
+    assert settled(0.0, grip) == (True, 0.0)  # the first event may change nothing
+    good, chatter = settled(1.0, grip)
+    assert good
+    assert stick.widened(chatter, n) == pytest.approx(10.0)
+    assert settled(1.0, grip + 1.0) == (True, 1.0)
+    assert not settled(n + 13.0, grip)[0]  # limits nine powers of ten wider
+    state.w[:] += 2e-10 * np.arange(1, n + 1)  # rest, where limits are wider by a thousand
+    settled(n + 7.0, grip)
+    np.testing.assert_array_equal(state.w, state.base[3])
+
+
 def test_a_joint_that_turns_slips_whatever_its_load() -> None:
     links, state = random_links(5, 1), random_state(5, 1)
     grip, room = np.zeros(5), stick.bench(5)

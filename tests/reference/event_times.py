@@ -20,7 +20,8 @@ Real = npt.NDArray[np.float64]
 
 LOCATED = 1e-9  # s
 SHARE = 0.02  # s, as in hyperflex.core.rollout
-BLUNT = 1e-3  # s; an event that the promise leaves open by more than this is grazing, or beside the point
+BLUNT = 5e-3  # s; an event that the promise leaves open by more than this is grazing, or beside the point
+SOON = 0.3  # s; an event is chosen about here, where the promise is still sharp
 PERIOD = 0.3  # s, time constant of the phases
 NEAR = 1e-5  # s, for a slope by differences
 KINDS = ("tip crosses", "phase reached", "angle reached")
@@ -38,7 +39,7 @@ NONE = Timing("", math.nan, math.nan)
 
 
 def timing(setup: Setup, tight: Setup, truth: Trajectory, promised: Real, horizon: float, number: int) -> Timing:
-    """Let the run and the tighter one end at an event of kind `number`, chosen some way to the horizon.
+    """Let the run and the tighter one end at an event of kind `number`, chosen early in it.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def timing(setup: Setup, tight: Setup, truth: Trajectory, promised: Real, horizo
     horizon : s
     number : int
     """
-    at = int(np.searchsorted(truth.t, 0.6 * horizon))
+    at = int(np.searchsorted(truth.t, min(SOON, 0.6 * horizon)))
     after = 0.5 * float(truth.t[at])
     name, link = KINDS[number % len(KINDS)], number % setup.rope.n_links
     velocity, place = truth.tip_velocity[at], truth.tip[at]
