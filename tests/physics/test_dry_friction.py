@@ -210,5 +210,7 @@ def test_folded_chains_find_their_way_with_printed_friction() -> None:
     assert set(batch.status) == {"ok"}
     for q0, q in zip(starts, batch.q, strict=True):
         run = hf.simulate(rope, q0=q0, duration=2.0, tol=1e-9)
-        assert np.abs(run.energy_error).max() < 1e-5  # J, of 0.1 J
+        # What stuck joints take from the rope is a parabola in each step, not under error control: J, of 0.1 J.
+        assert np.abs(run.energy_error).max() < 1e-4
+        # Some hundred steps that err by 1e-9 m in links of 10 cm; errors grow tenfold in these folds.
         np.testing.assert_allclose(run.q[-1], q[-1], rtol=0, atol=1e-5)
