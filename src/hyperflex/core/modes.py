@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.core.chain import PRINTED, Chain
 from hyperflex.core.jit import kernel
-from hyperflex.core.stick import MOST_WIDENED, STILL, at_rest, bear, widened, wider
+from hyperflex.core.stick import STILL, at_rest, bear, hopeless, widened, wider
 
 SENSE = 1e-11  # part of the largest acceleration below which the sense of a joint's acceleration is rounding
 CALM = 1e-8  # rad/s, slower than this a joint that chatters may be brought to rest
@@ -31,7 +31,7 @@ def settled(chain, q, w, base, torque, chatter, grip, before, room):  # type: ig
     n = q.size
     before[:] = grip
     good = False
-    while not good and widened(chatter, n) <= MOST_WIDENED:
+    while not (good or hopeless(chatter, n)):
         if chatter > n + 4.0:
             calm(chain, w, base, min(STILL * widened(chatter, n), CALM))
         good = decide(chain, q, w, base, torque, widened(chatter, n), grip, room)
@@ -39,7 +39,7 @@ def settled(chain, q, w, base, torque, chatter, grip, before, room):  # type: ig
             chatter = wider(chatter, n)
     if good and chatter > 0.0 and (grip == before).all():
         chatter = max(chatter, wider(0.0, n))  # an event after a quick one, and nothing has changed: rounding
-    return good and widened(chatter, n) <= MOST_WIDENED, chatter
+    return good and not hopeless(chatter, n), chatter
 
 
 @kernel

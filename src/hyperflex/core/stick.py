@@ -20,7 +20,8 @@ SLACK = 1e-12  # part of the dry friction, and
 NOISE = 1e-13  # part of all torques on a link, by which a torque must exceed dry friction to count: above rounding
 INSTANT = 1e-13  # s, how well an event is located
 QUICK = 1e-9  # s; event after event in steps shorter than this is chatter
-MOST_WIDENED = 1e8  # see widened
+WIDEST = 8.0  # powers of ten by which SLACK and NOISE are widened at most, see widened
+HOPELESS = 30.0  # quick events beyond those that joints may need, after which they chatter
 
 
 class Bench(NamedTuple):
@@ -83,7 +84,13 @@ def bear(chain, q, w, grip, base, torque, room):  # type: ignore[no-untyped-def]
 @kernel
 def widened(chatter, n):  # type: ignore[no-untyped-def]
     """Factor on SLACK and NOISE after so many quick events: n joints may change at once, more is chatter."""
-    return 10.0 ** max(0.0, chatter - n - 4.0)
+    return 10.0 ** min(WIDEST, max(0.0, chatter - n - 4.0))
+
+
+@kernel
+def hopeless(chatter, n):  # type: ignore[no-untyped-def]
+    """Whether so many quick events are chatter that widening does not end."""
+    return chatter > n + 4.0 + HOPELESS
 
 
 @kernel
