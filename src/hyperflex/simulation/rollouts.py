@@ -85,7 +85,8 @@ def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, li
     clock[:MARK] = starting_clock(t[0])
     clock[MARK] = -np.inf
     progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, np.empty((log, 3)))
-    return Rollout(chain, drive, limits, progress, t, np.full((t.size, 2 * n + 2), np.nan))
+    # A copy of the times, which may be read-only or not: the kernels are compiled for one kind.
+    return Rollout(chain, drive, limits, progress, np.array(t), np.full((t.size, 2 * n + 2), np.nan))
 
 
 def starting_clock(t: float) -> Array:
@@ -215,9 +216,8 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
         When the torque was set, s, and what it was, N m.
     """
     n = run.chain.length.size
-    begin, stop = run.time, run.limits.stop
+    begin, stop, code, count = run.time, run.limits.stop, status.OK, 0
     times, torques = [], []
-    code, count = status.OK, 0
     while run.time < stop and code == status.OK:
         y = run.progress.y
         now = run.time
