@@ -71,7 +71,7 @@ def main() -> int:
     numbers = range(options.first, options.first + options.count)
     rows, stuck = sweep(options, numbers)
     about["load after"] = machine.load()
-    page = f"# Random ropes\n\n{text(rows, options.seed)}\n{sticking(stuck)}\n\n{machine.sentence(about)}\n"
+    page = f"# Random ropes\n\n{text(rows, options.seed, numbers)}\n{sticking(stuck)}\n\n{machine.sentence(about)}\n"
     print(page)
     if options.out != "-":
         data = {"machine": about, "seed": options.seed, "rows": table(rows), "stuck": table(stuck)}
@@ -213,8 +213,8 @@ def passed(rows: list[dict[str, Any]]) -> bool:
     return outcomes["wrong"] == 0 and not ordinary and outcomes["failed"] <= ALLOWED_FAILURES * len(rows)
 
 
-def text(rows: list[dict[str, Any]], seed: int) -> str:
-    """Results as Markdown."""
+def text(rows: list[dict[str, Any]], seed: int, numbers: range) -> str:
+    """Results as Markdown, of ropes of these numbers as far as they are there."""
     good = [row for row in rows if row["outcome"] in ("met", "wrong")]
     ordinary = [row for row in rows if row["ordinary"]]
     factor, promise = (np.array([row[name] for row in good]) for name in ("factor", "promise"))
@@ -225,6 +225,7 @@ def text(rows: list[dict[str, Any]], seed: int) -> str:
     checked = f"{sum(row['checked'] for row in good)} were checked against Runge and Kutta's method as well."
     lines = [
         f"{len(rows)} ropes, seed {seed}: {summary(rows)}.",
+        *([f"The sweep was stopped: {len(numbers) - len(rows)} ropes are still to come."] * (len(rows) < len(numbers))),
         f"Of these {len(ordinary)} are ordinary ({ORDINARY}): {summary(ordinary)}.",
         "",
         PROMISE,
