@@ -216,6 +216,7 @@ def passed(rows: list[dict[str, Any]]) -> bool:
 def text(rows: list[dict[str, Any]], seed: int, numbers: range) -> str:
     """Results as Markdown, of ropes of these numbers as far as they are there."""
     good = [row for row in rows if row["outcome"] in ("met", "wrong")]
+    missing = sorted(set(numbers) - {row["number"] for row in rows})
     ordinary = [row for row in rows if row["ordinary"]]
     factor, promise = (np.array([row[name] for row in good]) for name in ("factor", "promise"))
     reached = np.array([row["horizon"] / row["duration"] for row in good])
@@ -225,7 +226,7 @@ def text(rows: list[dict[str, Any]], seed: int, numbers: range) -> str:
     checked = f"{sum(row['checked'] for row in good)} were checked against Runge and Kutta's method as well."
     lines = [
         f"{len(rows)} ropes, seed {seed}: {summary(rows)}.",
-        *([f"The sweep was stopped: {len(numbers) - len(rows)} ropes are still to come."] * (len(rows) < len(numbers))),
+        *([f"The sweep was stopped; still to come: {span(missing)}."] if missing else []),
         f"Of these {len(ordinary)} are ordinary ({ORDINARY}): {summary(ordinary)}.",
         "",
         PROMISE,
@@ -248,6 +249,11 @@ def text(rows: list[dict[str, Any]], seed: int, numbers: range) -> str:
         *listing("Slowest", sorted(rows, key=lambda row: -row["seconds"])[:SLOWEST]),
     ]
     return "\n".join(lines)
+
+
+def span(numbers: list[int]) -> str:
+    """Some numbers in words."""
+    return ", ".join(map(str, numbers)) if len(numbers) <= SLOWEST else f"{len(numbers)} from number {numbers[0]} on"
 
 
 def column(rows: list[dict[str, Any]], name: str) -> Any:
