@@ -17,6 +17,7 @@ from hyperflex.core.stick import INSTANT, QUICK
 DONE, EVENT, AGAIN = range(3)
 LOW, HIGH, TRIES, SIDE = range(4)  # of Search.span: s, s, attempts so far, end of the span that moved last
 LOOKS = 16  # at a margin's course within a step
+GLANCES = 3  # attempts that are searched for hidden events; later ones only if they end at an event
 PATIENCE = 40  # attempts after which the span is halved, whatever the margins say; twice that ends the search
 
 
@@ -27,14 +28,14 @@ class Search(NamedTuple):
     low: Array  # at LOW, where there is no event; at first the beginning of the step
     high: Array  # at HIGH, where there is one, if HIGH is finite
     here: Array  # of the present attempt
-    middle: Array  # (n + 1,) margins in the middle of the first attempt, inf where not known
+    middle: Array  # in the middle of the present attempt, inf where not known
 
 
 @kernel
 def new_search(n):  # type: ignore[no-untyped-def]
     """A search over the margins of n joints."""
-    four = np.full((3, 2, n + 1), np.inf)
-    return Search(np.array([0.0, np.inf, 0.0, 0.0]), four[0], four[1], four[2], np.full(n + 1, np.inf))
+    four = np.full((4, 2, n + 1), np.inf)
+    return Search(np.array([0.0, np.inf, 0.0, 0.0]), four[0], four[1], four[2], four[3])
 
 
 @kernel
@@ -73,20 +74,28 @@ def falls(low, high, i, length):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def hidden(locked, search, step):  # type: ignore[no-untyped-def]
-    """Part of a step at which an event may hide though its end shows none; else 1.0.
+def hidden(locked, search, length):  # type: ignore[no-untyped-def]
+    """Part of the length, s, from LOW to the end of an attempt at which an event may hide; else 1.0.
 
-    Margins with slopes by the cubic through both ends, those of stuck joints by the parabola through the middle too.
+    Margins with slopes by the cubics through both ends and the middle, those of stuck joints by the parabola. Those
+    that tell of an event at the end do not count.
     """
     part = 1.0
     for i in range(locked.size):
-        v0, v1, vm = search.low[0, i], search.here[0, i], search.middle[i]
-        if v0 == np.inf or v1 == np.inf:
+        v0, v1, vm = search.low[0, i], search.here[0, i], search.middle[0, i]
+        if v0 == np.inf or v1 == np.inf or late(locked, search.here, i):
             continue
         if locked[i] == 0.0:
             for k in range(1, LOOKS):
-                if course(search.low, search.here, i, step, k / LOOKS) < 0.0:
-                    part = min(part, k / LOOKS)
+                x = k / LOOKS
+                if vm == np.inf:
+                    value = course(search.low, search.here, i, length, x)
+                elif x <= 0.5:
+                    value = course(search.low, search.middle, i, 0.5 * length, 2.0 * x)
+                else:
+                    value = course(search.middle, search.here, i, 0.5 * length, 2.0 * x - 1.0)
+                if value < 0.0:
+                    part = min(part, x)
         elif vm < 0.0:
             part = min(part, 0.5)
         elif vm < np.inf:
@@ -139,11 +148,16 @@ def judge(locked, search, step):  # type: ignore[no-untyped-def]
         if late(locked, search.here, i):
             over = True
             near = near and locked[i] == 0.0 and search.here[0, i] >= INSTANT * search.here[1, i]
-    if not over and span[HIGH] == np.inf:
-        part = hidden(locked, search, step) if span[TRIES] == 1.0 and step > QUICK else 1.0
-        return (AGAIN, part * step) if part < 1.0 else (DONE, step)
-    if over and (near or step - span[LOW] <= INSTANT or span[TRIES] > 2 * PATIENCE):
-        return EVENT, step
+    clear = not over and span[HIGH] == np.inf
+    ends = clear or (over and (near or step - span[LOW] <= INSTANT or span[TRIES] > 2 * PATIENCE))
+    at = step
+    if step > QUICK and (span[TRIES] <= GLANCES or (ends and over and span[TRIES] <= PATIENCE)):
+        at = span[LOW] + hidden(locked, search, step - span[LOW]) * (step - span[LOW])
+    if ends and at >= step:
+        return EVENT if over else DONE, step
+    search.middle[:] = np.inf  # it tells of this attempt's
+    if clear:
+        return AGAIN, at
     side = 1.0 if over else -1.0
     kept = search.low if over else search.high
     if side == span[SIDE]:
@@ -157,7 +171,7 @@ def judge(locked, search, step):  # type: ignore[no-untyped-def]
     else:
         span[LOW] = step
         search.low[:] = search.here
-    return AGAIN, estimate(locked, search)
+    return AGAIN, at if at < step else estimate(locked, search)
 
 
 @kernel

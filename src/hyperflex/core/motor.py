@@ -7,7 +7,8 @@ import numpy as np
 from hyperflex.core.chain import accelerations
 from hyperflex.core.drive import base_state, segment
 from hyperflex.core.jit import kernel
-from hyperflex.core.stick import bench, decide
+from hyperflex.core.modes import decide
+from hyperflex.core.stick import bench
 
 
 @kernel

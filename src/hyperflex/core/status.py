@@ -33,5 +33,5 @@ ADVICE: Final = {
     "trusted. Tighten tol; with method='rk4' take a smaller step",
     REACHED: "",
     FRICTION: "joints stick and come loose again and again without end. Change dry_friction a little, add viscous "
-    "friction, or take friction_model='relative': as printed, friction need not leave a possible motion",
+    "friction, or take friction_model='relative': as printed, friction may push a joint the way that it slips",
 }

@@ -88,7 +88,8 @@ def prepare(
     clock[MARK] = -np.inf
     noted = np.empty((0, 3)) if log is None else log
     progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, noted)
-    return Rollout(chain, drive, limits, progress, t, np.full((t.size, 2 * n + 2), np.nan))
+    # A copy of the times, which may be read-only or not: the kernels are compiled for one kind.
+    return Rollout(chain, drive, limits, progress, np.array(t), np.full((t.size, 2 * n + 2), np.nan))
 
 
 def starting_clock(t: float) -> Array:
@@ -218,9 +219,8 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
         When the torque was set, s, and what it was, N m.
     """
     n = run.chain.length.size
-    begin, stop = run.time, run.limits.stop
+    begin, stop, code, count = run.time, run.limits.stop, status.OK, 0
     times, torques = [], []
-    code, count = status.OK, 0
     while run.time < stop and code == status.OK:
         y = run.progress.y
         now = run.time
@@ -232,7 +232,10 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
         until = min(begin + count * period, stop)
         coef = run.drive.coef[:1].copy()
         coef[0, TORQUE, 0] = torques[-1]
-        run.drive = run.drive._replace(breaks=np.array([now, until]), coef=coef, switch=np.ones(2, dtype=np.bool_))
+        breaks, switch = np.array([now, until]), np.ones(2, dtype=np.bool_)
+        for array in (breaks, coef, switch):  # read-only as others are: the kernels are compiled for one kind
+            array.setflags(write=False)
+        run.drive = run.drive._replace(breaks=breaks, coef=coef, switch=switch)
         run.limits = run.limits._replace(stop=until)
         code = finish(run)
     return code, np.array(times), np.array(torques)

@@ -159,7 +159,7 @@ def sensitivities(
     Notes
     -----
     Derivatives hold at fixed times, also where a switch of the motion moves with its parameter. At the very instant of
-    such a switch they are those from before it. Equations (M.18)-(M.24) of docs/models.md; cost about as much as the
+    such a switch they are those from before it. Equations (M.19)-(M.25) of docs/models.md; cost about as much as the
     run for two parameters, and a third of it for each further initial angle or rate.
 
     With dry friction they go through each instant at which a joint sticks or comes loose, which moves with the
