@@ -200,8 +200,6 @@ def test_recordings_and_ropes_that_do_not_fit_are_refused():
         hf.revise(swing(), GUESS, profile="integrated")
     with pytest.raises(InvalidInput, match="rates is not known"):
         hf.initial_state(swing(), ROPE, rates="zero")
-    with pytest.raises(InvalidInput, match="dry friction"):
-        hf.revise(swing(), GUESS.replace(dry_friction=np.full(3, 1e-4)))
     data = swing().data.copy()
     data[1, 2] = np.nan
     with pytest.raises(InvalidInput, match="first three samples"):

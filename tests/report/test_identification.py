@@ -70,7 +70,7 @@ def unseen(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def changed(found: Identification, **values: Any) -> Identification:
-    return dataclasses.replace(found, **values)
+    return dataclasses.replace(found, **({"intervals": {}} | values))
 
 
 # ---- the page
@@ -176,7 +176,7 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path, swing, monkeypatch):
 
 
 def test_parameters_are_told_with_unit_deviation_interval_and_guess(markers):
-    found = markers[1]
+    found = changed(markers[1])
     table = parameters_table(found, hf.Rope.uniform(length=0.6, mass=0.1, n_links=6, friction=4e-4))
     rows = {row[0]: row for row in table.rows}
     value, sd = found.values["friction"][0], found.sd["friction"][0]

@@ -152,7 +152,7 @@ def revise(
     Raises
     ------
     InvalidInput
-        If the recording does not fit the rope, or there is dry friction and ``profile="response"``.
+        If the recording does not fit the rope.
     IdentificationError
         If the rope cannot be simulated from the guess.
 
