@@ -158,7 +158,7 @@ def main() -> int:
         folder = Path(options.out)
         folder.mkdir(parents=True, exist_ok=True)
         data = {"machine": about, "seed": options.seed, "rows": rows}
-        files.write_text(folder / "coverage.json", json.dumps(data, indent=None) + "\n")
+        files.write_text(folder / "coverage.json", json.dumps(data, separators=(",", ":")) + "\n")
         files.write_text(folder / "coverage.md", page)
     return int(not passed(rows))
 
@@ -193,7 +193,7 @@ def estimate(found: hf.Identification, name: str) -> float:
 
 
 def short(value: float) -> float | None:
-    return float(f"{value:.6g}") if np.isfinite(value) else None
+    return float(f"{value:.5g}") if np.isfinite(value) else None
 
 
 class Share(NamedTuple):
