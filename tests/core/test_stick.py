@@ -165,6 +165,32 @@ def test_a_dip_before_another_joint_s_event_is_found() -> None:
     assert taken == pytest.approx(np.arccos(-0.9) / (2.0 * np.pi), abs=2 * stick.INSTANT)
 
 
+def test_a_joint_that_comes_loose_does_not_stop_for_rounding() -> None:
+    """It hardly accelerates at first, so that its rate is rounding for long; then it slips, and stops much later."""
+    start, jerk, end, rounding = 3e-10, 1e3, 0.04, 4e-16
+
+    def value(t: float) -> float:
+        exact = start * t + jerk * t * t * (1.0 - t / end) / 2.0
+        return rounding * (np.floor(exact / rounding) - (2.0 if t < 1e-9 else 0.0))
+
+    def slope(t: float) -> float:
+        return start + jerk * t * (1.0 - 1.5 * t / end)
+
+    search = events.new_search(1)
+    locked, step, verdict, attempts = np.zeros(2), 0.1, events.AGAIN, 0
+    search.low[:, 0] = 0.0, slope(0.0)
+    events.begin(search)
+    search.middle[:, 0] = value(0.5 * step), slope(0.5 * step)
+    while verdict == events.AGAIN:
+        search.here[:, 0] = value(step), slope(step)
+        taken = step
+        verdict, step = events.judge(locked, search, step)
+        attempts += 1
+    assert verdict == events.EVENT
+    assert taken == pytest.approx(end + 2.0 * start / jerk, abs=2 * stick.INSTANT)
+    assert attempts <= 16
+
+
 def test_a_step_without_event_is_taken_as_it_is() -> None:
     search = events.new_search(1)
     search.low[:, 0], search.low[:, 1] = (1.0, -0.5), (np.inf, 0.0)

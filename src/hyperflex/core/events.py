@@ -12,12 +12,13 @@ import numpy as np
 
 from hyperflex.core.chain import Array
 from hyperflex.core.jit import kernel
-from hyperflex.core.stick import INSTANT, QUICK
+from hyperflex.core.stick import INSTANT, QUICK, STILL
 
 DONE, EVENT, AGAIN = range(3)
 LOW, HIGH, TRIES, SIDE = range(4)  # of Search.span: s, s, attempts so far, end of the span that moved last
 LOOKS = 16  # at a margin's course within a step
 GLANCES = 3  # attempts that are searched for hidden events; later ones only if they end at an event
+SOON = 0.125  # part of a span: where a margin grows at first, a cubic's zero before this is but a joint that came loose
 PATIENCE = 40  # attempts after which the span is halved, whatever the margins say; twice that ends the search
 
 
@@ -108,7 +109,9 @@ def hidden(locked, search, length):  # type: ignore[no-untyped-def]
 
 @kernel
 def late(locked, margin, i):  # type: ignore[no-untyped-def]
-    """Whether margin i says that its event has happened."""
+    """Whether margin i says that its event has happened; one that hardly differs from zero must not be growing."""
+    if locked[i] == 0.0 and i < locked.size - 1 and margin[1, i] > 0.0:
+        return margin[0, i] < -STILL
     return margin[0, i] < 0.0 or (margin[0, i] == 0.0 and locked[i] == 0.0)
 
 
@@ -184,12 +187,13 @@ def estimate(locked, search):  # type: ignore[no-untyped-def]
     at = 1.0
     for i in range(locked.size):
         if late(locked, search.high, i):
-            low, high = search.low[0, i], search.high[0, i]
-            x = (
-                falls(search.low, search.high, i, length)
-                if locked[i] == 0.0
-                else max(low, 0.0) / (max(low, 0.0) - high)
-            )
+            low, high = max(search.low[0, i], 0.0), search.high[0, i]
+            if locked[i] == 1.0:
+                x = low / (low - high)
+            else:
+                x = falls(search.low, search.high, i, length)
+            if locked[i] == 0.0 and search.low[1, i] > 0.0:
+                x = max(x, SOON)
             at = min(at, x)
     if span[TRIES] > PATIENCE:
         at = 0.5
