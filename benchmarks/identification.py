@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from clock import NOTE, alternately
@@ -33,7 +33,7 @@ MARKERS, PLACE_NOISE = 10, 2e-3  # m
 def measure(quick: bool, repeats: int, _peers: dict[str, ModuleType]) -> list[dict[str, Any]]:
     """Rows of {problem, method, seconds, error, ...}; a fit that does not converge is an error."""
     recording = paper_recording()
-    rows = [paper_problem(recording, repeats), *starts(recording, 4 if quick else STARTS)]
+    rows = [*paper_problem(recording, repeats), *starts(recording, 4 if quick else STARTS)]
     if not quick:
         rows.append(paper_method(recording))
     rows.append(cable_problem(3 if quick else repeats))
@@ -53,19 +53,24 @@ def row(problem: str, method: str, seconds: float, error: float, values: tuple[f
     return row | {"inertia": float(values[0]), "friction": float(values[1])}
 
 
-def paper_problem(recording: hf.Recording, repeats: int) -> dict[str, Any]:
-    """The new method from the cylinder's moment, as a user calls it."""
+def paper_problem(recording: hf.Recording, repeats: int) -> list[dict[str, Any]]:
+    """The new method from the cylinder's moment: the fit with its covariance, and with profiled intervals too."""
 
-    def run() -> hf.Identification:
-        return identify(recording, PAPER.replace(**GUESS), FREE, window=np.inf, train=np.inf)
+    def run(intervals: Literal["profile"] | None = None) -> hf.Identification:
+        return identify(recording, PAPER.replace(**GUESS), FREE, window=np.inf, train=np.inf, intervals=intervals)
+
+    def profiled() -> hf.Identification:
+        return run("profile")
 
     found = run()
     if found.status != "converged":
         raise RuntimeError(f"the paper's problem: {found.status}")
-    (timed,) = alternately([run], repeats, 10.0)
+    profiled()
     error = float((found.residuals**2).sum())
     values = found.values["inertia"][0], found.values["friction"][0]
-    return row("5 links, 81 frames", "shooting, from the cylinder's moment", timed.median, error, values)
+    names = "shooting, from the cylinder's moment", "the same, with profiled intervals"
+    timed = alternately([run, profiled], repeats, 10.0)
+    return [row("5 links, 81 frames", name, one.median, error, values) for name, one in zip(names, timed, strict=True)]
 
 
 def starts(recording: hf.Recording, count: int) -> list[dict[str, Any]]:

@@ -5,8 +5,9 @@ Public names are loaded on first use, so that ``import hyperflex`` stays quick.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
     from hyperflex.identification import (
@@ -129,12 +130,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'hyperflex' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"hyperflex.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = loader(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:
