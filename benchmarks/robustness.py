@@ -1,11 +1,12 @@
 """Random ropes of every kind: does each run keep its tolerance, or end in an error that names the reason?
 
-python -m benchmarks.robustness                      2,000 ropes, an hour or two; results in benchmarks/results/
+python -m benchmarks.robustness --workers 2          2,000 ropes, an hour or two; results in benchmarks/results/
 python -m benchmarks.robustness --count 100 --out -  a look; nothing is written
 python -m benchmarks.robustness --only-index 42      one of them again, in words
 
 What is drawn stands in tests/reference/random_ropes.py, what is promised, and how it is measured, in judging.py there.
-The exit code is 1 if a run was silently wrong, or errors were more than allowed.
+Each row is kept in robustness.jsonl at once: the same command goes on where an interrupted one stopped. The exit code
+is 1 if a run was silently wrong, or errors were more than allowed.
 """
 
 from __future__ import annotations
@@ -13,24 +14,30 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import multiprocessing
 import signal
 import sys
 from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from benchmarks import machine
 from rich.console import Console
 from rich.progress import Progress
 
+import hyperflex as hf
 from hyperflex import files
+from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.errors import SimulationError
-from tests.reference.judging import USUAL, Verdict, drift, judge
+from tests.reference.event_times import LOCATED
+from tests.reference.judging import USUAL, OutOfPatience, drift, judge
 from tests.reference.random_ropes import Case, draw, draw_stuck
 
 RESULTS = Path(__file__).parent / "results"
-PATIENCE = 120  # s of wall time for a run and its tighter ones
+PATIENCE = 120.0  # s of processor time for a run and its tighter ones
 ALLOWED_FAILURES = 0.01
 ALLOWED_DRIFT = 1e-6  # rad in 10 s, of a joint whose dry friction bears more than it must
 STICKING = 10  # one rope that should stick for so many others
@@ -39,17 +46,15 @@ ORDINARY = "at most 100 links, eta / (m l^2) within two decades of the paper's"
 PROMISE = """\
 A run has **met** its tolerance if, inside the horizon, it stays within `3 tol (1 + t / 20 ms) growth` of a run with
 a hundredth of that tolerance; `growth` is that of two nudged runs, one in the angles and one in the rates. It is
-**wrong** if it does not and does not say so. **Unchecked**: it ended well, a tighter one did not. **Failed**: it ended
-in an error."""
-
-
-class OutOfPatience(Exception):
-    """A case takes longer than PATIENCE."""
+**wrong** if it does not and does not say so. **Unchecked**: it ended well, a tighter one did not, or not in time.
+**Failed**: it ended in an error, or took too long."""
 
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=2000, help="number of ropes (2000)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first one (0)")
+    parser.add_argument("--workers", type=int, default=1, help="processes (1)")
     parser.add_argument("--seed", type=int, default=1, help="of all draws (1)")
     parser.add_argument("--only-index", type=int, metavar="INDEX", help="run this rope alone and show all about it")
     parser.add_argument("--out", default=str(RESULTS), metavar="FOLDER", help="for JSON and Markdown; - writes nothing")
@@ -58,35 +63,104 @@ def parse() -> argparse.Namespace:
 
 def main() -> int:
     options = parse()
-    signal.signal(signal.SIGALRM, _out_of_patience)
     if options.only_index is not None:
-        sys.stdout.write(json.dumps(plain(examine(draw(options.seed, options.only_index))), indent=1) + "\n")
+        be_ready()
+        sys.stdout.write(json.dumps(plain(examine((options.seed, options.only_index))), indent=1) + "\n")
         return 0
-    about, rows = machine.describe(), []
-    with Progress(console=Console(stderr=True)) as bar:
-        task = bar.add_task("ropes", total=options.count)
-        for number in range(options.count):
-            rows.append(examine(draw(options.seed, number)))
-            bar.update(task, advance=1, description=summary(rows))
-    stuck = [stay(draw_stuck(options.seed, number)) for number in range(options.count // STICKING)]
+    about = machine.describe()
+    numbers = range(options.first, options.first + options.count)
+    rows, stuck = sweep(options, numbers)
     about["load after"] = machine.load()
-    page = f"# Random ropes\n\n{text(rows, options.seed)}\n{sticking(stuck)}\n\n{machine.sentence(about)}\n"
+    page = f"# Random ropes\n\n{text(rows, options.seed, numbers)}\n{sticking(stuck)}\n\n{machine.sentence(about)}\n"
     print(page)
     if options.out != "-":
-        folder = Path(options.out)
-        folder.mkdir(parents=True, exist_ok=True)
-        data = {"machine": about, "seed": options.seed, "rows": [plain(row) for row in rows], "stuck": stuck}
-        files.write_text(folder / "robustness.json", json.dumps(data, indent=None) + "\n")
-        files.write_text(folder / "robustness.md", page)
+        data = {"machine": about, "seed": options.seed, "rows": table(rows), "stuck": table(stuck)}
+        files.write_text(Path(options.out) / "robustness.json", json.dumps(data, indent=None) + "\n")
+        files.write_text(Path(options.out) / "robustness.md", page)
     return int(not (passed(rows) and all(row["outcome"] == "met" for row in stuck)))
+
+
+def sweep(options: argparse.Namespace, numbers: range) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows of the ropes and of the stuck ones that are there, known or new; Ctrl-C keeps what is done."""
+    log, unkept = Path(options.out) / "robustness.jsonl", options.out == "-"
+    known = {} if unkept else read(log, options.seed)
+    jobs = [(what, number) for number in numbers for what in kinds(number) if (what, number) not in known]
+    tasks = [(what, options.seed, number) for what, number in jobs]
+    if not unkept:
+        log.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        Progress(console=Console(stderr=True)) as bar,
+        nullcontext() if unkept else log.open("a", encoding="utf-8") as keep,
+    ):
+        task = bar.add_task("ropes", total=len(tasks))
+        try:
+            for row in done(tasks, options.workers):
+                known[row["what"], row["number"]] = row
+                write(keep, row, options.seed)
+                bar.update(task, advance=1, description=summary(known.values()))
+        except KeyboardInterrupt:
+            bar.console.print("interrupted; the rows that are done follow")
+    rows = [known[key] for key in sorted(known) if key[1] in numbers]
+    return [row for row in rows if row["what"] == "rope"], [row for row in rows if row["what"] == "stuck"]
+
+
+def kinds(number: int) -> list[str]:
+    return ["rope", "stuck"] if number % STICKING == 0 else ["rope"]
+
+
+def done(tasks: list[tuple[str, int, int]], workers: int) -> Iterator[dict[str, Any]]:
+    """Rows as they come, from this process or from several."""
+    if workers == 1:
+        be_ready()
+        yield from map(work, tasks)
+        return
+    with multiprocessing.get_context("spawn").Pool(workers, be_ready) as pool:
+        yield from pool.imap_unordered(work, tasks)
+
+
+def work(task: tuple[str, int, int]) -> dict[str, Any]:
+    what, seed, number = task
+    row = examine((seed, number)) if what == "rope" else stay(draw_stuck(seed, number))
+    return {"what": what, **plain(row)}
+
+
+def be_ready() -> None:
+    """Compile for both friction models before any clock runs, and let patience be counted."""
+    signal.signal(signal.SIGVTALRM, _out_of_patience)
+    for model in ("relative", "printed"):
+        rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=2, friction_model=model)
+        hf.simulate(rope, duration=0.01)
+
+
+def read(log: Path, seed: int) -> dict[tuple[str, int], dict[str, Any]]:
+    """Rows of an earlier sweep with the same seed and the same kernels."""
+    if not log.exists():
+        return {}
+    lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
+    same = [row for row in lines if row.pop("seed") == seed and row.pop("kernels") == SOURCE_HASH]
+    return {(row["what"], row["number"]): row for row in same}
+
+
+def write(log: TextIO | None, row: dict[str, Any], seed: int) -> None:
+    if log is not None:
+        log.write(json.dumps({"seed": seed, "kernels": SOURCE_HASH, **row}) + "\n")
+        log.flush()
+
+
+def table(rows: list[dict[str, Any]]) -> dict[str, list[Any]]:
+    """Rows as columns, which name each quantity once."""
+    return {name: [row.get(name) for row in rows] for name in dict.fromkeys(name for row in rows for name in row)}
 
 
 def stay(case: Case) -> dict[str, Any]:
     """Whether a rope that should stick does."""
     try:
+        signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE)
         turned = drift(case.setup)
-    except SimulationError as error:
+    except (SimulationError, OutOfPatience) as error:
         return {"number": case.number, "links": case.kind["links"], "outcome": "failed", "reason": error.status}
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
     outcome = "met" if turned <= ALLOWED_DRIFT else "wrong"
     return {"number": case.number, "links": case.kind["links"], "outcome": outcome, "drift": turned}
 
@@ -106,16 +180,14 @@ def _out_of_patience(*_: Any) -> None:
     raise OutOfPatience
 
 
-def examine(case: Case) -> dict[str, Any]:
-    """Judge one case within PATIENCE."""
-    signal.alarm(PATIENCE)
+def examine(case_of: tuple[int, int]) -> dict[str, Any]:
+    """Judge the case of a seed and a number within PATIENCE."""
+    case = draw(*case_of)
+    signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE)
     try:
         verdict = judge(case.setup, case.number)
-    except OutOfPatience:
-        none = float("nan")
-        verdict = Verdict("failed", f"slower than {PATIENCE} s", *[none] * 5, False, none, float(PATIENCE))
     finally:
-        signal.alarm(0)
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
     return {"number": case.number, "ordinary": case.ordinary, **case.kind, **verdict._asdict()}
 
 
@@ -130,7 +202,7 @@ def _short(value: Any) -> Any:
     return float(f"{value:.4g}") if math.isfinite(value) else None
 
 
-def summary(rows: list[dict[str, Any]]) -> str:
+def summary(rows: Iterable[dict[str, Any]]) -> str:
     return ", ".join(f"{count} {outcome}" for outcome, count in Counter(row["outcome"] for row in rows).most_common())
 
 
@@ -141,16 +213,20 @@ def passed(rows: list[dict[str, Any]]) -> bool:
     return outcomes["wrong"] == 0 and not ordinary and outcomes["failed"] <= ALLOWED_FAILURES * len(rows)
 
 
-def text(rows: list[dict[str, Any]], seed: int) -> str:
-    """Results as Markdown."""
+def text(rows: list[dict[str, Any]], seed: int, numbers: range) -> str:
+    """Results as Markdown, of ropes of these numbers as far as they are there."""
     good = [row for row in rows if row["outcome"] in ("met", "wrong")]
+    missing = sorted(set(numbers) - {row["number"] for row in rows})
     ordinary = [row for row in rows if row["ordinary"]]
     factor, promise = (np.array([row[name] for row in good]) for name in ("factor", "promise"))
     reached = np.array([row["horizon"] / row["duration"] for row in good])
+    timed = Counter(row["event"] for row in good if row["event"])
+    events = ", ".join(f"{count} {name}" for name, count in sorted(timed.items()))
     shares = f"{np.mean(factor <= USUAL):.1%} stay below {USUAL:g} tol growth."
     checked = f"{sum(row['checked'] for row in good)} were checked against Runge and Kutta's method as well."
     lines = [
         f"{len(rows)} ropes, seed {seed}: {summary(rows)}.",
+        *([f"The sweep was stopped; still to come: {span(missing)}."] if missing else []),
         f"Of these {len(ordinary)} are ordinary ({ORDINARY}): {summary(ordinary)}.",
         "",
         PROMISE,
@@ -160,9 +236,12 @@ def text(rows: list[dict[str, Any]], seed: int) -> str:
         quantiles("error / what is promised", promise),
         quantiles("error / (tol growth)", factor),
         quantiles("horizon / duration", reached),
-        quantiles("wall time of a run, ms", 1e3 * np.array([row["seconds"] for row in rows])),
+        quantiles("error of an event's time / what is promised", column(good, "lateness")),
+        quantiles("error of an event's time, s", column(good, "late")),
+        quantiles("processor time of a run, ms", 1e3 * column(rows, "seconds")),
         "",
         f"{shares} {checked}",
+        f"Runs that ended at an event: {events}; what moves it is what the state may err, and {LOCATED:g} s beside it.",
         "",
         *listing("Wrong", [row for row in rows if row["outcome"] == "wrong"]),
         *listing("Failed", [row for row in rows if row["outcome"] == "failed"]),
@@ -170,6 +249,16 @@ def text(rows: list[dict[str, Any]], seed: int) -> str:
         *listing("Slowest", sorted(rows, key=lambda row: -row["seconds"])[:SLOWEST]),
     ]
     return "\n".join(lines)
+
+
+def span(numbers: list[int]) -> str:
+    """Some numbers in words."""
+    return ", ".join(map(str, numbers)) if len(numbers) <= SLOWEST else f"{len(numbers)} from number {numbers[0]} on"
+
+
+def column(rows: list[dict[str, Any]], name: str) -> Any:
+    """Numbers that are there."""
+    return np.array([row[name] for row in rows if row[name] is not None])
 
 
 def quantiles(name: str, values: Any) -> str:
@@ -187,7 +276,7 @@ def listing(title: str, rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _cell(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    return "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 if __name__ == "__main__":

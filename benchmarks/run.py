@@ -25,6 +25,7 @@ PARTS = {
     "costs": "The paper's cast with one thing changed: cost and error",
     "batches": "Many ropes at once: throughput where every member was checked",
     "gradients": "Exact derivatives, in plain rollouts",
+    "identification": "From a recording to a rope: time and error",
     "starting": "Imports, compilation and first calls",
 }
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

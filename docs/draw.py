@@ -9,8 +9,10 @@ import numpy as np
 
 import hyperflex as hf
 from hyperflex import paper
-from hyperflex.report import casting
+from hyperflex.report import casting, revision_figures
 from hyperflex.report.animation import animate
+from hyperflex.report.fit_figures import prediction_figure
+from hyperflex.report.fitted import beside
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import BLUE, GREY, RED, look, new_figure, save_png
 
@@ -53,6 +55,22 @@ def growth() -> Figure:
     return figure
 
 
+def identified() -> Figure:
+    """Prediction of the held-out part of the recording in how-to/identify.md."""
+    truth = hf.Rope(
+        length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4]
+    )
+    swing = hf.simulate(truth, duration=10.0, q0=[0.6, 0.9], t_eval=np.arange(0, 1000) * 0.01)
+    noise = np.radians(np.random.default_rng(1).normal(0.0, 0.2, swing.q.shape))
+    recording = hf.Recording(swing.t, swing.q + noise, noise=np.radians(0.2))
+    found = hf.identify(recording, truth.replace(friction=1e-3), ["inertia", "friction"])
+    view, held = beside(recording, found), found.held_out
+    if held is None:
+        raise SystemExit("nothing is held out")
+    print(f"identified: {100.0 * held.inside:.0f} % within the band")
+    return prediction_figure(view, held)
+
+
 def main() -> None:
     """Draw them all, and print the figures that the captions name."""
     IMAGES.mkdir(exist_ok=True)
@@ -63,6 +81,9 @@ def main() -> None:
     speed = np.linalg.norm(cracked.tip_velocity, axis=1)
     print(f"whip: {speed.max():.0f} m/s at t = {cracked.t[speed.argmax()]:.2f} s")
     save_png(growth(), IMAGES / "growth.png", dpi=2 * DPI)
+    for figure in (revision_figures.fig3, revision_figures.fig5, revision_figures.fig6):
+        save_png(figure(), IMAGES / f"{figure.__name__}.png", dpi=DPI)
+    save_png(identified(), IMAGES / "identified.png", dpi=DPI)
     casts = paper.casts()
     for draw in (casting.fig10, casting.fig11, casting.fig12):
         save_png(draw(casts), IMAGES / f"{draw.__name__}.png", dpi=DPI)

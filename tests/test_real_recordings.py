@@ -29,9 +29,9 @@ def triple(data_dir: Path) -> Identification:
 
 
 def test_triple_pendulum_ratios(triple: Identification) -> None:
-    # 2 %: the authors' own fit and the independent one differ by up to 0.5 %, friction being modelled differently.
-    np.testing.assert_allclose(triple.ratios["J/p1"], J, rtol=0.02)
-    np.testing.assert_allclose(triple.ratios["p/p1"], P, rtol=0.02)
+    # 1 %: the authors' own fit and the independent one differ by up to 0.5 %, friction being modelled differently.
+    np.testing.assert_allclose(triple.ratios["J/p1"], J, rtol=0.01)
+    np.testing.assert_allclose(triple.ratios["p/p1"], P, rtol=0.01)
     assert triple.status == "converged"
     assert not triple.identifiable
     assert triple.verdict[0].startswith("One common factor of inertia, com, friction")
@@ -48,7 +48,7 @@ def test_triple_pendulum_prediction(triple: Identification, record_property: Not
     assert (held.lead, held.ahead, held.starts.size) == (0.5, 1.0, 5)  # 6.142 s held out, half a second to start
     assert held.starts[0] == pytest.approx(33.858 + 0.5)
     record_property("held-out rms of each angle, mrad", (1e3 * held.rms).round(2).tolist())
-    assert (held.rms < 8e-3).all()  # the aim of the task; 1.4, 1.9 and 3.0 mrad when this was written
+    assert np.sqrt((held.rms**2).mean()) < 6e-3  # the aim of the task; 1.4, 1.8 and 2.6 mrad when this was written
 
 
 def test_dry_friction_predicts_better_than_viscous_alone(triple: Identification, data_dir: Path) -> None:
@@ -79,19 +79,33 @@ def test_single_pendulum(data_dir: Path) -> None:
     assert (result.residual_rms < 4.3e-3).all()  # what the independent fit left without free initial states
 
 
-@pytest.mark.parametrize(
-    ("run", "masses"), [(16, (0.1, 0.1)), (16, (0.05, 0.03)), (6, (0.1, 0.1))], ids=["16", "16, other guess", "6"]
-)
-def test_double_pendulum_from_video_markers(data_dir: Path, run: int, masses: tuple[float, ...]) -> None:
+def double(data_dir: Path, run: int, masses: tuple[float, ...] = (0.1, 0.1)) -> Identification:
     path = data_dir / "ibm_double_pendulum" / f"run{run:02d}_500Hz.csv"
     recording = read_recording(path, time_unit="s", unit="m", y_axis="up")
     guess = Rope(length=recording.link_lengths(), mass=masses, friction=1e-5)
-    result = identify(recording, guess, [*FREE, "gravity_angle"], window=0.2, train=np.inf)
-    assert result.status == "converged"  # the bottom is rough: dry friction at its bound, and too little to gain
-    found = [*result.ratios["J/p1"], result.ratios["p/p1"][1]]
-    np.testing.assert_allclose(found, [0.0905, 0.00686, 0.1019], rtol=0.05)  # 5 %: as the task asks; it is within 1 %
-    assert result.residual_rms_all < 3e-3  # the markers' own noise is about 2.5 mrad
-    assert abs(result.values["gravity_angle"]) < np.radians(1.0)  # README: camera roll of about 0.5 degrees
+    return identify(recording, guess, [*FREE, "gravity_angle"], window=0.2, train=np.inf)
+
+
+def figures(found: Identification) -> tuple[list[float], list[float]]:
+    """J/p1 of both links and p/p1 of the second, and their standard deviations."""
+    kinds = found.ratios, found.ratio_sd
+    values, spreads = ([*kind["J/p1"], kind["p/p1"][1]] for kind in kinds)
+    return values, spreads
+
+
+def test_double_pendulum_from_video_markers(data_dir: Path) -> None:
+    first, other, second = double(data_dir, 16), double(data_dir, 16, (0.05, 0.03)), double(data_dir, 6)
+    for result in (first, other, second):
+        assert result.status == "converged"  # the bottom is rough: dry friction at its bound, and too little to gain
+        # 1 %: independent fits of run 16
+        np.testing.assert_allclose(figures(result)[0], [0.0905, 0.00686, 0.1019], rtol=0.01)
+        assert result.residual_rms_all < 3e-3  # the markers' own noise is about 2.5 mrad
+        assert abs(result.values["gravity_angle"]) < np.radians(1.0)  # README: camera roll of about 0.5 degrees
+    (one, one_sd), (two, two_sd) = figures(first), figures(second)
+    gap = np.abs(np.subtract(one, two)) / np.hypot(one_sd, two_sd)
+    assert (gap < 3.0).all()  # the same pendulum: within the joint uncertainty of both runs
+    # another guess, the same optimum: what a stop leaves is a small part of the uncertainty
+    np.testing.assert_allclose(figures(other)[0], one, atol=0.2 * max(one_sd))
 
 
 def test_an_identified_pendulum_can_be_cast(triple: Identification, data_dir: Path) -> None:

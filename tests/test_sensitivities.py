@@ -241,7 +241,6 @@ BAD: dict[str, tuple[Any, str]] = {
     "twice": (["friction", "friction"], "once"),
     "own": ({"a": {"weight": 1.0}}, "mass"),
     "own shape": ({"a": {"mass": [1.0, 2.0]}}, "shape 6"),
-    "dry": ("dry_friction", "dry_friction is 0"),
 }
 
 
@@ -252,14 +251,8 @@ def test_what_cannot_be_used_is_refused_with_what_can(wrt: Any, word: str) -> No
 
 
 def test_what_has_no_derivative_is_refused() -> None:
-    with pytest.raises(hf.errors.InvalidInput, match="dry friction"):
-        hf.sensitivities(setup(rope=rope(dry_friction=1e-3)), wrt="q0")
     with pytest.raises(hf.errors.InvalidInput, match="extrapolation"):
         hf.sensitivities(setup(method="rk4", step=1e-5), wrt="q0")
-    with pytest.raises(hf.errors.InvalidInput, match="torque-driven"):
-        hf.sensitivities(
-            setup(motion=None, torque=hf.torque_profile([0.0, 1.0], [0.0, 0.1]), arm=hf.Arm(inertia=1e-3)), wrt="q0"
-        )
     joined = hf.swings().then(hf.swings(), at=2.52)
     with pytest.raises(hf.errors.InvalidInput, match="breaks and coef"):
         hf.sensitivities(setup(motion=joined), wrt="motion.t_rest")

@@ -5,11 +5,24 @@ Public names are loaded on first use, so that ``import hyperflex`` stays quick.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
-    from hyperflex.identification import Identification, identify
+    from hyperflex.identification import (
+        Design,
+        Experiment,
+        Identification,
+        ModelComparison,
+        Revision,
+        compare_models,
+        design,
+        identify,
+        initial_state,
+        regression,
+        revise,
+    )
     from hyperflex.model import Arm, Peg, Rope, Setup, refined
     from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
@@ -35,12 +48,16 @@ __version__ = "0.1.0"
 _HOMES = {
     "Arm": "model",
     "Batch": "simulation",
+    "Design": "identification",
     "Event": "simulation",
+    "Experiment": "identification",
     "Identification": "identification",
+    "ModelComparison": "identification",
     "Motion": "motion",
     "Peg": "model",
     "Predictability": "simulation",
     "Recording": "recording",
+    "Revision": "identification",
     "Rope": "model",
     "Sensitivities": "simulation",
     "Setup": "model",
@@ -49,8 +66,11 @@ _HOMES = {
     "Tug": "winding",
     "Winding": "winding",
     "angle_reached": "simulation",
+    "compare_models": "identification",
+    "design": "identification",
     "hold": "motion",
     "identify": "identification",
+    "initial_state": "identification",
     "move": "motion",
     "moving_point": "motion",
     "phase_reached": "simulation",
@@ -59,6 +79,8 @@ _HOMES = {
     "read_recording": "recording",
     "read_trajectory": "trajectory",
     "refined": "model",
+    "regression": "identification",
+    "revise": "identification",
     "sampled": "motion",
     "sensitivities": "simulation",
     "simulate": "simulation",
@@ -75,12 +97,16 @@ _HOMES = {
 __all__ = [
     "Arm",
     "Batch",
+    "Design",
     "Event",
+    "Experiment",
     "Identification",
+    "ModelComparison",
     "Motion",
     "Peg",
     "Predictability",
     "Recording",
+    "Revision",
     "Rope",
     "Sensitivities",
     "Setup",
@@ -90,8 +116,11 @@ __all__ = [
     "Winding",
     "__version__",
     "angle_reached",
+    "compare_models",
+    "design",
     "hold",
     "identify",
+    "initial_state",
     "move",
     "moving_point",
     "phase_reached",
@@ -100,6 +129,8 @@ __all__ = [
     "read_recording",
     "read_trajectory",
     "refined",
+    "regression",
+    "revise",
     "sampled",
     "sensitivities",
     "simulate",
@@ -114,12 +145,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'hyperflex' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"hyperflex.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = loader(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:

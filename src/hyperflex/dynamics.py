@@ -14,7 +14,8 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import chain as core
-from hyperflex.core.stick import bench, decide
+from hyperflex.core.modes import decide
+from hyperflex.core.stick import bench
 from hyperflex.model import Arm, Rope
 
 

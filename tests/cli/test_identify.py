@@ -12,6 +12,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import files, identification
+from hyperflex.cli import output, rounds
 
 
 @pytest.fixture
@@ -121,3 +122,150 @@ def test_a_wrong_suffix_is_refused(hyperflex, swing):
     assert code == 2
     assert ".toml" in err
     assert not (swing / "rope.nc").exists()
+
+
+# ---- a folder with the report
+
+
+def test_a_folder_gets_rope_figures_and_page(hyperflex, swing):
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction,inertia", "--train", "2", *DECLARED)
+    code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments, "-o", swing / "found")
+    assert code == 0
+    assert sorted(path.name for path in (swing / "found").iterdir()) == [
+        "identification.json",
+        "report.html",
+        "rope.toml",
+    ]
+    assert hf.Rope.from_toml(swing / "found" / "rope.toml").friction[0] == pytest.approx(2e-4, rel=1e-2)
+    page = (swing / "found" / "report.html").read_text("utf-8")
+    assert "swing, identified" in page
+    assert "first guess" in page
+    for words in ("friction[0]", "inertia[0]", "prediction error over 1 s", "report.html", "µN"):
+        assert words in out
+    content = json.loads((swing / "found" / "identification.json").read_text("utf-8"))
+    assert content["settings"]["free"] == ["friction", "inertia"]
+
+
+def test_a_folder_as_json_names_its_files(hyperflex_json, swing):
+    (swing / "found.v2").mkdir()  # a folder that is there already may have any name
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", *DECLARED)
+    code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "-o", swing / "found.v2")
+    assert code == 0
+    assert result["files"]["page"] == str(swing / "found.v2" / "report.html")
+    assert result["output"] == str(swing / "found.v2")
+
+
+def test_a_folder_does_not_overwrite_its_own_input(hyperflex, swing):
+    (swing / "found").mkdir()
+    guess = swing / "found" / "rope.toml"
+    (swing / "guess.toml").rename(guess)
+    before = guess.read_bytes()
+    code, _, err = hyperflex("identify", swing / "swing.csv", "--rope", guess, "-o", swing / "found", *DECLARED)
+    assert code == 2
+    assert "is one of the inputs" in err
+    assert guess.read_bytes() == before
+
+
+def test_an_interrupted_fit_leaves_a_whole_folder_marked_as_such(hyperflex, swing, monkeypatch):
+    whole = identification.identify
+
+    def interrupted(*arguments, **options):
+        return dataclasses.replace(whole(*arguments, **options), status="interrupted")
+
+    monkeypatch.setattr(identification, "identify", interrupted)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", *DECLARED)
+    code, out, err = hyperflex("identify", swing / "swing.csv", *arguments, "-o", swing / "found")
+    assert (code, out) == (130, "")
+    assert "marked as interrupted" in err
+    assert '<span class="badge">interrupted</span>' in (swing / "found" / "report.html").read_text("utf-8")
+
+
+# ---- markers along the rope, a led first joint
+
+
+@pytest.fixture
+def led(tmp_path):
+    """Four markers on three links that hang from an arm in motion, seen from an origin of the camera's own."""
+    rope = hf.Rope.uniform(length=0.3, mass=0.1, n_links=3, friction=2e-4)
+    swings = hf.swings(t_move=0.4, t_rest=0.3)
+    setup = hf.Setup(rope, swings, hf.Arm(length=0.1), duration=3.0)
+    t = np.linspace(0.0, 3.0, 101)
+    run = hf.simulate(setup, t_eval=t)
+    middle = 0.5 * (run.joints[:, :1] + run.joints[:, 1:2])
+    places = np.concatenate([middle, run.joints[:, 1:]], axis=1) + np.array([0.05, -0.02])
+    table = np.column_stack([t, places.reshape(t.size, -1)])
+    files.write_table(tmp_path / "led.csv", ["t", *(f"{axis}{k}" for k in range(4) for axis in "xy")], table)
+    setup.to_toml(tmp_path / "setup.toml")
+    rope.replace(friction=4e-4).to_toml(tmp_path / "guess.toml")
+    return tmp_path
+
+
+MARKERS = ("--kind", "markers", "--time-unit", "s", "--unit", "m", "--y-axis", "up", "--free", "friction:shared")
+
+
+@pytest.mark.parametrize("arcs", [("--arc", "0.05,0.1,0.2,0.3"), ("--arc", "0.05,0.1", "--arc", "0.2,0.3")])
+def test_arcs_origin_and_setup_reach_the_fit(hyperflex_json, led, arcs):
+    arguments = ("--rope", led / "guess.toml", "--setup", led / "setup.toml", "--origin", "0.05,-0.02", *arcs)
+    options = ("--loss", "huber", "--train", "inf", *MARKERS)
+    code, result = hyperflex_json("identify", led / "led.csv", *arguments, *options, "-o", led / "rope.toml")
+    assert code == 0
+    # Noise-free data of the same model: only the rollout's tolerance is left.
+    assert result["values"]["friction"] == pytest.approx([2e-4] * 3, rel=1e-2)
+    settings = result["settings"]
+    assert (settings["arcs"], settings["origin"], settings["loss"]) == ([0.05, 0.1, 0.2, 0.3], [0.05, -0.02], "huber")
+    assert settings["base"] == "moved by an arm of 0.1 m"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--arc", "0.1,here"), "--arc holds something that is no number"),
+        (("--arc", "0.05,0.1,0.2,0.3", "--origin", "0.05"), "origin"),
+        (("--arc", "0.05,0.1,0.2,0.3", "--loss", "cubes"), "loss"),
+    ],
+)
+def test_bad_options_are_refused_by_name(hyperflex, led, options, message):
+    arguments = ("--rope", led / "guess.toml", *options, *MARKERS, "-o", led / "found")
+    code, _, err = hyperflex("identify", led / "led.csv", *arguments)
+    assert code == 2
+    assert message in err
+    assert not (led / "found").exists()
+
+
+def test_a_torque_cannot_lead_an_identification(hyperflex, led):
+    rope = hf.Rope.from_toml(led / "guess.toml")
+    torque = hf.torque_profile([0.0, 1.0], [0.1, 0.1])
+    hf.Setup(rope, arm=hf.Arm(length=0.1, inertia=1e-3), torque=torque).to_toml(led / "torque.toml")
+    arguments = ("--rope", led / "guess.toml", "--arc", "0.05,0.1,0.2,0.3", "--setup", led / "torque.toml", *MARKERS)
+    code, _, err = hyperflex("identify", led / "led.csv", *arguments, "-o", led / "found")
+    assert code == 2
+    assert "drives its arm by a torque" in err
+
+
+# ---- the bar
+
+
+def test_the_bar_moves_forward_and_tells_stage_and_round(monkeypatch, capsys):
+    entries = [
+        {"stage": stage, "stages": 2, "round": k, "window": 0.25, "gain": 0.5} for stage in range(2) for k in range(9)
+    ]
+    parts = [rounds.reached(entry) for entry in entries]
+    assert parts == sorted(parts)
+    assert 0.0 < parts[0] < 0.5
+    assert parts[9] > 0.5
+    assert parts[-1] < 1.0
+    assert rounds.told(entries[10]) == "stage 2 of 2, windows of 0.25 s: round 2 gained 50 %"
+    monkeypatch.setattr(output, "watched", lambda as_json: True)
+    with rounds.bar(False) as hear:
+        for entry in entries:
+            hear(entry)
+    assert capsys.readouterr().out == ""
+
+
+def test_a_fit_tells_its_stages(swing):
+    recording = hf.read_recording(swing / "swing.csv", time_unit="ms", unit="deg")
+    heard = []
+    hf.identify(recording, hf.Rope.from_toml(swing / "guess.toml"), ["friction"], window=3.0, progress=heard.append)
+    assert {entry["stage"] for entry in heard} == {0, 1, 2}  # 0.75, 1.5 and 3 s: the usual length is 1.1 s
+    assert [entry["stage"] for entry in heard] == sorted(entry["stage"] for entry in heard)
+    assert heard[-1]["stage"] == heard[-1]["stages"] - 1

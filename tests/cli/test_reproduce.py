@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hyperflex.report import reproduce
+from hyperflex.report import casting
 
 
 def test_reproduce_writes_files_and_prints_verdicts(hyperflex, tmp_path):
@@ -41,10 +41,23 @@ def test_ctrl_c_while_drawing_leaves_the_folder_as_it_was(hyperflex, tmp_path, m
     def interrupted(_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(reproduce.casting, "fig10", interrupted)
+    monkeypatch.setattr(casting, "fig10", interrupted)
     (tmp_path / "fig9.png").write_text("earlier")
     code, out, err = hyperflex("reproduce", "fig9", "fig10", "-o", tmp_path)
     assert (code, out) == (130, "")
     assert err.startswith("hyperflex: Interrupted")
     assert [path.name for path in tmp_path.iterdir()] == ["fig9.png"]
     assert (tmp_path / "fig9.png").read_text() == "earlier"
+
+
+def test_a_figure_on_identification_comes_with_its_own_claims(hyperflex_json, tmp_path):
+    code, result = hyperflex_json("reproduce", "fig3", "-o", tmp_path / "paper")
+    assert code == 0
+    assert {claim["claim"] for claim in result["claims"]} == {"C6", "C7"}
+    assert {claim["in"] for claim in result["claims"]} == {
+        "swing of 0.15 rad, data from 5 links",
+        "swing of 1 rad, data from 5 links",
+    }
+    assert all("path" not in claim for claim in result["claims"])
+    names = {path.name for path in (tmp_path / "paper").iterdir()}
+    assert names == {"fig3.png", "fig3.csv", "claims.md", "report.html"}

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex import checks
+from hyperflex.simulation import rollouts
 
 ROPE = hf.Rope(length=[0.1, 0.2, 0.15], mass=[0.03, 0.02, 0.01], friction=1e-3, stiffness=1e-3, tip_mass=0.01)
 DRY = ROPE.replace(dry_friction=1e-3)
@@ -31,3 +33,20 @@ def test_members_agree_with_the_single_run() -> None:
     assert batch.failed == []
     for q in batch.q:
         np.testing.assert_allclose(q, run.q, rtol=0, atol=1e-6)  # as above
+
+
+def test_the_kernels_are_compiled_for_one_kind_of_arrays() -> None:
+    """Whether an array may be written to is part of its type; each new type would cost half a minute of compiling."""
+    rope, arm = hf.Rope.uniform(length=1.0, mass=0.1, n_links=3), hf.Arm(0.1, 1e-3, pivot=(0.1, 0.0))
+    torque = hf.torque_profile([0.0, 1.0], [1.0, 0.0])
+    kinds = set()
+    for setup in (hf.Setup(rope), hf.Setup(rope, hf.swings(), arm), hf.Setup(rope, arm=arm, torque=torque)):
+        for t in (np.array([0.0, 0.1]), checks.times("t_eval", [0.0, 0.1])):
+            chain = setup.chain()
+            run = rollouts.prepare(chain, setup.drive(), setup.start(), t, rollouts.limits(setup, chain, 0.1))
+            if setup.torque_driven:
+                rollouts.controlled(run, lambda *_: 0.0, 0.05, 1.0)
+            parts = (*run.chain, *run.drive, *run.progress, run.t, run.y)
+            arrays = [part for part in parts if isinstance(part, np.ndarray)]
+            kinds.add(tuple((a.flags.writeable, a.flags.c_contiguous, a.dtype, a.ndim) for a in arrays))
+    assert len(kinds) == 1

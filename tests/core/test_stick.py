@@ -7,10 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hyperflex.core import events, stick
+from hyperflex.core import events, modes, stick
 from tests.core.helpers import chain_of
 from tests.reference import dense
 from tests.reference.cases import State, random_grip, random_links, random_state
+from tests.reference.dense import Links, Real
 from tests.reference.stick import lawful
 
 
@@ -40,16 +41,71 @@ def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n: int) -> None:
         held = np.abs(dense.accelerations(links, *state, grip=np.zeros(n)).held).astype(float)
         links = links._replace(dry=held * np.random.default_rng(seed).uniform(0.4, 1.6, n))
         grip, room = np.zeros(n), stick.bench(n)
-        assert stick.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
+        assert modes.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
         np.testing.assert_array_equal(grip, lawful(links, *state))
         kinds |= set(grip)
     assert len(kinds) == 3 or n == 1
 
 
+def obeys_the_law(links: Links, state: State, grip: Real) -> bool:
+    """Whether modes of a chain all of whose joints are at rest obey Coulomb's law, by the dense equations."""
+    answer = dense.accelerations(links, *state, dtype=float, grip=grip)
+    turning = np.diff(answer.alpha, prepend=state.base[2])
+    slack = 1e-9 * np.abs(answer.alpha).max()  # of two ways to solve for accelerations
+    stuck = grip == 0.0
+    held = (np.abs(answer.held[stuck]) <= links.dry[stuck] * (1.0 + 1e-9)).all()
+    return bool(held and (grip[~stuck] * turning[~stuck] >= -slack).all())
+
+
+@pytest.mark.parametrize(("n", "seeds"), [(1, 20), (2, 60), (5, 40), (12, 20)])
+def test_friction_without_reaction_leaves_lawful_modes_as_well(n: int, seeds: int) -> None:
+    """A crumpled chain may have several. Letting the worst joint go need not find one; following them does."""
+    stubborn = 0
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        links, base = random_links(n, seed, reaction=0.0), random_state(n, seed).base
+        state = State(rng.uniform(-np.pi, np.pi, n), np.full(n, base[3]), base)
+        held = np.abs(dense.accelerations(links, *state, grip=np.zeros(n)).held).astype(float)
+        links = links._replace(dry=held * rng.uniform(0.1, 1.2, n))
+        chain, grip, room = chain_of(links), np.zeros(n), stick.bench(n)
+        known = (chain, state.q, state.w, state.base, 0.0)
+        assert modes.decide(*known, 1.0, grip, room)
+        assert obeys_the_law(links, state, grip)
+        stubborn += not modes.improve(*known, 1.0, n, np.zeros(n), np.zeros(n), room)
+        assert modes.follow(*known, np.ones(n), grip, room)  # all of them, not only those that would not come right
+        assert obeys_the_law(links, state, grip)
+    assert stubborn > 0 or n == 1
+
+
+def test_events_that_change_nothing_are_rounding_and_chatter_has_an_end() -> None:
+    n = 3
+    links, state = random_links(n, 1), random_state(n, 1)
+    state = State(state.q, np.full(n, state.base[3]), state.base)
+    grip, room = np.zeros(n), stick.bench(n)
+    known = (chain_of(links), state.q, state.w, state.base, 0.0)
+    assert modes.decide(*known, 1.0, grip, room)
+
+    def settled(chatter: float, before: Real) -> tuple[bool, float]:
+        answer: tuple[bool, float] = modes.settled(*known, chatter, before.copy(), np.zeros(n), room)
+        return answer
+
+    assert settled(0.0, grip) == (True, 0.0)  # the first event may change nothing
+    good, chatter = settled(1.0, grip)
+    assert good
+    assert stick.widened(chatter, n) == pytest.approx(10.0)
+    assert settled(1.0, grip + 1.0) == (True, 1.0)
+    assert stick.widened(n + 30.0, n) == 1e8  # and no more
+    assert settled(n + 4.0 + stick.HOPELESS, grip)[0]
+    assert not settled(n + 5.0 + stick.HOPELESS, grip)[0]
+    state.w[:] += 2e-10 * np.arange(1, n + 1)  # rest, where limits are wider by a thousand
+    settled(n + 7.0, grip)
+    np.testing.assert_array_equal(state.w, state.base[3])
+
+
 def test_a_joint_that_turns_slips_whatever_its_load() -> None:
     links, state = random_links(5, 1), random_state(5, 1)
     grip, room = np.zeros(5), stick.bench(5)
-    assert stick.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
+    assert modes.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
     np.testing.assert_array_equal(grip, np.sign(np.diff(state.w, prepend=state.base[3])))
 
 
@@ -73,7 +129,7 @@ def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
     modes = np.array([locked])
     search.low[:, 0] = value(0.0), slope(0.0)
     events.begin(search)
-    search.middle[0] = value(0.5 * step)
+    search.middle[:, 0] = value(0.5 * step), slope(0.5 * step)
     attempts = 0
     verdict = events.AGAIN
     while verdict == events.AGAIN:
@@ -85,6 +141,54 @@ def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
     assert at <= taken + 1e-15
     assert taken - at <= 1.01 * stick.INSTANT + 4e-16 / abs(slope(at))  # and the rounding of the margin itself
     assert attempts <= 16  # halving alone would take 43
+
+
+def test_a_dip_before_another_joint_s_event_is_found() -> None:
+    """The second margin dips below zero in the middle, which its ends do not show; the first one's event is later."""
+    courses: list[tuple[Course, Course]] = [
+        (lambda t: 0.9 - t, lambda t: -1.0),
+        (lambda t: np.cos(2.0 * np.pi * t) + 0.9, lambda t: -2.0 * np.pi * np.sin(2.0 * np.pi * t)),
+    ]
+    search = events.new_search(1)
+    locked, step, verdict = np.zeros(2), 1.0, events.AGAIN
+    for i, (value, slope) in enumerate(courses):
+        search.low[:, i] = value(0.0), slope(0.0)
+    events.begin(search)
+    for i, (value, slope) in enumerate(courses):
+        search.middle[:, i] = value(0.5), slope(0.5)
+    while verdict == events.AGAIN:
+        for i, (value, slope) in enumerate(courses):
+            search.here[:, i] = value(step), slope(step)
+        taken = step
+        verdict, step = events.judge(locked, search, step)
+    assert verdict == events.EVENT
+    assert taken == pytest.approx(np.arccos(-0.9) / (2.0 * np.pi), abs=2 * stick.INSTANT)
+
+
+def test_a_joint_that_comes_loose_does_not_stop_for_rounding() -> None:
+    """It hardly accelerates at first, so that its rate is rounding for long; then it slips, and stops much later."""
+    start, jerk, end, rounding = 3e-10, 1e3, 0.04, 4e-16
+
+    def value(t: float) -> float:
+        exact = start * t + jerk * t * t * (1.0 - t / end) / 2.0
+        return rounding * (np.floor(exact / rounding) - (2.0 if t < 1e-9 else 0.0))
+
+    def slope(t: float) -> float:
+        return start + jerk * t * (1.0 - 1.5 * t / end)
+
+    search = events.new_search(1)
+    locked, step, verdict, attempts = np.zeros(2), 0.1, events.AGAIN, 0
+    search.low[:, 0] = 0.0, slope(0.0)
+    events.begin(search)
+    search.middle[:, 0] = value(0.5 * step), slope(0.5 * step)
+    while verdict == events.AGAIN:
+        search.here[:, 0] = value(step), slope(step)
+        taken = step
+        verdict, step = events.judge(locked, search, step)
+        attempts += 1
+    assert verdict == events.EVENT
+    assert taken == pytest.approx(end + 2.0 * start / jerk, abs=2 * stick.INSTANT)
+    assert attempts <= 16
 
 
 def test_a_step_without_event_is_taken_as_it_is() -> None:

@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import brentq
 
 import hyperflex as hf
-from hyperflex.errors import SimulationError
 from hyperflex.motion import Motion
 from tests.reference import stick
 from tests.reference.arm import bang_bang_swings, links_of
@@ -203,14 +202,15 @@ def test_samples_between_events_lie_on_the_motion() -> None:
     np.testing.assert_array_equal(few.q[-1], run.q[-1])  # samples leave no trace
 
 
-def test_printed_friction_may_have_no_lawful_motion() -> None:
-    """Without the reaction on the parent a folded chain may answer friction the wrong way; that ends with its name."""
+def test_folded_chains_find_their_way_with_printed_friction() -> None:
+    """Without the reaction on the parent a fold may answer friction the wrong way; lawful modes exist all the same."""
     rope = hf.Rope(length=[0.1] * 5, mass=[0.02] * 5, dry_friction=1e-2, friction_model="printed")
-    q0 = np.cumsum(np.random.default_rng(1).normal(0.0, 1.0, (60, 5)), axis=1)[52]
-    with pytest.raises(SimulationError, match=r"dry friction chatters.*friction_model='relative'"):
-        hf.simulate(rope, q0=q0, duration=2.0)
-    part = hf.simulate(rope, q0=q0, duration=2.0, throw=False)
-    assert part.status == "dry friction chatters"
-    assert np.abs(part.energy_error).max() < 1e-3  # J, of 0.1 J: what holds is whole
-    batch = hf.simulate_batch([rope] * 2, q0=np.stack([q0, np.zeros(5)]), duration=2.0)
-    assert batch.status == ("dry friction chatters", "ok")
+    starts = np.cumsum(np.random.default_rng(1).normal(0.0, 1.0, (60, 5)), axis=1)[48:56]
+    batch = hf.simulate_batch([rope] * len(starts), q0=starts, t_eval=[2.0], duration=2.0, keep=("q",), tol=1e-9)
+    assert set(batch.status) == {"ok"}
+    for q0, q in zip(starts, batch.q, strict=True):
+        run = hf.simulate(rope, q0=q0, duration=2.0, tol=1e-9)
+        # What stuck joints take from the rope is a parabola in each step, not under error control: J, of 0.1 J.
+        assert np.abs(run.energy_error).max() < 1e-4
+        # Some hundred steps that err by 1e-9 m in links of 10 cm; errors grow tenfold in these folds.
+        np.testing.assert_allclose(run.q[-1], q[-1], rtol=0, atol=1e-5)

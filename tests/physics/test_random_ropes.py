@@ -19,6 +19,14 @@ def test_a_random_rope_keeps_its_tolerance(number: int) -> None:
     assert verdict.outcome == "met", (verdict, case.kind)
 
 
+@pytest.mark.parametrize("number", [12, 180, 301, 332])
+def test_a_rope_that_went_wrong_once_keeps_its_tolerance(number: int) -> None:
+    """Printed friction whose modes were not found (12, 180), ties of rounding (301), a turn within a step (332)."""
+    case = draw(1, number)
+    verdict = judge(case.setup, number)
+    assert verdict.outcome == "met", (verdict, case.kind)
+
+
 @pytest.mark.parametrize("number", range(6))
 def test_a_rope_below_its_friction_stays_where_it_is(number: int) -> None:
     # a stuck joint is not integrated, so nothing can add up in the ten seconds; a microradian is allowed

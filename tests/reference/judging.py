@@ -9,6 +9,7 @@ one in the rates, each as large as `tol` allows. Were all errors to point the sa
 which is the promise that a run is held to, for as long as the right side, and the distance of the nudged runs, are
 small beside the rope (:data:`SMALL`): that is the horizon. A run that is further off is silently wrong. K = 3, since
 the error of one step was seen to be up to 2.6 times its estimate, and since two random nudges miss what grows fastest.
+A run of the same rope that ends at an event has to end in time (``event_times``).
 Most errors do not add up like that: :data:`USUAL` counts those that stay below ``USUAL tol max(1, growth)`` for good.
 """
 
@@ -25,6 +26,7 @@ from hyperflex.errors import SimulationError
 from hyperflex.model import Setup
 from hyperflex.simulation import runge_kutta_limit, simulate
 from hyperflex.trajectory import Trajectory
+from tests.reference.event_times import NONE, timing
 
 Real = npt.NDArray[np.float64]
 
@@ -49,24 +51,38 @@ class Verdict(NamedTuple):
     horizon: float  # s
     checked: bool  # whether Runge and Kutta's errors are among them, too
     energy: float  # greatest error of the energy account over the greatest kinetic energy
-    seconds: float  # wall time of the run
+    event: str  # name of the event whose time was looked at, if one was
+    late: float  # s, error of that time
+    lateness: float  # the same in units of what is promised
+    seconds: float  # processor time of the run
+
+
+class OutOfPatience(Exception):
+    """Raised by a signal where a run, or its checks, take too long."""
+
+    status = "too slow"
 
 
 def judge(setup: Setup, seed: int = 0) -> Verdict:
     """Run a set-up and say whether it kept its tolerance."""
     t = np.linspace(0.0, setup.duration, SAMPLES)
-    begin = time.perf_counter()
+    begin = time.process_time()
     try:
         run = simulate(setup, t_eval=t)
-    except SimulationError as error:
-        return _unjudged("failed", error.status, time.perf_counter() - begin)
-    seconds = time.perf_counter() - begin
-    tight = replace(setup, tol=setup.tol / TIGHTER)
+    except (SimulationError, OutOfPatience) as error:
+        return _unjudged("failed", error.status, time.process_time() - begin)
+    seconds = time.process_time() - begin
     try:
-        truth = simulate(tight, t_eval=t)
-        nudged = [simulate(replace(tight, **nudge), t_eval=t) for nudge in nudges(setup, np.random.default_rng(seed))]
-    except SimulationError as error:
+        return _checked(setup, run, t, seconds, seed)
+    except (SimulationError, OutOfPatience) as error:
         return _unjudged("unchecked", error.status, seconds)
+
+
+def _checked(setup: Setup, run: Trajectory, t: Real, seconds: float, seed: int) -> Verdict:
+    """Judge a run that ended well; raises where the runs that it is compared with do not."""
+    tight = replace(setup, tol=setup.tol / TIGHTER)
+    truth = simulate(tight, t_eval=t)
+    nudged = [simulate(replace(tight, **nudge), t_eval=t) for nudge in nudges(setup, np.random.default_rng(seed))]
     apart = np.max([distance(one, truth) for one in nudged], axis=0)
     growth = np.maximum(1.0, growth_along_the_way(apart, setup.tol))
     promised = K * setup.tol * growth * (1.0 + t / SHARE)
@@ -79,9 +95,11 @@ def judge(setup: Setup, seed: int = 0) -> Verdict:
     checked = bool((own <= promised)[inside].all())
     if check is not None and checked:  # of the fourth order: half the step leaves a sixteenth; allow a quarter
         error = np.maximum(error, distance(run, check[0]) - 0.25 * own)
+    event = timing(setup, tight, truth, promised, float(t[inside][-1]), seed)
+    good, in_time = (error <= promised)[inside].all(), not event.promise > 1.0
     return Verdict(
-        "met" if (error <= promised)[inside].all() else "wrong",
-        "",
+        "met" if good and in_time else "wrong",
+        "" if in_time else "time of the event",
         float((error / promised)[inside].max()),
         float((error / (setup.tol * growth))[inside].max()),
         float(error[inside].max()),
@@ -89,13 +107,14 @@ def judge(setup: Setup, seed: int = 0) -> Verdict:
         float(t[inside][-1]),
         checked,
         float(np.abs(run.energy_error).max() / max(run.kinetic_energy.max(), 1e-300)),
+        *event,
         seconds,
     )
 
 
 def _unjudged(outcome: str, reason: str, seconds: float) -> Verdict:
     none = float("nan")
-    return Verdict(outcome, reason, none, none, none, none, none, False, none, seconds)
+    return Verdict(outcome, reason, none, none, none, none, none, False, none, *NONE, seconds)
 
 
 def drift(setup: Setup) -> float:

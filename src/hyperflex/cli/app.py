@@ -24,7 +24,7 @@ _PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 for _command, _example in (
     (simulate, "simulate cast.toml -o cast.nc"),
-    (identify, "identify swing.csv --rope guess.toml --free friction:shared -o rope.toml"),
+    (identify, "identify swing.csv --rope guess.toml --free inertia,friction -o identified"),
     (reproduce, "reproduce fig10 fig12 -o paper"),
     (demo, "demo -o demo-output"),
 ):

@@ -1,24 +1,50 @@
-"""``hyperflex identify``: a recording and a first guess in, an identified rope out."""
+"""``hyperflex identify``: a recording and a first guess in, an identified rope and its report out."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hyperflex.cli import output
+from hyperflex.cli import output, rounds
+from hyperflex.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from hyperflex.identification import Identification
+    from hyperflex.model import Rope
+    from hyperflex.recording import Recording
+
+_ROWS = 24  # of a table in the terminal
 
 
 def identify(
     recording: Annotated[Path, typer.Argument(help="CSV, NetCDF or .mat file of angles or markers.")],
     rope: Annotated[Path, typer.Option("--rope", help="TOML file with the first guess.")],
-    out: Annotated[Path, typer.Option("--output", "-o", help="File to write the identified rope to, .toml.")],
+    out: Annotated[
+        Path,
+        typer.Option("--output", "-o", help="Folder for rope.toml, identification.json and report.html, or one .toml."),
+    ],
     free: Annotated[
-        list[str] | None, typer.Option(help="What to identify; give it several times. [default: inertia, friction]")
+        list[str] | None,
+        typer.Option(help="What to identify; several times or with commas. [default: inertia, friction]"),
     ] = None,
-    train: Annotated[float | None, typer.Option(help="Fit the samples before this time, s; predict the rest.")] = None,
+    train: Annotated[
+        float | None, typer.Option(help="Fit the samples before this time, s; predict the rest. inf fits all.")
+    ] = None,
     window: Annotated[float | None, typer.Option(help="Length of the windows that are fitted one by one, s.")] = None,
+    arc: Annotated[
+        list[str] | None,
+        typer.Option(help="How far along the rope each marker sits, m; several times or with commas."),
+    ] = None,
+    origin: Annotated[
+        str | None, typer.Option(help="Where the camera sees the origin of the motion, X,Y in m; else it is fitted.")
+    ] = None,
+    loss: Annotated[str, typer.Option(help="squares; huber or cauchy where there are outliers.")] = "squares",
+    setup: Annotated[
+        Path | None, typer.Option(help="TOML file of a set-up (as for simulate) whose motion and arm lead the rope.")
+    ] = None,
     kind: Annotated[str | None, typer.Option(help="angles or markers.")] = None,
     time: Annotated[str, typer.Option(help="Name of the time column.")] = "t",
     time_unit: Annotated[str | None, typer.Option(help="s, ms, us, min or frame.")] = None,
@@ -36,7 +62,10 @@ def identify(
 ) -> None:
     """Identify a rope from a recording.
 
-    Units, axes and frame rate are declared by the file or by the options, never guessed.
+    Units, axes and frame rate are declared by the file or by the options, never guessed. Markers sit at the joints
+    unless --arc says where.
+
+    Ctrl-C ends the fit; the best so far is written, marked as interrupted.
 
     The exit code is 3 if the fit did not converge; the rope is written all the same, marked as not converged.
     """
@@ -44,7 +73,10 @@ def identify(
     from hyperflex.model import Rope
     from hyperflex.recording import read_recording
 
-    output.check_destination(out, ".toml", [recording, rope])
+    _check_output(out, [recording, rope, *([setup] if setup else [])])
+    lead = _lead(setup)
+    places = _numbers("--arc", arc, "0.2,0.4,0.6") if arc else None
+    seen = _numbers("--origin", [origin], "0.01,-0.02") if origin else None
     measured = read_recording(
         recording,
         kind=kind,
@@ -61,24 +93,108 @@ def identify(
         noise=noise,
         columns=columns.split(",") if columns else None,
     )
-    result = run(
-        measured,
-        Rope.from_toml(rope),
-        free or ["inertia", "friction"],
-        window=window,
-        train=train,
-        progress=output.watched(json),
-    )
-    result.to_toml(out)
-    summary = {"status": result.status, "output": out, **result.summary()}
+    guess = Rope.from_toml(rope)
+    with rounds.bar(json) as hear:
+        result = run(
+            measured,
+            guess,
+            _words(free) or ["inertia", "friction"],
+            window=window,
+            train=train,
+            arcs=places,
+            origin=seen,
+            loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
+            progress=hear,
+            **lead,
+        )
+    files = _write(out, measured, result, guess, json)
+    summary = {"status": result.status, "output": out, "files": files, **result.summary()}
     if result.status == "interrupted":  # the best so far is written, and says what it is
         words = f"Interrupted; the best so far is in {out}, marked as interrupted."
         raise typer.Exit(output.interrupted(words, summary, as_json=json))
     if json:
         output.print_json(summary)
     else:
-        output.print_pairs("Fit", [("status", result.status)])
-        output.console().print(str(result), markup=False)
-        output.print_pairs("Written", [("rope and figures", str(out))])
+        _show(result, files)
     if result.status != "converged":
         raise typer.Exit(output.NOT_CONVERGED)
+
+
+def _folder(out: Path) -> bool:
+    return out.suffix == "" or out.is_dir()
+
+
+def _check_output(out: Path, inputs: Sequence[Path]) -> None:
+    """Refuse, before any work, what cannot be written or would overwrite an input."""
+    if not _folder(out):
+        output.check_destination(out, ".toml", inputs)
+        return
+    for name in (".toml", ".json", ".html"):
+        stem = {".toml": "rope", ".json": "identification", ".html": "report"}[name]
+        output.check_destination(out / f"{stem}{name}", name, inputs)
+
+
+def _words(given: Sequence[str] | None) -> list[str]:
+    return [word.strip() for text in given or () for word in text.split(",") if word.strip()]
+
+
+def _numbers(option: str, given: Sequence[str], example: str) -> list[float]:
+    try:
+        return [float(word) for word in _words(given)]
+    except ValueError:
+        raise InvalidInput(
+            f"{option} holds something that is no number", got=",".join(given), allowed=f"numbers such as {example}"
+        ) from None
+
+
+def _lead(path: Path | None) -> dict[str, Any]:
+    """Return the motion and the arm of a set-up."""
+    from hyperflex.model import Setup
+    from hyperflex.motion import hold
+
+    if path is None:
+        return {}
+    setup = Setup.from_toml(path)
+    if setup.torque_driven:
+        raise InvalidInput(
+            f"{path} drives its arm by a torque",
+            allowed="a motion",
+            fix='Measure the arm\'s angle and give it as motion = {kind = "file", path = "arm.csv"}',
+        )
+    return {"motion": setup.motion or hold(0.0), "arm": setup.arm}
+
+
+def _write(out: Path, measured: Recording, found: Identification, guess: Rope, as_json: bool) -> dict[str, Path]:
+    """Write the folder, or the one file; return the files by what they are."""
+    if not _folder(out):
+        found.to_toml(out)
+        return {"rope": out}
+    from hyperflex.report.identification import write_identification
+
+    with output.spinner(as_json) as tell:
+        tell("drawing the report")
+        return write_identification(out, measured, found, guess)
+
+
+def _show(found: Identification, files: dict[str, Path]) -> None:
+    """Print what was found and what to look at."""
+    from hyperflex.report.parameters import parameters_table, ratios_table
+    from hyperflex.report.units import readable
+
+    unit = readable(found.unit, found.residual_rms)
+    pairs = [("status", found.status), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
+    if (held := found.held_out) is not None:
+        worst = f"{held.rms.max() / unit.size:.3g} {unit.name}"
+        pairs.append((f"prediction error over {held.ahead:g} s", f"{worst} rms in the worst channel"))
+    output.print_pairs("Fit", pairs)
+    for table in (parameters_table(found, None), ratios_table(found)):
+        if table is not None:
+            shown = [k for k, name in enumerate(table.header) if name != "what it is"]
+            rows = [[row[k] for k in shown] for row in table.rows[:_ROWS]]
+            output.print_table([table.header[k] for k in shown], rows)
+            if len(table.rows) > _ROWS:
+                output.console().print(f"  and {len(table.rows) - _ROWS} more, in {files['rope']}", markup=False)
+    for sentence in found.verdict:
+        output.console().print(sentence, markup=False)
+    words = {"rope": "rope and figures", "figures": "figures", "page": "the whole story on one page"}
+    output.print_pairs("Written", [(words[kind], str(path)) for kind, path in files.items()])

@@ -12,11 +12,13 @@ import numpy as np
 
 from hyperflex.core.chain import Array
 from hyperflex.core.jit import kernel
-from hyperflex.core.stick import INSTANT, QUICK
+from hyperflex.core.stick import INSTANT, QUICK, STILL
 
 DONE, EVENT, AGAIN = range(3)
 LOW, HIGH, TRIES, SIDE = range(4)  # of Search.span: s, s, attempts so far, end of the span that moved last
 LOOKS = 16  # at a margin's course within a step
+GLANCES = 3  # attempts that are searched for hidden events; later ones only if they end at an event
+SOON = 0.125  # part of a span: where a margin grows at first, a cubic's zero before this is but a joint that came loose
 PATIENCE = 40  # attempts after which the span is halved, whatever the margins say; twice that ends the search
 
 
@@ -27,14 +29,14 @@ class Search(NamedTuple):
     low: Array  # at LOW, where there is no event; at first the beginning of the step
     high: Array  # at HIGH, where there is one, if HIGH is finite
     here: Array  # of the present attempt
-    middle: Array  # (n + 1,) margins in the middle of the first attempt, inf where not known
+    middle: Array  # in the middle of the present attempt, inf where not known
 
 
 @kernel
 def new_search(n):  # type: ignore[no-untyped-def]
     """A search over the margins of n joints."""
-    four = np.full((3, 2, n + 1), np.inf)
-    return Search(np.array([0.0, np.inf, 0.0, 0.0]), four[0], four[1], four[2], np.full(n + 1, np.inf))
+    four = np.full((4, 2, n + 1), np.inf)
+    return Search(np.array([0.0, np.inf, 0.0, 0.0]), four[0], four[1], four[2], four[3])
 
 
 @kernel
@@ -73,20 +75,28 @@ def falls(low, high, i, length):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def hidden(locked, search, step):  # type: ignore[no-untyped-def]
-    """Part of a step at which an event may hide though its end shows none; else 1.0.
+def hidden(locked, search, length):  # type: ignore[no-untyped-def]
+    """Part of the length, s, from LOW to the end of an attempt at which an event may hide; else 1.0.
 
-    Margins with slopes by the cubic through both ends, those of stuck joints by the parabola through the middle too.
+    Margins with slopes by the cubics through both ends and the middle, those of stuck joints by the parabola. Those
+    that tell of an event at the end do not count.
     """
     part = 1.0
     for i in range(locked.size):
-        v0, v1, vm = search.low[0, i], search.here[0, i], search.middle[i]
-        if v0 == np.inf or v1 == np.inf:
+        v0, v1, vm = search.low[0, i], search.here[0, i], search.middle[0, i]
+        if v0 == np.inf or v1 == np.inf or late(locked, search.here, i):
             continue
         if locked[i] == 0.0:
             for k in range(1, LOOKS):
-                if course(search.low, search.here, i, step, k / LOOKS) < 0.0:
-                    part = min(part, k / LOOKS)
+                x = k / LOOKS
+                if vm == np.inf:
+                    value = course(search.low, search.here, i, length, x)
+                elif x <= 0.5:
+                    value = course(search.low, search.middle, i, 0.5 * length, 2.0 * x)
+                else:
+                    value = course(search.middle, search.here, i, 0.5 * length, 2.0 * x - 1.0)
+                if value < 0.0:
+                    part = min(part, x)
         elif vm < 0.0:
             part = min(part, 0.5)
         elif vm < np.inf:
@@ -99,8 +109,19 @@ def hidden(locked, search, step):  # type: ignore[no-untyped-def]
 
 @kernel
 def late(locked, margin, i):  # type: ignore[no-untyped-def]
-    """Whether margin i says that its event has happened."""
+    """Whether margin i says that its event has happened; one that hardly differs from zero must not be growing."""
+    if locked[i] == 0.0 and i < locked.size - 1 and margin[1, i] > 0.0:
+        return margin[0, i] < -STILL
     return margin[0, i] < 0.0 or (margin[0, i] == 0.0 and locked[i] == 0.0)
+
+
+@kernel
+def first_late(locked, margin):  # type: ignore[no-untyped-def]
+    """Return the first margin that says that its event has happened, -1: none."""
+    for i in range(locked.size):
+        if late(locked, margin, i):
+            return i
+    return -1
 
 
 @kernel
@@ -130,11 +151,16 @@ def judge(locked, search, step):  # type: ignore[no-untyped-def]
         if late(locked, search.here, i):
             over = True
             near = near and locked[i] == 0.0 and search.here[0, i] >= INSTANT * search.here[1, i]
-    if not over and span[HIGH] == np.inf:
-        part = hidden(locked, search, step) if span[TRIES] == 1.0 and step > QUICK else 1.0
-        return (AGAIN, part * step) if part < 1.0 else (DONE, step)
-    if over and (near or step - span[LOW] <= INSTANT or span[TRIES] > 2 * PATIENCE):
-        return EVENT, step
+    clear = not over and span[HIGH] == np.inf
+    ends = clear or (over and (near or step - span[LOW] <= INSTANT or span[TRIES] > 2 * PATIENCE))
+    at = step
+    if step > QUICK and (span[TRIES] <= GLANCES or (ends and over and span[TRIES] <= PATIENCE)):
+        at = span[LOW] + hidden(locked, search, step - span[LOW]) * (step - span[LOW])
+    if ends and at >= step:
+        return EVENT if over else DONE, step
+    search.middle[:] = np.inf  # it tells of this attempt's
+    if clear:
+        return AGAIN, at
     side = 1.0 if over else -1.0
     kept = search.low if over else search.high
     if side == span[SIDE]:
@@ -148,7 +174,7 @@ def judge(locked, search, step):  # type: ignore[no-untyped-def]
     else:
         span[LOW] = step
         search.low[:] = search.here
-    return AGAIN, estimate(locked, search)
+    return AGAIN, at if at < step else estimate(locked, search)
 
 
 @kernel
@@ -161,12 +187,13 @@ def estimate(locked, search):  # type: ignore[no-untyped-def]
     at = 1.0
     for i in range(locked.size):
         if late(locked, search.high, i):
-            low, high = search.low[0, i], search.high[0, i]
-            x = (
-                falls(search.low, search.high, i, length)
-                if locked[i] == 0.0
-                else max(low, 0.0) / (max(low, 0.0) - high)
-            )
+            low, high = max(search.low[0, i], 0.0), search.high[0, i]
+            if locked[i] == 1.0:
+                x = low / (low - high)
+            else:
+                x = falls(search.low, search.high, i, length)
+            if locked[i] == 0.0 and search.low[1, i] > 0.0:
+                x = max(x, SOON)
             at = min(at, x)
     if span[TRIES] > PATIENCE:
         at = 0.5

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.core import lanes as ln
-from hyperflex.core.chain import Array, sincos
+from hyperflex.core.chain import PRINTED, Array, sincos
 from hyperflex.core.events import AGAIN, EVENT, TRIES, Search, begin, judge
 from hyperflex.core.jit import kernel
 from hyperflex.core.members import (
@@ -27,13 +27,12 @@ from hyperflex.core.members import (
     base_motion,
     chain_of,
 )
+from hyperflex.core.modes import settled
 from hyperflex.core.stick import (
-    MOST_WIDENED,
     QUICK,
     Bench,
     bench,
     come_to_rest,
-    decide,
     hold,
     margins,
     middle,
@@ -50,7 +49,7 @@ class Watch(NamedTuple):
     low: Array  # (k, 2, n + 1)
     high: Array
     here: Array
-    middle: Array  # (k, n + 1)
+    middle: Array
     alpha: Array  # (k, n) accelerations at the beginning of the step
     power: Array  # (k, 3) of stuck joints
     grip: Array  # (k, n)
@@ -73,7 +72,7 @@ def new_watch(n):  # type: ignore[no-untyped-def]
         still[0],
         still[1],
         still[2],
-        still[3, :, 0].copy(),
+        still[3],
         np.zeros((k, n)),
         np.zeros((k, 3)),
         np.ones((k, n)),
@@ -112,14 +111,16 @@ def settle_lane(members, terms, m, lanes, path, j, lane, watch):  # type: ignore
         start[i] = lanes[((i + 1) * ln.ROW + ln.Q_START) * k + j]
         start[n + i] = lanes[((i + 1) * ln.ROW + ln.W_START) * k + j]
     torque = base_at(path, j, lane[TIME] - lane[ORIGIN], base)
-    widen = widened(lane[CHATTER], n)
-    chain = unloaded(members, terms, m)
-    good = decide(chain, start[:n], start[n : 2 * n], base[:7], torque, widen, grip, watch.bench)
+    chain, before = unloaded(members, terms, m), watch.out[j, :n]
+    rates = start[n : 2 * n]
+    good, chatter = settled(chain, start[:n], rates, base[:7], torque, lane[CHATTER], grip, before, watch.bench)
+    lane[CHATTER] = chatter
     for i in range(n):
         lanes[((i + 1) * ln.ROW + ln.GRIP) * k + j] = grip[i]
+        lanes[((i + 1) * ln.ROW + ln.W_START) * k + j] = rates[i]
         watch.locked[j, i] = 1.0 - grip[i] * grip[i]
     lane[UNSETTLED] = 0.0
-    return good and widen <= MOST_WIDENED
+    return good
 
 
 @kernel
@@ -148,11 +149,11 @@ def look(members, terms, m, lanes, path, j, lane, watch):  # type: ignore[no-unt
     hold(chain, grip, start, before, out, after)
     margins(chain, out[:n], out[n : 2 * n], grip, after[:7], torque, widen, tools, search.here)
     watch.power[j, 2] = stuck_power(chain, out[n : 2 * n], grip, tools.load)
-    if not grip.all() and (search.span[TRIES] == 0.0 or len(chain.bears) == 1):
+    if search.span[TRIES] == 0.0 or (len(chain.bears) == len(PRINTED) and not grip.all()):
         middle(step, start[:n], start[n : 2 * n], watch.alpha[j], out, tools)
         torque = base_at(path, j, since + 0.5 * step, after)
         margins(chain, tools.state[:n], tools.state[n:], grip, after[:7], torque, widen, tools, tools.margin)
-        search.middle[:n] = tools.margin[0]
+        search.middle[:, :n] = tools.margin
         watch.power[j, 1] = stuck_power(chain, tools.state[n:], grip, tools.load)
         base_at(path, j, until, after)
     verdict, length = judge(watch.locked[j], search, step)

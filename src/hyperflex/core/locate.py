@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.core import lanes as ln
+from hyperflex.core.chain import PRINTED
 from hyperflex.core.drive import base_state
-from hyperflex.core.events import AGAIN, EVENT, TRIES, begin, judge, late
+from hyperflex.core.events import AGAIN, EVENT, TRIES, begin, first_late, judge, late
 from hyperflex.core.jit import kernel
+from hyperflex.core.modes import settled
 from hyperflex.core.progress import CHATTER, PENDING, REJECTED, TAKEN, T, advance
-from hyperflex.core.stick import MOST_WIDENED, come_to_rest, decide, hold, margins, middle, stuck_power, widened
+from hyperflex.core.stick import come_to_rest, hold, margins, middle, stuck_power, widened
 from hyperflex.core.until import NOTHING, PEAK, arm, reading, right_side
 
 
@@ -19,10 +21,11 @@ def settle(chain, drive, part, progress, room):  # type: ignore[no-untyped-def]
     y, grip, clock = progress.y, progress.grip, progress.clock
     n = grip.size
     torque = base_state(drive, part, clock[T], room.after)
-    widen = widened(clock[CHATTER], n)
-    good = decide(chain, y[:n], y[n : 2 * n], room.after[:7], torque, widen, grip, room.bench)
+    now, before = room.after[:7], room.out[:n]
+    good, chatter = settled(chain, y[:n], y[n : 2 * n], now, torque, clock[CHATTER], grip, before, room.bench)
+    clock[CHATTER] = chatter
     ln.set_grip(ln.COLUMNS, room.lanes, grip)
-    return good and widen <= MOST_WIDENED
+    return good
 
 
 @kernel
@@ -33,11 +36,12 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
     -------
     step : float, s
     event : int, 0: none; 1: a joint changes its mode; 2: what ends the run has happened
+    joint : int, the one that changes its mode, -1 where none does
     """
     until = limits.until
     y, grip, clock, search, tools = progress.y, progress.grip, progress.clock, room.search, room.bench
     n = grip.size
-    t, widen, stuck = clock[T], widened(clock[CHATTER], n), not grip.all()
+    t, widen, stuck, dry = clock[T], widened(clock[CHATTER], n), not grip.all(), chain.dry.any()
     room.locked[:n] = 1.0 - grip * grip
     torque = base_state(drive, part, t, room.before)
     margins(chain, y[:n], y[n : 2 * n], grip, room.before[:7], torque, widen, tools, search.low)
@@ -50,7 +54,7 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
         value, slope = reading(until, chain, y[:n], y[n : 2 * n], room.alpha, room.before)
         sense = arm(until, value, slope, t)
         if until.kind == PEAK and sense == 0.0 and clock[PENDING] > 0.0:
-            return 0.0, 2  # the speed grew until here, and falls from here on
+            return 0.0, 2, -1  # the speed grew until here, and falls from here on
         search.low[:, n] = np.inf
         search.here[:, n] = np.inf
         if sense != 0.0:
@@ -64,26 +68,28 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
         if sense != 0.0:
             value, slope = reading(until, chain, out[:n], out[n : 2 * n], tools.alpha, room.after)
             search.here[0, n], search.here[1, n] = sense * value, sense * slope
-        if (stuck or (sense != 0.0 and until.kind == PEAK)) and (search.span[TRIES] == 0.0 or len(chain.bears) == 1):
+        first = search.span[TRIES] == 0.0 and (dry or (sense != 0.0 and until.kind == PEAK))
+        if first or (stuck and len(chain.bears) == len(PRINTED)):
             middle(step, y[:n], y[n : 2 * n], room.alpha, out, tools)
             torque = base_state(drive, part, t + 0.5 * step, room.between)
             bend = tools.state
             margins(chain, bend[:n], bend[n:], grip, room.between[:7], torque, widen, tools, tools.margin)
-            search.middle[:n] = tools.margin[0]
+            search.middle[:, :n] = tools.margin
             room.power[1] = stuck_power(chain, bend[n:], grip, tools.load)
             if sense != 0.0 and until.kind == PEAK:
                 value, slope = reading(until, chain, bend[:n], bend[n:], tools.alpha, room.between)
-                search.middle[n] = sense * value
+                search.middle[0, n] = sense * value
         verdict, length = judge(room.locked, search, step)
         if verdict == EVENT:
             come_to_rest(chain, grip, search.here, out, room.after)
         if verdict != AGAIN:
             clock[PENDING] = search.here[0, n] if sense != 0.0 else 0.0
+            joint = first_late(room.locked, search.here) if verdict == EVENT else -1
             if verdict == EVENT and late(room.locked, search.here, n):
                 good = right_side(until, chain, out[:n], out[n : 2 * n], room.after)
                 clock[PENDING] = 0.0
-                return step, 2 if good else 1
-            return step, 1 if verdict == EVENT else 0
+                return step, 2 if good else 1, joint
+            return step, 1 if verdict == EVENT else 0, joint
         step = length
         clock[TAKEN] += 1
         clock[REJECTED] += 1

@@ -9,7 +9,8 @@ import numpy as np
 from hyperflex.core.chain import Array, accelerations, energies
 from hyperflex.core.drive import base_state, segment
 from hyperflex.core.jit import kernel
-from hyperflex.core.stick import bench, decide
+from hyperflex.core.modes import decide
+from hyperflex.core.stick import bench
 
 
 def _hermite(derivatives: int) -> Array:
@@ -79,7 +80,7 @@ def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-unty
 
     Parameters
     ----------
-    t : (m,) times, s; y : (m, 2 n + 2) states; at each, dry friction holds what it can (``stick.decide``)
+    t : (m,) times, s; y : (m, 2 n + 2) states; at each, dry friction holds what it can (``modes.decide``)
     qdd : (m, n) out, rad/s^2
     base_out : (m, 9) out, motion of the first joint (``drive.base_state``)
     scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m

@@ -38,9 +38,12 @@ class Progress(NamedTuple):
     grip: Array  # (n,) modes of the joints, as in chain.accelerations
     mark_grip: Array
     clock: Array  # (CLOCK,) see the names below; the mark's time is -inf while no step has been cut
-    log: Array  # (m, 3) length, s, end, s, and order of the first m steps that succeed
+    log: Array  # (m, 3) or (m, 4 + n) with dry friction: of the first m steps that succeed, see below
 
 
+# A row of the log: length of the step, s, its end, s, and order; with dry friction also the joint whose change of mode
+# ended it, -1 where none did, and the joints' modes meanwhile
+LENGTH, END, DEGREE, JOINT, MODES = range(5)
 # AFTER: first step that succeeded after the last switch, where the motion is least smooth; tried first at the next one
 # FRESH: 1.0 from a switch (or an event) until a step has succeeded behind it
 # LAST, SIZE: length and error of the last step that succeeded since the last switch; LAST is 0.0 where there is none

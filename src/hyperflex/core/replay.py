@@ -1,7 +1,7 @@
 """A run gone through again along its recorded steps, with its derivatives in any number of directions.
 
 The steps stay what they were, so the result is the derivative of the very numbers that the run gave: each step keeps
-its length but for one that ends at a switch, or at an output, whose time itself depends on a direction.
+its length but for one that ends at a switch, at an event or at an output, whose time depends on a direction.
 """
 
 from __future__ import annotations
@@ -10,152 +10,40 @@ import numpy as np
 
 from hyperflex.core import directions as dr
 from hyperflex.core import lanes as ln
-from hyperflex.core import tangent as tg
-from hyperflex.core.along import CELL, PARTS, K, enter, room_for, set_ends, spread, step_along
-from hyperflex.core.chain import sines
-from hyperflex.core.drive import base_state, segment
+from hyperflex.core.along import room_for, spread, step_along
+from hyperflex.core.between import write_inside
+from hyperflex.core.drive import segment
 from hyperflex.core.jit import kernel
-from hyperflex.core.output import basis, interpolate
+from hyperflex.core.progress import DEGREE, END, JOINT, LENGTH, MODES
 from hyperflex.core.steppers import rates
+from hyperflex.core.turning import chatters, end_along, end_at_event, hold_outputs, turning_for
 
 
 @kernel
-def bends_along(chain, drive, part, t, step, directions, room):  # type: ignore[no-untyped-def]
-    """Accelerations at beginning, middle and end of a step, and their derivatives, from ``ys`` and ``nodes``."""
-    n = chain.length.size
-    lanes, ys, dys = room.lanes, room.ys, room.dys
-    room.anew[:] = 1.0
-    motion = np.empty(9)
-    for j in range(K):
-        node = min(j, 2)
-        room.into[j] = 0.5 * node
-        room.when[j] = t + 0.5 * node * step
-        sines(ys[node, :n], room.work, 0)
-        for i in range(n):
-            lanes[((i + 1) * ln.ROW + ln.Q) * K + j] = ys[node, i]
-            lanes[((i + 1) * ln.ROW + ln.W) * K + j] = ys[node, n + i]
-            lanes[((i + 1) * ln.ROW + ln.SIN) * K + j] = room.work[i]
-            lanes[((i + 1) * ln.ROW + ln.COS) * K + j] = room.work[n + i]
-        room.tip[ln.STEP * K + j] = 0.0
-        room.tip[ln.EXTERNAL * K + j] = base_state(drive, part, room.when[j], motion)
-        for s in range(9):
-            room.base[s, j] = motion[s]
-        room.base[0, j] -= chain.gx
-        room.base[1, j] -= chain.gy
-    tg.remember(ln.COLUMNS, lanes)
-    ln.euler(ln.COLUMNS, chain.bears, ln.MORE, lanes, room.tip, room.base)
-    tg.prepare(ln.COLUMNS, chain.bears, lanes)
-    for j in range(3):
-        dys[j, :n] = ys[j, n : 2 * n]
-        for i in range(n):
-            dys[j, n + i] = lanes[((i + 1) * ln.ROW + ln.ALPHA) * K + j]
-    room.stretch[:] = 0.0
-    for b in range(directions.kind.size):
-        for i in range(n):
-            cell = room.store[b, i * PARTS * CELL : (i * PARTS + 1) * CELL]
-            for x in range(CELL):
-                lane, d, rate = min(x % K, 2), (x // K) % 2, x // (2 * K)
-                cell[x] = room.nodes[lane, rate * n + i, 2 * b + d]
-        enter(lanes, room.store[b], room.anew, True)
-        set_ends(drive, part, directions, b, room)
-        tg.step_all(ln.COLUMNS, chain.bears, lanes, directions.links[b], room.stretch[b])
-        for i in range(n):
-            for d in range(2):
-                for j in range(3):
-                    room.bends[j, i, 2 * b + d] = lanes[((i + 1) * ln.ROW + tg.ALPHA + d) * K + j]
-
-
-@kernel
-def blend(t, step, t_out, room, y_out, dy_out):  # type: ignore[no-untyped-def]
-    """States (m, 2 n + 2) and derivatives (m, 2 n, p) at times t_out (m,) in a step from t, from the room's nodes."""
-    n, p = room.bends.shape[1], room.bends.shape[2]
-    half = 0.5 * step
-    weights = np.empty((t_out.size, 3, 9))
-    longer, moving = np.empty(p), np.empty((t_out.size, p))
-    for x in range(p):
-        longer[x] = 0.5 * room.change[x // 2, x % 2]
-    for m in range(t_out.size):
-        theta = (t_out[m] - t) / half - 1.0
-        interpolate(theta, step, room.ys, room.dys, y_out[m])
-        for order in range(3):
-            basis(order, theta, weights[m, order])
-        for x in range(p):
-            moving[m, x] = -(room.shift[x // 2, x % 2] + (theta + 1.0) * longer[x]) / half
-    late = moving.any() or longer.any()
-    for i in range(n):  # all times of a link together: its nodes stay in the cache
-        for m in range(t_out.size):
-            combine(weights[m], half, i, room.nodes, room.bends, dy_out[m, i], dy_out[m, n + i])
-            if late:
-                follow(weights[m], half, i, room.ys, room.dys, moving[m], longer, dy_out[m, i], dy_out[m, n + i])
-
-
-@kernel
-def combine(weight, half, i, nodes, bends, dq, dw):  # type: ignore[no-untyped-def]
-    """Derivatives (p,) of link i's angle and rate from those at the nodes; `weight` is (3, 9)."""
-    n = bends.shape[1]
-    dq[:] = 0.0
-    dw[:] = 0.0
-    for k in range(3):
-        a, b, c = weight[0, k], weight[0, 3 + k] * half, weight[0, 6 + k] * half * half
-        e, f, g = weight[1, k] / half, weight[1, 3 + k], weight[1, 6 + k] * half
-        q, w, bend = nodes[k, i], nodes[k, n + i], bends[k, i]
-        for x in range(dq.size):
-            dq[x] += a * q[x] + b * w[x] + c * bend[x]
-            dw[x] += e * q[x] + f * w[x] + g * bend[x]
-
-
-@kernel
-def follow(weight, half, i, ys, dys, moving, longer, dq, dw):  # type: ignore[no-untyped-def]
-    """Add what follows from the change of an output's place in its step, `moving` (p,), and of half the step (p,)."""
-    n = (ys.shape[1] - 2) // 2
-    speed = grown = bend = grown_w = 0.0
-    for k in range(3):
-        q, w, a = ys[k, i], ys[k, n + i], dys[k, n + i]
-        speed += weight[1, k] * q + half * (weight[1, 3 + k] * w + half * weight[1, 6 + k] * a)
-        bend += weight[2, k] * q + half * (weight[2, 3 + k] * w + half * weight[2, 6 + k] * a)
-        grown += weight[0, 3 + k] * w + 2.0 * half * weight[0, 6 + k] * a
-        grown_w += weight[1, 3 + k] * w + 2.0 * half * weight[1, 6 + k] * a
-    grown_w -= speed / half
-    for x in range(dq.size):
-        dq[x] += speed * moving[x] + grown * longer[x]
-        dw[x] += (bend * moving[x] + grown_w * longer[x]) / half
-
-
-@kernel
-def write_inside(chain, drive, part, table, t, step, y, t_out, directions, room, y_out, dy_out):  # type: ignore[no-untyped-def]
-    """Write states and derivatives at times t_out (m,) within a step, whose ends are in the room's nodes."""
-    room.change[:] *= 0.5
-    step_along(chain, drive, part, table, t, 0.5 * step, y, room.ys[1], directions, room.nodes[1], room)
-    room.change[:] *= 2.0
-    bends_along(chain, drive, part, t, step, directions, room)
-    blend(t, step, t_out, room, y_out, dy_out)
-
-
-@kernel
-def write_end(chain, drive, part, t, y, directions, room, values, y_out, dy_out):  # type: ignore[no-untyped-def]
+def write_end(chain, drive, part, t, y, grip, room, values, y_out, dy_out):  # type: ignore[no-untyped-def]
     """Write the state at the end of a step, and its derivatives at that very time, where the step's end moves too."""
-    n = chain.length.size
     y_out[:] = y
     dy_out[:] = values
     if room.shift.any():
-        rates(chain, drive, part, t, y, np.ones(n), room.dys[0], room.work)
+        rates(chain, drive, part, t, y, grip, room.dys[0], room.work)
         for b in range(room.shift.shape[0]):
             for d in range(2):
-                for i in range(2 * n):
+                for i in range(2 * grip.size):
                     dy_out[i, 2 * b + d] -= room.dys[0, i] * room.shift[b, d]
 
 
 @kernel
 def set_change(drive, part, t_new, stop, directions, room):  # type: ignore[no-untyped-def]
-    """Change of the length of the step that ends at t_new: none, unless a switch or the end of the run cuts it."""
+    """Change of the length of the step that ends at t_new: none, unless a switch or the end of the run cuts it.
+
+    For events see core/turning.py.
+    """
     for b in range(directions.kind.size):
         for d in range(2):
             m = directions.driven[b, d]
-            room.change[b, d] = 0.0
+            room.change[b, d] = -room.shift[b, d] if t_new >= part.end or t_new >= stop else 0.0
             if m >= 0 and t_new >= part.end:
-                room.change[b, d] = dr.end_shift(drive, part, directions.breaks[m]) - room.shift[b, d]
-            elif m >= 0 and t_new >= stop:
-                room.change[b, d] = -room.shift[b, d]
+                room.change[b, d] += dr.end_shift(drive, part, directions.breaks[m])
 
 
 @kernel
@@ -166,48 +54,61 @@ def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, 
     ----------
     chain, drive, directions : Chain, Drive, Directions
     tables : tuple of Scheme, of successive orders
-    steps : (m, 3) length and end of each step, s, and its order, as in ``rollout.Progress.log``
+    steps : (m, 3) or (m, 4 + n), as in ``rollout.Progress.log``
     begin : float, s
     start : (2 n, p) derivatives of angles and rates at `begin`
     t_out : (T,) increasing times, s
     y_out : (T, 2 n + 2) out; row 0 holds the state at `begin` when called, and t_out[0] is `begin`
-    dy_out : (T, 2 n, p) out
+    dy_out : (T, 2 n, p) out, but for row 0
     """
     room = room_for(chain, directions.kind.size)
+    turn = turning_for(chain, drive, directions)
+    dry = steps.shape[1] > JOINT
+    grip, joint = np.ones(chain.length.size), -1
     y = y_out[0].copy()
     values = start.copy()
-    dy_out[0] = start
     t, index, fresh = begin, 1, False
     part = segment(drive, t)
-    stop = steps[-1, 1]
+    stop = steps[-1, END]
     for m in range(steps.shape[0]):
-        step, t_new = steps[m, 0], steps[m, 1]
-        table = tables[int(steps[m, 2]) - tables[0].order]
+        step, t_new = steps[m, LENGTH], steps[m, END]
+        table = tables[int(steps[m, DEGREE]) - tables[0].order]
         if t >= part.end:
             part = segment(drive, t)
         set_change(drive, part, t_new, stop, directions, room)
+        if dry:
+            grip[:] = steps[m, MODES:]
+            joint = int(steps[m, JOINT])
+            ln.set_grip(ln.COLUMNS, room.lanes, grip)
+            ln.set_grip(ln.COLUMNS, turn.room.lanes, grip)
         spread(values, room.store)
         step_along(chain, drive, part, table, t, step, y, room.out, directions, room.nodes[2], room)
         room.ys[0], room.ys[2] = y, room.out
         room.nodes[0] = values
+        if joint >= 0 and t_new < min(part.end, stop) and not chatters(drive, part, t, step, y, grip, joint, turn):
+            end_at_event(chain, drive, part, table, t, step, y, values, grip, joint, directions, room, turn)
+        if dry:
+            end_along(chain, drive, part, t, step, y, values, grip, joint, directions, room, turn)
         last = index
         while last < t_out.size and t_out[last] < t_new:
             last += 1
+        times, states, slopes = t_out[index:last], y_out[index:last], dy_out[index:last]
         if last > index and fresh:
             change = room.change.copy()
             room.change[:] = -room.shift
-            for k in range(index, last):
-                step_along(chain, drive, part, table, t, t_out[k] - t, y, y_out[k], directions, dy_out[k], room)
+            for k in range(times.size):
+                step_along(chain, drive, part, table, t, times[k] - t, y, states[k], directions, slopes[k], room)
             room.change[:] = change
         elif last > index:
-            times, states, slopes = t_out[index:last], y_out[index:last], dy_out[index:last]
             write_inside(chain, drive, part, table, t, t_new - t, y, times, directions, room, states, slopes)
+        if last > index and not grip.all():
+            hold_outputs(chain, drive, part, t, y, values, grip, times, directions, room, turn, states, slopes)
         index = last
         y[:] = room.ys[2]
         values[:] = room.nodes[2]
         room.shift[:] += room.change
-        fresh = t_new >= part.end
+        fresh = t_new >= part.end or joint >= 0
         t = t_new
         while index < t_out.size and t_out[index] <= t:
-            write_end(chain, drive, part, t, y, directions, room, values, y_out[index], dy_out[index])
+            write_end(chain, drive, part, t, y, grip, room, values, y_out[index], dy_out[index])
             index += 1

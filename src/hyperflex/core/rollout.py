@@ -18,7 +18,9 @@ from hyperflex.core.progress import (
     CHATTER,
     FRESH,
     INDEX,
+    JOINT,
     LAST,
+    MODES,
     ORDER,
     REJECTED,
     SIZE,
@@ -124,13 +126,16 @@ def succeeded_with(clock, tables, limits, has_dry, step, size, lower_size, wante
 
 
 @kernel
-def note(progress, step, end, order, event):  # type: ignore[no-untyped-def]
+def note(progress, step, end, order, event, joint):  # type: ignore[no-untyped-def]
     """Keep a step that succeeded in the log, and count quick changes of the joints' modes."""
     clock = progress.clock
     succeeded = int(clock[TAKEN] - clock[REJECTED]) - 1
     if succeeded < progress.log.shape[0]:
         entry = progress.log[succeeded]
         entry[0], entry[1], entry[2] = step, end, order
+        if entry.size > JOINT:
+            entry[JOINT] = joint
+            entry[MODES:] = progress.grip
     if event == 1 and step < QUICK:
         clock[CHATTER] += 1.0
     elif step >= QUICK:
@@ -230,13 +235,13 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             if clock[STEP] < SMALLEST_STEP:
                 return status.STEP_TOO_SMALL
             continue
-        taken, event = step, 0
+        taken, event, joint = step, 0, -1
         if watching:
-            taken, event = locate(chain, drive, part, table, limits, progress, step, room)
+            taken, event, joint = locate(chain, drive, part, table, limits, progress, step, room)
             if taken == 0.0:
                 return status.REACHED
         t_new = end if cut and taken == step else t + taken
-        note(progress, taken, t_new, order, event)
+        note(progress, taken, t_new, order, event, joint)
         write_between(chain, drive, part, table, fixed, progress, t_new - t, room, t_out, y_out)
         y[:] = room.out
         y[y.size - 1] += stuck_loss(room.power, t_new - t, 1.0)

@@ -36,5 +36,5 @@ ADVICE: Final = {
     REACHED: "",
     LEFT: "",
     FRICTION: "joints stick and come loose again and again without end. Change dry_friction a little, add viscous "
-    "friction, or take friction_model='relative': as printed, friction need not leave a possible motion",
+    "friction, or take friction_model='relative': as printed, friction may push a joint the way that it slips",
 }

@@ -1,8 +1,8 @@
-"""Dry friction with true stick: which joints slip and which stick at an instant, and when that changes within a step.
+"""Dry friction with true stick: what joints bear, and how far each is from a change between slipping and sticking.
 
 A slipping joint feels a constant torque against its sense of slipping. A stuck joint turns with its parent and bears
-whatever torque that takes, up to its dry friction (M.18). The modes, `grip`, are frozen within a step; a change is an
-event, and a step ends exactly there.
+whatever torque that takes, up to its dry friction (M.16). The modes, `grip`, are frozen within a step; a change is an
+event, and a step ends exactly there. Which modes hold at an instant is decided in ``modes``.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ SAME = 4e-15  # links whose rates differ by no more than this part of them, and
 STILL = 1e-12  # rad/s, this much, turn alike: one switch's rounding of the arm's rate
 SLACK = 1e-12  # part of the dry friction, and
 NOISE = 1e-13  # part of all torques on a link, by which a torque must exceed dry friction to count: above rounding
-SENSE = 1e-11  # part of the largest acceleration below which the sense of a joint's acceleration is rounding
 INSTANT = 1e-13  # s, how well an event is located
 QUICK = 1e-9  # s; event after event in steps shorter than this is chatter
-MOST_WIDENED = 1e6  # see widened
+WIDEST = 8.0  # powers of ten by which SLACK and NOISE are widened at most, see widened
+HOPELESS = 30.0  # quick events beyond those that joints may need, after which they chatter
 
 
 class Bench(NamedTuple):
@@ -84,66 +84,25 @@ def bear(chain, q, w, grip, base, torque, room):  # type: ignore[no-untyped-def]
 @kernel
 def widened(chatter, n):  # type: ignore[no-untyped-def]
     """Factor on SLACK and NOISE after so many quick events: n joints may change at once, more is chatter."""
-    return 10.0 ** max(0.0, chatter - n - 4.0)
+    return 10.0 ** min(WIDEST, max(0.0, chatter - n - 4.0))
+
+
+@kernel
+def hopeless(chatter, n):  # type: ignore[no-untyped-def]
+    """Whether so many quick events are chatter that widening does not end."""
+    return chatter > n + 4.0 + HOPELESS
+
+
+@kernel
+def wider(chatter, n):  # type: ignore[no-untyped-def]
+    """Count of quick events at which that factor is ten times as large as at `chatter`."""
+    return max(chatter, n + 4.0) + 1.0
 
 
 @kernel
 def at_rest(rate, up):  # type: ignore[no-untyped-def]
     """Whether two links' rates are the same but for rounding."""
     return abs(rate - up) <= STILL + SAME * (abs(rate) + abs(up))
-
-
-@kernel
-def decide(chain, q, w, base, torque, widen, grip, room):  # type: ignore[no-untyped-def]
-    """Find the modes at an instant: `grip` (n,) out, and accelerations and loads that go with them in `room`.
-
-    Joints that turn slip. Those at rest are all held at first; then the one that breaks the law most is changed, a
-    stuck one whose torque exceeds its dry friction to slip, a slipping one that would turn against its sense to
-    stick, until none breaks it. For friction that acts on both links this is a convex problem, and from turn 2 n + 8
-    on the first that breaks the law is changed, a rule that ends.
-
-    Parameters
-    ----------
-    chain, q, w, base, torque : as in ``chain.accelerations``
-    widen : float
-        Factor on what a torque must exceed dry friction by; 1.0 unless joints chatter.
-
-    Returns
-    -------
-    bool : False if no modes obey the law.
-    """
-    n = q.size
-    for i in range(n):
-        up = w[i - 1] if i > 0 else base[3]
-        if chain.dry[i] == 0.0:
-            grip[i] = 1.0
-        elif at_rest(w[i], up):
-            grip[i] = 0.0
-        else:
-            grip[i] = 1.0 if w[i] > up else -1.0
-    for turn in range(20 + 12 * n):
-        bear(chain, q, w, grip, base, torque, room)
-        largest = abs(base[2])
-        for i in range(n):
-            largest = max(largest, abs(room.alpha[i]))
-        worst, at = 0.0, -1
-        for i in range(n):
-            if chain.dry[i] == 0.0 or not at_rest(w[i], w[i - 1] if i > 0 else base[3]):
-                continue
-            if grip[i] == 0.0:
-                far = (abs(room.load[i]) - chain.dry[i] - widen * room.slack[i]) / chain.dry[i]
-            else:
-                up = room.alpha[i - 1] if i > 0 else base[2]
-                far = -grip[i] * (room.alpha[i] - up) / (largest + 1e-300) - SENSE
-            if far > worst and (turn < 2 * n + 8 or at < 0):
-                worst, at = far, i
-        if at < 0:
-            return True
-        if grip[at] != 0.0:
-            grip[at] = 0.0
-        else:
-            grip[at] = -1.0 if room.load[at] > 0.0 else 1.0
-    return False
 
 
 @kernel
@@ -180,12 +139,17 @@ def hold(chain, grip, q, base_before, out, base):  # type: ignore[no-untyped-def
 
 
 @kernel
+def stops(margin, i):  # type: ignore[no-untyped-def]
+    """Whether slipping joint i is at rest by its margin and slope (2, n), or will be within an INSTANT."""
+    return margin[0, i] + INSTANT * margin[1, i] <= 0.0
+
+
+@kernel
 def come_to_rest(chain, grip, margin, out, base):  # type: ignore[no-untyped-def]
     """Give joints that have just stopped slipping their parents' rates; stuck ones beyond them follow."""
     n = grip.size
     for i in range(n):
-        slowing = margin[0, i] + INSTANT * margin[1, i] <= 0.0
-        if chain.dry[i] > 0.0 and (grip[i] == 0.0 or slowing):
+        if chain.dry[i] > 0.0 and (grip[i] == 0.0 or stops(margin, i)):
             out[n + i] = out[n + i - 1] if i > 0 else base[3]
 
 

@@ -1,7 +1,7 @@
 """Derivatives of one linearly implicit Euler step, two directions at a time, in the lanes of the step itself.
 
 A direction is a change of the state, of the parameters, of the base's motion or of the step's length. What follows
-from it to first order obeys the step's own equations with another right-hand side, (M.18)-(M.21), so the factors that
+from it to first order obeys the step's own equations with another right-hand side, (M.19)-(M.22), so the factors that
 the step has left in the lanes are used again: no sine, no division. The slots below lie in the lanes' rows, in the
 place of what only whole rollouts need; two directions together make a loop body that is large enough for the compiler
 to turn into packed instructions (core/lanes.py says more; tests/core/test_tangent.py looks).
@@ -19,7 +19,7 @@ DQ, DW, RHS, BX, BY, BETA = range(ln.Q_START, ln.Q_START + 12, 2)
 PX, PY, ALPHA = BX, BY, BETA
 # rate before the step, sine and cosine of the angle
 BEFORE, SIN, COS = range(DQ + 12, DQ + 15)
-# what multiplies the derivatives of angle and rate in the moment and in the force (M.20), in place of what nobody needs
+# what multiplies the derivatives of angle and rate in the moment and in the force (M.21), in place of what nobody needs
 # once a step is taken
 BY_Q, BY_W, QX, QY, WX, WY = ln.RD, ln.S, ln.BETA, ln.DISSIPATED, ln.EXTERNAL, ln.WORK
 # the seeds of a direction for one link: changes of its parameters
@@ -84,7 +84,7 @@ def prepare(width, bears, lanes):  # type: ignore[no-untyped-def]
 
 @inlined
 def link_factors(row, k, j, share):  # type: ignore[no-untyped-def]
-    """What multiplies the derivatives of a link's state and of the answer beyond it, (M.20)."""
+    """What multiplies the derivatives of a link's state and of the answer beyond it, (M.21)."""
     length, inv = row[(ln.AT + ln.LENGTH) * k + j], row[(ln.AT + ln.INV) * k + j]
     nx, ny = length * row[(ln.AT + COS) * k + j], length * row[(ln.AT + SIN) * k + j]
     h, stiffness = row[(ln.AT + ln.STEP) * k + j], row[(ln.AT + ln.STIFFNESS) * k + j]
@@ -106,7 +106,7 @@ def link_factors(row, k, j, share):  # type: ignore[no-untyped-def]
 
 @inlined
 def link_sources(row, k, j, seed, bend, rate, share):  # type: ignore[no-untyped-def]
-    """Right-hand sides that stem from a change of parameters and of the step's length, (M.21).
+    """Right-hand sides that stem from a change of parameters and of the step's length, (M.22).
 
     `seed` holds the link's SEEDS and the relative change of the step. Returns (moment, joint torque, the same back on
     the parent, force x, y).

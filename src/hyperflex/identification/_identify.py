@@ -5,27 +5,42 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification._parameters import SCALARS, Parameters
+from hyperflex.identification._band import doubt
+from hyperflex.identification._conclude import conclude
+from hyperflex.identification._intervals import HOWS, How, all_intervals
+from hyperflex.identification._loss import LOSSES, Loss, LossName
+from hyperflex.identification._measured import (
+    checked_arcs,
+    first_joint,
+    measure,
+    refuse_still_markers,
+    with_torque,
+)
+from hyperflex.identification._names import parse
+from hyperflex.identification._parameters import Parameters
+from hyperflex.identification._plant import Plant, pivot_places
 from hyperflex.identification._prediction import predict
 from hyperflex.identification._result import Identification
-from hyperflex.identification._shooting import Fit, Plant, Report
-from hyperflex.identification._stages import fit_in_stages
-from hyperflex.identification._uncertainty import Information, judge, ratio_spread, ratios
-from hyperflex.identification._verdict import failed_predictions, not_arrived, not_noise, other_lengths, verdict
-from hyperflex.identification._windows import Window, check_motion, usual_length
+from hyperflex.identification._sensors import Angles, Places
+from hyperflex.identification._shooting import Report
+from hyperflex.identification._stages import Measured, fit_in_stages
+from hyperflex.identification._uncertainty import Basis, judge
+from hyperflex.identification._verdict import other_lengths
+from hyperflex.identification._windows import check_motion, usual_length
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
 
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
-POOR = 0.2  # part of the motion that may stay unexplained before the verdict calls the fit poor
 
 
 def identify(
@@ -37,25 +52,35 @@ def identify(
     train: float | None = None,
     motion: Motion | None = None,
     arm: Arm | None = None,
+    arcs: npt.ArrayLike | None = None,
+    origin: npt.ArrayLike | None = None,
+    torque: npt.ArrayLike | None = None,
+    torque_noise: npt.ArrayLike | None = None,
+    loss: LossName = "squares",
     lead: float = 0.5,
     ahead: float = 1.0,
+    intervals: How | None = "auto",
     progress: bool | Report = False,
 ) -> Identification:
-    """Identify a rope from its recorded motion by output-error shooting.
+    """Identify a rope from its recorded motion by output-error shooting with exact derivatives.
 
-    The recording is cut into short windows. In each, the simulated angles start from a state of their own; the
-    parameters are common. All are fitted to the measured angles together, shorter windows first.
+    The recording is cut into windows. In each, the simulated motion starts from a state of its own; the parameters are
+    common. All are fitted to what was measured together, shorter windows first.
 
     Parameters
     ----------
     recording : Recording
-        Angles, or markers at the joints (their angles are fitted). As many links as the rope.
+        Angles, or markers at the joints (their angles are fitted), as many links as the rope; or, with `arcs`, markers
+        anywhere along the rope (their places are fitted), also fewer than links.
     rope_guess : Rope
         Everything that is not free is taken from it; the free ones start from it.
     free : sequence of str
         ``inertia``, ``com``, ``mass``, ``length``, ``friction``, ``dry_friction``, ``stiffness`` (each link's own),
-        ``tip_mass``, ``gravity_angle`` (rad; turns gravity, for a camera that is not level). ``friction[2]`` frees one
-        link only, ``friction:shared`` one value for all links.
+        ``tip_mass``, ``gravity_angle`` (rad; turns gravity, for a camera that is not level), ``delay`` (s; by how much
+        `motion` comes later in the recording's time), ``arc`` (m; each marker's place, or ``arc[2]``). ``friction[2]``
+        frees one link only, ``friction:shared`` one value for all links, ``friction:factor`` one factor on the guess of
+        all, ``friction:taper`` the logarithm by which it grows along the rope, pivoted at its middle.
+        ``arm_inertia`` and ``arm_friction`` (of the shaft) with a measured torque.
     window : float, s, optional
         Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope, or less
         where links turn fast; it does not depend on the guess of what is free.
@@ -64,10 +89,26 @@ def identify(
         the rest is long enough for a prediction, else all.
     motion, arm : Motion, Arm, optional
         What the first joint does, in the recording's time; by default it hangs from a fixed point.
+    arcs : (K,) array_like, m, optional
+        Distance along the rope of each marker from the first joint.
+    origin : (2,) array_like, m, optional
+        Where the camera sees the origin of the motion (the first joint, if it is fixed). With `arcs` and without it,
+        it is fitted as well, as ``origin_x`` and ``origin_y``.
+    torque : (T,) array_like, N m, optional
+        Torque of the motor at the recording's times, NaN in gaps; it fixes the absolute scale. It needs `motion` and
+        `arm`.
+    torque_noise : float or (T,) array_like, N m, optional
+        Its standard deviation; given with a torque, beside the noise of the recording.
+    loss : {"squares", "huber", "cauchy"}
+        ``cauchy`` keeps gross outliers from ruling the fit; ``huber`` counts them less than their squares.
     lead, ahead : float, s
         Held-out part: states are fitted on `lead` and angles predicted `ahead`.
+    intervals : {"auto", "covariance", "profile", None}
+        How 95 % intervals are found: from standard deviations; by profile likelihood (some six short fits a
+        parameter); ``auto`` profiles where the covariance is skewed, as that of a parameter near 0; None finds none.
     progress : bool or callable
-        True prints a line a round on standard error; a callable gets a dict with window, round, cost, gain, damping.
+        True prints a line a round on standard error; a callable gets a dict with window, stage, stages, round, cost,
+        gain, damping.
 
     Returns
     -------
@@ -88,7 +129,9 @@ def identify(
     -----
     Without a known force or torque a common factor of masses, inertias and frictions cannot be known; `verdict` says
     so, `sd` is inf there, and `ratios` hold what is known. Samples denser than 200 a window are thinned (picked); the
-    step is in ``settings["decimation"]``. Samples without given noise count alike.
+    step is in ``settings["decimation"]``. Samples without given noise count alike. With fewer markers than links,
+    neighbouring links are believed to be about in line (0.5 rad over the root of their number): what no marker sees is
+    taken from there.
 
     Examples
     --------
@@ -102,36 +145,59 @@ def identify(
     True
     """
     began = time.monotonic()
-    angles = _checked(recording, rope_guess)
+    checks.choice("loss", loss, LOSSES)
+    if intervals is not None:
+        checks.choice("intervals", intervals, HOWS)
+    measured, places = _checked(recording, rope_guess, arcs)
     if arm is not None and motion is None:
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
-    plant = Plant(motion, arm)
-    fitted, rest = _split(angles, train, lead, ahead)
-    check_motion(fitted)
-    parameters = Parameters(rope_guess, free)
-    length = usual_length(fitted, rope_guess) if window is None else checks.number("window", window, sign="positive")
-    found, windows, settings = fit_in_stages(plant, parameters, fitted, length, _reporter(progress))
-    information = judge(plant, parameters, windows, found)
-    rope = parameters.rope(found.x)
-    held_out = None if rest is None else predict(plant, rope, rest, lead, ahead)
-    settings |= {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
-    settings |= {"autocorrelation": information.correlation, "seconds": time.monotonic() - began}
-    return _result(parameters, information, found, windows, held_out, settings, other_lengths(recording, rope_guess))
+    if torque is not None and arm is None:
+        raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
+    plant = planned(recording, rope_guess, free, places, origin, motion, arm, torque=torque is not None)
+    foretold = plant.without_torque()  # what is held out is predicted without force or torque
+    fitted, rest = _split(measured, train, lead, ahead)
+    if torque is not None:
+        fitted, _ = _split(with_torque(measured, torque, torque_noise), train, lead, ahead)
+    check_motion(fitted.shape)
+    usual = usual_length(fitted.shape, rope_guess)
+    length = usual if window is None else checks.number("window", window, sign="positive", infinite=True)
+    length = min(length, 1.001 * fitted.channels.duration)
+    found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
+    basis = Basis(plant, windows, found, judge(plant, windows, found))
+    how = intervals if found.converged or intervals is None else "covariance"
+    ranges = None if how is None else all_intervals(basis, how)
+    held_out = None
+    try:
+        if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
+            spread = doubt(basis.information, windows, found).of(measured.channels.data.shape[1])
+            held_out = predict(foretold, found.x, rest, lead, ahead, Loss(loss), spread)
+    except KeyboardInterrupt:  # what was fitted is worth more than its trial
+        found.interrupted = True
+    settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
+    settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
+    settings |= _arranged(free, loss, places, origin, motion, arm)
+    remarks = [] if arcs is not None else other_lengths(recording, rope_guess)
+    return conclude(basis, held_out, settings, remarks, ranges)
 
 
-def _checked(recording: Recording, rope: Rope) -> Recording:
-    """Return the recording's angles, if they fit the rope."""
+def _checked(recording: Recording, rope: Rope, arcs: npt.ArrayLike | None) -> tuple[Measured, Array | None]:
+    """Return what is fitted, if it fits the rope, and where its markers sit if not at the joints."""
     if not isinstance(recording, Recording) or not isinstance(rope, Rope):
         raise InvalidInput(
             "identify takes a Recording and a Rope",
             got=[type(recording).__name__, type(rope).__name__],
             fix="Read the file with read_recording first",
         )
+    if arcs is not None:
+        places = checked_arcs(recording, rope, arcs)
+        refuse_still_markers(recording, places)
+        return measure(recording, rope, places), places
     if recording.n_links != rope.n_links:
         raise InvalidInput(
             "the recording and the rope have different numbers of links",
             got=[recording.n_links, rope.n_links],
-            fix="Give a guess with as many links as the recording has angles (markers less one)",
+            fix="Give a guess with as many links as the recording has angles (markers less one), or say where along "
+            "the rope the markers sit, arcs=[...]",
         )
     if recording.kind == "markers":
         factor = recording.link_lengths() / rope.length
@@ -142,26 +208,75 @@ def _checked(recording: Recording, rope: Rope) -> Recording:
                 allowed="within a factor of two, in m",
                 fix="Check the unit or scale of the markers, or the lengths of the guess",
             )
-    return recording.angles()
+    refuse_still_markers(recording, np.append(0.0, np.cumsum(rope.length)))
+    return measure(recording, rope, None), None
 
 
-def _split(angles: Recording, train: float | None, lead: float, ahead: float) -> tuple[Recording, Recording | None]:
+def planned(
+    recording: Recording,
+    guess: Rope,
+    free: Sequence[str],
+    arcs: Array | None,
+    origin: npt.ArrayLike | None,
+    motion: Motion | None,
+    arm: Arm | None,
+    *,
+    torque: bool = False,
+) -> Plant:
+    """Return what predicts the measurements, with all that is free."""
+    chosen = parse(guess, free, arcs, moved=motion is not None, arm=arm if torque else None)
+    if arcs is None:
+        if origin is not None:
+            raise InvalidInput("origin is given, but angles are fitted", fix="Give arcs=... as well, or leave it out")
+        return Plant(Parameters(guess, chosen), Angles(), None, motion, arm, torque=torque)
+    if origin is None:
+        words = [word for word in ("origin_x", "origin_y") if word not in free]
+        chosen += parse(guess, words, arcs) if words else []
+        place = first_joint(recording, arcs, pivot_places(motion, arm, recording.t))
+    else:
+        place = checks.array("origin", origin, (2,), unit="m")
+    starts = {"origin_x": float(place[0]), "origin_y": float(place[1])}
+    chosen = [replace(each, start=starts.get(each.name, each.start)) for each in chosen]
+    own = np.concatenate([place, arcs])
+    return Plant(Parameters(guess, chosen), Places(), own, motion, arm, torque=torque)
+
+
+def _split(measured: Measured, train: float | None, lead: float, ahead: float) -> tuple[Measured, Measured | None]:
     """Return what is fitted and what is held out."""
+    every = measured.channels
     for name, value in (("lead", lead), ("ahead", ahead)):
         checks.number(name, value, sign="positive", unit="s")
     if train is None:
-        time = float(angles.t[0] + TRAIN * angles.duration)
-        if angles.t[-1] - time < lead + ahead:
-            return angles, None
-        return angles.split(time)
-    time = checks.number("train", train, unit="s", infinite=True)
-    if time > angles.t[-1]:
-        return angles, None
-    if time <= angles.t[0]:
-        raise InvalidInput("train leaves nothing to fit", got=time, allowed=f"a time after {angles.t[0]:g} s")
-    fitted = angles.window(-np.inf, time)
-    rest = angles.t >= time
-    return fitted, angles.window(time, np.inf) if rest.sum() > 1 else None
+        time = float(every.t[0] + TRAIN * every.duration)
+        if every.t[-1] - time < lead + ahead:
+            return measured, None
+    else:
+        time = checks.number("train", train, unit="s", infinite=True)
+        if time > every.t[-1]:
+            return measured, None
+        if time <= every.t[0]:
+            raise InvalidInput("train leaves nothing to fit", got=time, allowed=f"a time after {every.t[0]:g} s")
+    fitted = measured.between(-np.inf, time)
+    rest = every.t >= time
+    return fitted, measured.between(time, np.inf) if rest.sum() > 1 else None
+
+
+def _arranged(
+    free: Sequence[str],
+    loss: LossName,
+    arcs: Array | None,
+    origin: npt.ArrayLike | None,
+    motion: Motion | None,
+    arm: Arm | None,
+) -> dict[str, Any]:
+    """Return how the fit was set up, in plain words and numbers."""
+    base = "fixed" if motion is None else "moved" if arm is None else f"moved by an arm of {arm.length:g} m"
+    result: dict[str, Any] = {"free": list(free), "loss": loss, "base": base}
+    if arcs is not None:
+        result["arcs"] = arcs.tolist()
+    if origin is not None:
+        result["origin"] = np.asarray(origin, dtype=np.float64).tolist()
+    return result
 
 
 def _reporter(progress: bool | Report) -> Report:
@@ -177,72 +292,3 @@ def _reporter(progress: bool | Report) -> Report:
             )
 
     return line
-
-
-def _result(
-    parameters: Parameters,
-    information: Information,
-    found: Fit,
-    windows: list[Window],
-    held_out: Any,
-    settings: dict[str, Any],
-    remarks: list[str],
-) -> Identification:
-    """Put everything together; `remarks` join the verdict."""
-    rope, slopes = parameters.rope(found.x), parameters.slopes(found.x)
-    spreads = information.spread(np.diag(slopes))
-    weights = np.concatenate([w.weight for w in windows])
-    flat = np.concatenate([r.reshape(w.y.shape) for r, w in zip(found.residuals, windows, strict=True)])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        residuals = np.where(weights > 0.0, -flat / weights, np.nan)
-    rms = np.sqrt(np.nanmean(residuals**2, axis=0))
-    ratio_sd = ratio_spread(parameters, information)
-    status = "interrupted" if found.interrupted else "converged" if found.converged else "not converged"
-    words = not_arrived(status) + verdict(parameters, information, rope, ratio_sd)
-    words += _poor(windows, rms) + not_noise(information.correlation) + failed_predictions(held_out) + remarks
-    return Identification(
-        rope=rope,
-        values=_by_name(parameters, rope, parameters.values(found.x)),
-        sd=_by_name(parameters, None, spreads),
-        ratios=ratios(rope),
-        ratio_sd=ratio_sd,
-        verdict=tuple(words),
-        identifiable=information.unknown.shape[1] == 0,
-        residual_rms=rms,
-        residual_t=np.concatenate([w.t for w in windows]),
-        residuals=residuals,
-        held_out=held_out,
-        parameters=parameters.labels,
-        covariance=information.covariance * np.outer(slopes, slopes),
-        singular_values=information.singular,
-        settings=settings,
-        status=status,
-        history=tuple(found.history),
-    )
-
-
-def _by_name(parameters: Parameters, rope: Rope | None, numbers: Array) -> dict[str, Array]:
-    """Return numbers (P,) by property: (n,) with the rope's own (or 0) where a link is not free, or single."""
-    n = parameters.guess.n_links
-    result: dict[str, Array] = {}
-    for parameter, number in zip(parameters.all, numbers, strict=True):
-        if parameter.name in SCALARS:
-            result[parameter.name] = np.array(number)
-        else:
-            held = np.zeros(n) if rope is None else getattr(rope, parameter.name).copy()
-            result.setdefault(parameter.name, held)[list(parameter.links)] = number
-    return result
-
-
-def _poor(windows: list[Window], rms: Array) -> list[str]:
-    """Return a warning where the model leaves much of the motion unexplained."""
-    known = [np.where(w.weight > 0.0, w.y, np.nan) for w in windows]
-    spread = np.sqrt(np.mean([np.nanvar(y, axis=0) for y in known], axis=0))
-    worst = int(np.argmax(rms / np.maximum(spread, 1e-12)))
-    if rms[worst] <= POOR * spread[worst]:
-        return []
-    text = (
-        f"The fit is poor: link {worst} is {rms[worst]:.3g} rad off, and moves by {spread[worst]:.3g} rad (rms) within "
-        "the windows. Check the recording's units, zero and sense, the link lengths, the base's motion and the guess."
-    )
-    return [text]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -14,6 +13,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope
 
 Form = Literal["log", "linear", "nonnegative"]
+Law = Literal["own", "factor", "taper"]
+Part = dict[str, Array]
 
 FORMS: dict[str, Form] = {
     "inertia": "nonnegative",
@@ -25,11 +26,19 @@ FORMS: dict[str, Form] = {
     "stiffness": "nonnegative",
     "tip_mass": "nonnegative",
     "gravity_angle": "linear",
+    "delay": "linear",
+    "origin_x": "linear",
+    "origin_y": "linear",
+    "arc": "linear",
+    "arm_inertia": "nonnegative",
+    "arm_friction": "nonnegative",
 }
-SCALARS = ("tip_mass", "gravity_angle")
-TORQUES = ("friction", "dry_friction", "stiffness", "tip_mass")  # with small scales, see SHARE
-SHARE = 0.01  # size of an unknown small torque, as a part of gravity's, in the scale of a friction that starts from 0
-_NAME = re.compile(r"(?P<name>[a-z_]+)(?:\[(?P<link>\d+)\])?(?P<shared>:shared)?\Z")
+ROPE_SCALARS = ("tip_mass", "gravity_angle")
+ARM = ("arm_inertia", "arm_friction")
+SCALARS = (*ROPE_SCALARS, "delay", "origin_x", "origin_y", *ARM)
+TRACE = 1e-9  # of the scale of dry friction
+SEEN_ONLY = ("origin_x", "origin_y", "arc", *ARM)  # what is looked at: they do not move the rope
+WIDTHS = {"gravity_angle": 0.1, "delay": 0.1, "origin_x": 0.1, "origin_y": 0.1, "arc": 0.1}
 
 
 @dataclass(frozen=True)
@@ -37,27 +46,47 @@ class Parameter:
     """One free number.
 
     The fitter works on x: the logarithm of the value (``log``), or the value over `scale`, kept >= 0 where its form
-    is ``nonnegative``.
+    is ``nonnegative``. Of a law along the rope it works on the logarithm of a factor on all links' guesses (``factor``)
+    or of its growth from the motor to the tip (``taper``).
     """
 
     name: str
-    links: tuple[int, ...]  # which links take it; empty for a property of the whole rope
+    links: tuple[int, ...]  # which links (or markers, of an arc) take it; empty for a property of the whole
     label: str
     start: float
     scale: float
+    law: Law = "own"
 
     @property
     def form(self) -> Form:
         """How the fitter sees it."""
-        return FORMS[self.name]
+        if self.law == "own":
+            return FORMS[self.name]
+        return "log" if self.law == "factor" else "linear"
 
     @property
-    def step(self) -> float:
-        """Difference in x for derivatives: effects well above the rollout's tolerance, well below their curvature."""
-        return 1e-2 if self.name in TORQUES else 1e-4
+    def first(self) -> float:
+        """The x that it starts from."""
+        return float(np.log(self.start)) if self.form == "log" else max(self.start / self.scale, self.least)
+
+    @property
+    def least(self) -> float:
+        """The least x. Without any dry friction no run turns where it would act, and none tells what it would do."""
+        if self.form != "nonnegative":
+            return -np.inf
+        return TRACE if self.name == "dry_friction" else 0.0
+
+    @property
+    def width(self) -> float:
+        """Change of x by which parameters are compared when judging what can be known.
+
+        A factor of e, a link's length, its whole inertia, a torque of 1 % of gravity's, 0.1 rad, 0.1 of a time or
+        place scale.
+        """
+        return WIDTHS.get(self.name, 1.0)
 
     def value(self, x: float) -> float:
-        """Return the value in SI units."""
+        """Return the value in SI units; of a law the factor, or the logarithm of the growth."""
         return float(np.exp(x)) if self.form == "log" else self.scale * x
 
     def slope(self, x: float) -> float:
@@ -66,11 +95,12 @@ class Parameter:
 
 
 class Parameters:
-    """The free parameters of a rope, in the order of `free`."""
+    """The free parameters of a rope and of how it is seen; see ``_names.parse`` for what `all` may hold."""
 
-    def __init__(self, guess: Rope, free: Sequence[str]) -> None:
+    def __init__(self, guess: Rope, chosen: Sequence[Parameter]) -> None:
         self.guess = guess
-        self.all = tuple(_parse(guess, free))
+        self.all = tuple(chosen)
+        self.middle = (np.cumsum(guess.length) - 0.5 * guess.length) / guess.total_length - 0.5
 
     def __len__(self) -> int:
         return len(self.all)
@@ -81,19 +111,23 @@ class Parameters:
         return tuple(p.label for p in self.all)
 
     @property
-    def steps(self) -> Array:
-        """Steps of the differences (P,)."""
-        return np.array([p.step for p in self.all])
-
-    @property
     def start(self) -> Array:
         """First guess x (P,)."""
-        return np.array([np.log(p.start) if p.form == "log" else p.start / p.scale for p in self.all])
+        return np.array([p.first for p in self.all])
 
     @property
     def lower(self) -> Array:
         """Lower bounds of x (P,)."""
-        return np.array([0.0 if p.form == "nonnegative" else -np.inf for p in self.all])
+        return np.array([p.least for p in self.all])
+
+    def rounded(self, x: Array) -> Array:
+        """Return x (P,) with a trace of dry friction that is left at its bound as none."""
+        return np.where((x > 0.0) & (x <= self.lower), 0.0, x)
+
+    @property
+    def widths(self) -> Array:
+        """Return the changes of x (P,) by which parameters are compared, see ``Parameter.width``."""
+        return np.array([p.width for p in self.all])
 
     def values(self, x: Array) -> Array:
         """Return the values (P,) in SI units."""
@@ -103,26 +137,27 @@ class Parameters:
         """Return d value / d x (P,)."""
         return np.array([p.slope(each) for p, each in zip(self.all, x, strict=True)])
 
-    @property
-    def widths(self) -> Array:
-        """Return the changes of x (P,) by which parameters are compared when judging what can be known.
-
-        A factor of e, a link's length, its whole inertia, a torque of 1 % of gravity's, 0.1 rad.
-        """
-        return np.array([0.1 if p.name == "gravity_angle" else 1.0 for p in self.all])
+    def single(self, name: str, x: Array, held: float = 0.0) -> float:
+        """Return the value of a parameter of the whole, `held` where it is not free."""
+        return next((p.value(each) for p, each in zip(self.all, x, strict=True) if p.name == name), held)
 
     def rope(self, x: Array) -> Rope:
         """Return the guess with the free parameters set to x."""
         changes: dict[str, object] = {}
-        for parameter, value in zip(self.all, self.values(x), strict=True):
-            if parameter.name == "gravity_angle":
-                changes["gravity"] = _turned(self.guess.gravity, value)
-            elif parameter.name == "tip_mass":
+        columns: dict[str, Array] = {}
+        for parameter, each in zip(self.all, x, strict=True):
+            name, value = parameter.name, parameter.value(each)
+            if name == "gravity_angle":
+                changes["gravity"] = turned(self.guess.gravity, value)
+            elif name == "tip_mass":
                 changes["tip_mass"] = value
-            else:
-                column = changes.setdefault(parameter.name, getattr(self.guess, parameter.name).copy())
-                column[list(parameter.links)] = value  # type: ignore[index]
-        return self.guess.replace(**changes)
+            elif name not in SCALARS and name not in SEEN_ONLY:
+                column = columns.setdefault(name, getattr(self.guess, name).copy())
+                if parameter.law == "own":
+                    column[list(parameter.links)] = value
+                else:
+                    column *= value if parameter.law == "factor" else np.exp(each * self.middle)
+        return self.guess.replace(**changes, **columns)
 
     def possible(self, x: Array) -> Rope | None:
         """Return the rope, or None where x describes none (a link without any inertia, a mass beyond all numbers)."""
@@ -130,6 +165,31 @@ class Parameters:
             return self.rope(x)
         except InvalidInput:
             return None
+
+    def parts(self, x: Array, rope: Rope) -> list[tuple[int, Part]]:
+        """Return which parameters move the rope, and by how much each property changes with their x.
+
+        `rope` is that of x. A part maps a property to its change, as in :func:`hyperflex.sensitivities`; ``delay``
+        stands for the motion's.
+        """
+        found = []
+        for k, (parameter, each) in enumerate(zip(self.all, x, strict=True)):
+            if parameter.name not in SEEN_ONLY:
+                found.append((k, self._part(parameter, float(each), rope)))
+        return found
+
+    def _part(self, parameter: Parameter, x: float, rope: Rope) -> Part:
+        name = parameter.name
+        if name == "gravity_angle":
+            gx, gy = rope.gravity
+            return {"gravity": np.array([-gy, gx]) * parameter.scale}
+        if name in SCALARS:
+            return {name: np.array([parameter.slope(x)])}
+        if parameter.law != "own":
+            return {name: getattr(rope, name) * (1.0 if parameter.law == "factor" else self.middle)}
+        change = np.zeros(rope.n_links)
+        change[list(parameter.links)] = parameter.slope(x)
+        return {name: change}
 
 
 def lumped(rope: Rope) -> tuple[Array, Array]:
@@ -148,62 +208,7 @@ def lumped(rope: Rope) -> tuple[Array, Array]:
     return p, inertia
 
 
-def _turned(gravity: Array, angle: float) -> Array:
+def turned(gravity: Array, angle: float) -> Array:
     """Return gravity turned by `angle`, so that the rope hangs at its former angle plus `angle`."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * gravity[0] - s * gravity[1], s * gravity[0] + c * gravity[1]])
-
-
-def _parse(guess: Rope, free: Sequence[str]) -> list[Parameter]:
-    """Return the parameters that the names in `free` stand for."""
-    if isinstance(free, str) or len(free) == 0:
-        raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
-    result: list[Parameter] = []
-    for word in free:
-        match = _NAME.match(word) if isinstance(word, str) else None
-        if match is None or match["name"] not in FORMS or (match["link"] and match["shared"]):
-            raise InvalidInput(
-                "free has an unknown name",
-                got=word,
-                allowed=f"{', '.join(FORMS)}; 'friction[2]' for one link, 'friction:shared' for one value of all links",
-            )
-        result += _one(guess, match["name"], match["link"], bool(match["shared"]))
-    taken = [(p.name, link) for p in result for link in p.links or (-1,)]
-    twice = sorted({f"{name}[{link}]" if link >= 0 else name for name, link in taken if taken.count((name, link)) > 1})
-    if twice:
-        raise InvalidInput("free names the same thing twice", got=list(free), allowed=f"{', '.join(twice)} only once")
-    return result
-
-
-def _one(guess: Rope, name: str, link: str | None, shared: bool) -> list[Parameter]:
-    """Return the parameters of one word in `free`."""
-    if name in SCALARS:
-        if link or shared:
-            raise InvalidInput(f"{name} belongs to the whole rope", got=f"{name}[{link}]", allowed=name)
-        start, scale = (guess.tip_mass, SHARE * guess.total_mass) if name == "tip_mass" else (0.0, 1.0)
-        return [Parameter(name, (), name, start, max(start, scale))]
-    n = guess.n_links
-    if link is not None and int(link) >= n:
-        raise InvalidInput(
-            "free names a link that the rope does not have", got=f"{name}[{link}]", allowed=f"0 to {n - 1}"
-        )
-    starts, scales = _starts(guess, name)
-    if shared:
-        return [Parameter(name, tuple(range(n)), f"{name}:shared", float(starts.mean()), float(scales.mean()))]
-    chosen = range(n) if link is None else (int(link),)
-    return [Parameter(name, (k,), f"{name}[{k}]", float(starts[k]), float(scales[k])) for k in chosen]
-
-
-def _starts(guess: Rope, name: str) -> tuple[Array, Array]:
-    """Return start values and scales (n,) of a per-link property; what starts from 0 gets a typical size as scale."""
-    value = np.array(getattr(guess, name))
-    p, inertia = lumped(guess)
-    weight = np.abs(p) * (float(np.hypot(*guess.gravity)) or 1.0)
-    if FORMS[name] == "log":
-        if not (value > 0.0).all():
-            raise InvalidInput(f"{name} is free but starts from 0", got=value, allowed=f"a guess of {name} > 0")
-        return value, value
-    if name in ("com", "inertia"):
-        return value, guess.length if name == "com" else inertia
-    typical = SHARE * (np.sqrt(weight * inertia) if name == "friction" else weight)
-    return value, np.maximum(value, typical)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Self
 
 import numpy as np
 
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.files import PathLike
+from hyperflex.identification._intervals import Interval
 from hyperflex.identification._prediction import HeldOut
+from hyperflex.identification._uncertainty import Basis
 from hyperflex.model import Rope
 
 
@@ -29,14 +31,17 @@ class Identification:
     ratios, ratio_sd : dict of str to ndarray (n,)
         ``J/p1``, ``p/p1``, ``c/p1`` and, where fitted, ``dry/p1``, ``k/p1``: what a motion without known forces can
         tell (p_i = m_i a_i + l_i m_beyond, J_i = inertia_i + m_i a_i^2 + l_i^2 m_beyond; p1 is that of link 0).
+    intervals : dict of str to Interval
+        Of each of `parameters`, and of the ratios of each link (``J/p1[0]``): low, high, how it was found, and what
+        either end is; 95 %. Empty where none were asked for.
     verdict : tuple of str
         In words: what can be known, what cannot, and what looks wrong.
     identifiable : bool
         Whether all free parameters can be known.
-    residual_rms : (n,) rad
-        Fit error of each link's angle over all windows.
-    residual_t (m,), residuals (m, n) : s, rad
-        Measured less fitted angles at the fitted samples; NaN in gaps.
+    residual_rms : (C,) rad or m
+        Fit error of each channel (each link's angle, or each marker's x and y) over all windows.
+    residual_t (m,), residuals (m, C) : s, rad or m
+        Measured less fitted channels at the fitted samples; NaN in gaps.
     held_out : HeldOut or None
         Prediction of the part that was not fitted.
     parameters : tuple of str
@@ -47,16 +52,21 @@ class Identification:
         Of the scaled information, largest first.
     settings : dict
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
-        factor, seconds taken.
+        time of the residuals (samples), seconds taken; how the fit was set up: words in ``free``, loss, base, and
+        `arcs` and `origin` if given.
     status : str
         ``converged``, ``interrupted`` (Ctrl-C; the best so far) or ``not converged``.
+    unit : str
+        Of what was fitted: ``rad`` or ``m``.
     history : tuple of dict
-        Round by round: window length, round, cost, gain, damping.
+        Round by round: window length, stage (of how many stages), round, cost, gain, damping.
+    torque_residuals : (m,) N m, or None
+        Measured less fitted motor torque, where it was measured; NaN in gaps.
 
     Notes
     -----
-    Standard deviations take the residuals' autocorrelation into account by an effective sample number: the variance of
-    independent residuals times ``settings["autocorrelation"]``. Errors of the model itself are not in them.
+    Standard deviations allow for robust losses and for residuals that hang together in time (see
+    ``_uncertainty.judge``), intervals for bounds and skewness as well. Errors of the model itself are in neither.
     """
 
     rope: Rope
@@ -64,6 +74,7 @@ class Identification:
     sd: dict[str, Array]
     ratios: dict[str, Array]
     ratio_sd: dict[str, Array]
+    intervals: dict[str, Interval]
     verdict: tuple[str, ...]
     identifiable: bool
     residual_rms: Array
@@ -75,23 +86,43 @@ class Identification:
     singular_values: Array
     settings: dict[str, Any]
     status: str
+    unit: str
     history: tuple[dict[str, float], ...]
+    torque_residuals: Array | None = None
+    _basis: Basis | None = field(default=None, init=False, repr=False)
+
+    def resting_on(self, basis: Basis) -> Self:
+        """Keep the fit itself, `basis`, for further questions; return this same result."""
+        object.__setattr__(self, "_basis", basis)
+        return self
 
     @property
     def residual_rms_all(self) -> float:
-        """Fit error over all links and windows together, rad."""
+        """Fit error over all channels and windows together, rad or m."""
         return float(np.sqrt(np.nanmean(self.residuals**2)))
+
+    @property
+    def torque_rms(self) -> float | None:
+        """Fit error of the motor torque, N m; None where it was not measured."""
+        return None if self.torque_residuals is None else float(np.sqrt(np.nanmean(self.torque_residuals**2)))
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
         tables = {name: getattr(self, name) for name in ("values", "sd", "ratios", "ratio_sd")}
-        result: dict[str, Any] = {"status": self.status, "identifiable": self.identifiable}
+        result: dict[str, Any] = {"status": self.status, "identifiable": self.identifiable, "unit": self.unit}
         result |= {name: {key: _plain(value) for key, value in table.items()} for name, table in tables.items()}
+        result["intervals"] = {
+            name: {"low": _plain(np.array(each.low)), "high": _plain(np.array(each.high)), "kind": each.kind}
+            for name, each in self.intervals.items()
+        }
         result |= {"residual_rms": _plain(self.residual_rms), "residual_rms_all": self.residual_rms_all}
+        if self.torque_residuals is not None:
+            result["torque_rms"] = self.torque_rms
         if self.held_out is not None:
             held = self.held_out
             result["held_out"] = {"lead": held.lead, "ahead": held.ahead, "predictions": held.starts.size}
             result["held_out"] |= {"rms": _plain(held.rms), "window_rms": _plain(held.window_rms)}
+            result["held_out"]["inside_band"] = _plain(np.array(held.inside))
         result["verdict"] = list(self.verdict)
         result["settings"] = dict(self.settings)
         result["rope"] = self.rope.table()
@@ -108,15 +139,23 @@ class Identification:
         files.write_toml(path, {"rope": rope, "identification": _without_none(content)})
 
     def __str__(self) -> str:
-        lines = [f"Identification {self.status}: " + ", ".join(f"{k} {_short(v)}" for k, v in self.settings.items())]
+        told = (f"{k} {_short(v)}" for k, v in self.settings.items() if not isinstance(v, list))
+        lines = [f"Identification {self.status}: " + ", ".join(told)]
         for title, value, spread in (("value", self.values, self.sd), ("ratio", self.ratios, self.ratio_sd)):
             for name, numbers in value.items():
                 pairs = zip(np.atleast_1d(numbers), np.atleast_1d(spread[name]), strict=True)
                 lines.append(f"  {title} {name:<13}" + "  ".join(f"{x:.5g} ± {s:.2g}" for x, s in pairs))
-        lines.append("  fit error, mrad       " + "  ".join(f"{1e3 * x:.2f}" for x in self.residual_rms))
+        lines += [
+            f"  {100 * self.intervals[name].level:g} % {name:<13} {self.intervals[name]}"
+            for name in self.parameters
+            if name in self.intervals
+        ]
+        lines.append(f"  fit error, m{self.unit}       " + "  ".join(f"{1e3 * x:.2f}" for x in self.residual_rms))
+        if self.torque_rms is not None:
+            lines.append(f"  torque error, mN m     {1e3 * self.torque_rms:.3f}")
         if self.held_out is not None:
             lines.append(
-                f"  prediction error over {self.held_out.ahead:g} s, mrad  "
+                f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  "
                 + "  ".join(f"{1e3 * x:.2f}" for x in self.held_out.rms)
             )
         return "\n".join([*lines, *(f"  {text}" for text in self.verdict)])

@@ -1,7 +1,8 @@
-"""Output-error shooting: every window has its own initial state, all windows share the parameters.
+"""Shooting: every window has its own initial state, all windows share the parameters; Levenberg and Marquardt's steps.
 
 The states of a window touch only that window's residuals, so each step eliminates them window by window (QR) and
-solves a small system for the parameters: cost linear in the number of windows.
+solves a small system for the parameters: cost linear in the number of windows. Derivatives are exact, those of the
+rollouts themselves.
 """
 
 from __future__ import annotations
@@ -12,136 +13,97 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.identification._parameters import Parameters
+from hyperflex.errors import InvalidInput
+from hyperflex.identification._loss import Loss
+from hyperflex.identification._plant import Plant
 from hyperflex.identification._windows import Window
-from hyperflex.model import Arm, Rope
-from hyperflex.motion import Motion
-from hyperflex.simulation import angles
 
-PRECISION = 1e-9  # tolerance of a rollout over the rope's length, far below any measured angle's error
-NUDGE = 1e-5  # rad, difference in the initial state for derivatives
 LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
 ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their sd
 SHORT = 1.0  # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
-ROUGH = 1e-3  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
+ROUGH = 1e-5  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
+STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up
 LEFT = 1e-6  # damping for what the linear model has left to gain: parameters that do not act promise nothing
 Report = Callable[[dict[str, float]], None]
 
 
-class Plant:
-    """Predicts a window's angles; what the base does is fixed here."""
-
-    def __init__(self, motion: Motion | None, arm: Arm | None) -> None:
-        self.motion, self.arm = motion, arm
-
-    def predict(self, rope: Rope, t: Array, state: Array, precision: float = PRECISION) -> Array | None:
-        """Return angles (m, n) at times t (m,) from `state` (2n,) at t[0]; None where the rollout fails."""
-        n = rope.n_links
-        if not np.isfinite(state).all():
-            return None
-        tol = precision * rope.total_length
-        try:
-            return angles(rope, t, state[:n], state[n:], motion=self.motion, arm=self.arm, tol=tol)[0]
-        except SimulationError:
-            return None
-
-    def residual(self, rope: Rope, window: Window, state: Array, precision: float = PRECISION) -> Array | None:
-        """Return weighted prediction errors (m n,), 0 in gaps."""
-        q = self.predict(rope, window.t, state, precision)
-        if q is None or not np.isfinite(q).all():
-            return None
-        return ((q - window.y) * window.weight).ravel()
-
-
 @dataclass
 class Fit:
-    """Where a fit stands: x (P,), one state (2n,) a window, and the residuals (m n,) of each window."""
+    """Where a fit stands: x (P,), one state (2n,) a window, and the residuals (m C,) of each window."""
 
     x: Array
     states: list[Array]
     residuals: list[Array]
+    loss: Loss = field(default_factory=Loss)
+    beliefs: float = 0.0  # what the states cost by departing from what is believed of a rope's shape
     converged: bool = False
     interrupted: bool = False
     history: list[dict[str, float]] = field(default_factory=list)
 
     @property
     def cost(self) -> float:
-        """Sum of squares."""
-        return float(sum(r @ r for r in self.residuals))
+        """Sum of squares, or of what the loss makes of them."""
+        return sum(self.loss.cost(r) for r in self.residuals) + self.beliefs
 
 
-def state_nudges(window: Window, n: int) -> Array:
-    """Return differences (2n,): NUDGE in each angle, and rates that come to NUDGE over the window."""
-    return np.repeat([NUDGE, NUDGE / (window.t[-1] - window.t[0])], n)
-
-
-def state_jacobian(plant: Plant, rope: Rope, window: Window, state: Array, residual: Array) -> Array | None:
-    """Return d residual / d state (m n, 2n) by forward differences, or None where a rollout fails."""
-    nudges = state_nudges(window, rope.n_links)
-    columns = []
-    for k, nudge in enumerate(nudges):
-        moved = state.copy()
-        moved[k] += nudge
-        other = plant.residual(rope, window, moved)
-        if other is None:
-            return None
-        columns.append((other - residual) / nudge)
-    return np.stack(columns, axis=1)
-
-
-def fit_state(plant: Plant, rope: Rope, window: Window, state: Array, rounds: int = 30) -> tuple[Array, Array] | None:
-    """Fit the state at a window's start, parameters fixed (Levenberg-Marquardt).
-
-    Returns
-    -------
-    state (2n,), residual (m n,), or None where no rollout from `state` succeeds.
-    """
-    residual = plant.residual(rope, window, state)
-    if residual is None:
-        return None
-    damping = 1e-3
-    for _ in range(rounds):
-        slope = state_jacobian(plant, rope, window, state, residual)
-        if slope is None:
-            break
-        size = np.sqrt((slope**2).sum(axis=0))
-        before = residual @ residual
-        while damping < MOST_DAMPING:
-            matrix = np.vstack([slope, np.diag(np.sqrt(damping) * size)])
-            move = np.linalg.lstsq(matrix, np.append(-residual, np.zeros(state.size)), rcond=None)[0]
-            tried = plant.residual(rope, window, state + move)
-            if tried is not None and tried @ tried <= before:
-                break
-            damping = max(10.0 * damping, 1e-6)
-        else:
-            break
-        state, residual, damping = state + move, tried, 0.1 * damping
-        if before - residual @ residual <= 1e-8 * before:
-            break
-    return state, residual
-
-
-@dataclass
-class _Linear:
-    """Derivatives of one window: with respect to its state (m n, 2n) and to the parameters (m n, P)."""
+@dataclass(frozen=True)
+class Linear:
+    """One window's residuals (M,), weighted, and their derivatives: by its state (M, 2n), by the parameters (M, P)."""
 
     state: Array
     shared: Array
-    known: bool = True  # False: no rollout near its state succeeds, and the derivatives are set to 0
+    residual: Array
+    known: bool = True  # False: no rollout from its state succeeds, and the derivatives are 0
+
+    def compact(self) -> Linear:
+        """Return the same least squares in as few rows as there are unknowns, and one."""
+        width = self.state.shape[1]
+        both = np.column_stack([self.state, self.shared, self.residual])
+        rows: Array = np.asarray(np.linalg.qr(both, mode="r"))
+        return Linear(rows[:, :width], rows[:, width:-1], rows[:, -1], self.known)
+
+    def reduced(self) -> tuple[Array, Array]:
+        """Return parameter derivatives (M, P) and residuals (M,) less what the window's own state can absorb."""
+        basis = np.linalg.qr(self.state)[0]
+        return self.shared - basis @ (basis.T @ self.shared), self.residual - basis @ (basis.T @ self.residual)
+
+
+def linearise(plant: Plant, window: Window, x: Array, state: Array, residual: Array, loss: Loss) -> Linear:
+    """Return a window's linear model; `residual` (m C,) is what it stands at."""
+    weight = loss.weight(residual)
+    seen = plant.slopes(x, window.t, state)
+    belief = window.belief(state)
+    if seen is None:  # a window on the brink: leave it as it is in this round
+        size = residual.size
+        return Linear(np.zeros((size, state.size)), np.zeros((size, x.size)), weight * residual, known=False)
+    scale = (weight * window.weight.ravel())[:, None]
+    by_state, shared = (scale * slope.reshape(residual.size, -1) for slope in (seen.state, seen.shared))
+    if belief.size == 0:
+        return Linear(by_state, shared, weight * residual)
+    return Linear(
+        np.vstack([by_state, window.believed]),
+        np.vstack([shared, np.zeros((belief.size, x.size))]),
+        np.append(weight * residual, belief),
+    )
 
 
 def fit(
     plant: Plant,
-    parameters: Parameters,
     windows: Sequence[Window],
     x: Array,
     states: list[Array],
     *,
+    loss: Loss | None = None,
+    states_only: bool = False,
     rounds: int = 60,
+    enough: float | None = None,
     report: Report | None = None,
+    held: Sequence[int] = (),
 ) -> Fit:
-    """Fit parameters and all states together from first guesses.
+    """Fit parameters and all states together, or the states alone, from first guesses; parameters `held` stay.
+
+    It ends with a round that gains less than the part `enough` of the cost; by default less than parameters move by
+    chance.
 
     Raises
     ------
@@ -152,70 +114,77 @@ def fit(
     -----
     Ctrl-C ends the fit; what is returned then is the best so far, marked ``interrupted``.
     """
-    residuals = _residuals(plant, parameters.rope(x), windows, states)
+    loss = loss or Loss()
+    residuals = _residuals(plant, windows, x, states)
     if residuals is None:
         raise InvalidInput("the rope cannot be simulated from the guess", fix="Give a guess nearer to the real one")
-    best = Fit(x, states, residuals)
+    best = Fit(x, states, residuals, loss, _beliefs(windows, states))
     count = sum(window.values for window in windows)
-    damping = 1e-3
+    lower = np.empty(0) if states_only else plant.parameters.lower
+    least = min(1e-4, ENOUGH / count) if enough is None else enough
+    damping, stalled = 1e-3, 0
     try:
         for number in range(rounds):
+            best.loss = best.loss.scaled(best.residuals)
             before = best.cost
-            linear = _linearise(plant, parameters, windows, best)
-            promised = _promise(parameters, best, linear)
-            damping, free = _improve(plant, parameters, windows, best, linear, damping)
+            linear = [
+                linearise(plant, *each, best.loss)
+                for each in zip(windows, [best.x] * len(windows), best.states, best.residuals, strict=True)
+            ]
+            for each in linear:
+                each.shared[:, list(held)] = 0.0
+            if states_only:
+                linear = [Linear(each.state, each.shared[:, :0], each.residual, each.known) for each in linear]
+            linear = [each.compact() for each in linear]
+            promised = _promise(best, linear, lower)
+            damping, free = _improve(plant, windows, best, linear, lower, damping)
             gain = (before - best.cost) / before if before > 0.0 else 0.0
             best.history.append({"round": number, "cost": best.cost, "gain": gain, "damping": damping})
             if report is not None:
                 report(best.history[-1])
-            if gain < (enough := min(1e-4, ENOUGH / count)):
-                best.converged = free or promised < max(enough, ROUGH) * before
+            stalled = stalled + 1 if gain < least else 0
+            best.converged = stalled > 0 and (free or promised < max(least, ROUGH) * before)
+            if best.converged or stalled == STALLS:
                 break
     except KeyboardInterrupt:
         best.interrupted = True
     return best
 
 
-def _residuals(plant: Plant, rope: Rope, windows: Sequence[Window], states: Sequence[Array]) -> list[Array] | None:
+def fit_state(
+    plant: Plant, x: Array, window: Window, state: Array, *, loss: Loss | None = None, rounds: int = 30
+) -> tuple[Array, Array] | None:
+    """Fit the state at a window's start, parameters fixed.
+
+    Returns
+    -------
+    state (2n,), residual (m C,), or None where no rollout from `state` succeeds.
+    """
+    try:
+        found = fit(plant, [window], x, [state], loss=loss, states_only=True, rounds=rounds)
+    except InvalidInput:
+        return None
+    if found.interrupted:
+        raise KeyboardInterrupt
+    return found.states[0], found.residuals[0]
+
+
+def _residuals(plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array]) -> list[Array] | None:
     """Return all windows' residuals, or None as soon as a rollout fails."""
     result = []
     for window, state in zip(windows, states, strict=True):
-        residual = plant.residual(rope, window, state)
+        residual = plant.residual(x, window, state)
         if residual is None:
             return None
         result.append(residual)
     return result
 
 
-def _linearise(plant: Plant, parameters: Parameters, windows: Sequence[Window], at: Fit) -> list[_Linear]:
-    """Return the derivatives of every window by forward differences."""
-    rope = parameters.rope(at.x)
-    steps = parameters.steps
-    ropes = []
-    for k in range(len(parameters)):
-        moved = at.x.copy()
-        moved[k] += steps[k]
-        ropes.append(parameters.possible(moved) or rope)
-    result = []
-    for window, state, residual in zip(windows, at.states, at.residuals, strict=True):
-        slope = state_jacobian(plant, rope, window, state, residual)
-        known = True
-        others = [other for each in ropes if (other := plant.residual(each, window, state)) is not None]
-        if slope is None or len(others) < len(ropes):
-            slope = np.zeros((residual.size, state.size))  # a window on the brink: leave it as it is in this round
-            others, known = [residual] * len(ropes), False
-        shared = np.stack([(other - residual) / s for other, s in zip(others, steps, strict=True)], axis=1)
-        result.append(_Linear(slope, shared, known))
-    return result
+def _beliefs(windows: Sequence[Window], states: Sequence[Array]) -> float:
+    return sum(float((b := window.belief(state)) @ b) for window, state in zip(windows, states, strict=True))
 
 
-def reduce(slope: Array, shared: Array, residual: Array) -> tuple[Array, Array]:
-    """Return parameter derivatives (m n, P) and residual (m n,) less what the window's own state can absorb."""
-    basis = np.linalg.qr(slope)[0]
-    return shared - basis @ (basis.T @ shared), residual - basis @ (basis.T @ residual)
-
-
-@dataclass
+@dataclass(frozen=True)
 class _Step:
     """A step of the linear model: of the parameters (P,) and of each window's state (2n,)."""
 
@@ -223,40 +192,47 @@ class _Step:
     states: list[Array]
 
 
-def _step(parameters: Parameters, at: Fit, linear: list[_Linear], damping: float) -> _Step:
-    """Return the damped step of least squares within the bounds."""
+def _step(at: Fit, linear: Sequence[Linear], lower: Array, damping: float) -> _Step:
+    """Return the damped step of least squares within the bounds; of the states alone if `lower` is empty."""
     root = np.sqrt(damping)
     width = np.sqrt(sum((each.shared**2).sum(axis=0) for each in linear)) + 1e-12
-    matrix, gradient = np.diag((root * width) ** 2), np.zeros(at.x.size)
+    matrix, gradient = np.diag((root * width) ** 2), np.zeros(lower.size)
     padded = []
-    for each, residual in zip(linear, at.residuals, strict=True):
+    for each in linear:
         size = np.sqrt((each.state**2).sum(axis=0)) + 1e-12
-        slope = np.vstack([each.state, np.diag(root * size)])
-        shared = np.vstack([each.shared, np.zeros((size.size, at.x.size))])
-        right = np.append(residual, np.zeros(size.size))
-        left, rest = reduce(slope, shared, right)
+        wide = Linear(
+            np.vstack([each.state, np.diag(root * size)]),
+            np.vstack([each.shared, np.zeros((size.size, lower.size))]),
+            np.append(each.residual, np.zeros(size.size)),
+        )
+        left, rest = wide.reduced()
         matrix += left.T @ left
         gradient += left.T @ rest
-        padded.append((slope, shared, right))
-    move = _bounded(matrix, gradient, at.x, parameters.lower)
-    states = [-np.linalg.lstsq(slope, right + shared @ move, rcond=None)[0] for slope, shared, right in padded]
-    return _Step(move, states)
+        padded.append(wide)
+    move = _bounded(matrix, gradient, at.x[: lower.size], lower)
+    return _Step(move, [-least_squares(each.state, each.residual + each.shared @ move) for each in padded])
 
 
-def _promise(parameters: Parameters, at: Fit, linear: list[_Linear]) -> float:
-    """Return by how much the cost would fall if the model were linear; inf where no window has derivatives."""
+def least_squares(matrix: Array, right: Array) -> Array:
+    """Return the shortest solution (k,) of a least-squares problem (m, k), (m,)."""
+    result: Array = np.linalg.lstsq(matrix, right, rcond=None)[0].astype(np.float64, copy=False)
+    return result
+
+
+def _promise(at: Fit, linear: Sequence[Linear], lower: Array) -> float:
+    """Return by how much the squares would fall if the model were linear; inf where no window has derivatives."""
     if not any(each.known for each in linear):
         return float("inf")
-    step = _step(parameters, at, linear, LEFT)
-    left = 0.0
-    for each, residual, state in zip(linear, at.residuals, step.states, strict=True):
-        ahead = residual + each.state @ state + each.shared @ step.shared
-        left += float(ahead @ ahead)
-    return at.cost - left
+    step = _step(at, linear, lower, LEFT)
+    gained = 0.0
+    for each, state in zip(linear, step.states, strict=True):
+        ahead = each.residual + each.state @ state + each.shared @ step.shared
+        gained += float(each.residual @ each.residual - ahead @ ahead)
+    return gained
 
 
 def _improve(
-    plant: Plant, parameters: Parameters, windows: Sequence[Window], best: Fit, linear: list[_Linear], damping: float
+    plant: Plant, windows: Sequence[Window], best: Fit, linear: Sequence[Linear], lower: Array, damping: float
 ) -> tuple[float, bool]:
     """Take one accepted step (or none, when no damping helps); `best` is changed in place.
 
@@ -264,15 +240,16 @@ def _improve(
     """
     before = best.cost
     while damping < MOST_DAMPING:
-        step = _step(parameters, best, linear, damping)
-        x = best.x + step.shared
+        step = _step(best, linear, lower, damping)
+        x = best.x + step.shared if lower.size else best.x
         states = [state + move for state, move in zip(best.states, step.states, strict=True)]
-        rope = parameters.possible(x)
-        residuals = None if rope is None else _residuals(plant, rope, windows, states)
-        if residuals is not None and sum(r @ r for r in residuals) <= before:
-            best.x, best.states, best.residuals = x, states, residuals
-            free = damping <= SHORT and any(each.known for each in linear)
-            return max(0.1 * damping, LEAST_DAMPING), free
+        residuals = _residuals(plant, windows, x, states)
+        if residuals is not None:
+            tried = Fit(x, states, residuals, best.loss, _beliefs(windows, states))
+            if tried.cost <= before:
+                best.x, best.states, best.residuals, best.beliefs = x, states, residuals, tried.beliefs
+                free = damping <= SHORT and any(each.known for each in linear)
+                return max(0.1 * damping, LEAST_DAMPING), free
         damping = max(10.0 * damping, 1e-6)
     return 1e-3, False
 
@@ -287,7 +264,7 @@ def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
     for _ in range(x.size):
         held = ~free
         right = gradient[free] + matrix[np.ix_(free, held)] @ move[held]
-        move[free] = np.linalg.lstsq(matrix[np.ix_(free, free)], -right, rcond=None)[0]
+        move[free] = least_squares(matrix[np.ix_(free, free)], -right)
         crossing = free & (x + move < lower)
         if not crossing.any():
             break

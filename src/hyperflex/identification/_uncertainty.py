@@ -1,21 +1,24 @@
-"""What can be known: singular values, covariance with autocorrelated residuals, ratios by the delta method."""
+"""What can be known: singular values, covariance under robust losses and coloured noise, ratios by the delta method."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.identification._loss import Loss
+from hyperflex.identification._noise import Piece, autocorrelation, autoregression, coloured, correlations
 from hyperflex.identification._parameters import Parameters, lumped
-from hyperflex.identification._shooting import PRECISION, Fit, Plant, reduce, state_nudges
+from hyperflex.identification._plant import Plant
+from hyperflex.identification._shooting import Fit, least_squares, linearise
+from hyperflex.identification._whiteness import whiteness
 from hyperflex.identification._windows import Window
 from hyperflex.model import Rope
 
-CLOSER = (0.01, 0.1, 1.0)  # tolerance of the rollouts for derivatives over the fit's own; the first that works is taken
-UNKNOWN = 1e-4  # singular values below this part of the largest are noise of the differences (measured: 1e-8 to 5e-6)
+UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
+LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
 TOUCHED = 1e-3  # a parameter or ratio is unknown when this part of it lies in an unknown direction
 
 
@@ -24,8 +27,10 @@ class Information:
     """What the windows tell about the parameters, in units of `widths` (see ``Parameters.widths``).
 
     singular (P,): of the derivatives of all residuals, states eliminated, largest first. known (P, k) and unknown
-    (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. correlation: factor by which
-    autocorrelation shortens the sample.
+    (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. correlation: autocorrelation time of
+    the residuals, samples. plain (P, P): the covariance if the residuals were white. variance: of what each residual
+    counts. freedom: of that variance, in independent values. terms (k,): of the residuals' autoregression. whiteness:
+    probability that white noise leaves such residuals. follow: how each window's state moves with x (2n, P).
     """
 
     x: Array
@@ -35,6 +40,12 @@ class Information:
     unknown: Array
     covariance: Array
     correlation: float
+    plain: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    variance: float = 1.0
+    freedom: float = np.inf
+    terms: Array = field(default_factory=lambda: np.zeros(0))
+    whiteness: float = 1.0
+    follow: tuple[Array, ...] = ()
 
     def spread(self, gradient: Array) -> Array:
         """Return the sd (k,) of functions of x with the given gradients (k, P); inf where x alone cannot tell."""
@@ -45,96 +56,123 @@ class Information:
         return np.where(beyond & (length > 0.0), np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
 
-def judge(plant: Plant, parameters: Parameters, windows: Sequence[Window], fit: Fit) -> Information:
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """What further questions about a fit need: the plant, its windows, where the fit stands, and what they tell."""
+
+    plant: Plant
+    windows: list[Window]
+    fit: Fit
+    information: Information
+
+
+def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
     """Return what the fit's windows tell.
 
     Notes
     -----
-    Covariance s^2 (S^T S)^+ tau: S are the derivatives less what the states absorb, s^2 the residual variance per
-    degree of freedom, and tau the integrated autocorrelation time of the residuals in samples, so that N samples count
-    as N / tau independent ones. This is crude: it takes the residuals as one stationary process. Model error that
-    repeats from window to window is in no way covered by it.
+    Covariance A^+ M A^+ of x, with S the derivatives of the residuals less what the states absorb:
+
+    - A = mean(psi') S^T S, and what each residual counts has the variance s^2 = K^2 sum(psi^2) / freedom / mean(psi'),
+      where psi is half the slope of the loss and K = 1 + (p / n) var(psi') / mean(psi')^2 (Huber, Robust Statistics,
+      section 7.6). For squares psi is the residual and s^2 their variance.
+    - M = s^2 S^T R S: R are the autocorrelations of the residuals as an autoregression, one for all channels and
+      windows, corrected for what the fit absorbs; 1 where BIC sees none. So noise counts at the frequencies at which a
+      parameter acts.
+
+    Assumed are residuals of one stationary process, independent between channels and windows, at times that are about
+    even, and weights that are right up to a common factor. Model error is no such process: what repeats from window to
+    window is in no way covered. The cost is that of one round of the fit.
     """
-    widths = parameters.widths
-    rows = []
-    for number, window in enumerate(windows):
-        left = _derivatives(plant, parameters, window, fit, number)
-        if left is not None:
-            rows.append(np.linalg.qr(left * widths, mode="r"))
-    total = len(parameters)
-    stacked = np.vstack([*rows, np.zeros((total, total))])
-    _, singular, directions = np.linalg.svd(stacked, full_matrices=False)
+    widths, total = plant.parameters.widths, len(plant.parameters)
+    slopes = _sensitivities(windows, fit)
+    mean = max(float(slopes.mean()), LEAST_SENSITIVITY)
+    models = _models(plant, windows, fit, mean)
+    singular, directions = _svd([model.shared * widths for model in models], total)
     told = singular > UNKNOWN * singular[0]
     known, unknown = directions[told].T, directions[~told].T
-    count = sum(window.values for window in windows)
-    freedom = max(1, count - sum(state.size for state in fit.states) - int(told.sum()))
-    correlation = autocorrelation([r.reshape(w.y.shape) for r, w in zip(fit.residuals, windows, strict=True)])
-    scaled = (known / singular[told] ** 2) @ known.T * (fit.cost / freedom * correlation)
-    return Information(fit.x, widths, singular, known, unknown, scaled * np.outer(widths, widths), correlation)
+    inner = known / singular[told]  # A^+ = inner inner^T
+    pieces = [model.piece(inner * widths[:, None]) for model in models]
+    terms = autoregression(pieces)
+    absorbed = sum(float((piece.basis * coloured(terms, piece.basis)).sum()) for piece in pieces)
+    freedom = max(1.0, slopes.size - absorbed)
+    factor = 1.0 + absorbed / slopes.size * float(slopes.var()) / mean**2
+    variance = factor**2 * sum(float((p.residual**2).sum()) for p in pieces) / freedom / mean
+    meat = np.sum([model.meat(terms) for model in models], axis=0) * np.outer(widths, widths)
+    plain, sandwich = inner @ inner.T, inner @ (inner.T @ meat @ inner) @ inner.T
+    scale = variance * np.outer(widths, widths)
+    memory = correlations(terms, max(piece.residual.shape[0] for piece in pieces))
+    return Information(
+        fit.x,
+        widths,
+        singular,
+        known,
+        unknown,
+        sandwich * scale,
+        autocorrelation([piece.residual for piece in pieces]),
+        plain=plain * scale,
+        variance=variance,
+        freedom=max(1.0, freedom / (2.0 * float(memory @ memory) - 1.0)),
+        terms=terms,
+        whiteness=whiteness(pieces),
+        follow=tuple(model.follow for model in models),
+    )
 
 
-def _derivatives(plant: Plant, parameters: Parameters, window: Window, fit: Fit, number: int) -> Array | None:
-    """Return the derivatives (m n, P) of one window by central differences, less what its state absorbs."""
-    state = fit.states[number]
-    for precision in CLOSER:
-        nudges = state_nudges(window, parameters.guess.n_links)
-        by_state = partial(_at_state, plant, parameters.rope(fit.x), window, precision)
-        by_parameter = partial(_at_parameter, plant, parameters, window, state, precision)
-        slope = _central(by_state, state, nudges, np.full(state.size, -np.inf))
-        shared = _central(by_parameter, fit.x, parameters.steps, parameters.lower)
-        if slope is not None and shared is not None:
-            return reduce(slope, shared, fit.residuals[number])[0]
-    return None
+@dataclass(frozen=True)
+class _Model:
+    """A window at the optimum: derivatives less what its state absorbs (M, P), and what that is.
 
-
-def _at_state(plant: Plant, rope: Rope, window: Window, precision: float, state: Array) -> Array | None:
-    return plant.residual(rope, window, state, precision * PRECISION)
-
-
-def _at_parameter(
-    plant: Plant, parameters: Parameters, window: Window, state: Array, precision: float, x: Array
-) -> Array | None:
-    return plant.residual(parameters.rope(x), window, state, precision * PRECISION)
-
-
-def _central(function: Callable[[Array], Array | None], at: Array, steps: Array, lower: Array) -> Array | None:
-    """Return derivatives by central differences; None where the function has no value.
-
-    At a lower bound three points on the allowed side take their place. Two would err in the first order of the step,
-    enough to turn directions that cannot be known into ones that touch a weakly known parameter.
+    own (M, 2n): orthonormal directions of the state. follow (2n, P): how the state moves with the parameters.
+    influence, seen (m, C): psi of the residuals, and 0 in gaps, else 1. The first m C of M rows are the window's
+    values, the rest beliefs.
     """
-    columns = []
-    for k, step in enumerate(steps):
-        one, other = at.copy(), at.copy()
-        one[k] += step
-        bounded = at[k] - step < lower[k]
-        other[k] += 2.0 * step if bounded else -step
-        values = [function(one), function(other), function(at) if bounded else None]
-        near, far, middle = values
-        if near is None or far is None or (bounded and middle is None):
-            return None
-        columns.append(
-            (near - far) / (2.0 * step) if middle is None else (4.0 * near - far - 3.0 * middle) / (2.0 * step)
-        )
-    return np.stack(columns, axis=1)
+
+    shared: Array
+    own: Array
+    follow: Array
+    influence: Array
+    seen: Array
+
+    def piece(self, inner: Array) -> Piece:
+        """Return its residuals, and all directions (m, C, 2n + k) that the fit absorbs; inner (P, k)."""
+        basis = np.column_stack([self.own, self.shared @ inner])[: self.influence.size]
+        return Piece(self.influence, self.seen, basis.reshape(*self.influence.shape, -1) * self.seen[:, :, None])
+
+    def meat(self, terms: Array) -> Array:
+        """Return S^T R S (P, P)."""
+        size, shape = self.influence.size, self.influence.shape
+        rows, beliefs = self.shared[:size].reshape(*shape, -1), self.shared[size:]
+        result: Array = np.tensordot(rows, coloured(terms, rows), axes=([0, 1], [0, 1])) + beliefs.T @ beliefs
+        return result
 
 
-def autocorrelation(residuals: Sequence[Array]) -> float:
-    """Return the integrated autocorrelation time (samples, >= 1) of residuals [(m, n), ..], pooled over windows.
+def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float) -> list[_Model]:
+    """Return all windows' derivatives, those of values times the root of the mean of psi'."""
+    models = []
+    for window, state, residual in zip(windows, fit.states, fit.residuals, strict=True):
+        linear = linearise(plant, window, fit.x, state, residual, Loss())
+        scale = np.ones((linear.residual.size, 1))
+        scale[: residual.size] = np.sqrt(mean)
+        by_state, shared = scale * linear.state, scale * linear.shared
+        own = np.linalg.qr(by_state)[0] if linear.known else np.zeros_like(by_state)
+        left = shared - own @ (own.T @ shared)
+        influence, seen = fit.loss.influence(residual), (window.weight > 0.0).astype(np.float64)
+        models.append(_Model(left, own, -least_squares(by_state, shared), influence.reshape(seen.shape), seen))
+    return models
 
-    1 + 2 sum of the autocorrelations up to the first below 0.05.
-    """
-    longest = max(r.shape[0] for r in residuals)
-    sums = np.zeros(longest)
-    for r in residuals:
-        for lag in range(r.shape[0]):
-            sums[lag] += float((r[lag:] * r[: r.shape[0] - lag]).sum())
-    if sums[0] <= 0.0:
-        return 1.0
-    part = sums / sums[0]
-    low = np.flatnonzero(part < 0.05)
-    end = int(low[0]) if low.size else longest
-    return max(1.0, float(1.0 + 2.0 * part[1:end].sum()))
+
+def _sensitivities(windows: Sequence[Window], fit: Fit) -> Array:
+    """Return psi' of all residuals, gaps left out."""
+    seen = [window.weight.ravel() > 0.0 for window in windows]
+    return np.concatenate([fit.loss.sensitivity(r)[s] for r, s in zip(fit.residuals, seen, strict=True)])
+
+
+def _svd(rows: Sequence[Array], total: int) -> tuple[Array, Array]:
+    """Return singular values (P,) and directions (P, P) of stacked rows (M, P)."""
+    small = [np.linalg.qr(each, mode="r") for each in rows]
+    _, singular, directions = np.linalg.svd(np.vstack([*small, np.zeros((total, total))]), full_matrices=False)
+    return singular, directions
 
 
 RATIOS = {

@@ -5,13 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification._parameters import FORMS, SHARE, Parameters, lumped
+from hyperflex.identification._names import SHARE
+from hyperflex.identification._parameters import FORMS, Parameters, lumped
 from hyperflex.identification._prediction import HeldOut
 from hyperflex.identification._uncertainty import TOUCHED, Information
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
 CORRELATED = 10.0  # samples
+CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
+COLOURED = (
+    "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
+    "and intervals allow for the first, not for the second: parameters may be biased."
+)
 LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a link
 PARALLEL = 0.1  # part of a direction that may lie outside of others for it to count as one of them
 
@@ -42,13 +48,32 @@ def not_arrived(status: str) -> list[str]:
     return [text]
 
 
-def not_noise(correlation: float) -> list[str]:
-    """Return a warning where the residuals hang together over many samples."""
+def not_noise(correlation: float, whiteness: float = 1.0) -> list[str]:
+    """Return a warning where the residuals hang together over many samples, or so clearly that it is no chance.
+
+    `whiteness` is the probability that white noise leaves such residuals.
+    """
     if correlation <= CORRELATED:
-        return []
+        return [] if whiteness >= CHANCE else [COLOURED]
     text = (
         f"The residuals are no noise (they hang together over {correlation:.0f} samples): the model leaves something "
         "out, and parameters, friction above all, may be off by more than their deviations say."
+    )
+    return [text]
+
+
+def too_large(variance: float, freedom: float) -> list[str]:
+    """Return a warning where residuals are larger than the noise that the recording declares, beyond chance.
+
+    `variance` is that of the residuals over the declared noise's, from `freedom` independent values.
+    """
+    from scipy.special import gammaincc
+
+    if gammaincc(0.5 * freedom, 0.5 * freedom * variance) >= CHANCE:
+        return []
+    text = (
+        f"The residuals are {np.sqrt(variance):.3g} times as large as the declared noise: it is larger than that, or "
+        "the model leaves something out, and parameters may be biased by more than their intervals say."
     )
     return [text]
 
@@ -156,7 +181,7 @@ def _values(parameters: Parameters, information: Information, rope: Rope) -> lis
     """Return what looks odd about single values."""
     said = []
     sd = information.spread(np.diag(parameters.slopes(information.x)))
-    values = parameters.values(information.x)
+    values = parameters.values(parameters.rounded(information.x))
     for parameter, value, spread in zip(parameters.all, values, sd, strict=True):
         if parameter.form == "nonnegative" and value == 0.0:
             said.append(f"{parameter.label} went to 0, the least allowed: the data show none of it.")

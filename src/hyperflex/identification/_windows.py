@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
@@ -15,24 +16,35 @@ DENSEST = 200  # samples a window; more of them repeat what their neighbours say
 FEWEST = 8  # samples a window, where the recording allows it
 PART = 1.2  # periods
 TURN = 8.0  # rad a link may turn within a window, as rms rate times time: beyond it fits find false minima
+BLIND = 0.5  # part of a window for which a link may be out of sight
+LEAST = 4  # values of a link's angle in a window
+ROUNDS = 8  # of weighted least squares that come near to least absolute errors
 STILL = 1e-3  # rad, a recording that moves less holds no dynamics
 
 
 @dataclass(frozen=True)
 class Window:
-    """Measured angles over a short time.
+    """What was measured over a short time, and where a fit may begin.
 
-    t (m,) s; y (m, n) rad with 0 in gaps; weight (m, n), 1 / rad, 0 in gaps.
+    t (m,) s; y (m, C) rad or m, with 0 in gaps; weight (m, C), 1 / rad or 1 / m, 0 in gaps; guess (2n,) of the state at
+    t[0]; believed (r, 2n): combinations of the state that are taken to be 0, each in units of its standard deviation.
     """
 
     t: Array
     y: Array
     weight: Array
+    guess: Array
+    believed: Array
 
     @property
     def values(self) -> int:
         """How many values it holds, gaps left out."""
         return int(np.count_nonzero(self.weight))
+
+    def belief(self, state: Array) -> Array:
+        """Return by how much a state departs from what is believed (r,)."""
+        result: Array = self.believed @ state
+        return result
 
 
 def usual_length(recording: Recording, rope: Rope) -> float:
@@ -56,6 +68,9 @@ def _rms_rate(t: Array, angle: Array) -> float:
     """Return the rms rate (rad/s) over steps of at least a two-hundredth of the recording or 10 ms, noise left out."""
     known = ~np.isnan(angle)
     t, angle = t[known], angle[known]
+    if angle.size > 2:  # a single sample that is far off is no motion
+        angle = np.median([angle[:-2], angle[1:-1], angle[2:]], axis=0)
+        t = t[1:-1]
     least = min(0.01, (t[-1] - t[0]) / 200.0)
     picked = [0]
     for k in range(1, t.size):
@@ -71,53 +86,75 @@ def thin(recording: Recording, length: float) -> int:
     return max(1, int(length / (spacing * DENSEST)))
 
 
-def cut(recording: Recording, length: float, noise: Array | None = None) -> tuple[list[Window], int]:
-    """Cut a recording of angles into windows side by side.
+def cut(
+    recording: Recording, length: float, shape: Recording | None = None, believed: Array | None = None
+) -> tuple[list[Window], int]:
+    """Cut a recording into windows side by side.
 
     Parameters
     ----------
     recording : Recording
-        Of angles.
+        Of angles, or of whatever is measured; its noise weighs it, without it all count alike.
     length : float, s
         Of each window; its samples lie in [start, start + length).
-    noise : (T, n), optional
-        Standard deviations; equal weights without them.
+    shape : Recording, optional
+        The angles that it shows, for first states; the recording itself by default.
+    believed : (r, 2n), optional
+        See :class:`Window`.
 
     Returns
     -------
     windows : list of Window
     dropped : int
-        Windows left out because some link has too few values in them to tell its angle and rate.
+        Windows left out because some link has too few values in them, or is out of sight for too long, to tell its
+        angle and rate.
     """
-    t, data = recording.t, recording.data
+    t, data, noise = recording.t, recording.data, recording.noise
     weight = np.where(np.isnan(data), 0.0, 1.0 if noise is None else 1.0 / noise)
     y = np.where(np.isnan(data), 0.0, data)
+    angles = (shape or recording).data
+    believed = np.zeros((0, 2 * angles.shape[1])) if believed is None else believed
     spacing = float(np.median(np.diff(t)))
     number = np.floor((t - t[0]) / length + 1e-6 * spacing / length).astype(int)
     windows, dropped = [], 0
     for k in np.unique(number):
         rows = number == k
-        counts = np.count_nonzero(weight[rows], axis=0)
+        known = ~np.isnan(angles[rows])
         span = t[rows][-1] - t[rows][0]
-        if counts.min() < 4 or span < 0.5 * length:
+        if known.sum(axis=0).min() < LEAST or span < 0.5 * length or longest_gap(t[rows], known) > BLIND * span:
             dropped += 1
             continue
-        windows.append(Window(t[rows], y[rows], weight[rows]))
+        windows.append(Window(t[rows], y[rows], weight[rows], first_state(t[rows], angles[rows]), believed))
     return windows, dropped
 
 
-def first_state(window: Window) -> Array:
-    """Return a guess of the state (2n,) at the window's start: a cubic through each link's first samples."""
-    n = window.y.shape[1]
+def longest_gap(t: Array, known: npt.NDArray[np.bool_]) -> float:
+    """Return for how long (s) any link is out of sight at most; `known` (m, n) says when it is seen."""
+    return max(float(np.diff(np.concatenate([t[:1], t[column], t[-1:]])).max()) for column in known.T)
+
+
+def first_state(t: Array, angles: Array) -> Array:
+    """Return a guess of the state (2n,) at t[0]: a cubic through each link's first angles (m, n), NaN in gaps."""
+    n = angles.shape[1]
     state = np.zeros(2 * n)
     for k in range(n):
-        known = np.flatnonzero(window.weight[:, k] > 0.0)
+        known = np.flatnonzero(~np.isnan(angles[:, k]))
         few = known[: max(6, known.size // 5)]
-        degree = min(3, few.size - 2)
-        tau = window.t[few] - window.t[0]
-        fit = np.polynomial.Polynomial.fit(tau, window.y[few, k], degree, domain=[0.0, max(tau[-1], 1e-9)])
-        state[k], state[n + k] = fit(0.0), fit.deriv()(0.0)
+        tau = t[few] - t[0]
+        state[k], state[n + k] = _value_and_slope(tau / max(tau[-1], 1e-9), angles[few, k])
+        state[n + k] /= max(tau[-1], 1e-9)
     return state
+
+
+def _value_and_slope(tau: Array, y: Array) -> tuple[float, float]:
+    """Return value and slope at 0 of the cubic nearest to y (m,), by least absolute errors: no outlier tilts it."""
+    powers = np.vander(tau, min(3, tau.size - 2) + 1, increasing=True)
+    weight = np.ones(tau.size)
+    for _ in range(ROUNDS):
+        found = np.linalg.lstsq(powers * weight[:, None], y * weight, rcond=None)[0]
+        away = np.abs(powers @ found - y)
+        weight = 1.0 / np.sqrt(np.maximum(away, 0.1 * away.mean() + 1e-12))
+    return float(found[0]), float(found[1])
 
 
 def check_motion(recording: Recording) -> None:

@@ -93,7 +93,9 @@ class Arm:
             raise InvalidInput("a torque-driven arm needs a length", got=self.length, allowed="length > 0, in m")
 
         def joined(own: float, links: checks.Array) -> checks.Array:
-            return np.concatenate([[own], links])
+            both = np.concatenate([[own], links])
+            both.setflags(write=False)  # as a rope's own arrays: the kernels are compiled for one kind
+            return both
 
         return rope.chain()._replace(
             length=joined(self.length, rope.length),

@@ -172,6 +172,7 @@ class Setup:
             coef = coef.copy()
             coef[:, X, 0] += self.arm.pivot[0]
             coef[:, Y, 0] += self.arm.pivot[1]
+            coef.setflags(write=False)  # as a motion's own: the kernels are compiled for one kind
         prescribed = 0.0 if self.arm is None or self.torque_driven else self.arm.length
         limit = math.inf if self.arm is None else self.arm.torque_limit
         return Drive(source.breaks, coef, source.switch, source.loop, prescribed, limit)

@@ -27,18 +27,26 @@ from hyperflex.paper.claims import (
     success_over_failure,
 )
 from hyperflex.paper.figures import Table, casts, fig9, fig10, fig11, fig12
+from hyperflex.paper.identification import FINER, SMALL, SWINGS, WIDE, Swing, methods, record, revised
+from hyperflex.paper.identification_claims import identification_claims
+from hyperflex.paper.identification_figures import fig3, fig5, fig6, table1, table2
 
 __all__ = [
     "DURATION",
+    "FINER",
     "OUTCOMES",
     "READINGS",
+    "SMALL",
+    "SWINGS",
     "TIME_CONSTANT",
     "T_MOVE",
     "T_REST",
+    "WIDE",
     "Cast",
     "Claim",
     "Outcome",
     "Reading",
+    "Swing",
     "Table",
     "cable",
     "cast",
@@ -46,15 +54,24 @@ __all__ = [
     "casts",
     "claims",
     "concentration",
+    "fig3",
+    "fig5",
+    "fig6",
     "fig9",
     "fig10",
     "fig11",
     "fig12",
+    "identification_claims",
     "linearized",
+    "methods",
     "reach_table",
+    "record",
+    "revised",
     "rise_phases",
     "run",
     "steady_step_phase",
     "straight_phase",
     "success_over_failure",
+    "table1",
+    "table2",
 ]

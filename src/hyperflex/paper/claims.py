@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -20,6 +20,14 @@ CONCENTRATION = 0.9
 NEARLY_FULL = 0.9  # share of the greatest r up to which the rope counts as being pumped up
 
 
+class Titled(Protocol):
+    """What a claim may be measured in: a reading of the cast, a swing of the identification twin."""
+
+    @property
+    def title(self) -> str:
+        """It in words."""
+
+
 @dataclass(frozen=True)
 class Claim:
     """What a claim demands and what was measured.
@@ -27,11 +35,11 @@ class Claim:
     Attributes
     ----------
     name : str
-        "C1" to "C4".
+        "C1" to "C4", "C6", "C7".
     statement : str
         The claim in words.
-    reading : Reading
-        The reading it was measured in.
+    reading : Reading or Swing
+        What it was measured in.
     measured : float
         The measured value.
     threshold : float
@@ -44,7 +52,7 @@ class Claim:
 
     name: str
     statement: str
-    reading: Reading
+    reading: Titled
     measured: float
     threshold: float
     note: str = ""

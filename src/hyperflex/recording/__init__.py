@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from hyperflex.recording._read import read_recording
-from hyperflex.recording._recording import Recording
+from hyperflex.recording._recording import Recording, unwrap
 
-__all__ = ["Recording", "read_recording"]
+__all__ = ["Recording", "read_recording", "unwrap"]

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperflex.checks import Array
 from hyperflex.identification import Identification
 from hyperflex.paper.demo import Demo, Parameter
 from hyperflex.recording import Recording
+from hyperflex.report.fit_figures import broken
+from hyperflex.report.fitted import beside
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, look, new_figure
 
 if TYPE_CHECKING:
@@ -28,17 +29,16 @@ def prediction_figure(recording: Recording, found: Identification, links: tuple[
     links : tuple of int
         Which links, one panel each, link 0 nearest the motor; the titles count from 1.
     """
-    angles = recording.angles()
-    fitted = _fitted(angles, found)
+    angles, view = recording.angles(), beside(recording, found)
     with look():
         figure = new_figure(10.0, 1.2 + 2.0 * len(links))
         axes = np.atleast_1d(figure.subplots(len(links), 1, sharex=True))
         for axis, link in zip(axes, links, strict=True):
             axis.plot(angles.t, angles.data[:, link], ".", ms=3.0, color=GREY, label="measured")
-            _gaps(axis, found.residual_t, fitted[:, link], color=BLUE, label="fitted")
+            broken(axis, view.fit_t, view.fitted[:, link], color=BLUE, label="fitted")
             if found.held_out is not None:
                 held = found.held_out
-                _gaps(axis, held.t, held.predicted[:, link], color=RED, lw=1.6, label="predicted without data")
+                broken(axis, held.t, held.predicted[:, link], color=RED, lw=1.6, label="predicted without data")
                 axis.axvspan(found.settings["fitted_to"], angles.t[-1], color=RED, alpha=0.05, lw=0)
             axis.set_ylabel("angle, rad")
             tip = " (the tip)" if link == recording.n_links - 1 else ""
@@ -89,18 +89,6 @@ def casts_figure(demo: Demo) -> Figure:
         figure.legend(*axis.get_legend_handles_labels(), loc="outside upper right", ncols=2, fontsize=8.5)
         figure.suptitle("Cast, simulated", x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK)
     return figure
-
-
-def _fitted(angles: Recording, found: Identification) -> Array:
-    """Return the fitted angles (m, n) at the fitted samples: measured less residual."""
-    rows = np.searchsorted(angles.t, found.residual_t)
-    return np.asarray(angles.data[rows] - found.residuals)
-
-
-def _gaps(axis: Any, t: Array, values: Array, **style: Any) -> None:
-    """Draw a line that breaks where samples are missing."""
-    breaks = np.flatnonzero(np.diff(t) > 3.0 * np.median(np.diff(t))) + 1
-    axis.plot(np.insert(t, breaks, np.nan), np.insert(values, breaks, np.nan), **style)
 
 
 def _mark(axis: Any, x: float, y: float, marker: str, colour: str, label: str, first: bool, size: float = 7.0) -> None:

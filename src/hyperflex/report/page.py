@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from hyperflex import files
@@ -36,7 +36,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A headed part of a page, shown in the order text, tiles, pictures, table, notes.
+    """A headed part of a page, shown in the order text, tiles, marks, pictures, table, notes.
 
     Attributes
     ----------
@@ -46,20 +46,32 @@ class Section:
         Paragraphs.
     tiles : tuple of (str, str)
         Key figures: value and what it is.
+    marks : tuple of (bool, str)
+        Findings: whether each is good news, and its sentence.
     pictures : tuple of Picture
         Shown below each other.
     table : TextTable, optional
         Shown in full; wide ones scroll.
     notes : tuple of str
         Small print.
+    folded : str
+        If given, pictures and table wait below this line until somebody clicks on it.
+    anchor : str
+        Its address in the page, for `links`.
+    links : tuple of (str, str)
+        Anchors of other sections, and what to say of them.
     """
 
     title: str
     text: tuple[str, ...] = ()
     tiles: tuple[tuple[str, str], ...] = ()
+    marks: tuple[tuple[bool, str], ...] = ()
     pictures: tuple[Picture, ...] = ()
     table: TextTable | None = None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    folded: str = ""
+    anchor: str = ""
+    links: tuple[tuple[str, str], ...] = ()
 
 
 def write_page(path: str | Path, title: str, lead: str, badge: str, sections: list[Section]) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hyperflex.errors import InvalidInput
-from hyperflex.paper import OUTCOMES, READINGS, T_REST, Claim, cast, reach_table
+from hyperflex.paper import OUTCOMES, READINGS, T_REST, Claim, Reading, cast, reach_table
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def claims_table(claims: Sequence[Claim]) -> TextTable:
         )
         for claim in claims
     )
-    return TextTable(("claim", "what is measured", "reading", "value", "threshold", "verdict", "note"), rows)
+    return TextTable(("claim", "what is measured", "in", "value", "threshold", "verdict", "note"), rows)
 
 
 def verdicts(claims: Sequence[Claim]) -> tuple[str, ...]:
@@ -67,15 +67,17 @@ def verdicts(claims: Sequence[Claim]) -> tuple[str, ...]:
     sentences = []
     for name in dict.fromkeys(claim.name for claim in claims):
         own = [claim for claim in claims if claim.name == name]
-        kept = [claim.reading.title for claim in own if claim.holds]
-        broken = [claim.reading.title for claim in own if not claim.holds]
+        titles = list(dict.fromkeys(claim.reading.title for claim in own))
+        broken = [title for title in titles if not all(c.holds for c in own if c.reading.title == title)]
+        kept = [title for title in titles if title not in broken]
+        what = "readings" if isinstance(own[0].reading, Reading) else "swings"
         if not broken:
-            sentences.append(f"{name} holds in all {len(own)} readings.")
+            sentences.append(f"{name} holds in all {len(titles)} {what}.")
         elif not kept:
-            sentences.append(f"{name} holds in none of the {len(own)} readings.")
+            sentences.append(f"{name} holds in none of the {len(titles)} {what}.")
         else:
             sentences.append(
-                f"{name} holds in {len(kept)} of {len(own)} readings ({'; '.join(kept)}), "
+                f"{name} holds in {len(kept)} of {len(titles)} {what} ({'; '.join(kept)}), "
                 f"not in the others ({'; '.join(broken)})."
             )
     return tuple(sentences)

@@ -3,12 +3,37 @@
 :func:`angles` and :class:`Slopes` give the bare arrays that identification needs.
 """
 
-from hyperflex.simulation.batch import Batch, simulate_batch
-from hyperflex.simulation.chaos import Predictability, predictability
-from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
-from hyperflex.simulation.runs import angles, simulate
-from hyperflex.simulation.sensitivity import Sensitivities, Slopes, sensitivities
-from hyperflex.simulation.stability import runge_kutta_limit
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import loader
+
+if TYPE_CHECKING:
+    from hyperflex.simulation.batch import Batch, simulate_batch
+    from hyperflex.simulation.chaos import Predictability, predictability
+    from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
+    from hyperflex.simulation.runs import angles, simulate
+    from hyperflex.simulation.sensitivity import Sensitivities, Slopes, sensitivities
+    from hyperflex.simulation.stability import runge_kutta_limit
+
+_HOMES = {
+    "Batch": "batch",
+    "Event": "events",
+    "Predictability": "chaos",
+    "Sensitivities": "sensitivity",
+    "Slopes": "sensitivity",
+    "angle_reached": "events",
+    "angles": "runs",
+    "phase_reached": "events",
+    "predictability": "chaos",
+    "runge_kutta_limit": "stability",
+    "sensitivities": "sensitivity",
+    "simulate": "runs",
+    "simulate_batch": "batch",
+    "tip_crosses": "events",
+    "tip_speed_peak": "events",
+}
 
 __all__ = [
     "Batch",
@@ -27,3 +52,9 @@ __all__ = [
     "tip_crosses",
     "tip_speed_peak",
 ]
+
+__getattr__ = loader(__name__, _HOMES)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

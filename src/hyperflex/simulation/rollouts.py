@@ -83,8 +83,10 @@ class Rollout:
         return int(rollout.run(self.chain, self.drive, TABLES, self.limits, self.progress, self.t, self.y))
 
 
-def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits, log: int = 0) -> Rollout:
-    """Make a rollout of angles and rates `start` (n,) from time ``t[0]`` with outputs at `t`; notes `log` steps."""
+def prepare(
+    chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits, log: Array | None = None
+) -> Rollout:
+    """Make a rollout of angles and rates `start` (n,) from time ``t[0]`` with outputs at `t`; steps go to the `log`."""
     announce_compilation()
     n = chain.length.size
     y = np.zeros(2 * n + 2)
@@ -92,8 +94,10 @@ def prepare(chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, li
     clock = np.zeros(CLOCK)
     clock[:MARK] = starting_clock(t[0])
     clock[MARK] = -np.inf
-    progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, np.empty((log, 3)))
-    return Rollout(chain, drive, limits, progress, t, np.full((t.size, 2 * n + 2), np.nan))
+    noted = np.empty((0, 3)) if log is None else log
+    progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, noted)
+    # A copy of the times, which may be read-only or not: the kernels are compiled for one kind.
+    return Rollout(chain, drive, limits, progress, np.array(t), np.full((t.size, 2 * n + 2), np.nan))
 
 
 def starting_clock(t: float) -> Array:
@@ -111,8 +115,7 @@ def lever(chain: Chain) -> Array:
 
 def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until: Until = NEVER) -> Limits:
     """Return the bounds of a run until `stop`, s, or what ends it before; refuses an unstable Runge-Kutta step."""
-    weight = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy)
-    reach = float(chain.length.sum())
+    weight, reach = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy), float(chain.length.sum())
     scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
     bounds = Limits(
         stop, setup.tol, lever(chain), reach, scale, setup.step or 0.0, LEAST_ORDER, MOST_ORDER, budget, until
@@ -133,8 +136,7 @@ def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until:
 def resume(run: Rollout, state: State, setup: Setup) -> None:
     """Let a run go on from a saved state: bit for bit if nothing but its end has changed."""
     n = run.chain.length.size
-    y, clock = run.progress.y, run.progress.clock
-    saved = state.checkpoint
+    y, clock, saved = run.progress.y, run.progress.clock, state.checkpoint
     if saved and "y" in saved and np.size(saved["y"]) != 2 * n + 2:
         raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")
     if saved and np.size(saved.get("clock", ())) != MARK:
@@ -226,10 +228,8 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
         When the torque was set, s, and what it was, N m.
     """
     n = run.chain.length.size
-    begin, stop = run.time, run.limits.stop
+    begin, stop, code, count = run.time, run.limits.stop, status.OK, 0
     times, torques = [], []
-    code = status.OK
-    count = 0
     while run.time < stop and code == status.OK:
         y = run.progress.y
         now = run.time
@@ -241,7 +241,10 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
         until = min(begin + count * period, stop)
         coef = run.drive.coef[:1].copy()
         coef[0, TORQUE, 0] = torques[-1]
-        run.drive = run.drive._replace(breaks=np.array([now, until]), coef=coef, switch=np.ones(2, dtype=np.bool_))
+        breaks, switch = np.array([now, until]), np.ones(2, dtype=np.bool_)
+        for array in (breaks, coef, switch):  # read-only as others are: the kernels are compiled for one kind
+            array.setflags(write=False)
+        run.drive = run.drive._replace(breaks=breaks, coef=coef, switch=switch)
         run.limits = run.limits._replace(stop=until)
         code = finish(run)
     return code, np.array(times), np.array(torques)

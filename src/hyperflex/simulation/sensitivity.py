@@ -14,10 +14,11 @@ from hyperflex.core import status
 from hyperflex.core.chain import Chain
 from hyperflex.core.directions import place_changes
 from hyperflex.core.drive import Drive
-from hyperflex.core.progress import REJECTED, TAKEN, Limits
+from hyperflex.core.progress import JOINT, MODES, REJECTED, TAKEN, Limits
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
+from hyperflex.simulation.held import held
 from hyperflex.simulation.outcome import failure, refuse_unbalanced
 from hyperflex.simulation.rollouts import TABLES, Rollout, finish, limits, prepare
 from hyperflex.simulation.runs import output_times
@@ -47,6 +48,10 @@ class Sensitivities:
         Derivatives of angles and rates at fixed times, in rad and rad/s per SI unit of the parameter.
     dtip : (T, 2, P) float64
         Derivatives of the tip's position, m per SI unit.
+    arm_angle, arm_rate : (T,) float64, or None
+        Of a torque-driven arm, rad and rad/s.
+    darm_angle, darm_rate : (T, P) float64, or None
+        Their derivatives.
     """
 
     t: Array
@@ -57,6 +62,10 @@ class Sensitivities:
     dq: Array
     dqd: Array
     dtip: Array
+    arm_angle: Array | None = None
+    arm_rate: Array | None = None
+    darm_angle: Array | None = None
+    darm_rate: Array | None = None
 
     @property
     def dataset(self) -> xr.Dataset:
@@ -79,6 +88,13 @@ class Sensitivities:
                 {"long_name": "derivative of tip", "units": "m per unit"},
             ),
         }
+        if self.arm_angle is not None:
+            variables |= {
+                "arm_angle": ("time", self.arm_angle, {"units": "rad"}),
+                "arm_rate": ("time", self.arm_rate, {"units": "rad/s"}),
+                "darm_angle": (("time", "parameter"), self.darm_angle, {"units": "rad per unit"}),
+                "darm_rate": (("time", "parameter"), self.darm_rate, {"units": "rad/s per unit"}),
+            }
         coords = {
             "time": ("time", self.t, {"units": "s"}),
             "axis": ("axis", np.array(["x", "y"])),
@@ -116,15 +132,18 @@ def sensitivities(
         What to differentiate by.
 
         ``"q0"``, ``"qd0"``: the start of every link; ``"q0[3]"`` of one.
-        ``"friction"``, and likewise length, mass, com, inertia, stiffness, rest_angle: one number added to that of
-        every link; ``"friction[3]"`` of one link; ``"friction[:]"`` of each. The others stay as they are: more
-        ``"mass"`` does not change the inertia.
+        ``"friction"``, and likewise dry_friction, length, mass, com, inertia, stiffness, rest_angle: one number added
+        to that of every link; ``"friction[3]"`` of one link; ``"friction[:]"`` of each. The others stay as they are:
+        more ``"mass"`` does not change the inertia.
         ``"tip_mass"``, ``"gravity[0]"``, ``"gravity[1]"``, ``"arm.length"``. Without `q0` the rope hangs along gravity
         at the start, and turns with it.
         ``"motion.t_rest"`` and whatever else the motion was made from; ``"motion.delay"`` of any motion.
         ``{"radius": {"inertia": 0.5 * mass * radius}}``: a parameter of your own, by how much each property changes
         with it: (n,) arrays or numbers for q0, qd0 and the properties of links, and tip_mass, gravity (2,), arm_length,
         and ``breaks`` (k + 1,) and ``coef`` (k, 4, 6) of the motion.
+
+        With a torque-driven arm also ``"arm_angle0"``, ``"arm_rate0"``, ``"arm.inertia"``, and likewise mass, com,
+        friction and dry_friction, and ``"torque.torque[3]"``, ``"torque.delay"`` of its torque.
 
     Returns
     -------
@@ -133,15 +152,21 @@ def sensitivities(
     Raises
     ------
     InvalidInput
-        If an argument cannot be used, or there is dry friction.
+        If an argument cannot be used.
     SimulationError
         If the run fails.
 
     Notes
     -----
     Derivatives hold at fixed times, also where a switch of the motion moves with its parameter. At the very instant of
-    such a switch they are those from before it. Equations (M.18)-(M.22) of docs/models.md; cost about as much as the
+    such a switch they are those from before it. Equations (M.19)-(M.25) of docs/models.md; cost about as much as the
     run for two parameters, and a third of it for each further initial angle or rate.
+
+    With dry friction they go through each instant at which a joint sticks or comes loose, which moves with the
+    parameter, too. Where two sides differ they are one-sided, for the modes that the run has: for a joint at rest
+    exactly at its limit, or at rest at the start and slipping from there; for joints that change at the same instant;
+    for ``"dry_friction"`` of a joint that has none, towards more. A joint that sticks at the start stops a change of
+    its rate at once, so behind the start ``"qd0"`` moves both of its links alike.
 
     Examples
     --------
@@ -163,11 +188,11 @@ def sensitivities(
     refuse_what_is_not_smooth(setup)
     directions = wanted(setup, wrt)
     t = output_times(t_eval, 0.0, setup.duration)
-    chain, drive = setup.chain(), setup.drive()
+    chain, drive = directions.felt(setup.chain()), setup.drive()
     run = recorded(chain, drive, setup.start(), limits(setup, chain, setup.duration))
     refuse_unbalanced(run, setup)
     y, dy = along(run, directions, setup.start(), t)
-    return _labelled(chain, drive, directions, t, y, dy)
+    return _labelled(chain, drive, directions, t, y, dy, own=1 if setup.torque_driven else 0)
 
 
 class Slopes:
@@ -195,7 +220,7 @@ class Slopes:
         t : (T,) array
             Increasing times, s; the run starts at t[0].
         q0, qd0 : (n,) array
-            Angles, rad, and rates, rad/s, at t[0].
+            Angles, rad, and rates, rad/s, at t[0]; a torque-driven arm is the first of n links, here and in the answer.
         rope : Rope, optional
             Another rope with as many links.
 
@@ -204,7 +229,8 @@ class Slopes:
         SimulationError
             If the run cannot be finished.
         """
-        chain = (rope or self.setup.rope).chain()
+        rope, arm = rope or self.setup.rope, self.setup.arm
+        chain = self.wanted.felt(arm.chain(rope) if arm and self.setup.torque_driven else rope.chain())
         bounds = limits(self.setup, chain, float(t[-1]))
         run = recorded(chain, self.drive, (q0, qd0), bounds, float(t[0]))
         y, dy = along(run, self.wanted, (q0, qd0), t)
@@ -214,9 +240,9 @@ class Slopes:
 
 def recorded(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Limits, begin: float = 0.0) -> Rollout:
     """Run to the end, noting every step; raises where that fails."""
-    count = STEPS
+    count, width = STEPS, MODES + chain.length.size if chain.dry.any() else JOINT
     while True:
-        run = prepare(chain, drive, start, np.array([begin]), bounds, log=count)
+        run = prepare(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
         code = finish(run)
         if code != status.OK:
             raise failure(code, run)
@@ -230,21 +256,21 @@ def recorded(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Lim
 def along(run: Rollout, directions: Wanted, start: tuple[Array, Array], t: Array) -> tuple[Array, Array]:
     """Go through a recorded run again: states (T, 2 n + 2) and derivatives (T, 2 n, p) at times t (T,)."""
     n, begin = run.chain.length.size, float(run.t[0])
-    times = t if t[0] == begin else np.append(begin, t)
+    times = np.append([] if t[0] == begin else begin, t)
     y, dy = np.zeros((times.size, 2 * n + 2)), np.zeros((times.size, 2 * n, directions.width))
     y[0, :n], y[0, n : 2 * n] = start
-    seeds = directions.directions(run.chain, run.drive.coef.shape[0])
+    dy[:] = directions.start(n)
     steps = run.progress.log
     if steps.size:
-        core.replay(run.chain, run.drive, TABLES, steps, begin, directions.start(n), seeds, times, y, dy)
-    else:
-        dy[:] = directions.start(n)
+        seeds = directions.directions(run.chain, run.drive)
+        begins = held(run.chain, run.drive, begin, y[0, :n], steps[0, MODES:], seeds, dy[0])
+        core.replay(run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
     first = times.size - t.size
     return y[first:], dy[first:]
 
 
-def _labelled(chain: Chain, drive: Drive, directions: Wanted, t: Array, y: Array, dy: Array) -> Sensitivities:
-    """Add the tip to a run's states and derivatives."""
+def _labelled(chain: Chain, drive: Drive, directions: Wanted, t: Array, y: Array, dy: Array, own: int) -> Sensitivities:
+    """Add the tip to a run's states and derivatives, and name an arm that is a link of its `own` (1, else 0)."""
     n, p = chain.length.size, len(directions.names)
     q, dq = y[:, :n], dy[:, :n, :p]
     sin, cos = np.sin(q), np.cos(q)
@@ -253,7 +279,9 @@ def _labelled(chain: Chain, drive: Drive, directions: Wanted, t: Array, y: Array
     reach = np.stack([(chain.length * sin).sum(axis=1), -(chain.length * cos).sum(axis=1)], axis=1)
     tip = motion.point(t) + drive.arm_length * np.stack([np.sin(angle), -np.cos(angle)], axis=1) + reach
     dtip = np.zeros((t.size, 2, directions.width))
-    place_changes(drive, directions.directions(chain, drive.coef.shape[0]), t, dtip)
+    place_changes(drive, directions.directions(chain, drive), t, dtip)
     dtip = dtip[:, :, :p] + np.matmul(chain.length * np.stack([cos, sin], axis=1), dq)
     dtip += np.matmul(np.stack([sin, -cos], axis=1), directions.lengths(n))
-    return Sensitivities(t, q, y[:, n : 2 * n], tip, directions.names, dq, dy[:, n:, :p], dtip)
+    qd, dqd, names = y[:, n : 2 * n], dy[:, n:, :p], directions.names
+    arm = (q[:, 0], qd[:, 0], dq[:, 0], dqd[:, 0]) if own else ()
+    return Sensitivities(t, q[:, own:], qd[:, own:], tip, names, dq[:, own:], dqd[:, own:], dtip, *arm)

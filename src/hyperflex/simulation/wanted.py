@@ -15,17 +15,31 @@ from hyperflex.core import directions as dr
 from hyperflex.core import tangent as tg
 from hyperflex.core.chain import Chain
 from hyperflex.core.directions import Directions
+from hyperflex.core.drive import TORQUE, Drive
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup
 from hyperflex.motion.variation import parameters, variation
 
-LINK_NAMES = ("length", "mass", "com", "inertia", "friction", "stiffness", "rest_angle")
+LINK_NAMES = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffness", "rest_angle")
 STATE_NAMES = ("q0", "qd0")
 # parts of a direction that the user makes himself: how often it is told
 PARTS = (*STATE_NAMES, *LINK_NAMES, "tip_mass", "gravity", "arm_length", "breaks", "coef")
+# of a torque-driven arm, the chain's first link: its own names, and those of the links
+ARM_NAMES = {
+    **{f"arm.{name}": name for name in LINK_NAMES if name not in ("stiffness", "rest_angle")},
+    "arm_angle0": "q0",
+    "arm_rate0": "qd0",
+}
 Part = dict[str, Array]
 Wrt = Iterable[str | Mapping[str, Mapping[str, npt.ArrayLike]]] | str
-_SEED_OF = {"length": tg.LENGTH, "friction": tg.VISCOUS, "stiffness": tg.STIFFNESS, "rest_angle": tg.REST}
+_SEED_OF = {
+    "length": tg.LENGTH,
+    "friction": tg.VISCOUS,
+    "dry_friction": tg.DRY,
+    "stiffness": tg.STIFFNESS,
+    "rest_angle": tg.REST,
+}
+FAINT = 1e-300  # N m, dry friction that is felt by the sign of a joint's rate alone
 
 
 @dataclass(frozen=True)
@@ -53,9 +67,20 @@ class Wanted:
         """Derivatives of the links' lengths (n, P), m."""
         return np.stack([part.get("length", np.zeros(n)) for part in self.parts], axis=1)
 
-    def directions(self, chain: Chain, pieces: int) -> Directions:
-        """The same for the kernels, at the parameters of `chain` and for a drive of so many pieces."""
-        n, pairs = chain.length.size, self.width // 2
+    def felt(self, chain: Chain) -> Chain:
+        """The chain itself, with the faintest dry friction where there is none but a direction changes it."""
+        faint = np.zeros(chain.length.size)
+        for part in self.parts:
+            faint[part.get("dry_friction", faint) != 0.0] = FAINT
+        if (faint <= chain.dry).all():
+            return chain
+        dry = np.maximum(chain.dry, faint)
+        dry.flags.writeable = chain.dry.flags.writeable  # the compiler makes kernels of its own for either
+        return chain._replace(dry=dry)
+
+    def directions(self, chain: Chain, drive: Drive) -> Directions:
+        """The same for the kernels, at the parameters of `chain` and for a drive."""
+        n, pairs, pieces = chain.length.size, self.width // 2, drive.coef.shape[0]
         links, whole = np.zeros((self.width, n, tg.SEEDS)), np.zeros((self.width, 3))
         driven = np.full(self.width, -1, dtype=np.int64)
         rows: list[Part] = []
@@ -66,12 +91,15 @@ class Wanted:
             if part.keys() & {"breaks", "coef", "arm_length"}:
                 driven[p] = len(rows)
                 rows.append(part)
+        if chain.dry.any() and drive.coef[..., 1:].any():  # events move in every direction, and then the base with them
+            driven[driven < 0] = len(rows)
+            rows.append({})
         breaks, coef, arm = np.zeros((len(rows), pieces + 1)), np.zeros((len(rows), pieces, 4, 6)), np.zeros(len(rows))
         for m, part in enumerate(rows):
             breaks[m], coef[m] = part.get("breaks", 0.0), part.get("coef", 0.0)
             arm[m] = part.get("arm_length", np.zeros(1))[0]
         ends = (driven >= 0) | whole.any(axis=1)
-        own = links.any(axis=(1, 2))
+        own = links.any(axis=(1, 2)) | ((driven >= 0) & drive.coef[:, TORQUE].any())
         kind = np.where(own.reshape(pairs, 2).any(axis=1), dr.LINKS, 0)
         kind += np.where(ends.reshape(pairs, 2).any(axis=1), dr.ENDS, 0)
         return Directions(
@@ -114,13 +142,31 @@ def wanted(setup: Setup, wrt: Wrt) -> Wanted:
         raise InvalidInput("wrt is empty", allowed=_allowed(setup))
     if len(set(names)) != len(names):
         raise InvalidInput("wrt names something twice", got=names, allowed="each name once")
+    if setup.torque_driven:
+        parts = [_with_arm(part, setup.rope.n_links) for part in parts]
     return Wanted(tuple(names), tuple(parts))
+
+
+def _with_arm(part: Part, n: int) -> Part:
+    """A direction of the rope's n links, and of the arm, as one of a chain that begins with the arm."""
+    joined = {name: value for name, value in part.items() if name not in (*STATE_NAMES, *LINK_NAMES, *ARM_NAMES)}
+    if "arm_length" in joined:
+        part = {**part, "arm.length": joined.pop("arm_length")}
+    arm = {name: part[own] for own, name in ARM_NAMES.items() if own in part}
+    for name in (*STATE_NAMES, *LINK_NAMES):
+        if name in part or name in arm:
+            joined[name] = np.append(arm.get(name, 0.0), part.get(name, np.zeros(n)))
+    return joined
 
 
 def _allowed(setup: Setup) -> str:
     links = ", ".join((*STATE_NAMES, *LINK_NAMES))
     moving = ", ".join(f"motion.{name}" for name in parameters(setup.motion)[:8]) if setup.motion else ""
+    if setup.torque is not None:
+        moving = ", ".join(f"torque.{name}" for name in parameters(setup.torque)[:8])
     arm = ", arm.length" if setup.arm is not None else ""
+    if setup.torque_driven:
+        arm = "".join(f", {name}" for name in ARM_NAMES)
     return (
         f"{links} (of all links as one, name[3] of one, name[:] of each; q0 and qd0 are always of each), tip_mass, "
         f"gravity[0], gravity[1]{arm}{moving and ', ' + moving}, or a mapping {{name: {{property: change}}}}"
@@ -131,8 +177,6 @@ def _by_name(setup: Setup, name: str) -> dict[str, Part]:
     n = setup.rope.n_links
     match = re.fullmatch(r"([a-z_0-9]+)(?:\[(\d+|:)\])?", name)
     base, index = match.groups() if match else (name, None)
-    if base == "dry_friction":
-        _refuse_dry()
     if base in LINK_NAMES or base in STATE_NAMES:
         if index is None and base in LINK_NAMES:
             return {name: {base: np.ones(n)}}
@@ -144,11 +188,14 @@ def _by_name(setup: Setup, name: str) -> dict[str, Part]:
         return {name: {"tip_mass": np.ones(1)}}
     if base == "gravity" and index in ("0", "1"):
         return {name: _gravity(setup, np.eye(2)[int(index)])}
+    if name in ARM_NAMES and setup.torque_driven:
+        return {name: {name: np.ones(1)}}
     if name == "arm.length" and setup.arm is not None:
         return {name: {"arm_length": np.ones(1)}}
-    if name.startswith("motion.") and setup.motion is not None:
-        breaks, coef = variation(setup.motion, name.removeprefix("motion."))
-        return {name: {"breaks": breaks, "coef": coef}}
+    for prefix, source in (("motion.", setup.motion), ("torque.", setup.torque)):
+        if name.startswith(prefix) and source is not None:
+            breaks, coef = variation(source, name.removeprefix(prefix))
+            return {name: {"breaks": breaks, "coef": coef}}
     raise InvalidInput("wrt names what is not there", got=name, allowed=_allowed(setup))
 
 
@@ -166,29 +213,18 @@ def _own(setup: Setup, name: str, given: Mapping[str, npt.ArrayLike]) -> Part:
     n = setup.rope.n_links
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*STATE_NAMES, *LINK_NAMES), (n,))
     shapes |= {"tip_mass": (1,), "gravity": (2,), "arm_length": (1,)}
-    if setup.motion is not None:
-        shapes |= {"breaks": setup.motion.breaks.shape, "coef": setup.motion.coef.shape}
+    if setup.torque_driven:
+        shapes |= dict.fromkeys(ARM_NAMES, (1,))
+    source = setup.motion or setup.torque
+    if source is not None:
+        shapes |= {"breaks": source.breaks.shape, "coef": source.coef.shape}
     if not isinstance(given, Mapping) or not given or set(given) - set(shapes):
         got = sorted(given) if isinstance(given, Mapping) else given
         raise InvalidInput(f"direction {name!r} cannot be used", got=got, allowed=", ".join(shapes))
     return {key: checks.array(f"{name}: {key}", value, shapes[key], scalar=True) for key, value in given.items()}
 
 
-def _refuse_dry() -> None:
-    raise InvalidInput(
-        "dry friction cannot be differentiated yet",
-        allowed="ropes and arms whose dry_friction is 0",
-        fix="Set dry_friction=0, or take differences of whole runs",
-    )
-
-
 def refuse_what_is_not_smooth(setup: Setup) -> None:
     """Refuse set-ups whose runs have no derivative that the kernels know."""
-    if setup.rope.dry_friction.any():
-        _refuse_dry()
-    if setup.torque_driven:
-        raise InvalidInput(
-            "a torque-driven arm cannot be differentiated yet", allowed="a prescribed motion, or a fixed point"
-        )
     if setup.method != "extrapolation":
         raise InvalidInput("sensitivities follow the extrapolation", got=setup.method, allowed="method='extrapolation'")

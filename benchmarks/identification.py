@@ -1,0 +1,149 @@
+"""How long an identification takes: the paper's problem from many starts, beside the paper's method; a 50-link rope."""
+
+from __future__ import annotations
+
+import time
+from types import ModuleType
+from typing import Any, Literal
+
+import numpy as np
+from clock import NOTE, alternately
+
+import hyperflex as hf
+from hyperflex.identification import identify, revise
+from hyperflex.identification._measured import measure as measured
+from hyperflex.identification._names import parse
+from hyperflex.identification._parameters import Parameters
+from hyperflex.identification._plant import Plant
+from hyperflex.identification._stages import Measured, fit_in_stages
+from hyperflex.identification._windows import usual_length
+
+RATE = 7.5  # frames a second
+# The paper's identification rope, as far as it can be inferred: 1.0 m, cylinder moment for a first guess
+PAPER = hf.Rope(length=np.full(5, 0.2), mass=1.53e-3, inertia=0.143e-6, friction=0.631e-3)
+GUESS = {"inertia": 5.09e-6, "friction": 1.26e-3}
+FREE = ["inertia:shared", "friction:shared"]
+ANGLE_NOISE = 0.01  # rad: leaves the paper's 0.04 rad^2
+STARTS, DECADES, SHIFT = 20, 2.0, 0.2  # draws: over two decades in J and eta, 0.2 rad in the angles
+SAME = 1e-3  # of the cost: by which optima may differ and be the same
+CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+MARKERS, PLACE_NOISE = 10, 2e-3  # m
+
+
+def measure(quick: bool, repeats: int, _peers: dict[str, ModuleType]) -> list[dict[str, Any]]:
+    """Rows of {problem, method, seconds, error, ...}; a fit that does not converge is an error."""
+    recording = paper_recording()
+    rows = [*paper_problem(recording, repeats), *starts(recording, 4 if quick else STARTS)]
+    if not quick:
+        rows.append(paper_method(recording))
+    rows.append(cable_problem(3 if quick else repeats))
+    return rows
+
+
+def paper_recording() -> hf.Recording:
+    """81 frames of the 5-link rope, swinging freely (simulated)."""
+    t = np.arange(81) / RATE
+    run = hf.simulate(PAPER, duration=t[-1], t_eval=t, q0=np.linspace(0.9, 1.3, 5), tol=1e-9)
+    return hf.Recording(t, run.q + ANGLE_NOISE * np.random.default_rng(0).standard_normal(run.q.shape))
+
+
+def row(problem: str, method: str, seconds: float, error: float, values: tuple[float, float]) -> dict[str, Any]:
+    """A row of the table; `values` are J and eta."""
+    row = {"problem": problem, "method": method, "seconds": seconds, "error": error}
+    return row | {"inertia": float(values[0]), "friction": float(values[1])}
+
+
+def paper_problem(recording: hf.Recording, repeats: int) -> list[dict[str, Any]]:
+    """The new method from the cylinder's moment: the fit with its covariance, and with profiled intervals too."""
+
+    def run(intervals: Literal["profile"] | None = None) -> hf.Identification:
+        return identify(recording, PAPER.replace(**GUESS), FREE, window=np.inf, train=np.inf, intervals=intervals)
+
+    def profiled() -> hf.Identification:
+        return run("profile")
+
+    found = run()
+    if found.status != "converged":
+        raise RuntimeError(f"the paper's problem: {found.status}")
+    profiled()
+    error = float((found.residuals**2).sum())
+    values = found.values["inertia"][0], found.values["friction"][0]
+    names = "shooting, from the cylinder's moment", "the same, with profiled intervals"
+    timed = alternately([run, profiled], repeats, 10.0)
+    return [row("5 links, 81 frames", name, one.median, error, values) for name, one in zip(names, timed, strict=True)]
+
+
+def starts(recording: hf.Recording, count: int) -> list[dict[str, Any]]:
+    """The same from starts drawn at random: how many reach the same optimum."""
+    rows = []
+    for number in range(count):
+        rng = np.random.default_rng([1, number])
+        wide = 0.5 * DECADES * np.log(10.0)
+        inertia, friction = (
+            PAPER.inertia[0] * np.exp(rng.uniform(-wide, wide)),
+            PAPER.friction[0] * np.exp(rng.uniform(-wide, wide)),
+        )
+        guess = PAPER.replace(inertia=inertia, friction=friction)
+        plant = Plant(Parameters(guess, parse(guess, FREE)))
+        exact = measured(recording, guess, None).channels
+        shifted = hf.Recording(exact.t, exact.data + rng.uniform(-SHIFT, SHIFT, 5))
+        began = time.perf_counter()
+        usual = usual_length(exact, guess)
+        found, _, _ = fit_in_stages(plant, Measured(exact, shifted), 1.001 * exact.duration, usual, lambda _: None)
+        values = plant.parameters.values(found.x)
+        rows.append(row("5 links, 81 frames", f"start {number}", time.perf_counter() - began, found.cost, values))
+    return rows
+
+
+def paper_method(recording: hf.Recording) -> dict[str, Any]:
+    """The paper's method on the same frames: downhill simplex and least squares in turn."""
+    found = revise(recording, PAPER.replace(**GUESS))
+    method, values = f"downhill simplex (IR): {found.status}", (found.best.inertia, found.best.friction)
+    return row("5 links, 81 frames", method, found.seconds, found.error, values)
+
+
+def cable_problem(repeats: int) -> dict[str, Any]:
+    """Ten markers on the paper's cable for three seconds: friction and the initial state of 50 links."""
+    t = np.arange(23) / RATE
+    run = hf.simulate(CABLE, duration=t[-1], t_eval=t, q0=0.9 + 0.5 * (np.arange(50) + 0.5) / 50, tol=1e-8)
+    joints = 5 * (np.arange(MARKERS) + 1)
+    places = run.joints[:, joints] + PLACE_NOISE * np.random.default_rng(0).standard_normal((t.size, MARKERS, 2))
+    recording = hf.Recording(t, places.reshape(t.size, -1), kind="markers", noise=PLACE_NOISE)
+    guess = CABLE.replace(friction=1.5e-3)
+
+    def fit() -> hf.Identification:
+        return identify(recording, guess, ["friction:shared"], arcs=0.04 * joints, window=np.inf, train=np.inf)
+
+    found = fit()
+    if found.status != "converged":
+        raise RuntimeError(f"50 links: {found.status}")
+    (timed,) = alternately([fit], repeats, 10.0)
+    error, friction = float((found.residuals**2).mean()) ** 0.5, float(found.values["friction"][0])
+    made = row("50 links, 10 markers, 3 s", "shooting", timed.median, error, (float("nan"), friction))
+    return made | {"sd": float(found.sd["friction"][0])}
+
+
+def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
+    """Return the Markdown page."""
+    ours, cable = rows[0], rows[-1]
+    drawn = [r for r in rows if r["method"].startswith("start")]
+    same = [r for r in drawn if abs(r["error"] / ours["error"] - 1.0) < SAME]
+    slowest = max(r["seconds"] for r in drawn)
+    lines = ["| problem | method | s | error | J, kg m^2 | eta, N m s/rad |", "|---|---|---|---|---|---|"]
+    lines += [line(r, f"{r['error']:.5f} rad^2") for r in rows if r not in drawn and r is not cable]
+    lines.append(line(cable, f"{1e3 * cable['error']:.2f} mm rms"))
+    return "\n".join(lines) + (
+        f"\n\nSimulated recordings, {RATE:g} frames a second. True: J {PAPER.inertia[0]:.3g}, eta "
+        f"{PAPER.friction[0]:.4g}; of the cable eta {CABLE.friction[0]:.3g}, found with a standard deviation of "
+        f"{cable['sd']:.1g} (J held). From {len(drawn)} starts drawn over {DECADES:g} decades in J and eta and "
+        f"{SHIFT:g} rad in the angles, {len(same)} reach the same optimum (cost within {SAME:g}); the slowest took "
+        f"{slowest:.2g} s. {NOTE}"
+    )
+
+
+def line(row: dict[str, Any], error: str) -> str:
+    """A line of the Markdown table."""
+    inertia = "held" if np.isnan(row["inertia"]) else f"{row['inertia']:.3g}"
+    return (
+        f"| {row['problem']} | {row['method']} | {row['seconds']:.3g} | {error} | {inertia} | {row['friction']:.4g} |"
+    )

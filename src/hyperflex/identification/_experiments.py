@@ -1,0 +1,107 @@
+"""Experiments that could be made: how the arm moves, how often and how long one looks, and at how many places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, Rope
+from hyperflex.motion import Motion, swings
+
+ANGLES = (0.3, 0.8, 1.5)  # rad, from which a straight rope is let go
+BENT = 0.8  # rad at the first joint, and as much to the other side at the tip
+RESTS = (0.34, 0.53, 0.80)  # s, of the paper's swings: its failure, its success, and a slow one
+RATE, DURATION, MARKERS = (
+    30.0,
+    10.0,
+    11,
+)  # frames a second, s, and at most so many markers, unless something else is tried
+RATES, DURATIONS, FEW = (7.5, 120.0), (5.0, 20.0), (3, 6)
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A recording that could be made.
+
+    Parameters
+    ----------
+    name : str
+        For tables.
+    motion : Motion, optional
+        What the arm does, or the point that the rope hangs from; by default the rope swings from a fixed point.
+    q0, qd0 : (n,) array_like or float, optional
+        Link angles, rad, and rates, rad/s, at the start (a number: of all links); by default it hangs at rest.
+    rate : float
+        Frames a second.
+    duration : float
+        Recorded time, s.
+    markers : int, optional
+        Number of markers, evenly along the rope from the first joint to the tip; None: the angle of every link is
+        measured.
+    noise : float, optional
+        Standard deviation of a marker's coordinate, m, or of an angle, rad; None: as given to ``design``.
+    torque_noise : float, optional
+        Standard deviation of the measured motor torque, N m; None: it is not measured.
+    """
+
+    name: str
+    motion: Motion | None = None
+    q0: npt.ArrayLike | None = None
+    qd0: npt.ArrayLike | None = None
+    rate: float = RATE
+    duration: float = DURATION
+    markers: int | None = None
+    noise: float | None = None
+    torque_noise: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, unit in (("rate", "1/s"), ("duration", "s"), ("noise", "m or rad"), ("torque_noise", "N m")):
+            if getattr(self, name) is not None:
+                checks.number(f"experiment {name}", getattr(self, name), sign="positive", unit=unit)
+        if self.motion is not None and not isinstance(self.motion, Motion):
+            raise InvalidInput("motion of an experiment is none", got=self.motion, allowed="a Motion, or None")
+        if self.markers is not None:
+            checks.count("experiment markers", self.markers, least=2)
+        if self.t.size < 3:
+            raise InvalidInput(
+                "an experiment has too few frames", got=[self.rate, self.duration], allowed="three frames or more"
+            )
+
+    @property
+    def t(self) -> Array:
+        """Times of the frames (T,), s."""
+        return np.arange(int(np.floor(self.duration * self.rate + 1e-9)) + 1) / self.rate
+
+    def start(self, rope: Rope) -> tuple[Array | None, Array | None]:
+        """Return angles and rates (n,) of a `rope` at the start; None where they are not given."""
+        n = rope.n_links
+        q0 = None if self.q0 is None else checks.array("experiment q0", self.q0, (n,), unit="rad", scalar=True)
+        qd0 = None if self.qd0 is None else checks.array("experiment qd0", self.qd0, (n,), unit="rad/s", scalar=True)
+        return q0, qd0
+
+
+def motions(rope: Rope, arm: Arm | None) -> list[Experiment]:
+    """Return the motions tried first: free swings, and with an arm the paper's; all looked at alike."""
+    n, hangs = rope.n_links, rope.hanging_angle
+    markers = min(n + 1, MARKERS)
+    found = [Experiment(f"let go at {angle:g} rad", q0=hangs + angle, markers=markers) for angle in ANGLES]
+    if n > 1:
+        bent = hangs + np.linspace(BENT, -BENT, n)
+        found.append(Experiment(f"let go bent, {BENT:g} to {-BENT:g} rad", q0=bent, markers=markers))
+    if arm is not None:
+        found += [Experiment(f"swings, rest {rest:g} s", swings(t_rest=rest), markers=markers) for rest in RESTS]
+    return found
+
+
+def variations(best: Experiment) -> list[Experiment]:
+    """Return an experiment looked at more or less often, for longer or shorter, and at fewer places."""
+    named = [replace(best, name=f"{best.name}, {rate:g} frames/s", rate=rate) for rate in RATES]
+    named += [replace(best, name=f"{best.name}, {time:g} s", duration=time) for time in DURATIONS]
+    most = best.markers or 0
+    named += [replace(best, name=f"{best.name}, {few} markers", markers=few) for few in FEW if few < most]
+    return named

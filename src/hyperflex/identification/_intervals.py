@@ -1,0 +1,145 @@
+"""Intervals of all parameters: from the covariance where that tells the truth, by profile likelihood where not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification._profile import End, profiled
+from hyperflex.identification._threshold import felt, quantile
+from hyperflex.identification._uncertainty import Basis
+
+How = Literal["auto", "covariance", "profile"]
+HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
+LEVEL = 0.95
+TIED = 0.1  # correlation with a parameter beside its bound from which the bound is felt
+BENT = 0.1  # part by which the root of the rise may depart from a straight line before the covariance is left
+MOST = 4  # profiles that "auto" takes on, each as dear as two or three fits
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Where a number lies, SI units.
+
+    `kind` says how it was found: ``covariance`` (Student's quantile times the standard deviation), ``profile``,
+    ``bootstrap``, or ``unknown`` where the data set no limits. `ends` says of either end whether it is one
+    (``crossed``), the parameter's own bound (``bound``), or no limit at all (``open``).
+    """
+
+    low: float
+    high: float
+    kind: Literal["covariance", "profile", "bootstrap", "unknown"]
+    ends: tuple[End, End] = ("crossed", "crossed")
+    level: float = LEVEL
+
+    def __str__(self) -> str:
+        return f"{self.low:.5g} to {self.high:.5g} ({self.kind})"
+
+    def __contains__(self, value: float) -> bool:
+        return self.low <= value <= self.high
+
+
+def all_intervals(basis: Basis, how: How, level: float = LEVEL) -> dict[str, Interval]:
+    """Return intervals of all free parameters, by label.
+
+    Parameters
+    ----------
+    basis : Basis
+    how : {"auto", "covariance", "profile"}
+        ``auto`` profiles up to four parameters whose covariance is skewed: a non-negative one within four sd of 0,
+        those that correlate with it, and those along which the squares do not rise as a parabola does; of more, those
+        nearest to their bounds in sd.
+    level : float
+        How often they shall hold the truth.
+
+    Notes
+    -----
+    Ctrl-C leaves those from the covariance for what was not profiled yet.
+    """
+    result = {label: from_covariance(basis, which, level) for which, label in enumerate(basis.plant.parameters.labels)}
+    labels = list(result)
+    if how == "covariance":
+        return result
+    try:
+        for k in _worst(basis) if how == "auto" else range(len(labels)):
+            if result[labels[k]].kind != "unknown":
+                found = profiled(basis, k, level)
+                result[labels[k]] = Interval(found.low, found.high, "profile", found.ends, level)
+    except KeyboardInterrupt:
+        pass
+    return result
+
+
+def from_covariance(basis: Basis, which: int, level: float = LEVEL) -> Interval:
+    """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
+    information, parameter = basis.information, basis.plant.parameters.all[which]
+    least = float(basis.plant.parameters.lower[which])
+    sd = float(information.spread(np.eye(information.x.size)[which : which + 1])[0])
+    if not np.isfinite(sd):
+        low = -np.inf if parameter.form == "linear" else 0.0
+        return Interval(low, np.inf, "unknown", ("open" if low else "bound", "open"), level)
+    half = sd * float(np.sqrt(quantile(level, information.freedom)))
+    low = float(information.x[which]) - half
+    end: End = "bound" if low < least else "crossed"
+    high = parameter.value(float(information.x[which]) + half)
+    return Interval(parameter.value(max(low, least)), high, "covariance", (end, "crossed"), level)
+
+
+def of_ratios(ratios: dict[str, Array], sd: dict[str, Array], freedom: float) -> dict[str, Interval]:
+    """Return intervals of the ratios, by name and link, e.g. ``J/p1[0]``, from their standard deviations."""
+    times, result = float(np.sqrt(quantile(LEVEL, freedom))), {}
+    for name, values in ratios.items():
+        for k, (value, spread) in enumerate(zip(values, sd[name], strict=True)):
+            if not np.isfinite(spread):
+                result[f"{name}[{k}]"] = Interval(-np.inf, np.inf, "unknown", ("open", "open"))
+            elif spread > 0.0:
+                result[f"{name}[{k}]"] = Interval(value - times * spread, value + times * spread, "covariance")
+    return result
+
+
+def skewed(basis: Basis, which: int) -> bool:
+    """Tell whether the covariance does not do for a parameter.
+
+    Beside a bound, its own or that of one it correlates with; or where two sd away, on the straight line along which
+    the covariance sends states and parameters, the squares rise otherwise than by four. Two rollouts of all windows.
+    """
+    information = basis.information
+    covariance, sd = information.covariance, np.sqrt(np.diag(information.covariance))
+    near = np.flatnonzero(felt(covariance, information.x - basis.plant.parameters.lower))
+    if sd[which] == 0.0:
+        return False
+    if any(abs(covariance[which, k]) > TIED * sd[which] * sd[k] for k in near):
+        return True
+    for step in (-2.0, 2.0):
+        move = step * information.plain[:, which] / np.sqrt(information.plain[which, which])
+        rise = _rise(basis, move)
+        if rise is None or abs(np.sqrt(max(rise, 0.0)) / abs(step) - 1.0) > BENT:
+            return True
+    return False
+
+
+def _worst(basis: Basis) -> list[int]:
+    """Return which parameters "auto" profiles."""
+    information = basis.information
+    sd = np.sqrt(np.diag(information.covariance))
+    above = (information.x - basis.plant.parameters.lower) / np.where(sd > 0.0, sd, 1.0)
+    chosen: list[int] = []
+    for k in np.argsort(above, kind="stable"):
+        if len(chosen) < MOST and skewed(basis, int(k)):
+            chosen.append(int(k))
+    return chosen
+
+
+def _rise(basis: Basis, move: Array) -> float | None:
+    """Return by how much the cost rises, over the residual variance, where x and all states move in a straight line."""
+    found, total = basis.fit, 0.0
+    for window, state, follow in zip(basis.windows, found.states, basis.information.follow, strict=True):
+        moved = state + follow @ move
+        residual = basis.plant.residual(found.x + move, window, moved)
+        if residual is None:
+            return None
+        total += found.loss.cost(residual) + float((belief := window.belief(moved)) @ belief)
+    return (total - found.cost) / basis.information.variance

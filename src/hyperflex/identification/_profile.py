@@ -1,0 +1,240 @@
+"""Profile likelihood: how far one parameter can move before the data, all others fitted again, speak against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.identification._loss import Loss
+from hyperflex.identification._shooting import fit
+from hyperflex.identification._threshold import quantile, threshold
+from hyperflex.identification._uncertainty import Basis
+
+if TYPE_CHECKING:
+    from hyperflex.identification._result import Identification
+
+End = Literal["crossed", "bound", "open"]
+FINISH = 1e-2  # gain of a round, in units of the residual variance, below which a point of the profile has settled
+CLOSE = 0.01  # sd to which an end is found
+LONGEST = 3.0  # factor by which a step may grow
+TRIES = 25  # points on either side
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """An interval by profile likelihood, and the curve that it comes from.
+
+    Attributes
+    ----------
+    name : str
+        Of the parameter, as in ``Identification.parameters``.
+    low, high : float
+        The interval in SI units. `low` is the bound, 0, where the data allow it; `high` is inf, or `low` -inf, where
+        no limit was found.
+    level : float
+        How often such intervals hold the truth.
+    ends : tuple of str
+        Of either end: ``crossed`` where the curve crosses the limit, ``bound`` where the parameter's own bound comes
+        first, ``open`` where neither was found (the data set no limit, or the rope cannot be simulated there).
+    values, rise, limit : (K,) array
+        The curve: values of the parameter (SI units, increasing), the least sum of squares there over the residual
+        variance, less that of the optimum, and the rise at which a value is refused.
+    """
+
+    name: str
+    low: float
+    high: float
+    level: float
+    ends: tuple[End, End]
+    values: Array
+    rise: Array
+    limit: Array
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A fit with the parameter held at x[which]."""
+
+    x: Array
+    states: list[Array]
+    rise: float
+    limit: float
+
+    @property
+    def excess(self) -> float:
+        """How far beyond the limit it stands, in sd; negative within."""
+        return float(np.sqrt(max(self.rise, 0.0)) - np.sqrt(self.limit))
+
+
+def profile(found: Identification, name: str, level: float = 0.95, points: int = 0) -> Profile:
+    """Return the profile likelihood interval of one parameter.
+
+    Parameters
+    ----------
+    found : Identification
+        What :func:`identify` gave back, in the same session.
+    name : str
+        One of ``found.parameters``, e.g. ``inertia:shared``.
+    level : float
+        How often such intervals shall hold the truth.
+    points : int
+        So many more points of the curve on either side, for drawing.
+
+    Returns
+    -------
+    Profile
+
+    Raises
+    ------
+    InvalidInput
+        For a name that was not free, or a result without its fit (read from a file).
+
+    Notes
+    -----
+    At each value all other parameters and states are fitted again, starting from where the last point leads in a
+    straight line. The rise of the squares is compared with F(1, freedom), or beside a bound with what the bound makes
+    of it (see ``_threshold``); autocorrelation divides it by the factor by which it widens the variance, and robust
+    losses count as :func:`judge` has them. Cost: about three fits of two or three rounds on either side.
+    """
+    basis = basis_of(found)
+    level = checks.number("level", level, sign="positive")
+    if level >= 1.0:
+        raise InvalidInput("level is not a probability", got=level, allowed="between 0 and 1, such as 0.95")
+    labels = basis.plant.parameters.labels
+    if name not in labels:
+        raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(labels))
+    return profiled(basis, labels.index(name), level, checks.count("points", points, least=0))
+
+
+def basis_of(found: Identification) -> Basis:
+    """Return the fit that a result keeps."""
+    basis = getattr(found, "_basis", None)
+    if not isinstance(basis, Basis):
+        raise InvalidInput("this result no longer has its fit", fix="Run identify again, in this session")
+    return basis
+
+
+def profiled(basis: Basis, which: int, level: float, points: int = 0) -> Profile:
+    """Return the profile of parameter number `which`; see :func:`profile`."""
+    parameter = basis.plant.parameters.all[which]
+    variances = np.diag(basis.information.covariance)
+    unknown = np.isinf(basis.information.spread(np.eye(variances.size)[which : which + 1])[0])
+    if unknown or variances[which] <= 0.0:
+        least = parameter.value(basis.plant.parameters.lower[which])
+        return Profile(parameter.label, least, np.inf, level, ("open", "open"), *np.zeros((3, 0)))
+    walk = _Walk(basis, which, level)
+    below, low = walk.side(-1.0)
+    above, high = walk.side(1.0)
+    if points:
+        walk.fill(points)
+    known = sorted((p for p in walk.points if np.isfinite(p.rise)), key=lambda p: float(p.x[which]))
+    return Profile(
+        parameter.label,
+        parameter.value(below) if np.isfinite(below) or parameter.form == "log" else -np.inf,
+        parameter.value(above) if np.isfinite(above) else np.inf,
+        level,
+        (low, high),
+        np.array([parameter.value(float(p.x[which])) for p in known]),
+        np.array([p.rise for p in known]),
+        np.array([p.limit for p in known]),
+    )
+
+
+class _Walk:
+    """Walks away from the optimum along one parameter, to either side."""
+
+    def __init__(self, basis: Basis, which: int, level: float) -> None:
+        self.basis, self.which, self.level = basis, which, level
+        information, found = basis.information, basis.fit
+        self.lower = basis.plant.parameters.lower
+        self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
+        self.column = information.covariance[:, which] / information.covariance[which, which]
+        self.sd = float(np.sqrt(information.covariance[which, which]))
+        self.unit = information.variance * float(information.covariance[which, which] / information.plain[which, which])
+        self.enough = FINISH * information.variance / max(found.cost, 1e-300)
+        best = fit(basis.plant, basis.windows, found.x, found.states, loss=self.loss, enough=self.enough, rounds=10)
+        if best.interrupted:
+            raise KeyboardInterrupt
+        self.least = best.cost
+        self.points = [self._point(best.x, best.states, best.cost)]
+
+    def _point(self, x: Array, states: list[Array], cost: float) -> _Point:
+        information = self.basis.information
+        rise = max(cost - self.least, 0.0) / self.unit
+        limit = threshold(self.level, information.freedom, self.which, information.covariance, x - self.lower)
+        return _Point(x, states, rise, limit)
+
+    def at(self, value: float) -> _Point | None:
+        """Return the fit with the parameter at `value`, from the nearest one known; None where none can be found."""
+        start = min(self.points, key=lambda p: abs(float(p.x[self.which]) - value))
+        x = np.maximum(start.x + self.column * (value - start.x[self.which]), self.lower)
+        x[self.which] = value
+        move = x - start.x
+        states = [s + f @ move for s, f in zip(start.states, self.basis.information.follow, strict=True)]
+        for begin in (states, start.states):
+            try:
+                found = fit(
+                    self.basis.plant,
+                    self.basis.windows,
+                    x,
+                    begin,
+                    loss=self.loss,
+                    enough=self.enough,
+                    rounds=20,
+                    held=(self.which,),
+                )
+            except InvalidInput:
+                continue
+            if found.interrupted:
+                raise KeyboardInterrupt
+            self.points.append(self._point(found.x, found.states, found.cost))
+            return self.points[-1]
+        return None
+
+    def side(self, sign: float) -> tuple[float, End]:
+        """Return x of the end of the interval below (-1) or above (1) the optimum, and what it is."""
+        bound = float(self.lower[self.which]) if sign < 0.0 else np.inf
+        inside, outside = self.points[0], None
+        origin = float(inside.x[self.which])
+        step = self.sd * float(np.sqrt(quantile(self.level, self.basis.information.freedom)))
+        value = origin + sign * step
+        for _ in range(TRIES):
+            value = max(value, bound) if sign < 0.0 else value
+            if value == float(inside.x[self.which]):  # at the bound, and allowed
+                return value, "bound"
+            tried = self.at(value)
+            if tried is None:
+                value = 0.5 * (value + float(inside.x[self.which]))
+                continue
+            if abs(tried.excess) < CLOSE:
+                return value, "crossed"
+            inside, outside = (tried, outside) if tried.excess < 0.0 else (inside, tried)
+            if value == bound and tried is inside:
+                return value, "bound"
+            value = self._next(origin, inside, outside, step)
+        if outside is None:
+            return sign * np.inf, "open"
+        return float(outside.x[self.which]), "crossed"
+
+    def _next(self, origin: float, inside: _Point, outside: _Point | None, step: float) -> float:
+        """Return where to look next: where the root of the rise, as good as a straight line, meets the limit."""
+        here = float(inside.x[self.which])
+        if outside is None:
+            root = max(float(np.sqrt(inside.rise / inside.limit)), 1.0 / LONGEST)
+            return origin + max(1.0 / root, 1.05) * (here - origin) if here != origin else origin + step
+        there = float(outside.x[self.which])
+        part = -inside.excess / (outside.excess - inside.excess)
+        return here + float(np.clip(part, 0.05, 0.95)) * (there - here)
+
+    def fill(self, points: int) -> None:
+        """Add points of the curve between the optimum and the farthest one on either side."""
+        values = np.array([p.x[self.which] for p in self.points])
+        for end in (values.min(), values.max()):
+            for value in np.linspace(values[0], end, points + 2)[1:-1]:
+                if value != values[0]:
+                    self.at(float(value))

@@ -1,0 +1,202 @@
+"""The initial state by the downhill simplex method (paper (7))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import IdentificationError, InvalidInput, SimulationError
+from hyperflex.model import Rope
+from hyperflex.recording import Recording
+from hyperflex.simulation import angles
+
+Rates = Literal["rest", "measured", "free"]
+
+RATES = ("rest", "measured", "free")
+PRECISION = 1e-6  # tolerance of a rollout over the rope's length: some 1e-5 rad, far below the noise of a camera
+SPREAD = 0.05  # rad, edge of the first simplex in an angle; in a rate, this over the time below
+PACE = 0.2  # s, the time in which such a rate makes such an angle
+ANGLE_STEP, ERROR_STEP = (
+    1e-4,
+    1e-6,
+)  # rad and rad^2: far below the noise of a camera; the simplex is done when below both
+BEYOND = 1e3  # rad or rad/s: no state that a simplex may try
+MOST = 400  # rollouts for each unknown, in each of the two descents
+
+
+@dataclass(frozen=True, eq=False)
+class InitialState:
+    """What :func:`initial_state` found.
+
+    Attributes
+    ----------
+    q, qd : (n,) float64
+        Angles, rad, and rates, rad/s, at the first sample.
+    error : float
+        E of (7): sum of squares over samples and links, rad^2; gaps count nothing.
+    evaluations : int
+        Rollouts that it took.
+    status : {"settled", "not settled", "interrupted"}
+        Whether the simplex has shrunk as far as it should.
+    """
+
+    q: Array
+    qd: Array
+    error: float
+    evaluations: int
+    status: str
+
+
+def initial_state(
+    recording: Recording,
+    rope: Rope,
+    *,
+    rates: Rates = "rest",
+    start: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+    most: int = MOST,
+) -> InitialState:
+    """Find the initial state from which a rope comes nearest to its recording: (7) by Nelder and Mead's simplex.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of angles, or of markers at the joints, of a rope that swings freely from a fixed point.
+    rope : Rope
+        Its parameters are taken as they are.
+    rates : {"rest", "measured", "free"}
+        Initial rates: zero (let go at rest), taken from the first three samples, or sought along with the angles.
+    start : ((n,), (n,)) array_like, optional
+        Angles and rates to start from; by default the measured ones. Rates that are not sought stay at what `rates`
+        says.
+    most : int
+        Rollouts for each unknown, at most, in each of two descents: the second starts with a fresh simplex where the
+        first one ended, for a simplex may collapse on its way.
+
+    Returns
+    -------
+    InitialState
+
+    Raises
+    ------
+    InvalidInput
+        If the recording does not fit the rope.
+    IdentificationError
+        If the rope cannot be simulated from the start.
+
+    Notes
+    -----
+    Paper III B, step 2 of Fig. 4. Ctrl-C returns the best so far, marked as interrupted.
+    """
+    measured = fitting(recording, rope)
+    n = rope.n_links
+    checks.choice("rates", rates, RATES)
+    state = first_state(measured, rates)
+    if start is not None:
+        state[:n] = checks.array("start angles", start[0], (n,), unit="rad")
+        if rates == "free":
+            state[n:] = checks.array("start rates", start[1], (n,), unit="rad/s")
+    descent = _Descent(measured, rope, state, 2 * n if rates == "free" else n)
+    if not np.isfinite(descent(state[: descent.free])):
+        raise IdentificationError(
+            "The rope cannot be simulated from the start. Give another start or other parameters."
+        )
+    status = "interrupted"
+    try:
+        settled = [descent.descend(checks.count("most", most)) for _ in range(2)][-1]
+        status = "settled" if settled else "not settled"
+    except KeyboardInterrupt:
+        pass
+    best = descent.best
+    return InitialState(best[:n].copy(), best[n:].copy(), descent.least, descent.evaluations, status)
+
+
+class _Descent:
+    """Counts rollouts and remembers the best state, so that Ctrl-C loses nothing."""
+
+    def __init__(self, measured: Recording, rope: Rope, state: Array, free: int) -> None:
+        self.measured, self.rope, self.free = measured, rope, free
+        self.best, self.least, self.evaluations = state.copy(), np.inf, 0
+
+    def __call__(self, unknown: Array) -> float:
+        """Return E of (7) with the free part of the state set to `unknown`; inf where the rollout fails."""
+        state = np.append(unknown, self.best[self.free :])
+        error = squared_error(self.measured, self.rope, state)
+        self.evaluations += 1
+        if error < self.least:
+            self.best, self.least = state, error
+        return error
+
+    def descend(self, most: int) -> bool:
+        """Descend with a fresh simplex from the best state, and return whether it settled."""
+        from scipy.optimize import minimize
+
+        n = self.rope.n_links
+        edges = np.repeat([SPREAD, SPREAD / PACE], n)[: self.free]
+        here = self.best[: self.free]
+        result = minimize(
+            self,
+            here,
+            method="Nelder-Mead",
+            options={
+                "initial_simplex": np.vstack([here, here + np.diag(edges)]),
+                "xatol": ANGLE_STEP if self.free == n else ANGLE_STEP / PACE,
+                "fatol": ERROR_STEP,
+                "maxfev": most * self.free,
+                "maxiter": most * self.free,
+                "adaptive": self.free > n,
+            },
+        )
+        return bool(result.success)
+
+
+def squared_error(measured: Recording, rope: Rope, state: Array) -> float:
+    """Return E of (7), rad^2; inf where the rope cannot be simulated.
+
+    Parameters
+    ----------
+    measured : Recording
+        Of angles.
+    rope : Rope
+        With as many links.
+    state : (2 n,) float64
+        Angles, rad, and rates, rad/s, at the first sample.
+    """
+    n = rope.n_links
+    if not np.isfinite(state).all() or np.abs(state).max() > BEYOND:
+        return float("inf")
+    try:
+        q = angles(rope, measured.t, state[:n], state[n:], tol=PRECISION * rope.total_length)[0]
+    except SimulationError:
+        return float("inf")
+    return float(np.nansum((q - measured.data) ** 2))
+
+
+def fitting(recording: Recording, rope: Rope) -> Recording:
+    """Return the recording's angles if they fit the rope and begin with a full sample."""
+    if not isinstance(recording, Recording) or not isinstance(rope, Rope):
+        raise InvalidInput("a Recording and a Rope are needed", got=[type(recording).__name__, type(rope).__name__])
+    measured = recording.angles()
+    if measured.n_links != rope.n_links:
+        raise InvalidInput(
+            "the recording and the rope have different numbers of links", got=[measured.n_links, rope.n_links]
+        )
+    if measured.t.size < 3 or np.isnan(measured.data[:3]).any():
+        raise InvalidInput(
+            "the first three samples must be there, in all links",
+            got=f"{int(np.isnan(measured.data[:3]).sum())} gaps",
+            fix="Cut the recording: recording.window(start, end)",
+        )
+    return measured
+
+
+def first_state(measured: Recording, rates: Rates) -> Array:
+    """Return the measured initial angles with rates (2n,): zero, or from the first three samples."""
+    initial = np.zeros(measured.n_links)
+    if rates != "rest":
+        initial = np.gradient(measured.data[:3], measured.t[:3], axis=0, edge_order=2)[0]
+    return cast(Array, np.append(measured.data[0], initial))

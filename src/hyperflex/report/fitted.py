@@ -1,0 +1,86 @@
+"""What was measured beside what was fitted, channel by channel, for figures and tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification import Identification
+from hyperflex.recording import Recording
+
+FEW = 4  # channels that are all shown large
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A recording and its fit in the same channels.
+
+    Attributes
+    ----------
+    found : Identification
+    t (T,), measured (T, C) : s, rad or m
+        All that was measured of the angles or places that were fitted; NaN in gaps.
+    fit_t (m,), fitted (m, C) : s, rad or m
+        The fit at the samples that it was made on; NaN in gaps.
+    names : tuple of str
+        Of the channels, counted from 0 as in the verdict.
+    chosen : tuple of int
+        Channels that say the most: first, middle and last link, or middle and last marker, and the one that fits worst.
+    """
+
+    found: Identification
+    t: Array
+    measured: Array
+    fit_t: Array
+    fitted: Array
+    names: tuple[str, ...]
+    chosen: tuple[int, ...]
+
+    @property
+    def end(self) -> float:
+        """Until when samples were fitted, s."""
+        return float(self.found.settings["fitted_to"])
+
+    @property
+    def window(self) -> Array:
+        """Number (m,) of the window that each fitted sample lies in."""
+        step = float(np.median(np.diff(self.t)))
+        length = min(float(self.found.settings["window"]), 2.0 * (self.t[-1] - self.t[0]))
+        return np.asarray(np.floor((self.fit_t - self.fit_t[0]) / length + 1e-6 * step / length))
+
+    def worst_window(self, channel: int) -> tuple[float, float, float]:
+        """Return the number, and first and last time, s, of the window in which a channel fits worst."""
+        number = self.window
+        squares = self.found.residuals[:, channel] ** 2
+        means = {k: float(np.nanmean(s)) for k in np.unique(number) if not np.isnan(s := squares[number == k]).all()}
+        worst = max(means, key=lambda k: means[k])
+        inside = self.fit_t[number == worst]
+        return float(worst), float(inside[0]), float(inside[-1])
+
+
+def beside(recording: Recording, found: Identification) -> Fitted:
+    """Return a recording and what was fitted to it, in the same channels."""
+    channels = recording.angles() if found.unit == "rad" else recording
+    rows = np.searchsorted(channels.t, found.residual_t)
+    fitted = np.asarray(channels.data[rows] - found.residuals)
+    names, chosen = _names(channels, found), _chosen(found)
+    return Fitted(found, channels.t, channels.data, found.residual_t, fitted, names, chosen)
+
+
+def _names(channels: Recording, found: Identification) -> tuple[str, ...]:
+    if found.unit == "rad":
+        return tuple(f"link {k}" for k in range(channels.n_links))
+    return tuple(f"marker {k}, {axis}" for k in range(channels.data.shape[1] // 2) for axis in "xy")
+
+
+def _chosen(found: Identification) -> tuple[int, ...]:
+    """Return the channels to show: all of a few, see :class:`Fitted`; of a marker both places."""
+    rms = found.residual_rms
+    if rms.size <= FEW:
+        return tuple(range(rms.size))
+    if found.unit == "rad":
+        return tuple(sorted({0, rms.size // 2, rms.size - 1, int(np.argmax(rms))}))
+    last, worst = rms.size // 2 - 1, int(np.argmax(np.hypot(rms[::2], rms[1::2])))
+    return tuple(c for k in sorted({last // 2, last, worst}) for c in (2 * k, 2 * k + 1))

@@ -1,0 +1,191 @@
+"""Tables of identified parameters, ratios and the rope, in units for people."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification import BAND, Identification
+from hyperflex.model import Rope
+from hyperflex.report.tables import TextTable
+from hyperflex.report.units import readable, rounded, short
+
+WORDS = {
+    "inertia": "moment of inertia about the centre of mass",
+    "com": "centre of mass, from its joint",
+    "mass": "mass",
+    "length": "length",
+    "friction": "viscous friction",
+    "dry_friction": "dry friction",
+    "stiffness": "stiffness",
+    "tip_mass": "mass at the tip",
+    "gravity_angle": "turn of gravity (a camera that is not level)",
+    "delay": "delay of the motion",
+    "origin_x": "origin of the motion as the camera sees it, x",
+    "origin_y": "origin of the motion as the camera sees it, y",
+    "arc": "place along the rope",
+}
+PER_LINK = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffness")
+_POSITIVE = ("inertia", "mass", "length", "friction", "dry_friction", "stiffness", "tip_mass")
+_RATIOS = {
+    "J/p1": "inertia about the joint",
+    "p/p1": "first moment about the joint",
+    "c/p1": "viscous friction",
+    "dry/p1": "dry friction",
+    "k/p1": "stiffness",
+}
+_LABEL = re.compile(r"(?P<name>[a-z_]+)(?:\[(?P<place>\d+)\])?(?::(?P<law>\w+))?\Z")
+
+
+@dataclass(frozen=True)
+class Number:
+    """One free number: its label as in the verdict, the property's name, which link or marker, and its law.
+
+    value, sd, low and high (95 %) are in SI units; sd is inf, and low and high NaN, where it cannot be known.
+    """
+
+    label: str
+    name: str
+    place: int | None
+    law: str
+    value: float
+    sd: float
+    low: float
+    high: float
+
+    @property
+    def words(self) -> str:
+        """What it is."""
+        whose = {"shared": ", of each link alike", "factor": ", factor on the guess of all links"}
+        if self.law == "taper":
+            return f"{WORDS[self.name]}, at the tip over that at the motor (as far as it departs from the guess)"
+        if self.place is None:
+            return WORDS[self.name] + whose.get(self.law, "")
+        return f"{WORDS[self.name]}, {'marker' if self.name == 'arc' else 'link'} {self.place}"
+
+
+def numbers(found: Identification) -> tuple[Number, ...]:
+    """Return all free numbers; intervals are the identification's own, or value plus and minus 1.96 sd."""
+    return tuple(_number(found, label) for label in found.parameters)
+
+
+def _number(found: Identification, label: str) -> Number:
+    match = _LABEL.match(label)
+    name, law = (match["name"], match["law"] or "") if match else (label, "")
+    place = int(match["place"]) if match and match["place"] else None
+    key = label if law in ("factor", "taper") else name
+    index = () if found.values[key].ndim == 0 else (place or 0,)
+    value, sd = float(found.values[key][index]), float(found.sd[key][index])
+    low, high = _interval(found, label, value, sd)
+    if not np.isfinite(sd):
+        low = high = float("nan")
+    if law == "taper":
+        value, sd, low, high = np.exp(value), np.exp(value) * sd, np.exp(low), np.exp(high)
+    elif (name in _POSITIVE or law == "factor") and low < 0.0:
+        low = 0.0
+    return Number(label, name, place, law, float(value), float(sd), float(low), float(high))
+
+
+def _interval(found: Identification, label: str, value: float, sd: float) -> tuple[float, float]:
+    """Return the identification's own 95 % interval, where it has one, else value plus and minus 1.96 sd."""
+    given = (getattr(found, "intervals", None) or {}).get(label)
+    if given is None:
+        return value - BAND * sd, value + BAND * sd
+    return float(given.low), float(given.high)
+
+
+def parameters_table(found: Identification, guess: Rope | None) -> TextTable:
+    """Return all free numbers with standard deviations and intervals, and the first guess where it is given."""
+    every = numbers(found)
+    rows = []
+    for each in every:
+        plain = each.law in ("factor", "taper")
+        alike = [other.value for other in every if other.name == each.name and other.law == each.law]
+        unit = readable("" if plain else each.name, alike)
+        value, sd = each.value / unit.size, each.sd / unit.size
+        cells = [each.label, each.words, rounded(value, sd) + unit.after]
+        if np.isfinite(sd):
+            cells += [short(sd), _span(each.low / unit.size, each.high / unit.size, sd)]
+        else:
+            cells += ["", "cannot be known"]
+        if guess is not None:
+            start = _start(each, found, guess)
+            cells.append("" if start is None else f"{start / unit.size:.4g}")
+        rows.append(tuple(cells))
+    header = ("name", "what it is", "value", "sd", "95 % interval")
+    return TextTable(header if guess is None else (*header, "first guess"), tuple(rows))
+
+
+def _start(each: Number, found: Identification, guess: Rope) -> float | None:
+    """Return what a number started from, or None where that was read off the recording."""
+    if each.law in ("factor", "taper"):
+        return 1.0
+    if each.name in ("gravity_angle", "delay"):
+        return 0.0
+    if each.name.startswith("origin"):
+        return None
+    if each.name == "arc":
+        return float(found.settings["arcs"][each.place or 0])
+    if each.name == "tip_mass":
+        return guess.tip_mass
+    own = getattr(guess, each.name)
+    return float(own.mean() if each.law == "shared" else own[each.place or 0])
+
+
+def ties(found: Identification, least: float = 0.95, most: int = 5) -> tuple[str, ...]:
+    """Return in words which numbers err together: those whose correlation is at least `least`, the closest first."""
+    sd = np.sqrt(np.diag(found.covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = np.nan_to_num(found.covariance / np.outer(sd, sd))
+    known = np.array([np.isfinite(each.sd) for each in numbers(found)])
+    upper = np.triu(np.abs(correlation) * np.outer(known, known), 1)
+    pairs = [divmod(int(k), sd.size) for k in np.argsort(-upper, axis=None)[:most] if upper.ravel()[k] >= least]
+    return tuple(f"{found.parameters[i]} and {found.parameters[j]} ({correlation[i, j]:+.3f})" for i, j in pairs)
+
+
+def ratios_table(found: Identification) -> TextTable | None:
+    """Return what a motion without known forces can tell, or None where nothing of it was free."""
+    rows = []
+    for name, values in found.ratios.items():
+        unit, spreads = readable(name, values), found.ratio_sd[name]
+        pairs = list(zip(values, spreads, strict=True))
+        alike = len(pairs) > 1 and np.ptp(values) <= 1e-12 * np.abs(values).max() and len({*spreads.round(15)}) == 1
+        for link, (value, sd) in enumerate(pairs[:1] if alike else pairs):
+            if sd > 0.0:
+                whose = "each" if alike else str(link)
+                spread = _spread(found, f"{name}[{link}]", value, sd)
+                rows.append((name, whose, rounded(value, sd) + unit.after, *spread, _RATIOS[name]))
+    return TextTable(("ratio", "link", "value", "sd", "95 % interval", "what it is"), tuple(rows)) if rows else None
+
+
+def _spread(found: Identification, label: str, value: float, sd: float) -> tuple[str, str]:
+    """Return deviation and interval of a ratio."""
+    if not np.isfinite(sd):
+        return "", "cannot be known"
+    low, high = _interval(found, label, value, sd)
+    return short(sd), _span(max(low, 0.0), high, sd)
+
+
+def _span(low: float, high: float, sd: float) -> str:
+    """Return an interval in words; an end that is not finite is no end."""
+    ends = [rounded(end, sd) if np.isfinite(end) else "" for end in (low, high)]
+    if ends[0] and ends[1]:
+        return f"{ends[0]} to {ends[1]}"
+    return f"{ends[0]} or more" if ends[0] else f"{ends[1]} or less" if ends[1] else "cannot be known"
+
+
+def rope_table(rope: Rope, found: Identification) -> TextTable:
+    """Return the identified rope link by link; what was free is marked with a star."""
+    free = {each.name for each in numbers(found)}
+    shown = [name for name in PER_LINK if getattr(rope, name).any()]
+    units = [readable(name, getattr(rope, name)) for name in shown]
+    header = [
+        f"{name.replace('_', ' ')}{'*' if name in free else ''}, {unit.name}"
+        for name, unit in zip(shown, units, strict=True)
+    ]
+    columns: list[Array] = [getattr(rope, name) / unit.size for name, unit in zip(shown, units, strict=True)]
+    rows = [(str(k), *(f"{column[k]:.4g}" for column in columns)) for k in range(rope.n_links)]
+    return TextTable(("link", *header), tuple(rows))

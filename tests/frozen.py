@@ -1,0 +1,128 @@
+"""Runs with dry friction along the frozen steps of another, and the differences that they give."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+import hyperflex as hf
+from hyperflex.checks import Array
+from hyperflex.core import steppers
+from hyperflex.core.drive import Segment, base_state, segment
+from hyperflex.core.lanes import COLUMNS, load, rows, set_grip
+from hyperflex.core.progress import JOINT, LENGTH, MODES
+from hyperflex.core.stick import QUICK
+from hyperflex.simulation.rollouts import TABLES, Rollout, limits
+from hyperflex.simulation.sensitivity import along, recorded
+from hyperflex.simulation.wanted import Wanted, wanted
+from tests.reference import dense
+
+# an eighth-order difference: its truncation is far below the rounding, which is some 1e-15 over the spacing
+STENCIL = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
+
+
+def run_of(it: hf.Setup, ways: Wanted | None = None) -> Rollout:
+    chain = ways.felt(it.chain()) if ways else it.chain()
+    return recorded(chain, it.drive(), it.start(), limits(it, chain, it.duration))
+
+
+class Frozen:
+    """The steps of a run taken again by another set-up: each as long, unless a switch, an event or the end cuts it."""
+
+    def __init__(self, run: Rollout, it: hf.Setup) -> None:
+        self.chain, self.drive, self.run, n = it.chain(), it.drive(), run, it.chain().length.size
+        self.links = dense.Links(*self.chain[:-1], reaction=len(self.chain.bears) - 1.0)
+        self.lanes, self.tip = rows(COLUMNS, n)
+        load(COLUMNS, self.chain, self.lanes, self.tip)
+        self.stop = run.limits.stop
+        self.t, self.y, self.n = 0.0, np.concatenate([*it.start(), np.zeros(2)]), n
+
+    def base(self, part: Segment, t: float) -> Array:
+        base = np.empty(9)
+        base_state(self.drive, part, t, base)
+        return base
+
+    def step(self, part: Segment, order: int, length: float, grip: Array) -> Array:
+        n, out = self.n, np.empty(2 * self.n + 2)
+        scratch = np.empty((2, 2 * n + 2)), self.lanes, self.tip, np.zeros((9, len(COLUMNS))), np.empty(6 * n)
+        steppers.extrapolate(
+            self.chain, self.drive, part, TABLES[order - TABLES[0].order], self.t, length, self.y, out, *scratch
+        )
+        before, after = self.base(part, self.t), self.base(part, self.t + length)
+        for i in np.flatnonzero(grip == 0.0):
+            out[n + i] = out[n + i - 1] if i else after[3]
+            out[i] = self.y[i] + ((out[i - 1] - self.y[i - 1]) if i else after[4] - before[4])
+        return out
+
+    def margin(self, part: Segment, order: int, length: float, grip: Array, joint: int) -> float:
+        n, out, base = self.n, self.step(part, order, length, grip), self.base(part, self.t + length)
+        if grip[joint]:
+            return float(out[n + joint] - (out[n + joint - 1] if joint else base[3]))
+        torque = base_state(self.drive, part, self.t + length, base)
+        held = dense.accelerations(self.links, out[:n], out[n : 2 * n], base[:7], torque=torque, grip=grip).held[joint]
+        return float((abs(held) - self.links.dry[joint]) / self.links.dry[joint])
+
+    def until(self, part: Segment, order: int, length: float, grip: Array, joint: int) -> float:
+        """Length at which the margin of a joint is zero, the one nearest to `length`."""
+
+        def margin(h: float) -> float:
+            return self.margin(part, order, h, grip, joint)
+
+        wide = 1e-5 * length
+        while margin(length - wide) * margin(length + wide) > 0.0:
+            wide *= 2.0
+        return float(brentq(margin, length - wide, length + wide, xtol=1e-17, rtol=1e-15))
+
+    def log(self) -> Array:
+        """The log of the run with this set-up's lengths of steps."""
+        steps, old = self.run.progress.log.copy(), 0.0
+        for row in steps:
+            length, end, order, grip = row[0], row[1], int(row[2]), row[MODES:]
+            part, before = segment(self.drive, self.t), segment(self.run.drive, old)
+            set_grip(COLUMNS, self.lanes, grip)
+            joint = int(row[JOINT])
+            if end >= before.end or end >= self.stop:
+                length = (part.end if end >= before.end else self.stop) - self.t
+            elif joint >= 0 and length >= QUICK:  # else rounding makes a joint at its limit stick and slip
+                length = self.until(part, order, length, grip, joint)
+            self.y = self.step(part, order, length, grip)
+            self.t, old = self.t + length, end
+            base = self.base(part, self.t)
+            for i in range(self.n):
+                if grip[i] == 0.0 or i == joint:
+                    self.y[self.n + i] = self.y[self.n + i - 1] if i else base[3]
+            row[LENGTH], row[1] = length, self.t
+        return steps
+
+
+def times_of(run: Rollout) -> Array:
+    """Output times far from ends of steps, which differences must not carry across them."""
+    times = np.linspace(0.03, run.limits.stop, 60)
+    near = np.abs(times[:, None] - run.progress.log[:, 1]).min(axis=1)
+    return np.append(0.0, times[near > 2.5e-3])
+
+
+def check(make: Callable[[float], hf.Setup], wrt: Any, size: float) -> Rollout:
+    """Compare with differences of a spacing of `size`; 1e-7 of the greatest, which is the rounding of differences."""
+    it = make(0.0)
+    ways = wanted(it, wrt)
+    run, n = run_of(it, ways), it.chain().length.size
+    times = times_of(run)
+    _, dy = along(run, ways, it.start(), times)
+
+    def followed(x: float) -> Array:
+        other, moved = copy.copy(run), make(x)
+        other.chain, other.drive = moved.chain(), moved.drive()
+        other.progress = run.progress._replace(log=Frozen(run, moved).log())
+        return along(other, ways, moved.start(), times)[0][:, : 2 * n]
+
+    want = np.zeros((times.size, 2 * n))
+    for k, weight in STENCIL.items():
+        want += weight * (followed(k * size) - followed(-k * size)) / size
+    for part in (slice(0, n), slice(n, 2 * n)):
+        np.testing.assert_allclose(dy[:, part, 0], want[:, part], rtol=0.0, atol=1e-7 * np.abs(want[:, part]).max())
+    return run

@@ -1,0 +1,1 @@
+"""Identification, by the parts of it."""

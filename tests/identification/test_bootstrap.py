@@ -1,0 +1,113 @@
+"""Parametric bootstrap: it scatters as the covariance says, repeats by its seed, and keeps what is done."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hyperflex.errors import InvalidInput
+from hyperflex.identification import Identification, _bootstrap, bootstrap, identify
+from hyperflex.identification._bootstrap import Bootstrap, _Noise
+from hyperflex.identification._noise import correlations
+from hyperflex.identification._shooting import Fit, fit
+from hyperflex.identification._uncertainty import Basis
+from hyperflex.model import Rope
+from hyperflex.recording import Recording
+from hyperflex.simulation import simulate
+from tests.identification.linear import autoregressive, fitted, waves
+
+ROPE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
+
+
+@pytest.fixture(scope="module")
+def found() -> Identification:
+    t = np.arange(41) / 15.0
+    run = simulate(ROPE, duration=t[-1], t_eval=t, q0=[0.9], tol=1e-9)
+    data = run.q + 0.01 * np.random.default_rng(0).standard_normal(run.q.shape)
+    data[10:14] = np.nan
+    return identify(Recording(t, data), ROPE, ["inertia", "friction"], window=np.inf, train=np.inf, intervals=None)
+
+
+def noise_of(basis: Basis, draws: int) -> np.ndarray:
+    """Return drawn noise (draws, m, C) of the first window."""
+    nothing = [np.zeros(w.y.shape) for w in basis.windows]
+    noise = _Noise(basis)
+    return np.array([noise.add(nothing, np.random.default_rng(k))[0].y for k in range(draws)])
+
+
+def test_fits_scatter_as_the_covariance_says(found: Identification) -> None:
+    result = bootstrap(found, 60)
+    assert result.names == found.parameters
+    assert (result.samples.shape, result.failed, result.interrupted) == ((60, 2), 0, False)
+    sd = np.sqrt(np.diag(found.covariance))
+    np.testing.assert_allclose(result.samples.std(axis=0), sd, rtol=0.35)  # an sd from 60 draws is known to 9 %
+    middle = np.array([found.values[name][0] for name in ("inertia", "friction")])
+    np.testing.assert_array_less(np.abs(result.samples.mean(axis=0) - middle), 4.0 * sd / np.sqrt(60))
+    one = result.interval("friction[0]", 0.8)
+    inside = (result.samples[:, 1] > one.low) & (result.samples[:, 1] < one.high)
+    assert (one.kind, inside.sum()) == ("bootstrap", 48)
+
+
+def test_the_seed_fixes_each_draw_whatever_their_number(found: Identification) -> None:
+    few, more, other = bootstrap(found, 2), bootstrap(found, 3), bootstrap(found, 2, seed=1)
+    np.testing.assert_array_equal(few.samples, more.samples[:2])
+    assert (few.samples != other.samples).all()
+
+
+def test_ctrl_c_keeps_what_is_done(found: Identification, monkeypatch: pytest.MonkeyPatch) -> None:
+    done = 0
+
+    def some(*args: object, **options: object) -> Fit:
+        nonlocal done
+        done += 1
+        if done == 3:
+            raise KeyboardInterrupt
+        return fit(*args, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(_bootstrap, "fit", some)
+    result = bootstrap(found, 10)
+    assert result.interrupted
+    assert result.samples.shape == (2, 2)
+
+
+def test_coloured_residuals_are_drawn_coloured() -> None:
+    basis = fitted(waves(150), autoregressive(np.random.default_rng(1), (150, 1), 0.8))
+    drawn = noise_of(basis, 300)[:, :, 0]
+    lagged = (drawn[:, 1:] * drawn[:, :-1]).mean() / (drawn**2).mean()
+    assert lagged == pytest.approx(correlations(basis.information.terms, 2)[1], abs=0.02)  # of 300 x 150 draws
+    assert lagged > 0.5
+    assert (drawn**2).mean() == pytest.approx(basis.information.variance, rel=0.05)
+
+
+def test_robust_losses_draw_their_outliers_again() -> None:
+    noise = np.random.default_rng(2).standard_normal((100, 1))
+    noise[40] = 50.0
+    basis = fitted(waves(100), noise, "cauchy")
+    drawn = noise_of(basis, 100)
+    assert 0.003 < (np.abs(drawn) > 40.0).mean() < 0.03  # one in a hundred
+    assert np.unique(np.round(drawn, 9)).size <= 100
+
+
+def test_gaps_stay_gaps_and_weights_count() -> None:
+    basis = fitted(waves(60), np.random.default_rng(3).standard_normal((60, 1)))
+    weight = np.full((60, 1), 0.25)  # 1 / noise: four times as noisy as the unit says
+    weight[5:9] = 0.0
+    windows = [replace(basis.windows[0], weight=weight)]
+    drawn = noise_of(replace(basis, windows=windows), 200)
+    assert (drawn[:, 5:9] == 0.0).all()
+    # of 200 x 56 draws
+    assert drawn[:, 9:].std() == pytest.approx(4.0 * np.sqrt(basis.information.variance), rel=0.05)
+
+
+def test_refusals(found: Identification) -> None:
+    with pytest.raises(InvalidInput, match="count"):
+        bootstrap(found, 0)
+    with pytest.raises(InvalidInput, match="no longer has its fit"):
+        bootstrap(replace(found, status="converged"))
+    result = Bootstrap(("mass",), np.array([[1.0], [2.0]]), 0, interrupted=False)
+    with pytest.raises(InvalidInput, match=r"no such parameter.*mass"):
+        result.interval("inertia")
+    with pytest.raises(InvalidInput, match="level"):
+        result.interval("mass", 1.0)

@@ -1,0 +1,349 @@
+"""Model choice: whiteness under projection, BIC against its definition, twins whose model is known, disagreement."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyperflex import compare_models
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.identification import _choice
+from hyperflex.identification._candidates import candidates, recut
+from hyperflex.identification._evidence import Evidence, criteria, error, recommend, worse
+from hyperflex.identification._identify import identify
+from hyperflex.identification._noise import Piece
+from hyperflex.identification._parameters import lumped
+from hyperflex.identification._prediction import HeldOut
+from hyperflex.identification._whiteness import whiteness
+from hyperflex.model import Rope
+from hyperflex.recording import Recording
+from hyperflex.simulation import simulate
+
+NOISE = 2e-3  # rad
+DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
+STIFF = DOUBLE.replace(stiffness=[0.0, 4e-3])
+GUESS = DOUBLE.replace(inertia=5e-4, friction=1e-3)
+MODELS = {"viscous": ["inertia", "friction"], "viscous + stiffness": ["inertia", "friction", "stiffness"]}
+
+
+def swing(rope: Rope, duration: float = 9.0, seed: int = 1) -> Recording:
+    t = np.arange(round(100 * duration) + 1) / 100
+    run = simulate(rope, duration=t[-1], t_eval=t, tol=1e-9, q0=[0.8, 1.2])
+    return Recording(t, run.q + NOISE * np.random.default_rng(seed).standard_normal(run.q.shape))
+
+
+# ---- whiteness
+
+
+def smooth(m: int, channels: int, degree: int) -> Array:
+    """Orthonormal polynomials (m C, k) in each channel: what a fit of states takes out."""
+    powers = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, m), degree))[0]
+    return np.einsum("mk,cd->mckd", powers, np.eye(channels)).reshape(m * channels, -1)
+
+
+def remains(noise: Array, there: Array, basis: Array) -> Piece:
+    """What is left of noise (m, C) where the basis is taken out of what is there."""
+    basis = np.linalg.qr(basis * there.reshape(-1, 1))[0]
+    flat = (noise * there).ravel()
+    return Piece((flat - basis @ (basis.T @ flat)).reshape(noise.shape) * there, there, basis.reshape(*noise.shape, -1))
+
+
+def drawn(rng: np.random.Generator, colour: float = 0.0, windows: int = 8) -> float:
+    """p of one draw: correlated channels, gaps, a state of four numbers a channel in each short window."""
+    mix = np.array([[1.0, 0.0], [-0.5, 0.8]])
+    parts = []
+    for _ in range(windows):
+        noise = rng.standard_normal((31, 2)) @ mix.T
+        noise = noise[1:] + colour * noise[:-1]
+        there = (rng.uniform(size=noise.shape) > 0.1).astype(float)
+        parts.append(remains(noise, there, smooth(30, 2, 4)))
+    return whiteness(parts)
+
+
+def test_white_noise_passes_as_often_as_it_should_whatever_a_fit_took_out() -> None:
+    """200 draws: p is uniform (Kolmogorov and Smirnov, to one in a thousand), and so at its low end, where it matters:
+
+    the part below 0.05 has a standard deviation of 1.5 %; 3.5 of them.
+    """
+    from scipy.stats import kstest
+
+    rng = np.random.default_rng(0)
+    p = np.array([drawn(rng, windows=6) for _ in range(200)])
+    assert kstest(p, "uniform").pvalue > 1e-3
+    assert abs((p < 0.05).mean() - 0.05) < 0.054
+
+
+def test_coloured_noise_is_seen() -> None:
+    """Neighbours correlated by 0.44, over some 400 values: z = 0.44 sqrt(400 / 1.2) = 8 of the first lag alone."""
+    rng = np.random.default_rng(1)
+    assert max(drawn(rng, 0.6) for _ in range(20)) < 0.01
+
+
+def test_one_channel_without_a_fit_is_the_test_of_ljung_and_box() -> None:
+    """Their statistic, written out; it differs by how N and the variance are counted, parts of 1 / N."""
+    from scipy.stats import chi2
+
+    e = np.random.default_rng(2).standard_normal(2000)
+    r = np.array([(e[k:] * e[:-k]).sum() / (e**2).sum() for k in range(1, 11)])
+    statistic = 2000 * 2002 * (r**2 / (2000 - np.arange(1, 11))).sum()
+    p = whiteness([Piece(e[:, None], np.ones((2000, 1)), np.zeros((2000, 1, 0)))])
+    assert p == pytest.approx(chi2.sf(statistic, 10), abs=2e-3)
+
+
+# ---- criterion
+
+
+def test_bic_is_schwarz_s_with_states_counted_in_their_own_window() -> None:
+    recording = swing(DOUBLE)
+    fits = [basis for free in MODELS.values() if (basis := identify(recording, GUESS, free, window=1.0)._basis)]
+    simple, rich = criteria(fits)
+    assert simple is not None
+    assert rich is not None
+    tau = min(each.information.correlation for each in fits)
+    for one, bic, parameters in ((fits[0], simple, 4), (fits[1], rich, 6)):
+        residuals = np.concatenate(one.fit.residuals)
+        each = [window.y.size for window in one.windows]
+        count = sum(each) / tau
+        states = sum(4 * np.log(size / tau) for size in each)
+        by_hand = count * np.log((residuals**2).mean()) + parameters * np.log(count) + states
+        assert bic == pytest.approx(by_hand, rel=1e-12)
+    fewer = replace(fits[1], windows=fits[1].windows[1:])
+    assert criteria([fits[0], fewer])[1] is None  # other samples: no comparison
+
+
+# ---- twins
+
+
+@pytest.fixture(scope="module")
+def stiff() -> _choice.ModelComparison:
+    return compare_models(swing(STIFF), GUESS, MODELS | {"nonsense": ["colour"]})
+
+
+def test_the_true_model_is_preferred_where_the_simpler_one_misses_something(stiff: _choice.ModelComparison) -> None:
+    assert stiff.preferred == "viscous + stiffness"
+    assert stiff.best is stiff["viscous + stiffness"].identification
+    assert stiff["viscous"].whiteness < 1e-6
+    assert stiff["viscous + stiffness"].whiteness > 0.01
+    assert stiff["viscous + stiffness"].held_out_rms < 0.6 * stiff["viscous"].held_out_rms
+    assert "BIC is lower by" in stiff.recommendation
+
+
+def test_the_simpler_model_is_preferred_where_it_is_true() -> None:
+    found = compare_models(swing(DOUBLE), GUESS, MODELS)
+    assert found.preferred == "viscous"
+    richer = found["viscous + stiffness"]
+    assert richer.bic is not None
+    assert found["viscous"].bic is not None
+    # Two idle parameters cost 2 ln N = 14.5 (N = 1442 values) and gain 0 at their bounds, else a chi squared's 2: at
+    # most 10 with a probability of 7e-3
+    assert 4.5 < richer.bic - found["viscous"].bic < 14.6
+
+
+def test_a_candidate_that_fails_is_told_with_its_reason(stiff: _choice.ModelComparison) -> None:
+    assert stiff["nonsense"].identification is None
+    assert "unknown name" in stiff["nonsense"].reason
+    assert "failed: free has an unknown name" in str(stiff)
+    assert stiff.status == "complete"
+    with pytest.raises(KeyError):
+        stiff["no such"]
+
+
+def test_the_table_has_names_and_units(stiff: _choice.ModelComparison, tmp_path: Path) -> None:
+    table = stiff.dataset
+    assert list(table["model"].values) == ["viscous", "viscous + stiffness", "nonsense"]
+    assert table["held_out_rms"].attrs["units"] == "rad"
+    assert np.isnan(table["bic"].sel(model="nonsense"))
+    stiff.to_json(tmp_path / "models.json")
+    content = json.loads((tmp_path / "models.json").read_text("utf-8"))
+    assert content["preferred"] == "viscous + stiffness"
+    assert content["models"][2]["held_out_rms"] is None
+    assert content["models"][1]["free"] == MODELS["viscous + stiffness"]
+    for name in MODELS:
+        assert name in str(stiff)
+
+
+def test_nothing_that_can_be_fitted_prefers_nothing() -> None:
+    found = compare_models(swing(DOUBLE), GUESS, {"one": ["colour"], "two": ["taste"]})
+    assert found.preferred is None
+    assert found.best is None
+    assert found.recommendation == "No candidate could be fitted."
+
+
+def test_ctrl_c_keeps_the_candidates_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+
+    def second_stops(*arguments: object, **options: object) -> object:
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return identify(*arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(_choice, "identify", second_stops)
+    found = compare_models(swing(DOUBLE), GUESS, MODELS)
+    assert found.status == "interrupted"
+    assert [model.name for model in found.models] == ["viscous"]
+    assert found.preferred == "viscous"
+    assert "nothing to compare it with" in found.recommendation
+    monkeypatch.setattr(_choice, "identify", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        compare_models(swing(DOUBLE), GUESS, MODELS)
+
+
+def test_all_candidates_are_cut_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The usual length of windows depends on the fastest link, and so on how many links there are."""
+    windows: list[object] = []
+
+    def noted(*arguments: object, **options: object) -> object:
+        windows.append(options["window"])
+        return identify(*arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(_choice, "identify", noted)
+    found = compare_models(swing(DOUBLE), GUESS, MODELS)
+    first = found["viscous"].identification
+    assert first is not None
+    assert windows == [None, first.settings["window"]]
+
+
+def test_a_richer_model_that_fits_worse_is_fitted_again_from_the_simpler(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its first fit is cut short, far off; what the simpler one found then starts it where it is no worse."""
+    recording = swing(STIFF)
+    guesses: list[Rope] = []
+
+    def poor_at_first(recording: Recording, guess: Rope, free: object, **options: object) -> object:
+        guesses.append(guess)
+        if len(guesses) == 2:
+            return identify(recording, guess, ["stiffness"], **options)  # type: ignore[arg-type]
+        return identify(recording, guess, free, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(_choice, "identify", poor_at_first)
+    found = compare_models(recording, GUESS, MODELS)
+    simple, rich = (found[name].identification for name in MODELS)
+    assert simple is not None
+    assert rich is not None
+    np.testing.assert_array_equal(guesses[2].inertia, simple.rope.inertia)
+    np.testing.assert_array_equal(guesses[2].stiffness, GUESS.stiffness)
+    assert rich.residual_rms_all < simple.residual_rms_all
+
+
+# ---- candidates
+
+
+def test_default_candidates_are_the_ones_that_resist() -> None:
+    guess = GUESS.replace(dry_friction=1e-3, stiffness=2e-3)
+    found = candidates(guess, ["inertia", "friction:shared"], None, [])
+    assert {each.name: each.free[2:] for each in found} == {
+        "viscous": (),
+        "viscous + dry": ("dry_friction:shared",),
+        "viscous + stiffness": ("stiffness:shared",),
+        "viscous + dry + stiffness": ("dry_friction:shared", "stiffness:shared"),
+    }
+    assert [float(each.guess.stiffness[0]) for each in found] == [0.0, 0.0, 2e-3, 2e-3]
+    assert [float(each.guess.dry_friction[0]) for each in found] == [0.0, 1e-3, 0.0, 1e-3]
+    started = candidates(GUESS, ["inertia", "friction"], None, [])[1].guess.dry_friction
+    np.testing.assert_allclose(started, 1e-3 * 9.81 * lumped(GUESS)[0])
+    own = candidates(guess, ["inertia", "friction", "stiffness[1]"], None, [])
+    assert own[2].free == ("inertia", "friction", "stiffness[1]")
+
+
+def test_cutting_a_rope_anew_keeps_what_it_weighs_and_how_it_hangs() -> None:
+    rope = Rope(length=[0.2, 0.3, 0.1], mass=[0.02, 0.06, 0.05], friction=[1e-3, 2e-4, 4e-4], tip_mass=0.01)
+    fine = recut(rope, 6)  # its cuts hold the old joints, so a straight rope is the same body
+    for one in (lumped(fine), lumped(recut(rope, 4))):
+        moment = one[0][0] + float((one[0][1:]).sum())
+        assert moment == pytest.approx(float(lumped(rope)[0].sum()), rel=1e-12)  # first moment of the straight rope
+    assert fine.total_mass == pytest.approx(rope.total_mass)
+    straight = [_about_the_joint(each) for each in (rope, fine)]
+    assert straight[1] == pytest.approx(straight[0], rel=1e-12)
+    assert fine.friction[0] == rope.friction[0]
+    same = recut(Rope.uniform(1.0, 0.1, 5, friction=2e-4), 10)
+    np.testing.assert_allclose(same.friction[1:], 4e-4)  # twice as many joints in series, each twice as stiff
+    np.testing.assert_allclose(same.mass, 0.01)
+    np.testing.assert_allclose(same.inertia, Rope.uniform(1.0, 0.1, 10).inertia)
+
+
+def _about_the_joint(rope: Rope) -> float:
+    """Moment of inertia of the straight rope about its first joint, kg m^2."""
+    starts = np.cumsum(rope.length) - rope.length
+    return float((rope.inertia + rope.mass * (starts + rope.com) ** 2).sum() + rope.tip_mass * rope.total_length**2)
+
+
+def test_numbers_of_links_are_compared_by_the_places_of_markers() -> None:
+    """Data of 4 links, markers at 5 places: 4 links explain them, 2 cannot, 1 even less."""
+    true = Rope.uniform(0.6, 0.05, 4, friction=1e-4)
+    t = np.arange(151) / 30
+    run = simulate(true, duration=5.0, t_eval=t, q0=np.linspace(0.5, 1.0, 4), tol=1e-9)
+    places = run.joints.reshape(t.size, -1) + 1e-3 * np.random.default_rng(0).standard_normal((t.size, 10))
+    recording = Recording(t, places, kind="markers", noise=1e-3)  # type: ignore[arg-type]
+    guess = true.replace(friction=3e-4)
+    found = compare_models(recording, guess, {"4 links": ["friction:shared"]}, links=[1, 2, 4], train=4.0)
+    assert found.preferred == "4 links"
+    assert [model.links for model in found.models] == [4, 1, 2]
+    assert found.unit == "m"
+    bic = [model.bic for model in found.models]
+    assert None not in bic
+    assert bic[0] < bic[2] < bic[1]  # type: ignore[operator]
+    with pytest.raises(InvalidInput, match="only by places"):
+        compare_models(swing(DOUBLE), GUESS, MODELS, links=[3])
+
+
+@pytest.mark.parametrize("models", [{}, ["inertia"], {"one": "inertia"}, {"one": 3}])
+def test_candidates_that_cannot_be_read_are_refused(models: object) -> None:
+    with pytest.raises(InvalidInput):
+        compare_models(swing(DOUBLE, 2.0), GUESS, models)  # type: ignore[arg-type]
+
+
+# ---- evidence that disagrees
+
+
+def held(errors: list[float]) -> HeldOut:
+    none = np.zeros(0)
+    rms = np.array(errors)[:, None]
+    return HeldOut(rms.mean(axis=0), rms, np.arange(len(errors)) * 1.0, 0.5, 1.0, none, none, none, none)
+
+
+def test_prediction_decides_where_bic_trusts_coloured_residuals() -> None:
+    simple = Evidence("simple", 4, 0.0, held([0.010, 0.011, 0.009, 0.010]), 0.5)
+    rich = Evidence("rich", 6, -40.0, held([0.015, 0.016, 0.014, 0.015]), 1e-5)
+    name, words = recommend([simple, rich], "rad")
+    assert name == "simple"
+    assert "The two disagree: BIC prefers rich, held-out prediction prefers simple (10 mrad against 15 mrad)" in words
+    name, words = recommend([simple, replace(rich, whiteness=0.4)], "rad")
+    assert name == "rich"
+    assert "are white noise, as BIC wants them" in words
+
+
+def test_the_simplest_comes_out_where_evidence_is_weak() -> None:
+    simple = Evidence("simple", 4, 3.0, held([0.0101, 0.0099, 0.0100]), 0.5)
+    rich = Evidence("rich", 6, 0.0, held([0.0100, 0.0100, 0.0099]), 0.5)
+    name, words = recommend([simple, rich], "rad")
+    assert name == "simple"
+    assert "no strong evidence" in words
+    assert "no clearly worse than rich" in words
+    name, words = recommend([replace(simple, bic=7.0), rich], "rad")
+    assert name == "rich"
+
+
+def test_a_choice_that_still_misses_something_says_so() -> None:
+    one, two = (Evidence(name, 4, bic, None, 1e-9) for name, bic in (("one", 0.0), ("two", 30.0)))
+    name, words = recommend([one, two], "rad")
+    assert name == "one"
+    assert "Nothing was held out or could be predicted" in words
+    assert "all candidates miss something" in words
+
+
+def test_a_prediction_is_worse_beyond_its_scatter_only() -> None:
+    best = held([0.010, 0.020, 0.010, 0.020])
+    assert not worse(held([0.012, 0.019, 0.012, 0.019]), best)  # here better, there worse
+    assert worse(held([0.012, 0.022, 0.012, 0.022]), best)
+    assert worse(held([0.012, 0.022, np.inf, 0.022]), best)
+    assert not worse(held([0.0101, 0.0201, 0.0101, 0.0201]), best)  # sure, and too small to matter
+    assert worse(held([0.0112]), held([0.010]))  # one stretch: 10 %
+    assert not worse(held([0.0109]), held([0.010]))
+    assert error(None) == np.inf
+    failed = [Evidence(name, 4, bic, held([np.inf]), 0.5) for name, bic in (("one", 0.0), ("two", 30.0))]
+    assert recommend(failed, "rad")[0] == "one"

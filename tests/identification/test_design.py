@@ -1,0 +1,175 @@
+"""Experiment design: predicted deviations against many fits, scaling laws, ranking, advice where none can tell."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hyperflex import Arm, Experiment, Recording, Rope, design, identify, simulate, swings
+from hyperflex.errors import InvalidInput
+from hyperflex.identification import _design
+from hyperflex.identification._experiments import motions, variations
+from hyperflex.identification._foresight import foresee
+
+SINGLE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
+DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
+SHORT = Experiment("short", q0=0.8, rate=40.0, duration=3.0)
+NOISE = 2e-3
+
+
+def test_predicted_deviations_are_those_of_many_fits() -> None:
+    """40 twins: an sd from 40 draws is known to 1 / sqrt(78) = 11 %; 3.5 of these. Stated sds agree much better."""
+    planned = design(SINGLE, ["inertia", "friction"], [SHORT], noise=NOISE).plans[0]
+    run = simulate(SINGLE, duration=3.0, t_eval=SHORT.t, q0=[0.8], tol=1e-9)
+    values, stated = [], []
+    for seed in range(40):
+        noise = NOISE * np.random.default_rng(seed).standard_normal(run.q.shape)
+        found = identify(Recording(SHORT.t, run.q + noise), SINGLE, ["inertia", "friction"], train=np.inf)
+        values.append([float(found.values[name][0]) for name in ("inertia", "friction")])
+        stated.append([float(found.sd[name][0]) for name in ("inertia", "friction")])
+    predicted = np.array(list(planned.sd.values()))
+    np.testing.assert_allclose(np.std(values, axis=0, ddof=1), predicted, rtol=0.39)
+    # The fits estimate the noise from some 115 values (6 % each, 1 % on the mean) and differ in curvature by the noise
+    np.testing.assert_allclose(np.mean(stated, axis=0), predicted, rtol=0.05)
+
+
+def test_markers_are_foreseen_as_a_fit_of_places_sees_them() -> None:
+    """One fit: its sd follows from 720 values' noise, known to 1 / sqrt(1440) = 3 %; three and a half of these."""
+    look = Experiment("markers", q0=[0.8, 1.2], rate=40.0, duration=3.0, markers=3)
+    planned = design(DOUBLE, "inertia", [look], noise=1e-3).plans[0]
+    run = simulate(DOUBLE, duration=3.0, t_eval=look.t, q0=[0.8, 1.2], tol=1e-9)
+    places = run.joints[:, [0, 1, 2]].copy()
+    arcs = np.linspace(0.0, 0.55, 3)  # the middle marker sits on the first link, 25 mm before its end
+    along = np.stack([np.sin(run.q[:, 0]), -np.cos(run.q[:, 0])], axis=1)
+    places[:, 1] = arcs[1] * along
+    seen = places.reshape(look.t.size, -1) + 1e-3 * np.random.default_rng(0).standard_normal((look.t.size, 6))
+    recording = Recording(look.t, seen, kind="markers", noise=1e-3)  # type: ignore[arg-type]
+    found = identify(recording, DOUBLE, ["inertia", "friction"], arcs=arcs, train=np.inf)
+    np.testing.assert_allclose(found.sd["inertia"], list(planned.sd.values()), rtol=0.1)
+
+
+def test_noise_and_frame_rate_scale_as_they_must() -> None:
+    """Deviations are proportional to the noise, exactly; four times the frames halve them but for the ends' share."""
+    noisy = [design(SINGLE, "friction", [SHORT], noise=size).plans[0].sd["friction[0]"] for size in (1e-3, 3e-3)]
+    assert noisy[1] / noisy[0] == pytest.approx(3.0, rel=1e-9)
+    often = [Experiment("", q0=0.8, rate=rate, duration=4.0) for rate in (50.0, 200.0)]
+    slow, fast = (design(SINGLE, "friction", [each]).plans[0].sd["friction[0]"] for each in often)
+    assert slow / fast == pytest.approx(2.0, rel=0.1)
+    own = Experiment("own noise", q0=0.8, rate=40.0, duration=3.0, noise=3e-3)
+    assert design(SINGLE, "friction", [own], noise=1e-3).plans[0].sd["friction[0]"] == pytest.approx(noisy[1])
+
+
+def test_candidates_are_ranked_and_the_best_is_named() -> None:
+    small = Experiment("small", q0=0.1, rate=40.0, duration=3.0)
+    impossible = Experiment("impossible", q0=[0.1, 0.2, 0.3])
+    still = Experiment("still", rate=40.0, duration=3.0)
+    found = design(SINGLE, "friction", [small, impossible, still, SHORT])
+    assert [plan.experiment.name for plan in found.plans[:2]] == ["short", "small"]
+    assert found.best is found.plans[0]
+    assert "Make: short" in found.advice
+    assert "small would leave" in found.advice
+    assert "Cannot tell: still" in found.advice
+    assert "wrong shape" in next(plan.reason for plan in found.plans if plan.experiment is impossible)
+    assert found.status == "complete"
+
+
+def test_the_table_and_the_file_hold_what_was_found(tmp_path: Path) -> None:
+    found = design(DOUBLE, ["friction", "J/p1"], [Experiment("a swing", q0=0.8, rate=40.0, duration=3.0)])
+    plan = found.plans[0]
+    assert list(plan.sd) == ["friction[0]", "friction[1]", "J/p1[0]", "J/p1[1]"]
+    assert plan.score == max(plan.relative.values())
+    assert plan.relative["friction[1]"] == pytest.approx(plan.sd["friction[1]"] / 1e-4)
+    assert "a swing" in str(found)
+    found.to_json(tmp_path / "design.json")
+    content = json.loads((tmp_path / "design.json").read_text("utf-8"))
+    assert content["plans"][0]["sd"]["J/p1[1]"] == plan.sd["J/p1[1]"]
+    assert content["plans"][0]["markers"] is None
+
+
+def test_by_default_motions_are_tried_first_and_the_best_is_varied() -> None:
+    found = design(DOUBLE, "inertia", arm=Arm(length=0.1))
+    names = [plan.experiment.name for plan in found.plans]
+    first = [each.name for each in motions(DOUBLE, Arm(length=0.1))]
+    assert len(first) == 7
+    assert set(first) < set(names)
+    assert found.best is not None
+    motion = next(name for name in names if name in first)  # the best as it was looked at first
+    by_name = {plan.experiment.name: plan.score for plan in found.plans}
+    assert by_name[f"{motion}, 120 frames/s"] < by_name[motion] < by_name[f"{motion}, 7.5 frames/s"]
+    assert by_name[f"{motion}, 20 s"] < by_name[motion] < by_name[f"{motion}, 5 s"]
+    assert [each.markers for each in variations(Experiment("", markers=11))[4:]] == [3, 6]
+    assert [each.markers for each in variations(Experiment("", markers=6))[4:]] == [3]
+
+
+def test_a_common_factor_is_said_to_need_scales_or_a_torque() -> None:
+    swing = Experiment("swing", swings(t_move=0.7, t_rest=0.4), rate=40.0, duration=4.0)
+    found = design(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=["inertia", "mass", "friction"])
+    assert found.best is None
+    assert np.isinf(found.plans[0].score)
+    assert "No candidate can tell inertia[0], inertia[1]: no known force or torque acts" in found.advice
+    assert "Weigh the links and leave mass out of free: then swing tells inertia to" in found.advice
+    assert "Or measure the motor's torque" in found.advice
+    assert "want=['J/p1', 'p/p1', 'c/p1']" in found.advice
+    # and what it promises is so
+    weighed = design(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=["inertia", "friction"])
+    assert f"tells inertia to {100 * weighed.plans[0].score:.3g} %" in found.advice
+    masses = design(DOUBLE, "mass", [Experiment("", q0=0.8, duration=3.0)], free=["mass", "inertia", "friction"])
+    assert "Weigh it" in masses.advice
+    assert "Or swing it by a motor whose torque is measured" in masses.advice
+    ratio = design(DOUBLE, "J/p1", [swing], arm=Arm(length=0.1), free=["inertia", "mass", "friction"])
+    assert ratio.best is not None
+
+
+def test_what_does_not_act_is_told_from_a_common_factor() -> None:
+    found = design(SINGLE, "length", [SHORT], free=["inertia", "length"])
+    assert found.best is None
+    assert "No candidate can tell length[0]: it does not act in these motions" in found.advice
+
+
+def test_a_measured_torque_is_foreseen() -> None:
+    move = swings(t_move=0.7, t_rest=0.4, profile="minimum-jerk")
+    looks = [Experiment(f"{noise:g}", move, duration=4.0, rate=40.0, torque_noise=noise) for noise in (0.02, 0.08)]
+    found = design(DOUBLE, "mass", looks, arm=Arm(length=0.1), free=["mass", "inertia", "friction", "arm_inertia"])
+    assert [plan.experiment.name for plan in found.plans] == ["0.02", "0.08"]
+    # Beside a torque as noisy as this the angles tell the ratios exactly: the scale is as uncertain as the torque
+    assert found.plans[1].score / found.plans[0].score == pytest.approx(4.0, rel=0.1)
+    still = design(DOUBLE, "friction", [Experiment("", q0=0.8, duration=3.0, torque_noise=1e-3)])
+    assert "the torque of no motor" in still.plans[0].reason
+    assert still.best is None
+    assert still.advice == "No candidate could be simulated."
+
+
+def test_ctrl_c_keeps_what_was_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    def second_stops(rope: Rope, experiment: Experiment, *others: object) -> object:
+        if experiment.name == "second":
+            raise KeyboardInterrupt
+        return foresee(rope, experiment, *others)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(_design, "foresee", second_stops)
+    second = Experiment("second", q0=0.5)
+    found = design(SINGLE, "friction", [SHORT, second])
+    assert found.status == "interrupted"
+    assert [plan.experiment.name for plan in found.plans] == ["short"]
+    with pytest.raises(KeyboardInterrupt):
+        design(SINGLE, "friction", [second])
+
+
+def test_wrong_questions_are_refused() -> None:
+    with pytest.raises(InvalidInput, match="want names what is not free"):
+        design(SINGLE, "mass", [SHORT])
+    with pytest.raises(InvalidInput, match="unknown name"):
+        design(SINGLE, "friction", [SHORT], free=["colour"])
+    with pytest.raises(InvalidInput, match="no experiments"):
+        design(SINGLE, "friction", [])
+    with pytest.raises(InvalidInput, match="no experiments"):
+        design(SINGLE, "friction", [swings()])  # type: ignore[list-item]
+    for wrong in ({"rate": 0.0}, {"duration": -1.0}, {"markers": 1}, {"noise": 0.0}, {"torque_noise": -1.0}):
+        with pytest.raises(InvalidInput):
+            Experiment("wrong", **wrong)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="too few frames"):
+        Experiment("wrong", rate=1.0, duration=1.0)
+    with pytest.raises(InvalidInput, match="noise"):
+        design(SINGLE, "friction", [SHORT], noise=-1.0)

@@ -1,0 +1,232 @@
+"""Profile likelihood: closed forms of linear problems, bounds that are felt, and what a result keeps and tells."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq, lsq_linear
+from scipy.stats import f, norm
+
+from hyperflex import files
+from hyperflex.errors import InvalidInput
+from hyperflex.identification import Identification, _intervals, identify, profile
+from hyperflex.identification._intervals import all_intervals, skewed
+from hyperflex.identification._loss import Loss
+from hyperflex.identification._profile import profiled
+from hyperflex.identification._threshold import _rise, quantile, threshold
+from hyperflex.model import Rope
+from hyperflex.recording import Recording
+from hyperflex.simulation import simulate
+from tests.identification.linear import autoregressive, fitted, waves
+
+NOISE = 0.01  # rad
+PAPER = Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)
+FREE = ["inertia:shared", "friction:shared"]
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    t = np.arange(22) / 7.5
+    run = simulate(PAPER, duration=t[-1], t_eval=t, q0=[0.9, 1.0, 1.1, 1.2, 1.3], tol=1e-9)
+    return Recording(t, run.q + NOISE * np.random.default_rng(1).standard_normal(run.q.shape))
+
+
+def swung(recording: Recording, rope: Rope, free: list[str], **options: object) -> Identification:
+    return identify(recording, rope, free, window=np.inf, train=np.inf, **options)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def found(recording: Recording) -> Identification:
+    return swung(recording, PAPER, FREE)
+
+
+# ---- limits
+
+
+@pytest.mark.parametrize("freedom", [8.0, 100.0, 1e9])
+def test_away_from_bounds_the_limit_is_that_of_f(freedom: float) -> None:
+    expected = f.ppf(0.95, 1, freedom)
+    assert quantile(0.95, freedom) == pytest.approx(expected, rel=1e-5)  # 1e9 is taken as infinite
+    far = np.array([np.inf, 5.0])
+    assert threshold(0.95, freedom, 0, np.eye(2), far) == quantile(0.95, freedom)
+
+
+@pytest.mark.parametrize("above", [0.0, 0.3, 1.0, 1.7, 3.0])
+def test_beside_its_own_bound_intervals_hold_the_truth_as_often_as_they_say(above: float) -> None:
+    """One parameter of sd 1, the truth at `above`; estimates u below 0 become 0.
+
+    The rise at the truth is (u - above)^2 for u >= 0, else above^2 - 2 u above.
+    """
+
+    def held(limit: float) -> float:
+        root = np.sqrt(limit)
+        if root <= above:
+            return float(2.0 * norm.cdf(root) - 1.0)
+        if above == 0.0:
+            return float(norm.cdf(root))
+        return float(norm.cdf(root) - norm.cdf(-0.5 * (above**2 + limit) / above))
+
+    expected = brentq(lambda limit: held(limit) - 0.95, 0.5, 4.0)
+    limit = threshold(0.95, 1e9, 0, np.array([[4.0]]), np.array([2.0 * above]))
+    assert held(limit) == pytest.approx(0.95, abs=4e-3)  # 4,000 draws: 0.0034, less what the F quantile cancels
+    assert limit == pytest.approx(expected, rel=0.04)  # the same, by the slope of `held`
+
+
+def test_the_least_squares_beside_bounds_are_the_least() -> None:
+    random = np.random.default_rng(2)
+    root = random.standard_normal((5, 3))
+    inverse = root.T @ root
+    limit = np.array([-0.5, -0.1, -np.inf])
+    wanted = 2.0 * random.standard_normal((40, 3))
+    everything, tested = _rise(wanted, inverse, limit, tested=False), _rise(wanted, inverse, limit, tested=True)
+    for k, u in enumerate(wanted):
+        free = lsq_linear(root, root @ u, bounds=(limit, np.inf), tol=1e-12)
+        rest = lsq_linear(root[:, 1:], root @ u, bounds=(limit[1:], np.inf), tol=1e-12)
+        assert everything[k] == pytest.approx(2.0 * free.cost, abs=1e-3)  # SETTLED, times the curvature
+        assert tested[k] == pytest.approx(2.0 * rest.cost, abs=1e-3)
+
+
+def test_a_bound_of_another_parameter_is_felt_by_correlation_only() -> None:
+    usual, above = quantile(0.95, 1e9), np.array([np.inf, 0.5])
+    apart, tied = (threshold(0.95, 1e9, 0, np.array([[1.0, r], [r, 1.0]]), above) for r in (0.0, 0.8))
+    assert apart == pytest.approx(usual, rel=1e-3)
+    assert tied < 0.95 * usual  # the bound tells something of it: fewer values are allowed
+
+
+# ---- profiles
+
+
+def test_a_linear_problem_has_the_interval_of_its_covariance() -> None:
+    basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
+    plain = all_intervals(basis, "covariance")
+    for k, (label, one) in enumerate(plain.items()):
+        found = profiled(basis, k, 0.95, points=3)
+        width = one.high - one.low
+        assert (found.low, found.high) == pytest.approx((one.low, one.high), abs=0.005 * width)  # CLOSE
+        assert found.ends == ("crossed", "crossed")
+        scale = 0.5 * width / np.sqrt(found.limit[0])
+        middle = basis.plant.parameters.values(basis.fit.x)[k]
+        np.testing.assert_allclose(found.rise, ((found.values - middle) / scale) ** 2, atol=1e-6)  # a parabola
+        assert found.values.size >= 9
+        assert not skewed(basis, k)
+        assert label == found.name
+
+
+@pytest.mark.parametrize("at", [True, False])
+def test_an_estimate_at_its_bound_or_near_it_has_it_as_its_end(at: bool) -> None:
+    plant = waves(60, truth=np.array([0.0, 10.0]))
+    draws = (fitted(plant, np.random.default_rng(k).standard_normal((60, 1))) for k in range(99))
+    basis = next(b for b in draws if (b.fit.x[0] == 0.0) == at and b.fit.x[0] ** 2 < b.information.covariance[0, 0])
+    one = profiled(basis, 0, 0.95)
+    assert (one.low, one.ends) == (0.0, ("bound", "crossed"))
+    assert one.high > 0.0
+
+
+def test_what_is_tied_to_a_parameter_beside_its_bound_is_skewed() -> None:
+    noise = np.random.default_rng(4).standard_normal((60, 1))
+    beside = np.array([0.1, 10.0])
+    tied, apart = (fitted(waves(60, truth=beside, tied=tied), noise) for tied in (0.8, 0.0))
+    assert [skewed(tied, 0), skewed(tied, 1)] == [True, True]
+    assert [skewed(apart, 0), skewed(apart, 1)] == [True, False]
+
+
+def test_coloured_noise_widens_a_profile_as_it_does_the_covariance() -> None:
+    basis = fitted(waves(120), autoregressive(np.random.default_rng(4), (120, 1), 0.8))
+    assert basis.information.terms.size > 0
+    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(basis, 0, 0.95)
+    assert (found.low, found.high) == pytest.approx((one.low, one.high), abs=0.005 * (one.high - one.low))
+
+
+def test_robust_losses_profile_what_their_covariance_says() -> None:
+    random = np.random.default_rng(4)
+    noise = random.standard_normal((300, 1)) * np.where(random.uniform(size=(300, 1)) < 0.05, 10.0, 1.0)
+    basis = fitted(waves(300), noise, "huber")
+    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(basis, 0, 0.95)
+    assert Loss("huber", 2.0, fixed=True).scaled([noise.ravel()]).scale == 2.0  # costs along it are of one kind
+    # Huber's formula takes the mean of psi', the profile each residual's own: alike to some 1 / sqrt(300)
+    assert found.high - found.low == pytest.approx(one.high - one.low, rel=0.15)
+
+
+def test_the_papers_inertia_ends_at_0_and_at_a_value_that_the_data_refuse(
+    recording: Recording, found: Identification
+) -> None:
+    one = profile(found, "inertia:shared", points=2)
+    assert (one.low, one.ends) == (0.0, ("bound", "crossed"))
+    assert found.intervals["inertia:shared"].kind == "profile"
+    assert found.intervals["inertia:shared"].high == pytest.approx(one.high)
+    assert found.intervals["friction:shared"].kind == "profile"  # it correlates with the inertia by some -0.5
+    assert PAPER.inertia[0] in found.intervals["inertia:shared"]
+    # By another way: with the inertia held there, friction and state alone are fitted.
+    held = swung(recording, PAPER.replace(inertia=one.high), ["friction:shared"], intervals=None)
+    squares = [(r.residuals**2).sum() for r in (held, found)]
+    freedom = recording.data.size - 10 - 2
+    rise = (squares[0] - squares[1]) / (squares[1] / freedom)
+    assert rise == pytest.approx(
+        np.interp(one.high, one.values, one.limit), rel=0.02
+    )  # ends are found to CLOSE, 0.01 of 2 sd
+    assert (np.diff(one.values) > 0.0).all()
+
+
+def test_what_cannot_be_known_has_no_limits() -> None:
+    rope = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
+    t = np.arange(61) / 20.0
+    run = simulate(rope, duration=t[-1], t_eval=t, q0=[0.9], tol=1e-9)
+    noise = NOISE * np.random.default_rng(0).standard_normal(run.q.shape)
+    found = swung(Recording(t, run.q + noise), rope, ["inertia", "com", "friction"], intervals="profile")
+    for name in found.parameters:
+        assert found.intervals[name].kind == "unknown"
+        assert np.isinf(found.intervals[name].high)
+        one = profile(found, name)
+        assert np.isinf(one.high)
+        assert one.ends[1] == "open"
+    low, high = found.ratios["J/p1"] - 3.0 * found.ratio_sd["J/p1"], found.ratios["J/p1"] - 1.5 * found.ratio_sd["J/p1"]
+    assert low[0] < found.intervals["J/p1[0]"].low < high[0]
+    assert "p/p1[0]" not in found.intervals  # 1 by definition
+
+
+# ---- what a result tells
+
+
+def test_results_hold_the_intervals_by_name(found: Identification, tmp_path: Path) -> None:
+    found.to_json(tmp_path / "fit.json")
+    content = json.loads((tmp_path / "fit.json").read_text())["intervals"]
+    one = found.intervals["inertia:shared"]
+    assert content["inertia:shared"] == {"low": 0.0, "high": one.high, "kind": "profile"}
+    found.to_toml(tmp_path / "fit.toml")
+    assert files.read_toml(tmp_path / "fit.toml")["identification"]["intervals"]["inertia:shared"]["high"] == one.high
+    assert "95 % inertia:shared 0 to " in str(found)
+
+
+def test_intervals_are_found_as_asked(recording: Recording) -> None:
+    assert swung(recording, PAPER, FREE, intervals=None).intervals == {}
+    plain = swung(recording, PAPER, FREE, intervals="covariance").intervals
+    assert {plain[name].kind for name in FREE} == {"covariance"}
+    assert (plain["inertia:shared"].low, plain["inertia:shared"].ends[0]) == (0.0, "bound")
+    with pytest.raises(InvalidInput, match="intervals"):
+        swung(recording, PAPER, FREE, intervals="exact")
+
+
+def test_refusals(found: Identification) -> None:
+    with pytest.raises(InvalidInput, match=r"no such parameter.*inertia:shared"):
+        profile(found, "inertia")
+    for level in (0.0, 1.0, np.nan):
+        with pytest.raises(InvalidInput, match="level"):
+            profile(found, FREE[0], level)
+    with pytest.raises(InvalidInput, match="no longer has its fit"):
+        profile(replace(found, status="converged"), FREE[0])
+
+
+def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_intervals, "profiled", interrupted)
+    result = swung(recording, PAPER, FREE)
+    assert {result.intervals[name].kind for name in FREE} == {"covariance"}
+    assert result.status == "converged"

@@ -1,0 +1,287 @@
+"""Motor torque as a measured channel: against the dense reference, its slopes, and a twin whose scale it fixes."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hyperflex import Arm, Identification, Recording, Rope, Trajectory, compare_models, hold, identify, simulate, swings
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.identification._identify import planned
+from hyperflex.identification._plant import Plant
+from hyperflex.identification._torque import MotorTorque
+from tests.reference import dense
+from tests.reference.arm import bang_bang_swings, links_of
+
+ROPE = Rope(
+    length=[0.3, 0.25],
+    mass=[0.1, 0.06],
+    com=[0.14, 0.13],
+    inertia=[8e-4, 3.5e-4],
+    friction=[3e-4, 1e-4],
+    stiffness=[1e-3, 2e-3],
+    tip_mass=0.01,
+)
+ARM = Arm(length=0.1, inertia=2e-4, mass=0.05, com=0.04, friction=1e-3)
+MOVE = swings(t_move=0.7, t_rest=0.4, profile="minimum-jerk")
+NOISE, TORQUE_NOISE = 2e-3, 5e-3  # rad; N m, some 2 % of its rms
+SCALED = ["mass", "inertia", "friction"]
+
+
+def run(rope: Rope = ROPE, duration: float = 5.0) -> Trajectory:
+    t = np.arange(round(50 * duration) + 1) / 50
+    return simulate(rope, MOVE, arm=ARM, duration=duration, t_eval=t, tol=1e-9)
+
+
+def plant(free: list[str], rope: Rope = ROPE) -> Plant:
+    recording = Recording([0.0, 1.0], np.zeros((2, 2)))  # type: ignore[arg-type]
+    return planned(recording, rope, free, None, None, MOVE, ARM, torque=True)
+
+
+# ---- the function and its slopes
+
+
+def by_matrices(rope: Rope, arm: Arm, t: float, q: Array, w: Array, grip: Array | None = None) -> Any:
+    """Motor torque of the paper's bang-bang swings, from dense matrices in long doubles."""
+    stretch = next(each for each in bang_bang_swings(0.7, 0.4, 10.0) if each.end > t)
+    base = stretch.base(t, arm.length)
+    answer = dense.accelerations(links_of(rope), q, w, base, grip=grip)
+    angle, rate, acceleration = base[4], base[3], base[2]
+    lever = arm.length * (np.cos(angle) * answer.force[0] + np.sin(angle) * answer.force[1])
+    weight = -arm.mass * arm.com * (rope.gravity[0] * np.cos(angle) + rope.gravity[1] * np.sin(angle))
+    turning = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
+    return answer.torque + lever + weight + turning
+
+
+def states(rng: np.random.Generator, m: int = 20) -> tuple[Array, Array]:
+    """Times away from the switches and random states."""
+    t = np.sort(rng.uniform(0.0, 2.0, m))
+    return t, np.hstack([rng.uniform(-2.0, 2.0, (m, 2)), rng.uniform(-8.0, 8.0, (m, 2))])
+
+
+@pytest.mark.parametrize("model", ["relative", "printed"])
+def test_torque_is_that_of_dense_matrices(model: str) -> None:
+    """Rounding of a sweep: some hundred operations on torques of about 1 N m."""
+    rope = ROPE.replace(friction_model=model)
+    t, y = states(np.random.default_rng(0))
+    drive = _drive(swings(0.7, 0.4))
+    seen = MotorTorque(ARM).see(rope.chain(), drive, np.array([ARM.inertia, ARM.friction]), t, y)
+    expected = [float(by_matrices(rope, ARM, s, row[:2], row[2:])) for s, row in zip(t, y, strict=True)]
+    np.testing.assert_allclose(seen, expected, rtol=1e-10, atol=1e-12)
+
+
+def _drive(motion: Any, rope: Rope = ROPE) -> Any:
+    from hyperflex.model import Setup
+
+    return Setup(rope, motion, ARM).drive()
+
+
+def test_torque_of_a_stuck_joint_is_what_it_bears() -> None:
+    rope = ROPE.replace(dry_friction=[5.0, 5.0])  # more than the motion can break
+    stretch = next(iter(bang_bang_swings(0.7, 0.4, 1.0)))
+    rate = stretch.at(0.2)[1]
+    q, w = np.array([0.3, 0.5]), np.full(2, rate)
+    own = np.array([ARM.inertia, ARM.friction])
+    t, y = np.array([0.2]), np.hstack([q, w])[None]
+    drive = _drive(swings(0.7, 0.4), rope)
+    seen = MotorTorque(ARM).see(rope.chain(), drive, own, t, y)
+    stuck = by_matrices(rope, ARM, 0.2, q, w, grip=np.zeros(2))
+    assert float(seen[0]) == pytest.approx(float(stuck), rel=1e-10)
+    # it moves as one body: along the arm's turning the slopes see no friction jump
+    slope = MotorTorque(ARM).slopes(rope.chain(), drive, own, (), t, y, np.eye(4)[None])
+    ahead, behind = (by_matrices(rope, ARM, 0.2, q + np.array([h, 0.0]), w, grip=np.zeros(2)) for h in (1e-6, -1e-6))
+    assert slope[0, 0] == pytest.approx(float((ahead - behind) / 2e-6), rel=1e-6)
+
+
+def test_slopes_by_the_state_are_those_of_the_reference() -> None:
+    """The reference differenced in long doubles with 1e-7 errs by 1e-11 or less; the kernel by 1e-5 squared."""
+    t, y = states(np.random.default_rng(1))
+    own = np.array([ARM.inertia, ARM.friction])
+    chain, drive = ROPE.chain(), _drive(swings(0.7, 0.4))
+    slopes = MotorTorque(ARM).slopes(chain, drive, own, (), t, y, np.broadcast_to(np.eye(4), (t.size, 4, 4)))
+    exact = np.empty_like(slopes)
+    step = np.longdouble(1e-7)
+    for k, (time, row) in enumerate(zip(t, y, strict=True)):
+        for i in range(4):
+            ends = [row + sign * step * np.eye(4, dtype=np.longdouble)[i] for sign in (1, -1)]
+            up, down = (by_matrices(ROPE, ARM, time, each[:2], each[2:]) for each in ends)
+            exact[k, i] = float((up - down) / (2 * step))
+    # by an angle the third derivative is some 30 times the first at these rates: 30 / 6 * 1e-10, and rounding 1e-10
+    np.testing.assert_allclose(slopes, exact, rtol=1e-8, atol=2e-8)
+
+
+def test_slopes_by_the_parameters_are_those_of_the_reference() -> None:
+    """At fixed states; differences of 1e-5 on either side err by 1e-10 times a third derivative, and so do ours."""
+    t, y = states(np.random.default_rng(2))
+    own = np.array([ARM.inertia, ARM.friction])
+    free = ["inertia", "mass", "com", "length", "friction", "stiffness", "tip_mass", "gravity_angle"]
+    rope = ROPE.replace(gravity=(2.0, -9.0))
+    parameters = plant(free, rope).parameters
+    x = parameters.start
+    parts = tuple(part for _, part in parameters.parts(x, rope))
+    still = np.zeros((t.size, 4, 4 + len(parts)))
+    slopes = MotorTorque(ARM).slopes(rope.chain(), _drive(swings(0.7, 0.4)), own, parts, t, y, still)
+    for k, label in enumerate(parameters.labels):
+        ends = [parameters.rope(x + h * np.eye(x.size)[k]) for h in (1e-5, -1e-5)]
+        for row, time in enumerate(t):
+            up, down = (by_matrices(each, ARM, time, y[row, :2], y[row, 2:]) for each in ends)
+            assert slopes[row, 4 + k] == pytest.approx(float((up - down) / 2e-5), rel=1e-7, abs=1e-9), label
+
+
+def test_slopes_by_everything_are_those_of_whole_rollouts() -> None:
+    """Fourth-order differences of rollouts: these err by some 1e-7 rad, which over a step of 3e-3 makes 3e-5 N m."""
+    free = ["inertia", "mass", "com", "length[0]", "friction", "stiffness", "tip_mass", "gravity_angle", "delay"]
+    subject = plant([*free, "arm_inertia", "arm_friction"])
+    x = subject.parameters.start
+    t = np.arange(30, 61) / 50  # while the arm moves
+    swing = run(duration=1.3)
+    state = np.concatenate([swing.q[30], swing.qd[30]])
+    found = subject.slopes(x, t, state)
+    assert found is not None
+    assert found.channels.shape == (31, 3)
+
+    def seen(k: int, h: float) -> Array:
+        result = subject.predict(x + h * np.eye(x.size)[k], t, state)
+        assert result is not None
+        return result
+
+    h = 3e-3
+    for k, label in enumerate(subject.parameters.labels):
+        numeric = (8.0 * (seen(k, h) - seen(k, -h)) - (seen(k, 2 * h) - seen(k, -2 * h))) / (12.0 * h)
+        assert np.abs(found.shared[:, 2, k] - numeric[:, 2]).max() < 6e-5, label
+        assert np.abs(found.shared[:, 2, k]).max() > 1.8e-3, label  # 30 times as much
+    for i in range(4):
+        ends = [subject.predict(x, t, state + sign * 1e-4 * np.eye(4)[i]) for sign in (1.0, -1.0)]
+        assert ends[0] is not None
+        assert ends[1] is not None
+        numeric = (ends[0] - ends[1]) / 2e-4
+        np.testing.assert_allclose(found.state[:, 2, i], numeric[:, 2], atol=2e-3 * np.abs(numeric[:, 2]).max())
+
+
+def test_what_the_plant_sees_is_what_the_simulator_calls_motor_torque() -> None:
+    swing = run()
+    subject = plant(["mass"])
+    seen = subject.predict(subject.parameters.start, swing.t[:60], np.concatenate([swing.q[0], swing.qd[0]]))
+    assert seen is not None
+    # two runs of tolerances 1e-9 and 6e-8 m
+    np.testing.assert_allclose(seen[:, 2], swing.motor_torque[:60], atol=1e-5 * np.abs(swing.motor_torque).max())
+    assert subject.without_torque().motor is None
+
+
+# ---- the twin
+
+
+@cache
+def measured() -> tuple[Recording, Array]:
+    """Angles and torque of the twin; simulated, with noise."""
+    swing = run(ROPE.replace(stiffness=0.0, tip_mass=0.0))
+    rng = np.random.default_rng(3)
+    recording = Recording(swing.t, swing.q + NOISE * rng.standard_normal(swing.q.shape), noise=NOISE)  # type: ignore[arg-type]
+    torque = swing.motor_torque + TORQUE_NOISE * rng.standard_normal(swing.t.size)
+    return recording, torque
+
+
+GUESS = ROPE.replace(stiffness=0.0, tip_mass=0.0, mass=[0.14, 0.09], inertia=5e-4, friction=1e-3)
+LIGHT = Arm(length=0.1, inertia=5e-5, mass=0.05, com=0.04, friction=1e-3)
+BARE = Arm(length=0.1, mass=0.05, com=0.04, friction=1e-3)
+
+
+@cache
+def fit(*, torque: bool) -> Identification:
+    recording, values = measured()
+    if not torque:
+        return identify(recording, GUESS, SCALED, motion=MOVE, arm=LIGHT)
+    free = [*SCALED, "arm_inertia"]
+    return identify(recording, GUESS, free, motion=MOVE, arm=LIGHT, torque=values, torque_noise=TORQUE_NOISE)
+
+
+def test_without_the_torque_the_scale_is_unknown() -> None:
+    found = fit(torque=False)
+    assert found.verdict[0].startswith("One common factor of mass, inertia, friction cannot be known")
+    assert np.isinf(found.sd["mass"]).all()
+    assert found.torque_residuals is None
+    assert "torque_rms" not in found.summary()
+
+
+def test_the_torque_fixes_the_scale() -> None:
+    """Every figure within 4 of its stated standard deviations, which leave 6e-5 each to chance."""
+    found = fit(torque=True)
+    assert found.identifiable
+    assert found.verdict[0].startswith("All free parameters can be known")
+    for name, truth in (("mass", ROPE.mass), ("inertia", ROPE.inertia), ("friction", ROPE.friction)):
+        assert (np.abs(found.values[name] - truth) < 4.0 * found.sd[name]).all(), name
+        assert (found.sd[name] < 0.1 * truth).all(), name
+    assert abs(found.values["arm_inertia"] - ARM.inertia) < 4.0 * found.sd["arm_inertia"]
+    assert (found.sd["mass"] < 0.01 * ROPE.mass).all()  # 5 mN m of some 0.25, over 250 samples: 0.15 % at best
+
+
+def test_what_is_left_of_the_torque_stands_beside_the_angles() -> None:
+    found = fit(torque=True)
+    assert found.residuals.shape[1] == found.residual_rms.size == 2
+    np.testing.assert_allclose(found.residual_rms, NOISE, rtol=0.15)  # 3 sd of 200 samples each
+    assert found.torque_rms == pytest.approx(TORQUE_NOISE, rel=0.15)
+    assert found.torque_residuals is not None
+    assert found.torque_residuals.shape == found.residual_t.shape
+    assert found.summary()["torque_rms"] == found.torque_rms
+    assert "torque error" in str(found)
+    assert not any("poor" in text for text in found.verdict)
+
+
+def test_gaps_in_the_torque_and_a_held_out_part() -> None:
+    recording, torque = measured()
+    torque = torque.copy()
+    torque[::3] = np.nan
+    free = [*SCALED, "arm_inertia"]
+    options: dict[str, Any] = {"motion": MOVE, "arm": LIGHT, "torque": torque, "torque_noise": TORQUE_NOISE}
+    found = identify(recording, GUESS, free, train=3.4, **options)
+    assert found.held_out is not None
+    assert found.held_out.rms.shape == (2,)  # of the angles: nothing is predicted of the torque
+    np.testing.assert_allclose(found.held_out.rms, NOISE, rtol=0.5)  # 50 samples, and the error of the state
+    assert found.torque_residuals is not None
+    assert np.isnan(found.torque_residuals).sum() >= 50
+    assert (np.abs(found.values["mass"] - ROPE.mass) < 4.0 * found.sd["mass"]).all()
+
+
+def test_models_are_compared_with_the_torque() -> None:
+    recording, torque = measured()
+    models = {"arm with inertia": [*SCALED, "arm_inertia"], "without": SCALED}
+    options: dict[str, Any] = {"torque": torque, "torque_noise": TORQUE_NOISE}
+    found = compare_models(recording, GUESS, models, motion=MOVE, arm=BARE, **options)
+    assert found.preferred == "arm with inertia"
+
+
+def test_torque_that_cannot_be_used_is_refused() -> None:
+    recording, torque = measured()
+    bare = Recording(recording.t, recording.data)
+    arm: dict[str, Any] = {"motion": MOVE, "arm": LIGHT}
+    for options, message in (
+        ({"torque": torque, "torque_noise": 1e-3}, "without the arm"),
+        ({**arm, "torque": torque}, "torque_noise is not given"),
+        ({**arm, "torque": torque[1:], "torque_noise": 1e-3}, "wrong shape"),
+        ({**arm, "torque": torque, "torque_noise": 0.0}, "torque_noise"),
+        ({**arm, "torque": np.full(torque.size, np.nan), "torque_noise": 1e-3}, "no value at all"),
+    ):
+        with pytest.raises(InvalidInput, match=message):
+            identify(recording, GUESS, SCALED, **options)
+    with pytest.raises(InvalidInput, match="noise of the recording"):
+        identify(bare, GUESS, SCALED, torque=torque, torque_noise=1e-3, **arm)
+    with pytest.raises(InvalidInput, match="no torque is measured"):
+        identify(recording, GUESS, ["arm_inertia"], **arm)
+
+
+def test_an_arm_that_is_held_tells_the_scale_as_well() -> None:
+    """A free swing from an arm that the motor holds still: the torque that holds it is a known force."""
+    rope = ROPE.replace(stiffness=0.0, tip_mass=0.0)
+    t = np.arange(251) / 50
+    motion = hold(1.0)
+    swing = simulate(rope, motion, arm=ARM, duration=5.0, t_eval=t, tol=1e-9, q0=[0.8, 1.2])
+    rng = np.random.default_rng(5)
+    recording = Recording(t, swing.q + NOISE * rng.standard_normal(swing.q.shape), noise=NOISE)  # type: ignore[arg-type]
+    torque = swing.motor_torque + TORQUE_NOISE * rng.standard_normal(t.size)
+    found = identify(recording, GUESS, SCALED, motion=motion, arm=ARM, torque=torque, torque_noise=TORQUE_NOISE)
+    assert found.identifiable
+    assert (np.abs(found.values["mass"] - rope.mass) < 4.0 * found.sd["mass"]).all()

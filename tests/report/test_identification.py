@@ -1,0 +1,435 @@
+"""The report of an identification: true to the fit, complete in one file, and clear about what is not known."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex import files
+from hyperflex.identification import Identification, correlogram
+from hyperflex.recording import Recording
+from hyperflex.report import identification
+from hyperflex.report.fit_figures import (
+    fit_figure,
+    history_figure,
+    multiples_figure,
+    prediction_figure,
+    residual_figure,
+)
+from hyperflex.report.fitted import beside
+from hyperflex.report.identification import identification_page, write_identification
+from hyperflex.report.parameters import numbers, parameters_table, ratios_table, rope_table, ties
+from hyperflex.report.setting import fit_table, lead, recording_table
+from hyperflex.report.units import readable, rounded, short
+
+NOISE = 2e-3
+ROPE = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
+GUESS = ROPE.replace(friction=1e-3)
+Case = tuple[Recording, Identification]
+
+
+@pytest.fixture(scope="module")
+def swing() -> Case:
+    """Angles of two links, of which the common factor cannot be known."""
+    t = np.arange(500) * 0.02
+    run = hf.simulate(ROPE, duration=t[-1], t_eval=t, q0=[0.6, 0.9])
+    data = run.q + np.random.default_rng(1).normal(0.0, NOISE, run.q.shape)
+    recording = Recording(t, data, noise=NOISE, name="two <links>", source="simulated")
+    return recording, hf.identify(recording, GUESS, ["inertia", "com", "friction"])
+
+
+@pytest.fixture(scope="module")
+def markers() -> Case:
+    """Three markers on six links, fitted to the end; the camera sees the first joint beside its own origin."""
+    rope = hf.Rope.uniform(length=0.6, mass=0.1, n_links=6, friction=2e-4)
+    t = np.arange(60) * 0.03
+    run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=np.full(6, 0.8))
+    places = run.joints[:, [2, 4, 6]] + np.array([0.05, -0.02])
+    data = places.reshape(t.size, -1) + np.random.default_rng(2).normal(0.0, 1e-3, (t.size, 6))
+    data[20:23, 2:4] = np.nan
+    recording = Recording(t, data, kind="markers", noise=1e-3)
+    guess = rope.replace(friction=4e-4)
+    return recording, hf.identify(recording, guess, ["friction"], arcs=[0.2, 0.4, 0.6], train=np.inf)
+
+
+def page(tmp_path: Any, case: Case, guess: hf.Rope | None = None) -> str:
+    identification_page(tmp_path / "page.html", *case, guess)
+    return (tmp_path / "page.html").read_text("utf-8")
+
+
+@pytest.fixture
+def unseen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are drawn up, but not turned into pixels: what takes long, and is seen in other tests."""
+    monkeypatch.setattr(identification, "png", lambda figure, dpi: b"\x89PNG")
+
+
+def changed(found: Identification, **values: Any) -> Identification:
+    return dataclasses.replace(found, **({"intervals": {}} | values))
+
+
+# ---- the page
+
+
+def test_a_page_is_one_file_with_all_its_parts(tmp_path, swing):
+    text = page(tmp_path, swing, GUESS)
+    assert re.findall(r'(?:src|href)="(?!data:|#)', text) == []
+    assert text.count("data:image/png;base64,") == 4  # fit, prediction, residuals, history
+    titles = re.findall(r"<h2>(.*?)</h2>", text)
+    assert titles[:3] == ["Verdict", "Parameters", "Ratios"]
+    assert titles[3:] == [
+        "Fit over data",
+        "Prediction of what the fit has not seen",
+        "Residuals",
+        "How the fit went",
+        "Recording",
+        "How it was fitted",
+        "The rope",
+    ]
+    assert "two &lt;links&gt;, identified" in text
+    assert '<span class="badge">converged</span>' in text
+
+
+@pytest.mark.usefixtures("unseen")
+def test_a_page_says_on_top_what_cannot_be_known(tmp_path, swing):
+    text = page(tmp_path, swing)
+    verdict = text[text.index("<h2>Verdict") : text.index("<h2>Parameters")]
+    assert "<b>0 of 6</b>" in verdict
+    assert verdict.count('class="warn"') == 1
+    assert "One common factor of inertia, com, friction cannot be known" in verdict
+    assert 'class="fine"' in verdict  # predictions are as far off as expected: the model is the one that made the data
+    table = text[text.index("<h2>Parameters") : text.index("<h2>Ratios")]
+    assert table.count("<td>cannot be known</td>") == 6
+
+
+@pytest.mark.usefixtures("unseen")
+def test_a_page_warns_where_predictions_leave_their_band(tmp_path, swing):
+    recording, found = swing
+    narrow = dataclasses.replace(found.held_out, sd=0.2 * found.held_out.sd)
+    text = page(tmp_path, (recording, changed(found, held_out=narrow)))
+    assert re.search(r'class="warn">Only \d+ % of the values that the fit has not seen', text)
+
+
+def test_many_channels_are_shown_by_a_few_and_all_of_them_elsewhere(tmp_path, markers):
+    text = page(tmp_path, markers)
+    assert '<a href="#all">All 6 channels</a>' in text
+    assert '<section id="all">' in text
+    assert text.count("data:image/png;base64,") == 6  # along the rope, fit, shapes, residuals, history, all channels
+    assert "Nothing was predicted" in text
+    assert "0.2, 0.4, 0.6 m along the rope" in text
+
+
+@pytest.mark.usefixtures("unseen")
+def test_an_interrupted_fit_says_so(tmp_path, swing):
+    recording, found = swing
+    cut = changed(found, status="interrupted", history=(), held_out=None)
+    text = page(tmp_path, (recording, cut))
+    assert '<span class="badge">interrupted</span>' in text
+    assert "before its first round" in text
+    assert 'class="fine"' not in text  # nothing is good news yet
+    assert "Nothing was predicted: the fit was interrupted" in text
+
+
+@pytest.mark.usefixtures("unseen")
+def test_predictions_that_failed_are_drawn_as_failed(tmp_path, swing):
+    recording, found = swing
+    held = found.held_out
+    window_rms = held.window_rms.copy()
+    window_rms[0] = np.inf
+    lost = held.t <= held.starts[0] + held.ahead
+    predicted, sd = held.predicted.copy(), held.sd.copy()
+    predicted[lost], sd[lost] = np.inf, np.nan
+    rms = np.full(2, np.inf)
+    failed = dataclasses.replace(held, rms=rms, window_rms=window_rms, predicted=predicted, sd=sd)
+    text = page(tmp_path, (recording, changed(found, held_out=failed)))
+    assert "<b>failed</b>" in text
+    titles = [axis.get_title("left") for axis in prediction_figure(beside(recording, found), failed).axes]
+    assert titles[1] == "measured less predicted: failed where dark"
+
+
+@pytest.mark.usefixtures("unseen")
+def test_a_folder_is_written_whole_or_not_at_all(tmp_path, swing, monkeypatch):
+    recording, found = swing
+    written = write_identification(tmp_path / "new" / "out", recording, found, GUESS)
+    assert sorted(path.name for path in (tmp_path / "new" / "out").iterdir()) == [
+        "identification.json",
+        "report.html",
+        "rope.toml",
+    ]
+    assert hf.Rope.from_toml(written["rope"]) == found.rope
+
+    def broken(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(identification, "residual_figure", broken)
+    with pytest.raises(KeyboardInterrupt):
+        write_identification(tmp_path / "other", recording, found)
+    assert not (tmp_path / "other").exists()
+
+
+# ---- tables
+
+
+def test_parameters_are_told_with_unit_deviation_interval_and_guess(markers):
+    found = changed(markers[1])
+    table = parameters_table(found, hf.Rope.uniform(length=0.6, mass=0.1, n_links=6, friction=4e-4))
+    rows = {row[0]: row for row in table.rows}
+    value, sd = found.values["friction"][0], found.sd["friction"][0]
+    name, words, told, spread, interval, guess = rows["friction[0]"]
+    number, unit = told.split("\u00a0", 1)
+    assert words == "viscous friction, link 0"
+    assert unit in ("µN\u00a0m\u00a0s/rad", "mN\u00a0m\u00a0s/rad")
+    size = {"µ": 1e-6, "m": 1e-3}[unit[0]]
+    # Rounded to the second digit of the standard deviation.
+    assert float(number) * size == pytest.approx(value, abs=0.05 * sd)
+    assert float(spread) * size == pytest.approx(sd, rel=0.05)
+    low, high = (float(end) * size for end in interval.split(" to "))
+    assert high == pytest.approx(value + 1.96 * sd, abs=0.1 * sd)
+    assert low == pytest.approx(max(value - 1.96 * sd, 0.0), abs=0.1 * sd)
+    assert float(guess) * size == pytest.approx(4e-4)
+    assert name == "friction[0]"
+
+
+def test_intervals_of_the_identification_itself_come_first(markers):
+    found = changed(markers[1])
+    given = {
+        "friction[3]": SimpleNamespace(low=1e-4, high=9e-4),
+        "friction[4]": SimpleNamespace(low=1e-4, high=np.inf),
+        "c/p1[3]": SimpleNamespace(low=0.25, high=0.75),
+    }
+    object.__setattr__(found, "intervals", given)
+    object.__setattr__(found, "sd", found.sd | {"friction": np.full(6, 1e-5)})
+    object.__setattr__(found, "ratio_sd", {"c/p1": np.full(6, 0.01)})
+    object.__setattr__(found, "ratios", {"c/p1": np.linspace(0.3, 0.6, 6)})
+    (number,) = [each for each in numbers(found) if each.label == "friction[3]"]
+    assert (number.low, number.high) == (1e-4, 9e-4)
+    rows = {row[0]: row for row in parameters_table(found, None).rows}
+    assert rows["friction[4]"][4] in ("100 or more", "0.100 or more")  # in µN or mN
+    assert [row[4] for row in ratios_table(found).rows if row[1] == "3"] == ["0.250 to 0.750"]  # type: ignore[union-attr]
+
+
+def test_what_cannot_be_known_has_no_interval(swing):
+    assert all(np.isnan([each.low, each.high]).all() for each in numbers(swing[1]))
+
+
+def test_laws_along_the_rope_are_told_as_factors(markers):
+    found = changed(
+        markers[1],
+        parameters=("friction:shared", "stiffness:factor", "mass:taper"),
+        values={"friction": np.full(6, 2e-4), "stiffness:factor": np.array(1.5), "mass:taper": np.array(0.1)},
+        sd={"friction": np.full(6, 1e-5), "stiffness:factor": np.array(0.1), "mass:taper": np.array(0.2)},
+    )
+    shared, factor, taper = numbers(found)
+    assert "of each link alike" in shared.words
+    assert (factor.value, factor.sd) == (1.5, 0.1)
+    assert "at the tip over that at the motor" in taper.words
+    assert taper.value == pytest.approx(np.exp(0.1))
+    assert (taper.low, taper.high) == pytest.approx((np.exp(0.1 - 1.96 * 0.2), np.exp(0.1 + 1.96 * 0.2)))
+
+
+def test_what_errs_together_is_named(swing):
+    found = changed(
+        swing[1],
+        parameters=("friction[0]", "friction[1]", "inertia[0]"),
+        covariance=np.array([[4.0, 3.96, 0.0], [3.96, 4.0, 1.0], [0.0, 1.0, 9.0]]),
+        sd={"friction": np.array([2.0, 2.0]), "inertia": np.array([3.0, 0.0])},
+    )
+    assert ties(found) == ("friction[0] and friction[1] (+0.990)",)
+    lost = changed(found, sd={"friction": np.array([np.inf, 2.0]), "inertia": np.array([3.0, 0.0])})
+    assert ties(lost) == ()
+
+
+def test_ratios_leave_out_what_was_held_and_join_what_is_alike(swing, markers):
+    table = ratios_table(swing[1])
+    assert table is not None
+    assert [row[:2] for row in table.rows] == [
+        ("J/p1", "0"),
+        ("J/p1", "1"),
+        ("p/p1", "1"),
+        ("c/p1", "0"),
+        ("c/p1", "1"),
+    ]
+    alike = changed(markers[1], ratios={"c/p1": np.full(6, 0.1)}, ratio_sd={"c/p1": np.full(6, 0.01)})
+    (row,) = ratios_table(alike).rows  # type: ignore[union-attr]
+    assert row[:5] == ("c/p1", "each", "0.100\u00a0m/s", "0.010", "0.080 to 0.120")
+    wide = changed(alike, ratio_sd={"c/p1": np.full(6, 0.1)})
+    assert ratios_table(wide).rows[0][4] == "0.00 to 0.30"  # type: ignore[union-attr]
+    held = changed(markers[1], ratio_sd={name: np.zeros(6) for name in markers[1].ratios})
+    assert ratios_table(held) is None
+
+
+def test_the_set_up_is_told(swing, markers):
+    recording, found = markers
+    told = dict(recording_table(recording).rows)
+    assert told["samples"] == "60, every 30 ms (33.33 a second)"
+    assert told["gaps"].startswith("6 missing")
+    assert told["noise of a sample"] == "1 mm as given"
+    fitted = dict(fit_table(found).rows)
+    assert fitted["held as given"] == "length, mass, com, inertia"
+    assert fitted["taken as 0"] == "dry friction, stiffness"
+    assert fitted["origin"] == "fitted as well"
+    assert "hyperflex" in fitted["versions"]
+    assert "friction" in lead(recording, found, found.rope)
+    uneven = Recording(np.cumsum(np.linspace(0.01, 0.05, 20)), np.linspace(0.0, 1.0, 20)[:, None])
+    assert dict(recording_table(uneven).rows)["samples"].endswith("uneven: 12.11 to 50 ms")
+    table = rope_table(swing[1].rope, swing[1])
+    assert table.header == ("link", "length, mm", "mass, g", "com*, mm", "inertia*, kg mm²", "friction*, mN m s/rad")
+
+
+@pytest.mark.parametrize(
+    ("what", "value", "unit"),
+    [
+        ("inertia", 4.7e-5, "kg mm²"),
+        ("friction", 1.2e-3, "mN m s/rad"),
+        ("friction", 3e-11, "nN m s/rad"),
+        ("friction", 0.0, "N m s/rad"),
+        ("length", [0.2, 1.5], "m"),
+        ("gravity_angle", 0.001, "degrees"),
+        ("p/p1", 0.1, ""),
+        ("rad", 2e-3, "mrad"),
+        ("m", [np.nan, np.inf, 2e-3], "mm"),
+    ],
+)
+def test_units_suit_the_size(what, value, unit):
+    assert readable(what, value).name == unit
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [
+        (0.50317, 0.0213, "0.503"),
+        (456.36, 35.1, "456"),
+        (45636.0, 3512.0, "45600"),
+        (0.153157, 2.9e-5, "0.153157"),
+        (12.34567, 0.0, "12.35"),
+        (12.34567, np.inf, "12.35"),
+        (np.nan, 1.0, "not known"),
+    ],
+)
+def test_values_have_the_digits_that_their_deviation_leaves(value, sd, text):
+    assert rounded(value, sd) == text
+
+
+def test_deviations_have_two_digits():
+    assert [short(sd) for sd in (35.1, 0.44, 2.9e-5, 1.23e-9)] == ["35", "0.44", "0.000029", "1.2e-09"]
+
+
+# ---- figures
+
+
+def test_measured_and_fitted_stand_side_by_side(swing, markers):
+    for recording, found in (swing, markers):
+        view = beside(recording, found)
+        rows = [int(np.flatnonzero(view.t == time)[0]) for time in view.fit_t]
+        known = ~np.isnan(found.residuals)
+        np.testing.assert_allclose((view.measured[rows] - view.fitted)[known], found.residuals[known], atol=1e-15)
+    assert beside(*swing).names == ("link 0", "link 1")
+    assert beside(*markers).names[3] == "marker 1, y"
+
+
+def test_the_worst_window_is_the_one_with_a_bump(swing):
+    recording, found = swing
+    residuals = found.residuals.copy()
+    inside = (found.residual_t > 3.0) & (found.residual_t < 3.1)
+    residuals[inside, 1] += 0.5
+    number, start, end = beside(recording, changed(found, residuals=residuals)).worst_window(1)
+    assert start <= 3.0
+    assert end >= 3.1
+    assert end - start <= found.settings["window"]
+    assert number == np.floor(start / found.settings["window"] + 1e-9)
+
+
+def test_the_channels_chosen_of_many_hold_the_worst(markers):
+    recording, found = markers
+    rms = np.array([2.0, 2.0, 9.0, 1.0, 1.0, 1.0])
+    assert beside(recording, changed(found, residual_rms=rms)).chosen == (2, 3, 4, 5)
+    angles = Recording(np.arange(9.0), np.zeros((9, 9)))
+    nine = changed(
+        found,
+        unit="rad",
+        residual_rms=np.array([1.0, 1.0, 9.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]),
+        residuals=np.zeros((9, 9)),
+        residual_t=np.arange(9.0),
+    )
+    assert beside(angles, nine).chosen == (0, 2, 4, 8)
+
+
+def test_figures_show_each_chosen_channel_and_multiples_all(swing, markers):
+    view = beside(*swing)
+    titles = [axis.get_title("left") for axis in fit_figure(view).axes]
+    assert [title.split(":")[0] for title in titles] == ["link 0", "its worst window", "link 1", "its worst window"]
+    assert f"{1e3 * swing[1].residual_rms[1]:.3g} mrad" in titles[2]
+    assert len(residual_figure(view).axes) == 6
+    shown = [axis.get_title("left").split(":")[0] for axis in multiples_figure(beside(*markers)).axes]
+    assert shown[:6] == list(beside(*markers).names)
+
+
+def test_the_band_of_a_prediction_is_as_wide_as_the_fit_expects(swing):
+    recording, found = swing
+    figure = prediction_figure(beside(recording, found), found.held_out)
+    bands = figure.axes[1].collections
+    assert len(bands) == found.held_out.starts.size
+    first = found.held_out.t <= found.held_out.starts[0] + found.held_out.ahead + 1e-9
+    height = bands[0].get_paths()[0].vertices[:, 1].max()
+    assert height == pytest.approx(1.96e3 * found.held_out.sd[first, 0].max())
+
+
+def test_the_history_names_its_stages(swing):
+    axis = history_figure(swing[1]).axes[0]
+    lengths = list(dict.fromkeys(entry["window"] for entry in swing[1].history))
+    assert [text.get_text() for text in axis.texts] == [f"windows of {length:.3g} s" for length in lengths]
+    assert len(axis.get_lines()) == 2 * len(lengths)
+
+
+# ---- autocorrelation
+
+
+def test_white_residuals_stay_within_their_band():
+    t = np.arange(4000) * 0.01
+    lag, correlation, band = correlogram(t, np.random.default_rng(3).normal(size=(4000, 5)), 40)
+    np.testing.assert_allclose(lag, 0.01 * np.arange(1, 41))
+    # 200 correlations, 5 % of which may lie outside: 10 expected, and more than 22 in one of 10,000 cases.
+    assert (np.abs(correlation) > band).sum() <= 22
+    assert (np.abs(correlation) > band).sum() >= 1
+
+
+def test_correlation_of_a_known_process_also_with_gaps():
+    rng = np.random.default_rng(4)
+    noise, values = rng.normal(size=20000), np.zeros(20000)
+    for k in range(1, values.size):
+        values[k] = 0.8 * values[k - 1] + noise[k]
+    t = np.arange(values.size) * 0.5
+    values[rng.random(values.size) < 0.2] = np.nan
+    kept = rng.random(values.size) < 0.9  # these samples are not there at all
+    lag, correlation, _ = correlogram(t[kept], values[kept, None], 5)
+    # AR(1): 0.8^k; sd of an estimate about sqrt((1 + 0.64) / (1 - 0.64) / 12000) = 0.02.
+    np.testing.assert_allclose(correlation[:, 0], 0.8 ** np.arange(1, 6), atol=0.06)
+    np.testing.assert_allclose(lag, 0.5 * np.arange(1, 6))
+
+
+def test_very_uneven_times_count_samples():
+    t = np.cumsum(np.random.default_rng(5).lognormal(0.0, 3.0, 50))
+    lag, correlation, _ = correlogram(t, np.tile([[1.0], [-1.0]], (25, 1)), 4)
+    assert lag.size == 4
+    np.testing.assert_allclose(correlation[:, 0], [-1.0, 1.0, -1.0, 1.0], atol=1e-12)
+
+
+@pytest.mark.usefixtures("unseen")
+def test_a_pause_of_years_is_bridged():
+    t = np.append(np.arange(20.0), 1e12 + np.arange(20.0))
+    lag, correlation, _ = correlogram(t, np.random.default_rng(6).normal(size=(40, 1)), 4)
+    assert lag.size == 4
+    assert np.isfinite(correlation).all()
+
+
+def test_files_beside_the_page_hold_the_band(tmp_path, swing):
+    written = write_identification(tmp_path / "out", *swing)
+    content = files.read_toml(written["rope"])["identification"]
+    assert content["held_out"]["inside_band"] == pytest.approx(swing[1].held_out.inside)
+    assert content["unit"] == "rad"
+    assert content["settings"]["free"] == ["inertia", "com", "friction"]
