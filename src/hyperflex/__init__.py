@@ -41,7 +41,7 @@ if TYPE_CHECKING:
         tip_speed_peak,
     )
     from hyperflex.trajectory import State, Trajectory, read_trajectory
-    from hyperflex.winding import Tug, Winding, tension, tug, wound
+    from hyperflex.winding import Tug, Winding, slip, tension, tug, wound
 
 __version__ = "0.1.0"
 
@@ -85,6 +85,7 @@ _HOMES = {
     "sensitivities": "simulation",
     "simulate": "simulation",
     "simulate_batch": "simulation",
+    "slip": "winding",
     "swings": "motion",
     "tension": "winding",
     "tip_crosses": "simulation",
@@ -135,6 +136,7 @@ __all__ = [
     "sensitivities",
     "simulate",
     "simulate_batch",
+    "slip",
     "swings",
     "tension",
     "tip_crosses",

@@ -13,9 +13,10 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg
 from hyperflex.motion import moving_point
 from hyperflex.simulation import simulate
-from hyperflex.trajectory import State, Trajectory
+from hyperflex.trajectory import State, Trajectory, swept
 
 TOUCH = 1e-4  # m, gap below which a link lies on a peg
+STEADY = 0.1  # s, over which a pull must last to count
 
 
 @dataclass(frozen=True)
@@ -45,16 +46,23 @@ class Tug:
     Attributes
     ----------
     hold : float
-        Greatest tension at the first joint until the end had slipped, N.
+        Greatest tension at the first joint, a mean over STEADY, until the rope had slipped, N.
     slipped : bool
-        Whether the end slipped within the pull; if not, `hold` is a lower bound.
+        Whether the rope slipped within the pull; if not, `hold` is a lower bound.
     run : Trajectory
         The simulated pull.
+    slip : (T,) float64
+        Way of the rope on the peg, m, as :func:`slip` tells it.
     """
 
     hold: float
     slipped: bool
     run: Trajectory
+    slip: Array
+
+    def holds(self, force: float) -> bool:
+        """Tell whether the rope held a tug of `force`, N, and slipped by less than was allowed meanwhile."""
+        return self.hold >= checks.number("force", force, sign="positive", unit="N")
 
 
 def wound(run: Trajectory, peg: Peg) -> Winding:
@@ -80,17 +88,17 @@ def wound(run: Trajectory, peg: Peg) -> Winding:
             "peg is not one of the run's", got=peg, allowed=", ".join(map(str, run.setup.pegs)) or "none"
         )
     away = run.joints - np.array([peg.x, peg.y])
-    swept = _swept(away)
-    touching = _gaps(run, peg) < TOUCH
+    angles = swept(away)
+    touching = _closest(run, peg)[2] < TOUCH
     any_touch = touching.any(axis=1)
     first = touching.argmax(axis=1)
     last = touching.shape[1] - 1 - touching[:, ::-1].argmax(axis=1)
     rows = np.arange(run.t.size)
-    through = np.cumsum(np.concatenate([np.zeros((run.t.size, 1)), swept], axis=1), axis=1)
+    through = np.cumsum(np.concatenate([np.zeros((run.t.size, 1)), angles], axis=1), axis=1)
     middle = 0.5 * (through[:, :-1] + through[:, 1:])
     pull = tension(run)
     return Winding(
-        turns=swept.sum(axis=1) / (2.0 * np.pi),
+        turns=angles.sum(axis=1) / (2.0 * np.pi),
         arc=np.where(any_touch, middle[rows, last] - middle[rows, first], 0.0),
         before=np.where(any_touch, pull[rows, first], np.nan),
         after=np.where(any_touch, pull[rows, last + 1], np.nan),
@@ -105,7 +113,7 @@ def turns(run: Trajectory, peg: Peg) -> Array:
     run : Trajectory
     peg : Peg
     """
-    return np.asarray(_swept(run.joints - np.array([peg.x, peg.y])).sum(axis=1) / (2.0 * np.pi))
+    return np.asarray(swept(run.joints - np.array([peg.x, peg.y])).sum(axis=1) / (2.0 * np.pi))
 
 
 def tension(run: Trajectory) -> Array:
@@ -137,7 +145,33 @@ def tension(run: Trajectory) -> Array:
     return np.asarray(np.hypot(force[..., 0], force[..., 1]))
 
 
-def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.05, slip: float = 5e-3) -> Tug:
+def slip(run: Trajectory, peg: Peg) -> Array:
+    """Return how far the rope has slipped on a peg since the start of a run (T,), m; positive towards the tip.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Simulated with this peg, sampled often enough for a link to be on the peg at two samples.
+    peg : Peg
+
+    Notes
+    -----
+    The tip-most of the links that lie on the peg at two successive samples tells. A link that rolls does not slip: as
+    its contact goes along the link by ds, it goes round the peg by ds / R. Where no link does, nothing is added.
+    """
+    place, away, gap = _closest(run, peg)
+    along = np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
+    sense = np.sign(away[..., 0] * along[..., 1] - away[..., 1] * along[..., 0])
+    turned = np.diff(np.arctan2(away[..., 1], away[..., 0]), axis=0)
+    turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
+    way = sense[:-1] * (peg.radius + run.setup.rope.radius) * turned - np.diff(place, axis=0)
+    both = (gap[:-1] < TOUCH) & (gap[1:] < TOUCH)
+    last = both.shape[1] - 1 - both[:, ::-1].argmax(axis=1)
+    moved = np.where(both.any(axis=1), way[np.arange(last.size), last], 0.0)
+    return np.concatenate([[0.0], np.cumsum(moved)])
+
+
+def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.05, allowed: float = 5e-3) -> Tug:
     """Pull the rope's motor-side end slowly away from a peg, from where a run ended, and see what holds.
 
     Parameters
@@ -146,20 +180,19 @@ def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.0
         Ended with the rope on the peg.
     peg : Peg
     speed : float
-        Of the pull, m/s, reached smoothly.
+        Of the pull, m/s.
     distance : float
         Of the pull, m.
-    slip : float
-        Way of the rope's end that counts as slipping, m, beside the way that a wound rope's end makes by itself while
-        the rope is pulled straight.
+    allowed : float
+        Slip on the peg, m, up to which the rope holds.
 
     Returns
     -------
     Tug
     """
-    speed, distance, slip = (
+    speed, distance, allowed = (
         checks.number(name, value, sign="positive", unit=unit)
-        for name, value, unit in (("speed", speed, "m/s"), ("distance", distance, "m"), ("slip", slip, "m"))
+        for name, value, unit in (("speed", speed, "m/s"), ("distance", distance, "m"), ("allowed", allowed, "m"))
     )
     end = run.joints[-1, 0]
     away = end - np.array([peg.x, peg.y])
@@ -175,26 +208,23 @@ def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.0
         pegs=setup.pegs,
         contact_step=setup.contact_step,
         tip_force=setup.tip_force,
+        tol=setup.tol,
         refine=False,
     )
-    way = np.hypot(*(pulled.tip - pulled.tip[0]).T)
-    slipped = bool((way > slip).any())
-    stop = int(np.argmax(way > slip)) + 1 if slipped else pulled.t.size
-    return Tug(hold=float(tension(pulled)[:stop, 0].max()), slipped=slipped, run=pulled)
+    way = slip(pulled, peg)
+    gone = np.abs(way) > allowed
+    slipped = bool(gone.any())
+    pull = tension(pulled)[: int(np.argmax(gone)) + 1 if slipped else pulled.t.size, 0]
+    count = min(max(1, round(STEADY / float(pulled.t[1] - pulled.t[0]))), pull.size)
+    steady = np.convolve(pull, np.full(count, 1.0 / count), mode="valid")
+    return Tug(hold=float(steady.max()), slipped=slipped, run=pulled, slip=way)
 
 
-def _swept(away: Array) -> Array:
-    """Signed angle (T, n), rad, that each link subtends at the origin of `away` (T, n + 1, 2)."""
-    a, b = away[:, :-1], away[:, 1:]
-    cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return np.asarray(np.arctan2(cross, (a * b).sum(axis=-1)))
-
-
-def _gaps(run: Trajectory, peg: Peg) -> Array:
-    """Gap of each link to a peg (T, n), m."""
+def _closest(run: Trajectory, peg: Peg) -> tuple[Array, Array, Array]:
+    """Place of the point of each link closest to a peg's centre (T, n), m; from there to it (T, n, 2), m; gap, m."""
     rope = run.setup.rope
     along = np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
     to_peg = np.array([peg.x, peg.y]) - run.joints[:, :-1]
     place = np.clip((to_peg * along).sum(axis=-1), 0.0, rope.length)
-    offset = place[..., None] * along - to_peg
-    return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) - peg.radius - rope.radius)
+    away = place[..., None] * along - to_peg
+    return place, away, np.hypot(away[..., 0], away[..., 1]) - peg.radius - rope.radius

@@ -28,6 +28,7 @@ SETTLED = 1e-10  # relative change of the rates at which the centrifugal terms h
 SETTLING = 4  # rounds in which they settle anew
 AGAIN = 4  # times that a solution starts the search anew
 SLIGHT = 1e-5  # m/s, residual velocity of a solution
+GIFT = 1e-6  # W, power of the residual velocities, above which they are made smaller
 
 
 class Impulses(NamedTuple):
@@ -38,8 +39,9 @@ class Impulses(NamedTuple):
     normal0: Array  # where the proximal method starts from
     tangent0: Array
     target: Array  # (K,) m/s, the normal velocity may be as low as minus this
+    lean: Array  # (K,) m/s, and what sticks has the tangential velocity minus this
     vn: Array  # (K,) velocity of the point at the end of the step, m/s
-    vt: Array
+    vt: Array  # without `lean`
     good_normal: Array  # normal0, tangent0 and mode of the last solution found
     good_tangent: Array
     mode: Index
@@ -68,18 +70,19 @@ class Motion(NamedTuple):
 @kernel
 def new_impulses(most):  # type: ignore[no-untyped-def]
     """Impulses of at most so many contacts."""
-    nine = np.zeros((9, most))
+    ten = np.zeros((10, most))
     modes = np.zeros((3, most), np.int64)
     return Impulses(
-        nine[0],
-        nine[1],
-        nine[2],
-        nine[3],
-        nine[4],
-        nine[5],
-        nine[6],
-        nine[7],
-        nine[8],
+        ten[0],
+        ten[1],
+        ten[2],
+        ten[3],
+        ten[4],
+        ten[5],
+        ten[6],
+        ten[7],
+        ten[8],
+        ten[9],
         modes[0],
         modes[1],
         modes[2],
@@ -121,7 +124,7 @@ def put(found, impulses, motion, heavy):  # type: ignore[no-untyped-def]
         vy = motion.speed[1, i] + motion.turned[1, i] + s * sin * motion.w[i]
         pn = impulses.normal0[c] - heavy * (vx * nx + vy * ny + impulses.target[c])
         if mode == STICK:
-            pt = impulses.tangent0[c] - heavy * (vy * nx - vx * ny)
+            pt = impulses.tangent0[c] - heavy * (vy * nx - vx * ny + impulses.lean[c])
             b = (heavy, 0.0, 0.0, heavy)
             add_contact(motion.touch, i, s, sin, cos, b, (pn * nx - pt * ny, pn * ny + pt * nx))
         else:
@@ -147,6 +150,7 @@ def judge_modes(found, impulses, motion, heavy, change):  # type: ignore[no-unty
         vn = vx * found.nx[c] + vy * found.ny[c]
         vt = vy * found.nx[c] - vx * found.ny[c]
         impulses.vn[c], impulses.vt[c] = vn, vt
+        vt += impulses.lean[c]
         pn = impulses.normal0[c] - heavy * (vn + impulses.target[c])
         pt = impulses.tangent0[c] - heavy * vt
         mode, mu = impulses.mode[c], found.mu[c]
@@ -256,17 +260,22 @@ def restore(found, impulses):  # type: ignore[no-untyped-def]
 
 @kernel
 def proceed(found, impulses, heavy):  # type: ignore[no-untyped-def]
-    """Store a solution for M = `heavy`, kg, and let the next one start from it; returns its residual, m/s."""
+    """Store a solution for M = `heavy`, kg, and let the next one start from it.
+
+    Returns its residual, m/s, and the energy that the residual stands for, J.
+    """
     store(found, impulses)
-    worst = 0.0
+    worst = given = 0.0
     for c in range(found.total[0]):
         pn, pt = impulses.normal[c], impulses.tangent[c]
         if impulses.mode[c] != OPEN:
-            worst = max(worst, abs(pn - impulses.normal0[c]) / heavy)
+            left = abs(pn - impulses.normal0[c]) / heavy
+            worst, given = max(worst, left), given + left * abs(pn)
         if impulses.mode[c] == STICK:
-            worst = max(worst, abs(pt - impulses.tangent0[c]) / heavy)
+            left = abs(pt - impulses.tangent0[c]) / heavy
+            worst, given = max(worst, left), given + left * abs(pt)
         impulses.normal0[c], impulses.tangent0[c] = pn, pt
-    return worst
+    return worst, given
 
 
 @kernel
@@ -289,7 +298,7 @@ def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-
     int : rounds, negative if the law is not obeyed to within SLIGHT.
     """
     store(found, impulses)
-    heavy, last, residual = STIFF * whole, 0.0, math.inf
+    heavy, last, residual, given = STIFF * whole, 0.0, math.inf, math.inf
     rounds = search(chain, found, impulses, motion, h, heavy)
     total = abs(rounds)
     if rounds < 0:
@@ -300,16 +309,16 @@ def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-
             total += abs(rounds)
             if rounds < 0:
                 break
-            residual, last = proceed(found, impulses, heavy), heavy
+            (residual, given), last = proceed(found, impulses, heavy), heavy
     else:
-        residual, last = proceed(found, impulses, heavy), heavy
+        (residual, given), last = proceed(found, impulses, heavy), heavy
     for _ in range(AGAIN):
-        if rounds < 0 or residual <= SLIGHT:
+        if rounds < 0 or (residual <= SLIGHT and given <= GIFT * h):
             break
         rounds = search(chain, found, impulses, motion, h, heavy)
         total += abs(rounds)
         if rounds > 0:
-            residual = proceed(found, impulses, heavy)
+            residual, given = proceed(found, impulses, heavy)
     if rounds < 0:
         restore(found, impulses)
         for c in range(found.total[0]):

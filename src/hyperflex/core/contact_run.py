@@ -32,7 +32,7 @@ GROWTH = 1.5
 EASY = 0.2  # part of the energy allowed, below which steps grow
 LOSS = 10.0  # how many times more energy may vanish than appear
 SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a step
-DEEPER = 2e-5  # m, penetration at which a step is tried again at half its length
+DEEPER = 1e-4  # m, penetration at which a step is tried again at half its length
 
 # T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
 # found that obey the law. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest

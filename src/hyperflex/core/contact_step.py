@@ -15,7 +15,10 @@ from hyperflex.core.jit import kernel
 FAST = 0.01  # m/s; a link that closes faster meets the peg in an impact of its own, at the instant of touching
 TOUCH = 1e-6  # m, gap that counts as touching there
 FREE = 1e9  # m/s, target of a link that nothing holds
-RECOVERY = 1e-3  # m/s, at most so fast a rope is pushed out of a peg
+RECOVERY, PUSH = 1e-3, 5e-7  # m/s, W; at most so fast, and with so little power, a rope is pushed out of a peg
+DEEP = 2e-5  # m, penetration from which on it takes the power that it needs
+RELAXED = 0.99  # of the last step's forces is where the next step starts: what nothing asks for dies out
+SLIGHT_FORCE = 1e-6  # N
 NEAR = 1e-4  # m, gap below which a link is watched even at rest
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
@@ -41,6 +44,7 @@ class Desk(NamedTuple):
     ahead: Array  # (2, n + 1) and where they would be a step later
     ahead_q: Array
     ahead_trig: Array
+    ahead_speed: Array  # (2, n + 1)
     margin: Array  # (n,)
     out: Array  # (2 n,) angles and rates after the step
     base: Array  # (3, 9) motion of the first joint before, in the middle and after
@@ -60,6 +64,7 @@ def new_desk(n, pegs):  # type: ignore[no-untyped-def]
         np.zeros((2, n + 1)),
         np.zeros(n),
         np.zeros(2 * n),
+        np.zeros((2, n + 1)),
         np.zeros(n),
         np.zeros(2 * n),
         np.zeros((3, 9)),
@@ -90,7 +95,7 @@ def load_joints(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped
 
 
 @kernel
-def watch(chain, pegs, desk, h):  # type: ignore[no-untyped-def]
+def watch(chain, pegs, kept, desk, h):  # type: ignore[no-untyped-def]
     """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
 
     A gap may be closed, not more. Where a link turns about the peg, its gap changes by a term of second order, which is
@@ -110,28 +115,39 @@ def watch(chain, pegs, desk, h):  # type: ignore[no-untyped-def]
     if h == 0.0:
         for c in range(count):
             impulses.target[c] = 0.0 if found.gap[c] <= 2.0 * TOUCH else FREE
+            impulses.lean[c] = 0.0
         return least
     for i in range(n):
         desk.ahead_q[i] = desk.q[i] + h * motion.w[i]
         desk.ahead_trig[i], desk.ahead_trig[n + i] = sincos(desk.ahead_q[i])
-    x = desk.base[1, 7] + h * desk.base[1, 5]
-    y = desk.base[1, 8] + h * desk.base[1, 6]
+    x = desk.base[1, 7] + h * desk.base[0, 5]  # as the joints' velocities, which are those before the step
+    y = desk.base[1, 8] + h * desk.base[0, 6]
     joints(chain, desk.ahead_trig, x, y, desk.ahead)
+    speeds(chain, desk.ahead_trig, motion.w, desk.base[0, 5], desk.base[0, 6], desk.ahead_speed)
     for c in range(count):
         i, p = found.link[c], found.peg[c]
         lever = found.place[c] * motion.w[i]
         vx = motion.speed[0, i] + lever * motion.trig[n + i]
         vy = motion.speed[1, i] + lever * motion.trig[i]
         closing = vx * found.nx[c] + vy * found.ny[c]
+        impulses.lean[c] = 0.0
         if closing < -FAST:
             impulses.target[c] = FREE
             away = found.gap[c] - 0.5 * h * closing  # at the beginning of the step
             desk.touch[0] = min(desk.touch[0], 0.0 if away <= TOUCH else -away / closing)
             continue
-        _, size, _, _ = closest(chain, desk.ahead_trig, desk.ahead, i, pegs.x[p], pegs.y[p])
-        bend = size - pegs.reach[p] - found.gap[c] - h * closing
-        bend = max(-NEAR, min(bend, NEAR)) if found.gap[c] < NEAR else 0.0
-        impulses.target[c] = max((found.gap[c] + bend) / h, -RECOVERY)
+        s, size, nx, ny = closest(chain, desk.ahead_trig, desk.ahead, i, pegs.x[p], pegs.y[p])
+        bend = 0.0
+        if found.gap[c] < NEAR:
+            bend = max(-NEAR, min(size - pegs.reach[p] - found.gap[c] - h * closing, NEAR))
+            lever = s * motion.w[i]
+            wx = desk.ahead_speed[0, i] + lever * desk.ahead_trig[n + i]
+            wy = desk.ahead_speed[1, i] + lever * desk.ahead_trig[i]
+            impulses.lean[c] = 0.5 * ((wy * nx - wx * ny) - (vy * found.nx[c] - vx * found.ny[c]))
+        out = RECOVERY
+        if found.gap[c] > -DEEP:
+            out = min(RECOVERY, PUSH / (abs(kept.normal[i, p]) + SLIGHT_FORCE))
+        impulses.target[c] = max(found.gap[c] / h, -out) + bend / h
     return least
 
 
@@ -141,7 +157,8 @@ def recall(kept, found, impulses, h):  # type: ignore[no-untyped-def]
     for c in range(found.total[0]):
         i, p = found.link[c], found.peg[c]
         impulses.mode[c] = kept.mode[i, p]
-        impulses.normal0[c], impulses.tangent0[c] = h * kept.normal[i, p], h * kept.tangent[i, p]
+        impulses.normal0[c] = RELAXED * h * kept.normal[i, p]
+        impulses.tangent0[c] = RELAXED * h * kept.tangent[i, p]
 
 
 @kernel
@@ -192,7 +209,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk):  # type: ignor
     motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
     motion.base[2] = base[2, 3] - base[0, 3]
     motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
-    least = watch(chain, pegs, desk, h)
+    least = watch(chain, pegs, kept, desk, h)
     recall(kept, desk.found, desk.impulses, h)
     rounds = solve(chain, desk.found, desk.impulses, motion, h, whole)
     for i in range(n):

@@ -22,8 +22,9 @@ from hyperflex.core.lanes import MEMBERS
 from hyperflex.core.members import LENGTH, Members, Terms, observe_block
 from hyperflex.core.steppers import scheme
 from hyperflex.errors import InvalidInput
-from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Peg, Rope, Setup
 from hyperflex.motion import Motion
+from hyperflex.simulation.beside_batch import INTERRUPTED, TURNS, members_of, run_members
 from hyperflex.simulation.rollouts import balanced, least_scale, lever, progress_bar, stored
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ ORDERS = ((2e-6, 4), (1e-7, 5), (1e-8, 6), (0.0, 7))
 BLOCKS = 2
 LARGEST_BLOCK = 16 * len(MEMBERS)
 STATES = 1e6  # numbers that a block may hold in work
-INTERRUPTED = "interrupted"
 # name: (dimensions after member and time, units, long name)
 KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
     "tip": (("axis",), "m", "position of the tip"),
@@ -45,6 +45,7 @@ KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
     "qd": (("link",), "rad/s", "link rate"),
     "motor_work": ((), "J", "work done by the motor and the moving base since the start"),
     "dissipated_energy": ((), "J", "energy lost to friction since the start"),
+    TURNS: (("peg",), "1", "signed turns about a peg from the first joint to the tip"),
 }
 
 
@@ -117,6 +118,9 @@ def simulate_batch(
     tol: float = DEFAULT_TOL,
     step: float | None = None,
     keep: Sequence[str] = ("tip",),
+    pegs: Sequence[Peg] | Sequence[Sequence[Peg]] = (),
+    contact_step: float = DEFAULT_CONTACT_STEP,
+    refine: bool = True,
     threads: int | None = None,
     progress: bool = False,
 ) -> Batch:
@@ -136,9 +140,14 @@ def simulate_batch(
     t_eval : (T,) array_like, optional
         Times of the output, s; by default the end alone. A step ends at each of them, so ask for what you need.
     step : float, optional
-        A step chosen beforehand, s, without error control.
-    keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy"}
-        What to keep; memory is (M, T) times this, beside the blocks in work.
+        A step chosen beforehand, s, without error control; not beside pegs.
+    keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns"}
+        What to keep; memory is (M, T) times this, beside the blocks in work. Turns are those about each peg.
+    pegs : sequence of Peg, or of such sequences, optional
+        Pegs of all members, or of each, the same number for all. Members run one by one then, each as
+        :func:`hyperflex.simulate` runs it and with the same result.
+    contact_step, refine
+        As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
     threads : int, optional
         By default one a processor. Results do not depend on it.
     progress : bool
@@ -165,18 +174,26 @@ def simulate_batch(
     (4, 1, 2)
     """
     keep = tuple(checks.choice("keep", name, tuple(KEPT)) for name in keep)
+    workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
+    if pegs:
+        if step is not None:
+            raise InvalidInput("step is not there beside pegs", got=step, fix="Give contact_step or tol")
+        others = {"duration": duration, "tol": tol, "contact_step": contact_step}
+        beside = members_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, others=others)
+        t = _outputs(t_eval, beside.setup(0).duration)
+        values, names, reached = run_members(beside, t, keep, workers, progress)
+        return Batch(t, values, tuple(names), reached)
+    if TURNS in keep:
+        raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
     setups = _setups(ropes, motions, arm, duration, tol)
     chains = [setup.chain() for setup in setups]
     drives = [setup.drive() for setup in setups]
     starts = _starts(setups, q0, qd0)
-    t = checks.times("t_eval", [setups[0].duration] if t_eval is None else t_eval)
-    if t[0] <= 0.0 or t[-1] > setups[0].duration:
-        raise InvalidInput("t_eval leaves the run", got=[float(t[0]), float(t[-1])], allowed=f"0 < t <= {duration:g} s")
+    t = _outputs(t_eval, setups[0].duration)
     members = _members(chains, drives, starts)
     table = scheme(next(order for least, order in ORDERS if setups[0].tol >= least))
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
     terms = Terms(0.0, setups[0].tol, chains[0].bears, chosen, table.best, table.gap, table.rounding)
-    workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
     work = _Work(members, terms, t, keep, setups)
     announce_compilation()
     return work.run(workers, progress)
@@ -259,6 +276,14 @@ class _Work:
                     future.cancel()
         names = tuple(status.NAMES[int(code)] if code >= 0 else INTERRUPTED for code in self.codes)
         return Batch(self.t, self.values, names, self.reached)
+
+
+def _outputs(t_eval: npt.ArrayLike | None, duration: float) -> Array:
+    """Check the output times (T,), s; by default the end alone."""
+    t = checks.times("t_eval", [duration] if t_eval is None else t_eval)
+    if t[0] <= 0.0 or t[-1] > duration:
+        raise InvalidInput("t_eval leaves the run", got=[float(t[0]), float(t[-1])], allowed=f"0 < t <= {duration:g} s")
+    return t
 
 
 def _columns(name: str, n: int) -> slice | int:

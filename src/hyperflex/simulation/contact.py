@@ -20,17 +20,17 @@ from hyperflex.core.chain import Chain
 from hyperflex.core.contact_step import Kept
 from hyperflex.core.drive import Drive
 from hyperflex.core.progress import INDEX, MARK, T
-from hyperflex.model import Arm, Peg, Rope, Setup, cuts, refined
+from hyperflex.model import DEFAULT_TOL, Arm, Peg, Rope, Setup, cuts, refined
 from hyperflex.simulation.rollouts import BUDGET, Rollout, starting_clock
 from hyperflex.trajectory import State
 
 SHORTEST_FLIGHT = 0.01  # s; for less the hand-over does not pay
 FASTER, SUDDEN = 2.0, 2.0  # a flight allows for speeds so many times as large, and by so much more, m/s
-FLIGHT_TOL = 1e-8  # m; with the usual tolerance a flight would gain and lose more energy than contact may
+FLIGHT_TOL = 1e-3  # of the tolerance: with all of it a flight would gain and lose more energy than contact may
 CLEAR = 0.03  # m, gap at which a rope that was in contact has left
-# Energy that may come from nowhere, in parts of the energy at stake for each second; and where joint friction is so low
-# that the rope's own motion, and not contact, sets the steps
-APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 2e-5, 1e-4  # 1/s, 1/s, N m s/rad
+# Energy that may come from nowhere at the usual tolerance, in parts of the energy at stake for each second; and where
+# joint friction is so low that the rope's own motion, and not contact, sets the steps
+APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 6e-5, 1e-4  # 1/s, 1/s, N m s/rad
 STEP = "contact_step"
 KEPT = ("contact_normal", "contact_tangent", "contact_mode")  # in a state's checkpoint
 
@@ -50,7 +50,8 @@ class Beside:
 
     def __init__(self, run: Rollout, setup: Setup, saved: Mapping[str, Any]) -> None:
         n, m = run.chain.length.size, len(setup.pegs)
-        run.limits = run.limits._replace(tol=min(run.limits.tol, FLIGHT_TOL))
+        self.looser = setup.tol / DEFAULT_TOL
+        run.limits = run.limits._replace(tol=FLIGHT_TOL * setup.tol)
         self.run = run
         self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), setup.contacts())
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
@@ -115,7 +116,7 @@ class Beside:
         run, clock, course = self.run, self.run.progress.clock, self.course
         scale = self._energy()
         friction = float(run.chain.viscous.max())
-        rate = scale * (APPEARING if friction >= LOW_FRICTION else APPEARING_FREE)
+        rate = self.looser * scale * (APPEARING if friction >= LOW_FRICTION else APPEARING_FREE)
         course.clock[core.T], course.clock[core.INDEX] = clock[T], clock[INDEX]
         always = bool(self.pull.any())  # free flight knows no force on the tip
         forced = run.time < least

@@ -82,7 +82,8 @@ def simulate(
         Increasing times of the output, s, within the run; by default every 10 ms and the end.
     tol : float
         Error that one step may make in the position of any joint, m. The error at the tip after some seconds of
-        casting is of the order of ten times as much (docs/models.md).
+        casting is of the order of ten times as much (docs/models.md). Beside pegs it bounds the energy that may come
+        from nowhere, in proportion: by default a millionth of what is at stake in a second; 1e-3 is for a search.
     method : {"extrapolation", "rk4"}
         The linearly implicit extrapolation with error control, or classical Runge-Kutta with a fixed `step`, s, as a
         check; a step beyond its stability limit is refused. The limit holds for a rope that hangs: one that whips about

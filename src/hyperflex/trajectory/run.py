@@ -229,6 +229,13 @@ class Trajectory:
         write(self, path)
 
 
+def swept(away: Array) -> Array:
+    """Return the signed angle (..., n), rad, that each link subtends at the origin of `away` (..., n + 1, 2)."""
+    a, b = away[..., :-1, :], away[..., 1:, :]
+    cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return np.asarray(np.arctan2(cross, (a * b).sum(axis=-1)))
+
+
 def _read_only(value: Array) -> Array:
     value.setflags(write=False)
     return value

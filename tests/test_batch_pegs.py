@@ -1,0 +1,72 @@
+"""Batches beside pegs: each member as a run of its own, whatever the threads, and clear answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import InvalidInput
+from hyperflex.winding import turns
+
+ARM = hf.Arm(length=0.105)
+PEGS = [[hf.Peg(x, -0.5, 0.04, 0.3)] for x in (0.25, 0.3, 0.35)]
+DURATION = 1.2
+HOW = {"arm": ARM, "duration": DURATION, "tol": 1e-3, "contact_step": 1e-3}
+
+
+def family() -> tuple[list[hf.Rope], list[hf.Motion]]:
+    """Ropes of different lengths and motions of different rests, for three members."""
+    ropes = [hf.Rope.uniform(size, 0.05, 10, 0.0025, friction=1e-3) for size in (0.7, 0.72, 0.66)]
+    return ropes, [hf.swings(0.5, rest) for rest in (0.1, 0.2, 0.3)]
+
+
+def test_members_are_runs_of_their_own() -> None:
+    ropes, motions = family()
+    q0 = np.linspace(1.0, 1.3, 3)[:, None] + np.zeros(10)
+    t = np.array([0.4, 0.8, DURATION])
+    keep = ("tip", "q", "qd", "motor_work", "dissipated_energy", "turns")
+    batch = hf.simulate_batch(ropes, motions, pegs=PEGS, q0=q0, t_eval=t, keep=keep, threads=3, **HOW)
+    touched = 0
+    for m, (rope, motion, pegs) in enumerate(zip(ropes, motions, PEGS, strict=True)):
+        alone = hf.simulate(rope, motion, pegs=pegs, q0=q0[m], t_eval=t, **HOW)
+        n = alone.q.shape[1]
+        np.testing.assert_array_equal(batch.q[m, :, :n], alone.q)
+        assert np.isnan(batch.q[m, :, n:]).all()  # ropes of other lengths are cut otherwise
+        for name in ("tip", "motor_work", "dissipated_energy"):
+            np.testing.assert_array_equal(getattr(batch, name)[m], getattr(alone, name))
+        np.testing.assert_array_equal(batch.turns[m, :, 0], turns(alone, pegs[0]))
+        touched += int(alone.attrs["contact_steps"] > 0 and alone.contact_loss[-1] > 0.0)
+    assert touched == 3
+    assert batch.status == ("ok",) * 3
+    np.testing.assert_array_equal(batch.reached, DURATION)
+    one = hf.simulate_batch(ropes, motions, pegs=PEGS, q0=q0, t_eval=t, keep=keep, threads=1, **HOW)
+    for name in keep:
+        np.testing.assert_array_equal(one.values[name], batch.values[name])
+    assert set(batch.dataset.dims) >= {"member", "time", "peg"}
+
+
+def test_pegs_for_all_members() -> None:
+    ropes, motions = family()
+    batch = hf.simulate_batch(ropes[0], motions, pegs=PEGS[0], **HOW)
+    alone = hf.simulate(ropes[0], motions[2], pegs=PEGS[0], t_eval=[DURATION], **HOW)
+    np.testing.assert_array_equal(batch.tip[2], alone.tip)
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ({"pegs": [PEGS[0][0], PEGS[1]]}, "mixes pegs and lists"),
+        ({"pegs": PEGS[:2]}, "do not fit together"),
+        ({"pegs": [PEGS[0], PEGS[1], [*PEGS[2], *PEGS[0]]]}, "different numbers of pegs"),
+        ({"pegs": PEGS, "step": 1e-3}, "step is not there beside pegs"),
+        ({"pegs": PEGS, "q0": np.zeros(4)}, "q0"),
+        ({"pegs": PEGS, "t_eval": [2.0 * DURATION]}, "t_eval leaves the run"),
+        ({"keep": ("turns",)}, "there are none"),
+        ({"pegs": PEGS, "keep": ("temperature",)}, "keep"),
+    ],
+)
+def test_what_does_not_fit_is_refused(what: dict[str, object], words: str) -> None:
+    ropes, motions = family()
+    with pytest.raises(InvalidInput, match=words):
+        hf.simulate_batch(ropes, motions, **{**HOW, **what})  # type: ignore[arg-type]
