@@ -14,6 +14,8 @@ at its tip as an external force and a ramp at the other end.
 from __future__ import annotations
 
 import argparse
+import importlib.util
+import itertools
 import json
 import math
 import sys
@@ -142,6 +144,64 @@ def mujoco_onset(mu: float, turns: float, cone: str, impratio: float, step: floa
     }
 
 
+def page(found: dict[str, Any]) -> str:
+    """The results as Markdown."""
+    creeps = {(row["mu"], row["turns"]): row["creep, mm/s"] for row in found["creep"]}
+    ours = [
+        f"| {r['mu']} | {r['turns']} | {r['links']} | {r['onset over exp(mu theta)']:.3f} | "
+        f"{creeps[r['mu'], r['turns']]:.1e} | {100 * r['unsolved part']:.3f} |"
+        for r in found["onset"]
+    ]
+    finer = [f"| {r['l/R']} | {r['links']} | {r['onset over exp(mu theta)']:.4f} |" for r in found["convergence"]]
+    peer = [
+        f"| {r['cone']} | {r['impratio']:g} | {r['step']:g} | {r['onset over exp(mu theta)']:.3f} | "
+        f"{r['creep below three quarters of the limit, mm/s']:.2g} |"
+        for r in found["MuJoCo"]
+    ]
+    return "\n".join(
+        [
+            "# The capstan",
+            "",
+            "Pull at which a wound rope without weight slips by 1 mm, over exp(mu theta), with 1 N at its tip, on a",
+            "peg of 20 mm, its links cut as the library cuts them; and its creep at 0.95 of the limit over 10 s.",
+            "",
+            "| mu | turns | links | onset / exp(mu theta) | creep, mm/s | unsolved, % of steps |",
+            "|---|---|---|---|---|---|",
+            *ours,
+            "",
+            f"One turn at mu = 0.3 with links of other lengths. {order(found['convergence'])}",
+            "",
+            "| link / radius of the rope's axis | links | onset / exp(mu theta) |",
+            "|---|---|---|",
+            *finer,
+            "",
+            "MuJoCo, the same chain, half a turn at mu = 0.3:" if peer else "MuJoCo was not installed.",
+            "",
+            *(
+                ["| cone | impratio | step, s | onset / exp(mu theta) | creep below 0.75 of the limit, mm/s |"]
+                if peer
+                else []
+            ),
+            *(["|---|---|---|---|---|"] if peer else []),
+            *peer,
+            "",
+            f"{machine.sentence(found['machine'])}",
+            "",
+            "Again: `python -m benchmarks.capstan`",
+            "",
+        ]
+    )
+
+
+def order(rows: list[dict[str, Any]]) -> str:
+    """The observed order of convergence, between the onsets of three halvings of the links, in words."""
+    onsets = [row["onset over exp(mu theta)"] for row in rows]
+    steps = np.abs(np.diff(onsets))
+    if len(onsets) < 3 or not (steps[1:] > 0.0).all():
+        return ""
+    return f"Observed order: {', '.join(f'{np.log2(a / b):.1f}' for a, b in itertools.pairwise(steps))}."
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true")
@@ -160,7 +220,7 @@ def main() -> int:
         add("creep", creep(mu, turns))
     for ratio in RATIOS[2:3] if options.quick else RATIOS:
         add("convergence", onset(0.3, 1.0, ratio))
-    if not options.no_peers:
+    if not options.no_peers and importlib.util.find_spec("mujoco"):
         settings = [("elliptic", 100.0, 2e-4)] if options.quick else [
             ("pyramidal", 1.0, 1e-3), ("elliptic", 1.0, 1e-3), ("elliptic", 100.0, 1e-3), ("elliptic", 100.0, 2e-4),
         ]  # fmt: skip
@@ -168,6 +228,7 @@ def main() -> int:
             add("MuJoCo", mujoco_onset(0.3, 0.5, *setting, ramp=4.0))
     if options.out != "-":
         files.write_text(options.out, json.dumps(found, indent=1) + "\n")
+        files.write_text(str(Path(options.out).with_suffix(".md")), page(found))
     worst = max(abs(row["onset over exp(mu theta)"] - 1.0) for row in found["onset"])
     print(
         f"worst onset: {100 * worst:.1f} % off; worst creep: {max(r['creep, mm/s'] for r in found['creep']):.2g} mm/s"

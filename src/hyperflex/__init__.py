@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         regression,
         revise,
     )
-    from hyperflex.model import Arm, Peg, Rope, Setup, refined
+    from hyperflex.model import Arm, Ground, Peg, Rope, Setup, Wall, refined
     from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
     from hyperflex.simulation import (
@@ -51,6 +51,7 @@ _HOMES = {
     "Design": "identification",
     "Event": "simulation",
     "Experiment": "identification",
+    "Ground": "model",
     "Identification": "identification",
     "ModelComparison": "identification",
     "Motion": "motion",
@@ -64,6 +65,7 @@ _HOMES = {
     "State": "trajectory",
     "Trajectory": "trajectory",
     "Tug": "winding",
+    "Wall": "model",
     "Winding": "winding",
     "angle_reached": "simulation",
     "compare_models": "identification",
@@ -101,6 +103,7 @@ __all__ = [
     "Design",
     "Event",
     "Experiment",
+    "Ground",
     "Identification",
     "ModelComparison",
     "Motion",
@@ -114,6 +117,7 @@ __all__ = [
     "State",
     "Trajectory",
     "Tug",
+    "Wall",
     "Winding",
     "__version__",
     "angle_reached",

@@ -1,6 +1,8 @@
-"""Where a rope is near round pegs: the closest point of each link, its gap, and how fast the gap closes.
+"""Where a rope is near obstacles: the closest point of each link, its gap, and how fast the gap closes.
 
-A link touches a peg with its axis at the distance ``reach`` (peg radius plus rope radius) from the peg's centre. The
+A link touches a peg with its axis at the distance ``reach`` (peg radius plus rope radius) from the peg's centre. Of a
+straight face only the joints can come near, so each link answers for the joint at its end; the ends of a face are pegs
+of no radius. The
 contact force acts on the axis: the rope is thin in so far as the lever of friction about the axis is left out, so that
 the capstan law of a thin rope holds (docs/models.md).
 """
@@ -17,16 +19,21 @@ from hyperflex.core.chain import Array
 from hyperflex.core.jit import kernel
 
 Index = npt.NDArray[np.int64]
+NOWHERE = 1e9  # m, gap of what cannot touch
 LARGEST_TURN = 1.5  # rad, that a single contact stands for; more is a kink, not an arc
 
 
 class Pegs(NamedTuple):
-    """Fixed round pegs, one entry a peg."""
+    """Fixed obstacles, one entry each: round pegs, and straight faces."""
 
-    x: Array  # m
+    x: Array  # m, centre of a peg, first end of a face
     y: Array
+    ux: Array  # unit vector along a face; what is solid without end lies on its right
+    uy: Array
+    span: Array  # m, length of a face; 0 for a peg, infinite where one side is solid
     reach: Array  # m, peg radius plus rope radius
     mu: Array  # Coulomb's coefficient
+    bounce: Array  # coefficient of restitution
     first: int  # first link that may touch: 1 where link 0 is the arm
 
 
@@ -83,6 +90,30 @@ def closest(chain, trig, place, i, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def joint_gap(pegs, place, i, p):  # type: ignore[no-untyped-def]
+    """Gap between the joint at the end of link i and face p, m, and the unit vector from the face to the joint."""
+    ux, uy = pegs.ux[p], pegs.uy[p]
+    rx, ry = place[0, i + 1] - pegs.x[p], place[1, i + 1] - pegs.y[p]
+    along, across = rx * ux + ry * uy, ry * ux - rx * uy
+    if pegs.span[p] < np.inf:
+        if along < 0.0 or along > pegs.span[p]:
+            return NOWHERE, -uy, ux
+        if across < 0.0:
+            return -across - pegs.reach[p], uy, -ux
+    return across - pegs.reach[p], -uy, ux
+
+
+@kernel
+def nearest(chain, pegs, trig, place, i, p):  # type: ignore[no-untyped-def]
+    """Point of link i that may touch obstacle p: distance along the link, m; gap, m; unit vector to it."""
+    if pegs.span[p] > 0.0:
+        gap, nx, ny = joint_gap(pegs, place, i, p)
+        return chain.length[i], gap, nx, ny
+    s, size, nx, ny = closest(chain, trig, place, i, pegs.x[p], pegs.y[p])
+    return s, size - pegs.reach[p], nx, ny
+
+
+@kernel
 def corner(q, i):  # type: ignore[no-untyped-def]
     """Factor on the friction of link i, which stands for the arc between the middles of its two corners.
 
@@ -112,17 +143,16 @@ def find(chain, pegs, q, trig, place, margin, found):  # type: ignore[no-untyped
             dx, dy = pegs.x[p] - place[0, i], pegs.y[p] - place[1, i]
             far = pegs.reach[p] + chain.length[i] + margin[i]
             away = math.sqrt(dx * dx + dy * dy)
-            if away > far:
+            if away > far and pegs.span[p] == 0.0:
                 least = min(least, away - far + margin[i])
                 continue
-            s, size, nx, ny = closest(chain, trig, place, i, pegs.x[p], pegs.y[p])
-            gap = size - pegs.reach[p]
+            s, gap, nx, ny = nearest(chain, pegs, trig, place, i, p)
             least = min(least, gap)
             if gap < margin[i]:
                 found.link[count], found.peg[count] = i, p
                 found.place[count], found.nx[count], found.ny[count] = s, nx, ny
                 found.gap[count] = gap
-                found.mu[count] = pegs.mu[p] * corner(q, i)
+                found.mu[count] = pegs.mu[p] * (corner(q, i) if pegs.span[p] == 0.0 else 1.0)
                 count += 1
     found.total[0] = count
     return least

@@ -114,7 +114,10 @@ def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
     clock[TAKEN] += 1.0
     if rounds < 0:
         clock[UNSOLVED] += 1.0
-    if h > MOMENT:
+    long = h > MOMENT
+    for i in range(n):
+        desk.trend[i] = desk.motion.change[i] / h if long else 0.0
+    if long:
         keep(course.kept, desk.found, desk.impulses, h)
 
 
@@ -129,8 +132,14 @@ def forget(kept):  # type: ignore[no-untyped-def]
 
 @kernel
 def impact(chain, drive, part, pegs, pull, course, desk, nothing):  # type: ignore[no-untyped-def]
-    """Let the links that touch a peg come to rest on it, in no time; `nothing` is a Kept without contacts."""
-    least, rounds = attempt(chain, drive, part, pegs, pull, course.clock[T], 0.0, course.y, nothing, desk)
+    """Let the links that touch a peg come to rest on it, or bounce, in no time; `nothing` is a Kept without contacts.
+
+    Newton's restitution with friction may give energy; where it does, nothing bounces.
+    """
+    t, y = course.clock[T], course.y
+    least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, 1.0)
+    if pegs.bounce.any() and desk.account[CONTACT] < 0.0:
+        least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, 0.0)
     commit(course, desk, 0.0, rounds, least)
     course.clock[IMPACTS] += 1.0
     course.clock[DUE] = 0.0
@@ -170,6 +179,7 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
     desk = new_desk(n, m)
     nothing = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
     part = segment(drive, clock[T])
+    had = math.nan  # energy before the step, where it is known
     for _ in range(bounds.budget):
         t = clock[T]
         if t >= bounds.stop:
@@ -179,24 +189,27 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
         struck = clock[DUE] == 1.0
         if struck:
             impact(chain, drive, part, pegs, pull, course, desk, nothing)
+            had = math.nan
         end = min(part.end, bounds.stop)
         wanted = min(clock[STEP], bounds.step)
         h = fitted(wanted, end - t)
         shortest = min(SHORTEST * bounds.step, h)
         while True:
-            least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk)
+            least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, 0.0)
             touch = desk.touch[0]
             if touch == 0.0 and not struck:
                 impact(chain, drive, part, pegs, pull, course, desk, nothing)
-                struck = True
+                struck, had = True, math.nan
                 continue
             if touch > 0.0 and touch < 0.999 * h:
                 h = max(touch, BRIEF)
                 shortest = min(shortest, h)
                 continue
             longest = too_fast(chain, pegs, desk)
-            surplus = energy(chain, desk.out, desk.base[2]) - energy(chain, y, desk.base[0])
-            surplus += desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
+            if math.isnan(had):
+                had = energy(chain, y, desk.base[0])
+            has = energy(chain, desk.out, desk.base[2])
+            surplus = has - had + desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
             allowed = bounds.rate * h + 1e-15
             good = -LOSS * allowed <= surplus <= allowed and rounds > 0 and h <= longest
             good = good and (least > -DEEPER or -least <= clock[DEEPEST])
@@ -213,6 +226,7 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
         if not good:
             clock[FORCED] += 1.0
         clock[APPEARED] += surplus
+        had = has
         write(desk, course, h, t_out, y_out, seen_out)
         commit(course, desk, h, rounds, least)
         clock[DUE] = 1.0 if touch <= 1.001 * h else 0.0

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.core.chain import Array, energies, sincos, sines
-from hyperflex.core.contact_gaps import Contacts, Index, closest, find, joints, new_contacts, speeds
-from hyperflex.core.contact_modes import OPEN, Impulses, Motion, new_impulses, new_motion, solve
+from hyperflex.core.contact_arrays import Impulses, Motion, new_impulses, new_motion
+from hyperflex.core.contact_gaps import NOWHERE, Contacts, Index, find, joints, nearest, new_contacts, speeds
+from hyperflex.core.contact_modes import OPEN, solve
 from hyperflex.core.drive import base_state
 from hyperflex.core.jit import kernel
 
@@ -46,6 +47,7 @@ class Desk(NamedTuple):
     ahead_trig: Array
     ahead_speed: Array  # (2, n + 1)
     margin: Array  # (n,)
+    trend: Array  # (n,) rad/s^2, accelerations of the last step: where the next one begins to search
     out: Array  # (2 n,) angles and rates after the step
     base: Array  # (3, 9) motion of the first joint before, in the middle and after
     account: Array  # (3,)
@@ -65,6 +67,7 @@ def new_desk(n, pegs):  # type: ignore[no-untyped-def]
         np.zeros(n),
         np.zeros(2 * n),
         np.zeros((2, n + 1)),
+        np.zeros(n),
         np.zeros(n),
         np.zeros(2 * n),
         np.zeros((3, 9)),
@@ -95,11 +98,23 @@ def load_joints(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped
 
 
 @kernel
-def watch(chain, pegs, kept, desk, h):  # type: ignore[no-untyped-def]
+def rates_at(found, motion, c):  # type: ignore[no-untyped-def]
+    """Velocity of the point of contact c before the step, m/s: along its normal, and along its tangent."""
+    n = motion.w.size
+    i = found.link[c]
+    lever = found.place[c] * motion.w[i]
+    vx = motion.speed[0, i] + lever * motion.trig[n + i]
+    vy = motion.speed[1, i] + lever * motion.trig[i]
+    return vx * found.nx[c] + vy * found.ny[c], vy * found.nx[c] - vx * found.ny[c]
+
+
+@kernel
+def watch(chain, pegs, kept, desk, h, bounce):  # type: ignore[no-untyped-def]
     """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
 
     A gap may be closed, not more. Where a link turns about the peg, its gap changes by a term of second order, which is
-    allowed for as the rates before the step predict it.
+    allowed for as the rates before the step predict it. `bounce` is the part of the restitution that takes place in an
+    impact.
     """
     found, impulses, motion = desk.found, desk.impulses, desk.motion
     n = motion.w.size
@@ -114,7 +129,10 @@ def watch(chain, pegs, kept, desk, h):  # type: ignore[no-untyped-def]
         return least
     if h == 0.0:
         for c in range(count):
-            impulses.target[c] = 0.0 if found.gap[c] <= 2.0 * TOUCH else FREE
+            closing, _ = rates_at(found, motion, c)
+            impulses.target[c] = FREE
+            if found.gap[c] <= 2.0 * TOUCH:
+                impulses.target[c] = bounce * pegs.bounce[found.peg[c]] * (closing if closing < -FAST else 0.0)
             impulses.lean[c] = 0.0
         return least
     for i in range(n):
@@ -126,24 +144,21 @@ def watch(chain, pegs, kept, desk, h):  # type: ignore[no-untyped-def]
     speeds(chain, desk.ahead_trig, motion.w, desk.base[0, 5], desk.base[0, 6], desk.ahead_speed)
     for c in range(count):
         i, p = found.link[c], found.peg[c]
-        lever = found.place[c] * motion.w[i]
-        vx = motion.speed[0, i] + lever * motion.trig[n + i]
-        vy = motion.speed[1, i] + lever * motion.trig[i]
-        closing = vx * found.nx[c] + vy * found.ny[c]
+        closing, sliding = rates_at(found, motion, c)
         impulses.lean[c] = 0.0
         if closing < -FAST:
             impulses.target[c] = FREE
             away = found.gap[c] - 0.5 * h * closing  # at the beginning of the step
             desk.touch[0] = min(desk.touch[0], 0.0 if away <= TOUCH else -away / closing)
             continue
-        s, size, nx, ny = closest(chain, desk.ahead_trig, desk.ahead, i, pegs.x[p], pegs.y[p])
+        s, gap, nx, ny = nearest(chain, pegs, desk.ahead_trig, desk.ahead, i, p)
         bend = 0.0
-        if found.gap[c] < NEAR:
-            bend = max(-NEAR, min(size - pegs.reach[p] - found.gap[c] - h * closing, NEAR))
+        if found.gap[c] < NEAR and gap < NOWHERE:
+            bend = max(-NEAR, min(gap - found.gap[c] - h * closing, NEAR))
             lever = s * motion.w[i]
             wx = desk.ahead_speed[0, i] + lever * desk.ahead_trig[n + i]
             wy = desk.ahead_speed[1, i] + lever * desk.ahead_trig[i]
-            impulses.lean[c] = 0.5 * ((wy * nx - wx * ny) - (vy * found.nx[c] - vx * found.ny[c]))
+            impulses.lean[c] = 0.5 * ((wy * nx - wx * ny) - sliding)
         out = RECOVERY
         if found.gap[c] > -DEEP:
             out = min(RECOVERY, PUSH / (abs(kept.normal[i, p]) + SLIGHT_FORCE))
@@ -175,7 +190,7 @@ def keep(kept, found, impulses, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk):  # type: ignore[no-untyped-def]
+def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, bounce):  # type: ignore[no-untyped-def]
     """Take a step from y (2 n or more,) at time t to ``desk.out``; h = 0.0: an impact, in which nothing else acts.
 
     Parameters
@@ -183,6 +198,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk):  # type: ignor
     chain, drive, part, pegs : Chain, Drive, Segment that holds t..t + h, Pegs
     pull : (2,) force on the tip beside gravity, N
     kept, desk : Kept (not changed), Desk
+    bounce : float, part of the restitution that takes place in an impact
 
     Returns
     -------
@@ -199,7 +215,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk):  # type: ignor
         whole += chain.mass[i]
         motion.w[i] = y[n + i]
         desk.q[i] = y[i] + 0.5 * h * y[n + i]
-    motion.change[:] = 0.0
+        motion.change[i] = h * desk.trend[i]
     motion.rho[:] = 0.0
     sines(desk.q, motion.trig, 0)
     joints(chain, motion.trig, base[1, 7], base[1, 8], desk.xy)
@@ -209,7 +225,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk):  # type: ignor
     motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
     motion.base[2] = base[2, 3] - base[0, 3]
     motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
-    least = watch(chain, pegs, kept, desk, h)
+    least = watch(chain, pegs, kept, desk, h, bounce)
     recall(kept, desk.found, desk.impulses, h)
     rounds = solve(chain, desk.found, desk.impulses, motion, h, whole)
     for i in range(n):
@@ -235,13 +251,9 @@ def settle_account(chain, desk, torque, h):  # type: ignore[no-untyped-def]
     for c in range(found.total[0]):
         if impulses.mode[c] == OPEN:
             continue
-        i = found.link[c]
-        lever = found.place[c] * motion.w[i]
-        vx = motion.speed[0, i] + lever * motion.trig[n + i]
-        vy = motion.speed[1, i] + lever * motion.trig[i]
-        vn = vx * found.nx[c] + vy * found.ny[c] + impulses.vn[c]
-        vt = vy * found.nx[c] - vx * found.ny[c] + impulses.vt[c]
-        taken -= 0.5 * (impulses.normal[c] * vn + impulses.tangent[c] * vt)
+        closing, sliding = rates_at(found, motion, c)
+        taken -= 0.5 * impulses.normal[c] * (closing + impulses.vn[c])
+        taken -= 0.5 * impulses.tangent[c] * (sliding + impulses.vt[c])
     desk.account[CONTACT] = taken
     work = 0.5 * (motion.load[0] * (base[0, 5] + base[2, 5]) + motion.load[1] * (base[0, 6] + base[2, 6]))
     work += 0.5 * motion.load[2] * (base[0, 3] + base[2, 3])

@@ -1,10 +1,12 @@
 """What is simulated: rope, arm, pegs and set-up; frozen, validated, in and out of TOML."""
 
 from hyperflex.model.arm import Arm
+from hyperflex.model.obstacles import Obstacle
 from hyperflex.model.peg import Peg
 from hyperflex.model.refine import cuts, refined
 from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, Rope
 from hyperflex.model.setup import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Setup
+from hyperflex.model.wall import Ground, Wall
 
 __all__ = [
     "DEFAULT_CONTACT_STEP",
@@ -13,9 +15,12 @@ __all__ = [
     "GRAVITY",
     "METHODS",
     "Arm",
+    "Ground",
+    "Obstacle",
     "Peg",
     "Rope",
     "Setup",
+    "Wall",
     "cuts",
     "refined",
 ]

@@ -10,6 +10,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
+from hyperflex.model.wall import restitution
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,8 @@ class Peg:
         m, > 0. The rope's axis stays outside `radius` plus the rope's own radius.
     mu : float
         Coulomb's coefficient of friction between rope and peg, >= 0.
+    restitution : float
+        Part of the speed with which a point bounces back, 0 to 1.
 
     Raises
     ------
@@ -41,6 +44,7 @@ class Peg:
     y: float
     radius: float
     mu: float = 0.3
+    restitution: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("x", "y"):
@@ -48,6 +52,7 @@ class Peg:
         radius = checks.number("peg radius", self.radius, sign="positive", unit="m")
         object.__setattr__(self, "radius", radius)
         object.__setattr__(self, "mu", checks.number("peg mu", self.mu, sign="nonnegative"))
+        object.__setattr__(self, "restitution", restitution("peg", self.restitution))
 
 
 def pegs_table(pegs: Sequence[Peg]) -> dict[str, list[float]]:
@@ -56,14 +61,14 @@ def pegs_table(pegs: Sequence[Peg]) -> dict[str, list[float]]:
 
 
 def pegs_from_table(table: Mapping[str, Any]) -> tuple[Peg, ...]:
-    """Build pegs from a ``[pegs]`` table; a single number stands for one peg, and ``mu`` for all of them."""
+    """Build pegs from a ``[pegs]`` table; a number stands for one peg, ``mu`` and ``restitution`` for all."""
     names = [f.name for f in fields(Peg)]
     if set(table) - set(names) or set(names[:3]) - set(table):
-        raise InvalidInput("pegs table does not fit", got=sorted(table), allowed="x, y, radius and, if wanted, mu")
+        raise InvalidInput("pegs table does not fit", got=sorted(table), allowed="x, y, radius; mu, restitution")
     columns = {
         name: np.atleast_1d(checks.array(f"pegs {name}", value, np.shape(value))) for name, value in table.items()
     }
-    sizes = {name: value.size for name, value in columns.items() if name != "mu" or value.size > 1}
+    sizes = {name: value.size for name, value in columns.items() if name in names[:3] or value.size > 1}
     if len(set(sizes.values())) != 1 or any(value.ndim > 1 for value in columns.values()):
         raise InvalidInput("pegs arrays do not tell one number of pegs", got=sizes, allowed="arrays of one length")
     columns = {name: np.broadcast_to(value, columns["x"].shape) for name, value in columns.items()}

@@ -11,20 +11,21 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
+from hyperflex.model.obstacles import Obstacle
 from hyperflex.model.peg import Peg
 from hyperflex.model.rope import Rope
 
 FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
 
 
-def refined(rope: Rope, pegs: Sequence[Peg], *, arm: Arm | None = None, ratio: float = FINE) -> Rope:
+def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> Rope:
     """Cut the links that may touch a peg, so that a wound rope is round enough to hold what a real one holds.
 
     Parameters
     ----------
     rope : Rope
         Links that are cut must have their centre of mass in their middle.
-    pegs : sequence of Peg
+    pegs : sequence of Peg, Wall or Ground
     arm : Arm, optional
         That the rope hangs from; without one the rope hangs from the origin.
     ratio : float
@@ -83,13 +84,15 @@ def refined(rope: Rope, pegs: Sequence[Peg], *, arm: Arm | None = None, ratio: f
     )
 
 
-def cuts(rope: Rope, pegs: Sequence[Peg], *, arm: Arm | None = None, ratio: float = FINE) -> npt.NDArray[np.int64]:
+def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> npt.NDArray[np.int64]:
     """Return into how many pieces :func:`refined` cuts each link (n,); ``np.repeat(q0, cuts(...))`` are its angles."""
     ratio = checks.number("ratio", ratio, sign="positive")
     reach, (x, y) = (0.0, (0.0, 0.0)) if arm is None else (arm.length, arm.pivot)
     far = reach + np.cumsum(rope.length)  # of each link's far joint at most
     pieces = np.ones(rope.n_links, dtype=np.int64)
     for peg in pegs:
+        if not isinstance(peg, Peg):
+            continue  # nothing winds round what is straight
         axis = peg.radius + rope.radius
         near = far >= np.hypot(peg.x - x, peg.y - y) - axis
         pieces = np.where(near, np.maximum(pieces, np.ceil(rope.length / (ratio * axis) - 1e-9)), pieces).astype(

@@ -17,7 +17,7 @@ from hyperflex.core.contact_gaps import Pegs
 from hyperflex.core.drive import TORQUE, Drive, X, Y
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
-from hyperflex.model.peg import Peg, pegs_from_table, pegs_table
+from hyperflex.model.obstacles import Obstacle, obstacles_of, packed, tables
 from hyperflex.model.rope import Rope
 from hyperflex.motion import Motion, from_spec, hold, to_spec
 
@@ -50,8 +50,8 @@ class Setup:
     method : {"extrapolation", "rk4"}
     step : float, optional
         Step of ``"rk4"``, s.
-    pegs : sequence of Peg, optional
-        Round pegs that the rope may touch; for ropes with friction_model="relative" and no dry friction.
+    pegs : sequence of Peg, Wall or Ground, optional
+        What the rope may touch; for ropes with friction_model="relative" and no dry friction.
     contact_step : float
         Longest step beside a peg, s.
     tip_force : (2,) array_like
@@ -75,7 +75,7 @@ class Setup:
     tol: float = DEFAULT_TOL
     method: str = "extrapolation"
     step: float | None = None
-    pegs: tuple[Peg, ...] = ()
+    pegs: tuple[Obstacle, ...] = ()
     contact_step: float = DEFAULT_CONTACT_STEP
     tip_force: tuple[float, float] = (0.0, 0.0)
 
@@ -109,8 +109,8 @@ class Setup:
 
     def _check_pegs(self) -> None:
         for peg in self.pegs:
-            if not isinstance(peg, Peg):
-                raise InvalidInput("pegs holds something else", got=peg, allowed="hyperflex.Peg")
+            if not isinstance(peg, Obstacle):
+                raise InvalidInput("pegs holds something else", got=peg, allowed="hyperflex.Peg, Wall or Ground")
         if not self.pegs:
             if any(self.tip_force):
                 raise InvalidInput("tip_force needs a set-up with pegs", got=self.tip_force, fix="Give pegs=[Peg(...)]")
@@ -179,8 +179,7 @@ class Setup:
 
     def contacts(self) -> Pegs:
         """Return the pegs as the kernels take them."""
-        x, y, radius, mu = (np.array([getattr(peg, name) for peg in self.pegs]) for name in ("x", "y", "radius", "mu"))
-        return Pegs(x, y, radius + self.rope.radius, mu, 1 if self.torque_driven else 0)
+        return packed(self.pegs, self.rope.radius, 1 if self.torque_driven else 0)
 
     def dumps(self) -> str:
         """Return the set-up as TOML text, from which :meth:`loads` builds an equal one."""
@@ -196,7 +195,7 @@ class Setup:
             content["arm"] = self.arm.table()
         if self.pegs:
             content |= {"contact_step": self.contact_step, "tip_force": list(self.tip_force)}
-            content["pegs"] = pegs_table(self.pegs)
+            content |= tables(self.pegs)
         for name, motion in (("motion", self.motion), ("torque", self.torque)):
             if motion is not None:
                 content[name] = to_spec(motion)
@@ -206,17 +205,16 @@ class Setup:
     def loads(cls, text: str, name: str = "the set-up", folder: Path | None = None) -> Setup:
         """Build a set-up from TOML text; `name` stands for it in messages, files named in it lie in `folder`."""
         content = files.loads_toml(text, name)
-        names = {f.name for f in fields(cls)}
+        names = {f.name for f in fields(cls)} | {"walls", "grounds"}
         if set(content) - names or "rope" not in content:
             raise InvalidInput(f"{name} does not fit", got=sorted(content), allowed="rope; " + ", ".join(sorted(names)))
-        for table in ("rope", "arm", "motion", "torque", "pegs"):
+        for table in ("rope", "arm", "motion", "torque", "pegs", "walls", "grounds"):
             if table in content and not isinstance(content[table], Mapping):
                 raise InvalidInput(f"{table} of {name} is not a table", got=content[table], allowed=f"[{table}]")
         content["rope"] = Rope.from_table(content["rope"])
         if "arm" in content:
             content["arm"] = Arm.from_table(content["arm"])
-        if "pegs" in content:
-            content["pegs"] = pegs_from_table(content["pegs"])
+        content["pegs"] = obstacles_of({name: content.pop(name, None) for name in ("pegs", "walls", "grounds")})
         for motion in ("motion", "torque"):
             if motion in content:
                 content[motion] = from_spec(content[motion], folder)

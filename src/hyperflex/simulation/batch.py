@@ -22,7 +22,7 @@ from hyperflex.core.lanes import MEMBERS
 from hyperflex.core.members import LENGTH, Members, Terms, observe_block
 from hyperflex.core.steppers import scheme
 from hyperflex.errors import InvalidInput
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Peg, Rope, Setup
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.beside_batch import INTERRUPTED, TURNS, members_of, run_members
 from hyperflex.simulation.rollouts import balanced, least_scale, lever, progress_bar, stored
@@ -118,7 +118,7 @@ def simulate_batch(
     tol: float = DEFAULT_TOL,
     step: float | None = None,
     keep: Sequence[str] = ("tip",),
-    pegs: Sequence[Peg] | Sequence[Sequence[Peg]] = (),
+    pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]] = (),
     contact_step: float = DEFAULT_CONTACT_STEP,
     refine: bool = True,
     threads: int | None = None,
@@ -142,8 +142,8 @@ def simulate_batch(
     step : float, optional
         A step chosen beforehand, s, without error control; not beside pegs.
     keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns"}
-        What to keep; memory is (M, T) times this, beside the blocks in work. Turns are those about each peg.
-    pegs : sequence of Peg, or of such sequences, optional
+        What to keep; memory is (M, T) times this, beside the blocks in work. Turns are those about each round peg.
+    pegs : sequence of Peg, Wall or Ground, or of such sequences, optional
         Pegs of all members, or of each, the same number for all. Members run one by one then, each as
         :func:`hyperflex.simulate` runs it and with the same result.
     contact_step, refine

@@ -14,7 +14,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Peg, Rope, Setup
+from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.contact import beside, finer
 from hyperflex.simulation.outcome import conclude
@@ -39,7 +39,7 @@ class Members:
 
     ropes: list[Rope]
     motions: Sequence[Motion | None]
-    pegs: list[tuple[Peg, ...]]
+    pegs: list[tuple[Obstacle, ...]]
     q0: Array | None  # (n,) or (M, n), of the ropes before they are cut
     qd0: Array | None
     arm: Arm | None
@@ -65,7 +65,7 @@ class Members:
 def members_of(
     ropes: Rope | Sequence[Rope],
     motions: Motion | Sequence[Motion] | None,
-    pegs: Sequence[Peg] | Sequence[Sequence[Peg]],
+    pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]],
     start: tuple[npt.ArrayLike | None, npt.ArrayLike | None],
     **others: Any,
 ) -> Members:
@@ -78,10 +78,10 @@ def members_of(
     return members
 
 
-def pegs_of(pegs: Sequence[Peg] | Sequence[Sequence[Peg]]) -> list[tuple[Peg, ...]]:
+def pegs_of(pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]]) -> list[tuple[Obstacle, ...]]:
     """Return the pegs of each member; one entry if they are the same for all."""
     given = list(pegs)
-    if all(isinstance(each, Peg) for each in given):
+    if all(isinstance(each, Obstacle) for each in given):
         return [tuple(given)]  # type: ignore[arg-type]
     lists = [tuple(each) for each in given if isinstance(each, Sequence)]
     if len(lists) < len(given):
@@ -124,7 +124,7 @@ def run_members(
         Time that each member reached, s.
     """
     setups = [members.setup(m) for m in range(members.count)]
-    sizes = {"link": max(s.rope.n_links for s in setups), "axis": 2, "peg": len(setups[0].pegs)}
+    sizes = {"link": max(s.rope.n_links for s in setups), "axis": 2, "peg": len(_round(setups[0]))}
     values = {k: np.full((len(setups), t.size, *(sizes[d] for d in SHAPES[k])), np.nan) for k in keep}
     names, reached = [INTERRUPTED] * len(setups), np.zeros(len(setups))
 
@@ -158,9 +158,14 @@ def _run(setup: Setup, t: Array) -> Trajectory:
     return conclude(rollout, setup, code, status.NAMES[code], throw=False, skip=1)
 
 
+def _round(setup: Setup) -> list[Peg]:
+    """Pegs that a rope may wind round."""
+    return [each for each in setup.pegs if isinstance(each, Peg)]
+
+
 def _kept(run: Trajectory, name: str) -> Array:
     """Return one of the quantities of SHAPES (T, ...)."""
     if name != TURNS:
         return np.asarray(getattr(run, name))
-    centres = np.array([[peg.x, peg.y] for peg in run.setup.pegs])
+    centres = np.array([[peg.x, peg.y] for peg in _round(run.setup)])
     return np.stack([swept(run.joints - centre).sum(axis=1) for centre in centres], axis=1) / (2.0 * np.pi)

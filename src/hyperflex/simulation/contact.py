@@ -20,7 +20,7 @@ from hyperflex.core.chain import Chain
 from hyperflex.core.contact_step import Kept
 from hyperflex.core.drive import Drive
 from hyperflex.core.progress import INDEX, MARK, T
-from hyperflex.model import DEFAULT_TOL, Arm, Peg, Rope, Setup, cuts, refined
+from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refined
 from hyperflex.simulation.rollouts import BUDGET, Rollout, starting_clock
 from hyperflex.trajectory import State
 
@@ -49,11 +49,12 @@ class Beside:
     """
 
     def __init__(self, run: Rollout, setup: Setup, saved: Mapping[str, Any]) -> None:
-        n, m = run.chain.length.size, len(setup.pegs)
+        contacts = setup.contacts()
+        n, m = run.chain.length.size, contacts.x.size
         self.looser = setup.tol / DEFAULT_TOL
         run.limits = run.limits._replace(tol=FLIGHT_TOL * setup.tol)
         self.run = run
-        self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), setup.contacts())
+        self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), contacts)
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
         kept = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
         clock = np.zeros(core.CLOCK)
@@ -158,10 +159,10 @@ def beside(run: Rollout, setup: Setup, state: State | None) -> Beside:
 
 
 def finer(
-    rope: Rope, pegs: tuple[Peg, ...], arm: Arm | None, q0: Any, qd0: Any, state: State | None
+    rope: Rope, pegs: tuple[Obstacle, ...], arm: Arm | None, q0: Any, qd0: Any, state: State | None
 ) -> tuple[Rope, Any, Any, State | None]:
     """Return the rope cut as its pegs need it, and start and state with an entry for each of its links."""
-    if not isinstance(rope, Rope) or not all(isinstance(peg, Peg) for peg in pegs):
+    if not isinstance(rope, Rope) or not all(isinstance(peg, Obstacle) for peg in pegs):
         return rope, q0, qd0, state  # refused where the set-up is made
     pieces, coarse = cuts(rope, pegs, arm=arm), rope.n_links
 

@@ -16,7 +16,7 @@ from hyperflex.core import status
 from hyperflex.core.drive import TORQUE
 from hyperflex.core.until import NEVER
 from hyperflex.errors import InvalidInput
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Arm, Peg, Rope, Setup
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion, hold
 from hyperflex.simulation.contact import beside, finer
 from hyperflex.simulation.events import Event
@@ -56,7 +56,7 @@ def simulate(
     arm_rate0: float = 0.0,
     state: State | None = None,
     until: Event | None = None,
-    pegs: Sequence[Peg] = (),
+    pegs: Sequence[Obstacle] = (),
     contact_step: float = DEFAULT_CONTACT_STEP,
     tip_force: npt.ArrayLike = (0.0, 0.0),
     refine: bool = True,
@@ -105,8 +105,8 @@ def simulate(
         after `duration` if it does not; ``trajectory.event`` tells. The last sample is the event then, located to some
         1e-12 s within the run's own accuracy. Steps are 10 ms at most while an event is awaited; one that comes and
         goes within such a step can be missed.
-    pegs : sequence of Peg, optional
-        Round pegs that the rope may touch and wind round. Events and torque callbacks are not there yet beside pegs.
+    pegs : sequence of Peg, Wall or Ground, optional
+        What the rope may touch and wind round. Events and torque callbacks are not there yet beside pegs.
     contact_step : float
         Longest step beside a peg, s. A run that goes on from a `state` takes its steps elsewhere than one that was not
         stopped, so the two agree within the accuracy of these steps only.

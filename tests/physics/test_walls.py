@@ -1,0 +1,95 @@
+"""Straight obstacles against closed forms: a rope on a floor, a bouncing rod, a wall's end, and a slit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import InvalidInput
+
+RADIUS = 0.0025  # m, of the ropes here
+
+
+def test_a_rope_comes_to_rest_on_the_floor() -> None:
+    rope = hf.Rope.uniform(0.6, 0.06, 15, RADIUS, friction=5e-3)
+    floor = hf.Ground(0.0, -0.3, mu=0.5)
+    run = hf.simulate(rope, duration=4.0, q0=np.full(15, 0.3), pegs=[floor], tol=1e-3, contact_step=1e-3)
+    assert run.joints[..., 1].min() > -0.3 + RADIUS - 2e-4  # the goal for penetration
+    lying = np.isclose(run.joints[-1, :, 1], -0.3 + RADIUS, atol=1e-4)
+    assert lying.sum() >= 5
+    # At rest the floor bears what the pin at the top does not: the weight less the tension there.
+    up = run.contact_force[-20:, :, 1].sum(axis=1).mean()
+    assert up + hf.tension(run)[-20:, 0].mean() == pytest.approx(0.06 * 9.81, rel=0.02)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5, 1.0])
+def test_a_rod_bounces_as_its_restitution_says(e: float) -> None:
+    """A rod without weight swings against a wall at its end: it comes back with e times the rate."""
+    rod = hf.Rope(length=[0.5], mass=[0.05], radius=RADIUS, gravity=(0.0, 0.0))
+    wall = hf.Wall(0.3, -1.0, 0.3, 1.0, mu=0.0, restitution=e)
+    run = hf.simulate(rod, duration=0.4, q0=[0.0], qd0=[4.0], pegs=[wall])
+    at = math.asin((0.3 - RADIUS) / 0.5)
+    assert run.q.max() == pytest.approx(at, abs=1e-4)
+    assert run.qd[-1, 0] == pytest.approx(-4.0 * e, abs=5e-3)  # pushed out at a millimetre a second at most
+    lost = 0.5 * (0.05 * 0.25 / 3.0 + 0.25 * 0.05 * RADIUS**2) * 16.0 * (1.0 - e * e)
+    assert run.contact_loss[-1] == pytest.approx(lost, rel=1e-3, abs=1e-9)
+
+
+def test_a_bouncing_rope_gains_no_energy() -> None:
+    rope = hf.Rope.uniform(0.6, 0.06, 12, RADIUS, friction=1e-3)
+    floor, peg = hf.Ground(0.0, -0.35, mu=0.4, restitution=0.8), hf.Peg(0.2, -0.2, 0.03, 0.4, restitution=0.8)
+    run = hf.simulate(rope, duration=0.6, q0=np.full(12, 1.9), pegs=[floor, peg], refine=False)
+    assert np.diff(run.contact_loss).min() > -1e-5
+    assert run.energy_error.max() < 1e-5  # the goal for these joints
+    assert run.attrs["contact_impacts"] > 5
+
+
+def test_a_rope_hangs_over_the_end_of_a_wall() -> None:
+    """The end of a wall is round, of the rope's own radius: nothing goes through it, and it holds the rope up."""
+    rope = hf.Rope.uniform(0.6, 0.06, 30, RADIUS, friction=5e-3)
+    wall = hf.Wall(0.15, -1.0, 0.15, -0.1, mu=0.3)
+    run = hf.simulate(rope, duration=1.5, q0=np.full(30, 1.6), pegs=[wall], tol=1e-3, contact_step=1e-3)
+    x, y = run.joints[-1].T
+    crossing = np.interp(0.15, x[: int(np.argmax(x > 0.2))], y[: int(np.argmax(x > 0.2))])
+    assert crossing > -0.1 - 1e-3
+    assert x[-1] > 0.15  # the tail hangs on the far side
+    assert run.attrs["contact_deepest"] < 2e-4
+
+
+def test_a_fast_rope_does_not_pass_a_wall() -> None:
+    rod = hf.Rope(length=[1.0], mass=[0.05], radius=RADIUS, gravity=(0.0, 0.0))
+    wall = hf.Wall(0.6, -0.9, 0.6, -0.5, mu=0.0)
+    run = hf.simulate(rod, duration=0.1, q0=[0.0], qd0=[50.0], pegs=[wall])
+    assert run.tip[:, 0].max() < 0.6
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: hf.Wall(0.0, 0.0, 0.0, 0.0), "ends of a wall coincide"),
+        (lambda: hf.Wall(0.0, math.nan, 1.0, 0.0), "wall y is not finite"),
+        (lambda: hf.Ground(0.0, 0.0, 0.0, 0.0), "vector out of the ground is zero"),
+        (lambda: hf.Ground(0.0, 0.0, mu=-1.0), "ground mu has the wrong sign"),
+        (lambda: hf.Peg(0.0, 0.0, 0.1, restitution=1.5), "peg restitution is too large"),
+    ],
+)
+def test_bad_obstacles_are_refused(make: object, words: str) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        make()  # type: ignore[operator]
+
+
+def test_obstacles_survive_their_file() -> None:
+    obstacles = [
+        hf.Peg(0.5, 0.0, 0.02, 0.2, 0.1),
+        hf.Wall(0.0, 1.0, 2.0, 3.0, 0.4, 0.5),
+        hf.Ground(0.0, -1.0, 0.1, 0.9),
+    ]
+    setup = hf.Setup(hf.Rope.uniform(1.0, 0.1, 5, RADIUS), pegs=obstacles)
+    assert hf.Setup.loads(setup.dumps()).pegs == tuple(obstacles)
+    with pytest.raises(InvalidInput, match="walls table does not fit"):
+        hf.Setup.loads(setup.dumps().replace("x2", "x3"))
+    with pytest.raises(InvalidInput, match="grounds table does not fit"):
+        hf.Setup.loads(setup.dumps().split("[grounds]")[0] + "[grounds]\ny = 1.0\n")
