@@ -72,4 +72,5 @@ def pegs_from_table(table: Mapping[str, Any]) -> tuple[Peg, ...]:
     if len(set(sizes.values())) != 1 or any(value.ndim > 1 for value in columns.values()):
         raise InvalidInput("pegs arrays do not tell one number of pegs", got=sizes, allowed="arrays of one length")
     columns = {name: np.broadcast_to(value, columns["x"].shape) for name, value in columns.items()}
-    return tuple(Peg(*values) for values in zip(*(columns[name] for name in names if name in columns), strict=True))
+    rows = zip(*columns.values(), strict=True)
+    return tuple(Peg(**dict(zip(columns, map(float, row), strict=True))) for row in rows)
