@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hyperflex as hf
 from hyperflex import compare_models
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
@@ -120,11 +121,11 @@ def test_bic_is_schwarz_s_with_states_counted_in_their_own_window() -> None:
 
 
 @pytest.fixture(scope="module")
-def stiff() -> _choice.ModelComparison:
+def stiff() -> hf.ModelComparison:
     return compare_models(swing(STIFF), GUESS, MODELS | {"nonsense": ["colour"]})
 
 
-def test_the_true_model_is_preferred_where_the_simpler_one_misses_something(stiff: _choice.ModelComparison) -> None:
+def test_the_true_model_is_preferred_where_the_simpler_one_misses_something(stiff: hf.ModelComparison) -> None:
     assert stiff.preferred == "viscous + stiffness"
     assert stiff.best is stiff["viscous + stiffness"].identification
     assert stiff["viscous"].whiteness < 1e-6
@@ -144,7 +145,7 @@ def test_the_simpler_model_is_preferred_where_it_is_true() -> None:
     assert 4.5 < richer.bic - found["viscous"].bic < 14.6
 
 
-def test_a_candidate_that_fails_is_told_with_its_reason(stiff: _choice.ModelComparison) -> None:
+def test_a_candidate_that_fails_is_told_with_its_reason(stiff: hf.ModelComparison) -> None:
     assert stiff["nonsense"].identification is None
     assert "unknown name" in stiff["nonsense"].reason
     assert "failed: free has an unknown name" in str(stiff)
@@ -153,7 +154,7 @@ def test_a_candidate_that_fails_is_told_with_its_reason(stiff: _choice.ModelComp
         stiff["no such"]
 
 
-def test_the_table_has_names_and_units(stiff: _choice.ModelComparison, tmp_path: Path) -> None:
+def test_the_table_has_names_and_units(stiff: hf.ModelComparison, tmp_path: Path) -> None:
     table = stiff.dataset
     assert list(table["model"].values) == ["viscous", "viscous + stiffness", "nonsense"]
     assert table["held_out_rms"].attrs["units"] == "rad"
