@@ -14,6 +14,7 @@ from hyperflex.recording import Recording
 
 DENSEST = 200  # samples a window; more of them repeat what their neighbours say and only cost time
 FEWEST = 8  # samples a window, where the recording allows it
+SEEN = 20  # values of each link's angle in a window, ten for each unknown of its state, where the recording allows it
 PART = 1.2  # periods
 TURN = 8.0  # rad a link may turn within a window, as rms rate times time: beyond it fits find false minima
 BLIND = 0.5  # part of a window for which a link may be out of sight
@@ -50,13 +51,16 @@ class Window:
 def usual_length(recording: Recording, rope: Rope) -> float:
     """Return a window length (s): a small swing of a rod as long as the rope, or less where links turn fast.
 
-    It depends on what is known (lengths, gravity), not on the guess of what is not: nor does the fit, then.
+    It depends on what is known (lengths, gravity), not on the guess of what is not: nor does the fit, then. Where
+    frames are few, or many are lost, it is doubled until it holds enough of them.
     """
     gravity = float(np.hypot(*rope.gravity))
     period = 2.0 * np.pi * float(np.sqrt(2.0 * rope.total_length / (3.0 * gravity))) if gravity > 0.0 else 1.0
     fastest = float(rms_rates(recording).max())
     spacing = float(np.median(np.diff(recording.t)))
-    return max(min(PART * period, TURN / fastest if fastest > 0.0 else np.inf), FEWEST * spacing)
+    length = max(min(PART * period, TURN / fastest if fastest > 0.0 else np.inf), FEWEST * spacing)
+    seen = float((~np.isnan(recording.data)).mean(axis=0).min()) * length / spacing
+    return float(length * 2.0 ** np.ceil(np.log2(SEEN / seen))) if 0.0 < seen < SEEN else length
 
 
 def rms_rates(recording: Recording) -> Array:
