@@ -14,7 +14,14 @@ from hyperflex.identification._prediction import HeldOut
 from hyperflex.identification._result import Identification
 from hyperflex.identification._sensors import Angles
 from hyperflex.identification._uncertainty import Basis, ratio_spread, ratios
-from hyperflex.identification._verdict import failed_predictions, not_arrived, not_noise, too_large, verdict
+from hyperflex.identification._verdict import (
+    failed_predictions,
+    noise_unknown,
+    not_arrived,
+    not_noise,
+    too_large,
+    verdict,
+)
 from hyperflex.identification._windows import Window
 from hyperflex.model import Rope
 
@@ -46,7 +53,8 @@ def conclude(
     ratio_sd = ratio_spread(parameters, information)
     status = "interrupted" if found.interrupted else "converged" if found.converged else "not converged"
     words = not_arrived(status) + verdict(parameters, information, rope, ratio_sd) + _poor(windows, rms, unit)
-    words += not_noise(information.correlation, information.whiteness) + failed_predictions(held_out) + remarks
+    words += not_noise(information.correlation, information.whiteness)
+    words += noise_unknown(information.agrees, information.freedom) + failed_predictions(held_out) + remarks
     if ((weights != 0.0) & (weights != 1.0)).any():  # the recording says what its noise is
         words += too_large(information.variance, information.freedom)
     if intervals is not None:

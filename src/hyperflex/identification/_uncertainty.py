@@ -29,8 +29,9 @@ class Information:
     singular (P,): of the derivatives of all residuals, states eliminated, largest first. known (P, k) and unknown
     (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. correlation: autocorrelation time of
     the residuals, samples. plain (P, P): the covariance if the residuals were white. variance: of what each residual
-    counts. freedom: of that variance, in independent values. terms (k,): of the residuals' autoregression. whiteness:
-    probability that white noise leaves such residuals. follow: how each window's state moves with x (2n, P).
+    counts. freedom: of that variance, in independent values, 1 at least. terms (k,): of the residuals' autoregression;
+    agrees: whether that leaves such residuals. whiteness: probability that white noise leaves such residuals. follow:
+    how each window's state moves with x (2n, P).
     """
 
     x: Array
@@ -46,6 +47,7 @@ class Information:
     terms: Array = field(default_factory=lambda: np.zeros(0))
     whiteness: float = 1.0
     follow: tuple[Array, ...] = ()
+    agrees: bool = True
 
     def spread(self, gradient: Array) -> Array:
         """Return the sd (k,) of functions of x with the given gradients (k, P); inf where x alone cannot tell."""
@@ -93,7 +95,7 @@ def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
     known, unknown = directions[told].T, directions[~told].T
     inner = known / singular[told]  # A^+ = inner inner^T
     pieces = [model.piece(inner * widths[:, None]) for model in models]
-    terms = autoregression(pieces)
+    terms, agrees = autoregression(pieces)
     absorbed = sum(float((piece.basis * coloured(terms, piece.basis)).sum()) for piece in pieces)
     freedom = max(1.0, slopes.size - absorbed)
     factor = 1.0 + absorbed / slopes.size * float(slopes.var()) / mean**2
@@ -116,6 +118,7 @@ def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
         terms=terms,
         whiteness=whiteness(pieces),
         follow=tuple(model.follow for model in models),
+        agrees=agrees,
     )
 
 

@@ -13,6 +13,7 @@ from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
 CORRELATED = 10.0  # samples
+FEW = 2.0  # independent values; a variance from fewer has no sd
 CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
 COLOURED = (
     "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
@@ -56,10 +57,32 @@ def not_noise(correlation: float, whiteness: float = 1.0) -> list[str]:
     if correlation <= CORRELATED:
         return [] if whiteness >= CHANCE else [COLOURED]
     text = (
-        f"The residuals are no noise (they hang together over {correlation:.0f} samples): the model leaves something "
-        "out, and parameters, friction above all, may be off by more than their deviations say."
+        f"The residuals are no noise (they hang together over {correlation:.0f} samples) but errors of the model: it "
+        "leaves something out. Standard deviations and intervals then tell little: they say how estimates scatter, not "
+        "how far such errors draw them away. Parameters, friction above all, may be off by more."
     )
     return [text]
+
+
+def noise_unknown(agrees: bool, freedom: float) -> list[str]:
+    """Return a warning where the standard deviations rest on a noise model that does not hold, or on next to nothing.
+
+    `agrees` tells whether the residuals' autoregression leaves such residuals; `freedom` of how many independent values
+    their variance is taken.
+    """
+    if not agrees:
+        text = (
+            "No stationary noise would leave such residuals: standard deviations and intervals take them as they are, "
+            "though the fit has absorbed part of them, and may be far too small."
+        )
+        return [text]
+    if freedom < FEW:
+        text = (
+            f"What the fit has left is worth about {freedom:.2g} independent values: standard deviations and intervals "
+            "are hardly more than a guess. Record longer, or free fewer parameters."
+        )
+        return [text]
+    return []
 
 
 def too_large(variance: float, freedom: float) -> list[str]:
