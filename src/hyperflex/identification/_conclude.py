@@ -40,7 +40,7 @@ def conclude(
     parameters = plant.parameters
     x = parameters.rounded(found.x)
     rope, slopes = parameters.rope(x), parameters.slopes(x)
-    spreads = information.spread(np.diag(slopes))
+    spreads = information.deviations(slopes)
     weights = np.concatenate([w.weight for w in windows])
     flat = np.concatenate([r.reshape(w.y.shape) for r, w in zip(found.residuals, windows, strict=True)])
     with np.errstate(divide="ignore", invalid="ignore"):

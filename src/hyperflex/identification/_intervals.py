@@ -17,6 +17,7 @@ HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
 LEVEL = 0.95
 TIED = 0.1  # correlation with a parameter beside its bound from which the bound is felt
 BENT = 0.1  # part by which the root of the rise may depart from a straight line before the covariance is left
+SIGNED = ("p/p1",)  # ratios that may be negative: a centre of mass behind its joint
 MOST = 4  # profiles that "auto" takes on, each as dear as two or three fits
 
 
@@ -77,7 +78,7 @@ def from_covariance(basis: Basis, which: int, level: float = LEVEL) -> Interval:
     """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
     information, parameter = basis.information, basis.plant.parameters.all[which]
     least = float(basis.plant.parameters.lower[which])
-    sd = float(information.spread(np.eye(information.x.size)[which : which + 1])[0])
+    sd = float(information.deviations(np.ones(information.x.size))[which])
     if not np.isfinite(sd):
         low = -np.inf if parameter.form == "linear" else 0.0
         return Interval(low, np.inf, "unknown", ("open" if low else "bound", "open"), level)
@@ -89,14 +90,21 @@ def from_covariance(basis: Basis, which: int, level: float = LEVEL) -> Interval:
 
 
 def of_ratios(ratios: dict[str, Array], sd: dict[str, Array], freedom: float) -> dict[str, Interval]:
-    """Return intervals of the ratios, by name and link, e.g. ``J/p1[0]``, from their standard deviations."""
+    """Return intervals of the ratios, by name and link, e.g. ``J/p1[0]``, from their standard deviations.
+
+    They end at 0 where the ratio cannot be negative.
+    """
     times, result = float(np.sqrt(quantile(LEVEL, freedom))), {}
     for name, values in ratios.items():
         for k, (value, spread) in enumerate(zip(values, sd[name], strict=True)):
             if not np.isfinite(spread):
-                result[f"{name}[{k}]"] = Interval(-np.inf, np.inf, "unknown", ("open", "open"))
+                low = -np.inf if name in SIGNED else 0.0
+                result[f"{name}[{k}]"] = Interval(low, np.inf, "unknown", ("bound" if low == 0.0 else "open", "open"))
             elif spread > 0.0:
-                result[f"{name}[{k}]"] = Interval(value - times * spread, value + times * spread, "covariance")
+                low, high = value - times * spread, value + times * spread
+                bounded = low < 0.0 and name not in SIGNED
+                ends: tuple[End, End] = ("bound" if bounded else "crossed", "crossed")
+                result[f"{name}[{k}]"] = Interval(0.0 if bounded else low, high, "covariance", ends)
     return result
 
 
@@ -126,9 +134,10 @@ def _worst(basis: Basis) -> list[int]:
     information = basis.information
     sd = np.sqrt(np.diag(information.covariance))
     above = (information.x - basis.plant.parameters.lower) / np.where(sd > 0.0, sd, 1.0)
+    known = np.isfinite(information.deviations(np.ones(sd.size)))
     chosen: list[int] = []
     for k in np.argsort(above, kind="stable"):
-        if len(chosen) < MOST and skewed(basis, int(k)):
+        if len(chosen) < MOST and known[k] and skewed(basis, int(k)):
             chosen.append(int(k))
     return chosen
 

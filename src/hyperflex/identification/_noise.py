@@ -12,6 +12,7 @@ from hyperflex.checks import Array
 MOST_TERMS = 8  # of the autoregression
 PATIENCE = 2  # further terms in a row that BIC does not ask for before the search ends
 NEAR_ONE = 0.995  # greatest size of a partial autocorrelation: beyond it noise would hardly ever return to 0
+LATER = 0.95  # the same for all but the first: tones that hardly die away are no noise
 AGREES = 0.05  # by which autocorrelations may miss those of the residuals before no process is said to leave them
 ROUNDS = 20  # of Gauss and Newton's steps
 SETTLED = 1e-9  # sum of squared misses of autocorrelations below which nothing is left to gain
@@ -46,9 +47,9 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     Notes
     -----
     All channels and windows are taken as pieces of one stationary process; k is chosen by BIC. What is searched are
-    the partial autocorrelations, kept within NEAR_ONE, by damped steps that only ever lessen the misfit: where slow
-    noise is nearly all absorbed, giving back what is missing in full at each round would run away. Lags count samples:
-    times are taken as even. Cost: a few Fourier transforms (m, C K) a window.
+    the partial autocorrelations, kept within NEAR_ONE and LATER, by damped steps that only ever lessen the misfit:
+    where slow noise is nearly all absorbed, giving back what is missing in full at each round would run away. Lags
+    count samples: times are taken as even. Cost: a few Fourier transforms (m, C K) a window.
     """
     observed = _lagged(pieces)
     longest = max(piece.residual.shape[0] for piece in pieces)
@@ -178,10 +179,11 @@ def _left(response: Array, terms: Array) -> Array:
 
 def _matched(response: Array, wanted: Array, start: Array) -> tuple[Array, float]:
     """Return partial autocorrelations (k,) whose residuals show those wanted (k,), and the greatest miss."""
-    z = np.arctanh(np.clip(start / NEAR_ONE, -0.99, 0.99))
+    bound = np.append(NEAR_ONE, np.full(start.size - 1, LATER))
+    z = np.arctanh(np.clip(start / bound, -0.99, 0.99))
 
     def miss(at: Array) -> Array:
-        return _left(response, terms_of(NEAR_ONE * np.tanh(at))) - wanted
+        return _left(response, terms_of(bound * np.tanh(at))) - wanted
 
     away, damping = miss(z), 1e-3
     for _ in range(ROUNDS):
@@ -197,7 +199,7 @@ def _matched(response: Array, wanted: Array, start: Array) -> tuple[Array, float
             damping *= 10.0
         if after < SETTLED or (1.0 - HARDLY) * before < after < before:
             break
-    return NEAR_ONE * np.tanh(z), float(np.abs(away).max())
+    return bound * np.tanh(z), float(np.abs(away).max())
 
 
 def _lagged(pieces: Sequence[Piece]) -> Array:

@@ -123,7 +123,7 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0) -> Profile
     """Return the profile of parameter number `which`; see :func:`profile`."""
     parameter = basis.plant.parameters.all[which]
     variances = np.diag(basis.information.covariance)
-    unknown = np.isinf(basis.information.spread(np.eye(variances.size)[which : which + 1])[0])
+    unknown = np.isinf(basis.information.deviations(np.ones(variances.size))[which])
     if unknown or variances[which] <= 0.0:
         least = parameter.value(basis.plant.parameters.lower[which])
         return Profile(parameter.label, least, np.inf, level, ("open", "open"), *np.zeros((3, 0)))

@@ -12,6 +12,7 @@ from hyperflex.identification._loss import Loss
 from hyperflex.identification._noise import Piece, autocorrelation, autoregression, coloured, correlations
 from hyperflex.identification._parameters import Parameters, lumped
 from hyperflex.identification._plant import Plant
+from hyperflex.identification._scale import growing
 from hyperflex.identification._shooting import Fit, least_squares, linearise
 from hyperflex.identification._whiteness import whiteness
 from hyperflex.identification._windows import Window
@@ -31,7 +32,7 @@ class Information:
     the residuals, samples. plain (P, P): the covariance if the residuals were white. variance: of what each residual
     counts. freedom: of that variance, in independent values, 1 at least. terms (k,): of the residuals' autoregression;
     agrees: whether that leaves such residuals. whiteness: probability that white noise leaves such residuals. follow:
-    how each window's state moves with x (2n, P).
+    how each window's state moves with x (2n, P). growing (P,): which parameters stand in an unknown common factor.
     """
 
     x: Array
@@ -48,6 +49,7 @@ class Information:
     whiteness: float = 1.0
     follow: tuple[Array, ...] = ()
     agrees: bool = True
+    growing: Array = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def spread(self, gradient: Array) -> Array:
         """Return the sd (k,) of functions of x with the given gradients (k, P); inf where x alone cannot tell."""
@@ -56,6 +58,11 @@ class Information:
         length = np.sqrt((scaled**2).sum(axis=1))
         beyond = np.sqrt(((scaled @ self.unknown) ** 2).sum(axis=1)) > TOUCHED * length
         return np.where(beyond & (length > 0.0), np.inf, np.sqrt(np.maximum(variance, 0.0)))
+
+    def deviations(self, slopes: Array) -> Array:
+        """Return the sd (P,) of the parameters' values, `slopes` (P,) of their x; inf where they cannot be known."""
+        own = self.spread(np.diag(slopes))
+        return np.where(self.growing, np.inf, own) if self.growing.size else own
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +126,7 @@ def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
         whiteness=whiteness(pieces),
         follow=tuple(model.follow for model in models),
         agrees=agrees,
+        growing=growing(plant.parameters, fit.x, unknown),
     )
 
 
