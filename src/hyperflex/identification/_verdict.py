@@ -19,6 +19,11 @@ COLOURED = (
     "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
     "and intervals allow for the first, not for the second: parameters may be biased."
 )
+ALL_KNOWN = "All free parameters can be known from this motion, given those that were held."
+ALL_ACT = (
+    "Each free parameter acts in this motion in a way of its own, given those that were held; how far the values can "
+    "be trusted, the other sentences say."
+)
 LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a link
 
 
@@ -46,6 +51,11 @@ def not_arrived(status: str) -> list[str]:
         "better guess, shorter windows or fewer free parameters."
     )
     return [text]
+
+
+def in_harmony(words: list[str]) -> list[str]:
+    """Return the sentences of a verdict, without saying that all can be known beside a warning."""
+    return words if len(words) == 1 else [ALL_ACT if text == ALL_KNOWN else text for text in words]
 
 
 def not_noise(correlation: float, whiteness: float = 1.0) -> list[str]:
@@ -127,7 +137,7 @@ def _unknown(parameters: Parameters, information: Information, spreads: dict[str
     """Return what cannot be known: a common factor, parameters that do not act, and those that act alike."""
     unknown = information.unknown
     if unknown.shape[1] == 0:
-        return ["All free parameters can be known from this motion, given those that were held."]
+        return [ALL_KNOWN]
     common = common_factor(parameters, information.x, unknown)
     others = unknown if common is None else unknown - np.outer(common, common @ unknown)
     idle = np.sqrt((others**2).sum(axis=1)) > 1.0 - TOUCHED
