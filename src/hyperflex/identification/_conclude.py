@@ -57,6 +57,7 @@ def conclude(
     words += noise_unknown(information.agrees, information.freedom) + failed_predictions(held_out) + remarks
     if ((weights != 0.0) & (weights != 1.0)).any():  # the recording says what its noise is
         words += too_large(information.variance, information.freedom)
+    words += [each.remark for each in (intervals or {}).values() if each.remark]
     if intervals is not None:
         intervals = intervals | of_ratios(ratios(rope), ratio_sd, information.freedom)
     return Identification(

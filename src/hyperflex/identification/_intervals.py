@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification._profile import End, profiled
+from hyperflex.identification._profile import BETTER, End, Profile, by_covariance, profiled
+from hyperflex.identification._shooting import Report
 from hyperflex.identification._threshold import felt, quantile
 from hyperflex.identification._uncertainty import Basis
 
@@ -27,7 +28,8 @@ class Interval:
 
     `kind` says how it was found: ``covariance`` (Student's quantile times the standard deviation), ``profile``,
     ``bootstrap``, or ``unknown`` where the data set no limits. `ends` says of either end whether it is one
-    (``crossed``), the parameter's own bound (``bound``), or no limit at all (``open``).
+    (``crossed``), the parameter's own bound (``bound``), or no limit at all (``open``). `remark` tells what went wrong
+    on the way, or nothing.
     """
 
     low: float
@@ -35,6 +37,7 @@ class Interval:
     kind: Literal["covariance", "profile", "bootstrap", "unknown"]
     ends: tuple[End, End] = ("crossed", "crossed")
     level: float = LEVEL
+    remark: str = ""
 
     def __str__(self) -> str:
         return f"{self.low:.5g} to {self.high:.5g} ({self.kind})"
@@ -43,7 +46,7 @@ class Interval:
         return self.low <= value <= self.high
 
 
-def all_intervals(basis: Basis, how: How, level: float = LEVEL) -> dict[str, Interval]:
+def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Report | None = None) -> dict[str, Interval]:
     """Return intervals of all free parameters, by label.
 
     Parameters
@@ -55,6 +58,9 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL) -> dict[str, Int
         nearest to their bounds in sd.
     level : float
         How often they shall hold the truth.
+    report : callable, optional
+        Hears of each round of each profile: what it hears of a fit's rounds, but the stages are the parameters, and
+        ``phase`` is "profile"; and the ``parameter``.
 
     Notes
     -----
@@ -65,28 +71,46 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL) -> dict[str, Int
     if how == "covariance":
         return result
     try:
-        for k in _worst(basis) if how == "auto" else range(len(labels)):
-            if result[labels[k]].kind != "unknown":
-                found = profiled(basis, k, level)
-                result[labels[k]] = Interval(found.low, found.high, "profile", found.ends, level)
+        chosen = _worst(basis) if how == "auto" else list(range(len(labels)))
+        chosen = [k for k in chosen if result[labels[k]].kind != "unknown"]
+        length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
+        for number, k in enumerate(chosen):
+            at = {"phase": "profile", "parameter": labels[k], "window": length, "stage": number, "stages": len(chosen)}
+            found = profiled(basis, k, level, report=None if report is None else _with(report, at))
+            remark = _remark(found)
+            result[labels[k]] = Interval(found.low, found.high, found.kind, found.ends, level, remark)
     except KeyboardInterrupt:
         pass
     return result
 
 
+def _with(report: Report, at: dict[str, Any]) -> Report:
+    return lambda entry: report(entry | at)
+
+
+def _remark(found: Profile) -> str:
+    """Return what a profile met on its way that a reader should know."""
+    if found.gain > BETTER:
+        return (
+            f"Beside {found.name} the squares fall {found.gain:.3g} residual variances below those of this fit: it is "
+            f"not the best one. Fit again from there: rope_guess=profile(found, {found.name!r}).better."
+        )
+    if found.kind == "covariance":
+        return (
+            f"The profile of {found.name} was too dear to follow to its ends: its interval is that of the standard "
+            "deviation."
+        )
+    return ""
+
+
 def from_covariance(basis: Basis, which: int, level: float = LEVEL) -> Interval:
     """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
     information, parameter = basis.information, basis.plant.parameters.all[which]
-    least = float(basis.plant.parameters.lower[which])
-    sd = float(information.deviations(np.ones(information.x.size))[which])
-    if not np.isfinite(sd):
+    if not np.isfinite(information.deviations(np.ones(information.x.size))[which]):
         low = -np.inf if parameter.form == "linear" else 0.0
         return Interval(low, np.inf, "unknown", ("open" if low else "bound", "open"), level)
-    half = sd * float(np.sqrt(quantile(level, information.freedom)))
-    low = float(information.x[which]) - half
-    end: End = "bound" if low < least else "crossed"
-    high = parameter.value(float(information.x[which]) + half)
-    return Interval(parameter.value(max(low, least)), high, "covariance", (end, "crossed"), level)
+    low, high, ends = by_covariance(basis, which, level)
+    return Interval(low, high, "covariance", ends, level)
 
 
 def of_ratios(ratios: dict[str, Array], sd: dict[str, Array], freedom: float) -> dict[str, Interval]:
