@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.identification._names import SHARE
@@ -10,6 +11,7 @@ from hyperflex.identification._parameters import Parameters, lumped
 from hyperflex.model import Rope
 
 PARALLEL = 0.1  # part of a direction that may lie outside of others for it to count as one of them
+Mask = npt.NDArray[np.bool_]
 GROWING = ("inertia", "mass", "friction", "dry_friction", "stiffness", "tip_mass")  # in proportion to the factor
 
 
@@ -50,7 +52,7 @@ def common_factor(parameters: Parameters, x: Array, unknown: Array) -> Array | N
     return common
 
 
-def growing(parameters: Parameters, x: Array, unknown: Array) -> Array:
+def growing(parameters: Parameters, x: Array, unknown: Array) -> Mask:
     """Return which parameters (P,) stand in an unknown common factor, True also for those at 0.
 
     Such a one does not move along the factor: 0 stays 0. But how far it may be from 0 grows with the factor, so that

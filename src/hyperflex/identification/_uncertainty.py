@@ -12,7 +12,7 @@ from hyperflex.identification._loss import Loss
 from hyperflex.identification._noise import Piece, autocorrelation, autoregression, coloured, correlations
 from hyperflex.identification._parameters import Parameters, lumped
 from hyperflex.identification._plant import Plant
-from hyperflex.identification._scale import growing
+from hyperflex.identification._scale import Mask, growing
 from hyperflex.identification._shooting import Fit, least_squares, linearise
 from hyperflex.identification._whiteness import whiteness
 from hyperflex.identification._windows import Window
@@ -49,7 +49,7 @@ class Information:
     whiteness: float = 1.0
     follow: tuple[Array, ...] = ()
     agrees: bool = True
-    growing: Array = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    growing: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def spread(self, gradient: Array) -> Array:
         """Return the sd (k,) of functions of x with the given gradients (k, P); inf where x alone cannot tell."""
