@@ -198,16 +198,7 @@ class _Walk:
         self.sd = float(np.sqrt(information.covariance[which, which]))
         self.unit = information.variance * float(information.covariance[which, which] / information.plain[which, which])
         self.enough = FINISH * information.variance / max(found.cost, 1e-300)
-        best = fit(
-            basis.plant,
-            basis.windows,
-            found.x,
-            found.states,
-            loss=self.loss,
-            enough=self.enough,
-            rounds=10,
-            report=report,
-        )
+        best = self._fit(found.x, found.states, 10)
         self.least = best.cost
         self.points = [self._point(best.x, best.states, best.cost)]
 
