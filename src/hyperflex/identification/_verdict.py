@@ -7,7 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification._parameters import FORMS, Parameters
 from hyperflex.identification._prediction import HeldOut
-from hyperflex.identification._scale import common_factor
+from hyperflex.identification._scale import common_factor, growing
 from hyperflex.identification._uncertainty import TOUCHED, Information
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -142,8 +142,9 @@ def _unknown(parameters: Parameters, information: Information, spreads: dict[str
     others = unknown if common is None else unknown - np.outer(common, common @ unknown)
     idle = np.sqrt((others**2).sum(axis=1)) > 1.0 - TOUCHED
     shares = np.sqrt((unknown**2).sum(axis=1))
-    idle &= ~information.growing
-    free = zip(parameters.all, (shares > TOUCHED) | information.growing, idle, strict=True)
+    grows = growing(parameters, information.x, unknown)
+    idle &= ~grows
+    free = zip(parameters.all, (shares > TOUCHED) | grows, idle, strict=True)
     names = ", ".join(dict.fromkeys(p.name for p, touched, alone in free if touched and not alone))
     count = unknown.shape[1] - int(idle.sum())
     said = [_together(names, count, spreads, common is not None)] if count else []
