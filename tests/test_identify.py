@@ -20,6 +20,7 @@ from hyperflex.identification._noise import autocorrelation
 from hyperflex.identification._parameters import Parameters
 from hyperflex.identification._plant import Plant
 from hyperflex.identification._prediction import HeldOut, predict
+from hyperflex.identification._scale import scaling
 from hyperflex.identification._shooting import Fit, Linear, fit, fit_state
 from hyperflex.identification._stages import Measured
 from hyperflex.identification._uncertainty import Information, judge, ratio_spread
@@ -28,7 +29,6 @@ from hyperflex.identification._verdict import (
     not_arrived,
     not_noise,
     other_lengths,
-    scaling,
     verdict,
 )
 from hyperflex.identification._windows import Window, cut, thin, usual_length

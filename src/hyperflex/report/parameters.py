@@ -166,7 +166,9 @@ def _spread(found: Identification, label: str, value: float, sd: float) -> tuple
     if not np.isfinite(sd):
         return "", "cannot be known"
     low, high = _interval(found, label, value, sd)
-    return short(sd), _span(max(low, 0.0), high, sd)
+    if label not in found.intervals and not label.startswith("p/p1"):  # intervals know their bounds
+        low = max(low, 0.0)
+    return short(sd), _span(low, high, sd)
 
 
 def _span(low: float, high: float, sd: float) -> str:
