@@ -568,7 +568,9 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "lead": ({"lead": 0.0}, "lead has the wrong sign"),
     "arm alone": ({"arm": Arm(0.1)}, "without its motion"),
     "still": ({"recording": Recording(RECORDING.t, 1e-4 * RECORDING.data)}, "nothing moves"),
-    "too little": ({"recording": Recording(RECORDING.t[:3], RECORDING.data[:3])}, "too few samples"),
+    "too little": ({"recording": Recording(RECORDING.t[:3], RECORDING.data[:3])}, "too short"),
+    "five samples": ({"recording": Recording(RECORDING.t[:5], RECORDING.data[:5])}, "too short .* another unit"),
+    "milliseconds": ({"recording": Recording(1e3 * RECORDING.t, RECORDING.data)}, "further apart .* another unit"),
     "tiny window": ({"window": 0.03}, "too few samples"),
     "massless": ({"rope_guess": PENDULUM.replace(mass=0.0), "free": ["mass"]}, "mass is free but starts from 0"),
 }

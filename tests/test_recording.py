@@ -63,7 +63,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no columns": ({"data": np.zeros((2, 0))}, "no columns"),
     "all gaps": ({"data": [[0.1, NAN], [0.2, NAN]]}, "channel 1 of angles has no value"),
     "odd markers": ({"kind": "markers", "data": np.zeros((2, 5))}, "wrong number of columns"),
-    "one marker": ({"kind": "markers", "data": np.zeros((2, 2))}, "wrong number of columns"),
+    "half a marker": ({"kind": "markers", "data": np.zeros((2, 1))}, "wrong number of columns"),
     "kind": ({"kind": "video"}, "kind is not known"),
     "noise 0": ({"noise": 0.0}, "noise"),
     "noise nan": ({"noise": NAN}, "noise"),

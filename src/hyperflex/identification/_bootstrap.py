@@ -15,6 +15,7 @@ from hyperflex.identification._loss import Loss
 from hyperflex.identification._noise import correlations
 from hyperflex.identification._profile import basis_of
 from hyperflex.identification._shooting import fit
+from hyperflex.identification._threads import one_thread
 from hyperflex.identification._uncertainty import Basis
 from hyperflex.identification._windows import Window
 from hyperflex.simulation.rollouts import progress_bar
@@ -58,6 +59,7 @@ class Bootstrap:
         return Interval(float(low), float(high), "bootstrap", level=level)
 
 
+@one_thread()
 def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progress: bool = False) -> Bootstrap:
     """Simulate recordings like the one that was fitted, fit each, and return what they find.
 

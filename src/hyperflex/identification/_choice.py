@@ -16,6 +16,7 @@ from hyperflex.identification._evidence import Evidence, criteria, error, recomm
 from hyperflex.identification._identify import identify
 from hyperflex.identification._loss import LossName
 from hyperflex.identification._result import Identification
+from hyperflex.identification._threads import one_thread
 from hyperflex.identification._uncertainty import Basis
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
@@ -25,6 +26,7 @@ from hyperflex.simulation.rollouts import progress_bar
 WORSE = 1.001  # ratio of costs: within it fits have met the same optimum, as far as they go
 
 
+@one_thread()
 def compare_models(
     recording: Recording,
     rope_guess: Rope,

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.identification._admit import check_motion, check_times
 from hyperflex.identification._band import doubt
 from hyperflex.identification._conclude import conclude
 from hyperflex.identification._intervals import HOWS, How, all_intervals
@@ -33,9 +34,10 @@ from hyperflex.identification._result import Identification
 from hyperflex.identification._sensors import Angles, Places
 from hyperflex.identification._shooting import Report
 from hyperflex.identification._stages import Measured, fit_in_stages
+from hyperflex.identification._threads import one_thread
 from hyperflex.identification._uncertainty import Basis, judge
 from hyperflex.identification._verdict import other_lengths
-from hyperflex.identification._windows import check_motion, usual_length
+from hyperflex.identification._windows import usual_length
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
@@ -43,6 +45,7 @@ from hyperflex.recording import Recording
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
 
 
+@one_thread()
 def identify(
     recording: Recording,
     rope_guess: Rope,
@@ -90,7 +93,7 @@ def identify(
     motion, arm : Motion, Arm, optional
         What the first joint does, in the recording's time; by default it hangs from a fixed point.
     arcs : (K,) array_like, m, optional
-        Distance along the rope of each marker from the first joint.
+        Distance along the rope of each marker from the first joint. A marker alone needs `origin` as well.
     origin : (2,) array_like, m, optional
         Where the camera sees the origin of the motion (the first joint, if it is fixed). With `arcs` and without it,
         it is fitted as well, as ``origin_x`` and ``origin_y``.
@@ -148,7 +151,7 @@ def identify(
     checks.choice("loss", loss, LOSSES)
     if intervals is not None:
         checks.choice("intervals", intervals, HOWS)
-    measured, places = _checked(recording, rope_guess, arcs)
+    measured, places = _checked(recording, rope_guess, arcs, origin, motion, arm)
     if arm is not None and motion is None:
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
     if torque is not None and arm is None:
@@ -156,9 +159,10 @@ def identify(
     plant = planned(recording, rope_guess, free, places, origin, motion, arm, torque=torque is not None)
     foretold = plant.without_torque()  # what is held out is predicted without force or torque
     fitted, rest = _split(measured, train, lead, ahead)
+    check_times(fitted.channels, rope_guess)
+    check_motion(fitted.shape, fitted.channels)
     if torque is not None:
         fitted, _ = _split(with_torque(measured, torque, torque_noise), train, lead, ahead)
-    check_motion(fitted.shape)
     usual = usual_length(fitted.shape, rope_guess)
     length = usual if window is None else checks.number("window", window, sign="positive", infinite=True)
     length = min(length, 1.001 * fitted.channels.duration)
@@ -180,7 +184,14 @@ def identify(
     return conclude(basis, held_out, settings, remarks, ranges)
 
 
-def _checked(recording: Recording, rope: Rope, arcs: npt.ArrayLike | None) -> tuple[Measured, Array | None]:
+def _checked(
+    recording: Recording,
+    rope: Rope,
+    arcs: npt.ArrayLike | None,
+    origin: npt.ArrayLike | None,
+    motion: Motion | None,
+    arm: Arm | None,
+) -> tuple[Measured, Array | None]:
     """Return what is fitted, if it fits the rope, and where its markers sit if not at the joints."""
     if not isinstance(recording, Recording) or not isinstance(rope, Rope):
         raise InvalidInput(
@@ -191,7 +202,15 @@ def _checked(recording: Recording, rope: Rope, arcs: npt.ArrayLike | None) -> tu
     if arcs is not None:
         places = checked_arcs(recording, rope, arcs)
         refuse_still_markers(recording, places)
-        return measure(recording, rope, places), places
+        joint = None
+        if places.size == 1:
+            if origin is None:
+                raise InvalidInput(
+                    "one marker alone does not show where the rope hangs from",
+                    fix="Say where the camera sees that: origin=(x, y), in m; or track a second marker",
+                )
+            joint = checks.array("origin", origin, (2,), unit="m") + pivot_places(motion, arm, recording.t)
+        return measure(recording, rope, places, joint), places
     if recording.n_links != rope.n_links:
         raise InvalidInput(
             "the recording and the rope have different numbers of links",

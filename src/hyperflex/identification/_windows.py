@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
@@ -155,15 +154,3 @@ def _value_and_slope(tau: Array, y: Array) -> tuple[float, float]:
         away = np.abs(powers @ found - y)
         weight = 1.0 / np.sqrt(np.maximum(away, 0.1 * away.mean() + 1e-12))
     return float(found[0]), float(found[1])
-
-
-def check_motion(recording: Recording) -> None:
-    """Refuse recordings in which nothing moves."""
-    swing = np.nanmax(recording.data, axis=0) - np.nanmin(recording.data, axis=0)
-    if not (swing > STILL).any():
-        raise InvalidInput(
-            "nothing moves in the recording",
-            got=f"largest swing {swing.max():.3g} rad",
-            allowed=f"more than {STILL:g} rad",
-            fix="Record a free swing, or check the unit of the angles",
-        )
