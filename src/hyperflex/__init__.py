@@ -11,11 +11,13 @@ from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
     from hyperflex.identification import (
+        Bootstrap,
         Design,
         Experiment,
         Identification,
         ModelComparison,
         Revision,
+        bootstrap,
         compare_models,
         design,
         identify,
@@ -47,6 +49,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Arm": "model",
     "Batch": "simulation",
+    "Bootstrap": "identification",
     "Design": "identification",
     "Event": "simulation",
     "Experiment": "identification",
@@ -62,6 +65,7 @@ _HOMES = {
     "State": "trajectory",
     "Trajectory": "trajectory",
     "angle_reached": "simulation",
+    "bootstrap": "identification",
     "compare_models": "identification",
     "design": "identification",
     "hold": "motion",
@@ -89,6 +93,7 @@ _HOMES = {
 __all__ = [
     "Arm",
     "Batch",
+    "Bootstrap",
     "Design",
     "Event",
     "Experiment",
@@ -105,6 +110,7 @@ __all__ = [
     "Trajectory",
     "__version__",
     "angle_reached",
+    "bootstrap",
     "compare_models",
     "design",
     "hold",

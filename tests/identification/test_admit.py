@@ -103,7 +103,7 @@ def test_revise_asks_for_motion_and_time_too() -> None:
 def test_the_tip_alone_identifies_a_rope(links: int) -> None:
     rope = Rope(length=[0.4 / links] * links, mass=[0.1, 0.06][:links], friction=3e-4)
     t = np.arange(0.0, 8.0, 0.02)
-    tip = simulate(rope, duration=8.0, t_eval=t, q0=[0.8] * links).tip + [0.3, 0.1]
+    tip = simulate(rope, duration=8.0, t_eval=t, q0=[0.8] * links).tip + np.array([0.3, 0.1])
     spread = 1e-3
     recording = Recording(
         t, tip + spread * np.random.default_rng(0).standard_normal(tip.shape), kind="markers", noise=spread

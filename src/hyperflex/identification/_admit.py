@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
@@ -115,7 +114,7 @@ def _whiteness(recording: Recording) -> float:
 
 
 def _roughness(t: Array, values: Array) -> float:
-    """Return the variance about the line between neighbours over that about the mean, of the ranks; 1 for white noise."""
+    """Return the variance about the line between neighbours over that about the mean, of ranks; 1 for white noise."""
     from scipy.stats import rankdata
 
     rank = rankdata(values)

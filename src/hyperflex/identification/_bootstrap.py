@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from hyperflex.identification._result import Identification
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Bootstrap:
     """Fits to simulated recordings.
 
@@ -44,6 +44,10 @@ class Bootstrap:
     samples: Array
     failed: int
     interrupted: bool
+
+    def __repr__(self) -> str:
+        end = ", interrupted" if self.interrupted else ""
+        return f"<Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}: {', '.join(self.names)}>"
 
     def interval(self, name: str, level: float = LEVEL) -> Interval:
         """Return the interval that leaves out (1 - level) / 2 of the samples of parameter `name` on either side.

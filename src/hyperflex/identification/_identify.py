@@ -17,6 +17,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification._admit import check_motion, check_times
 from hyperflex.identification._band import doubt
 from hyperflex.identification._conclude import conclude
+from hyperflex.identification._delay import first_delay, with_delay
 from hyperflex.identification._intervals import HOWS, How, all_intervals
 from hyperflex.identification._loss import LOSSES, Loss, LossName
 from hyperflex.identification._measured import (
@@ -80,9 +81,10 @@ def identify(
     free : sequence of str
         ``inertia``, ``com``, ``mass``, ``length``, ``friction``, ``dry_friction``, ``stiffness`` (each link's own),
         ``tip_mass``, ``gravity_angle`` (rad; turns gravity, for a camera that is not level), ``delay`` (s; by how much
-        `motion` comes later in the recording's time), ``arc`` (m; each marker's place, or ``arc[2]``). ``friction[2]``
-        frees one link only, ``friction:shared`` one value for all links, ``friction:factor`` one factor on the guess of
-        all, ``friction:taper`` the logarithm by which it grows along the rope, pivoted at its middle.
+        `motion` comes later in the recording's time; looked for within a window's length), ``arc`` (m; each marker's
+        place, or ``arc[2]``). ``friction[2]`` frees one link only, ``friction:shared`` one value for all links,
+        ``friction:factor`` one factor on the guess of all, ``friction:taper`` the logarithm by which it grows along the
+        rope, pivoted at its middle.
         ``arm_inertia`` and ``arm_friction`` (of the shaft) with a measured torque.
     window : float, s, optional
         Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope, or less
@@ -161,9 +163,14 @@ def identify(
     fitted, rest = _split(measured, train, lead, ahead)
     check_times(fitted.channels, rope_guess)
     check_motion(fitted.shape, fitted.channels)
+    delay = {}
+    usual = usual_length(fitted.shape, rope_guess)
+    if "delay" in free:
+        delay["delay_from"] = first_delay(foretold, fitted, usual, Loss(loss))
+        plant = with_delay(plant, delay["delay_from"])
+        foretold = plant.without_torque()
     if torque is not None:
         fitted, _ = _split(with_torque(measured, torque, torque_noise), train, lead, ahead)
-    usual = usual_length(fitted.shape, rope_guess)
     length = usual if window is None else checks.number("window", window, sign="positive", infinite=True)
     length = min(length, 1.001 * fitted.channels.duration)
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
@@ -179,7 +186,7 @@ def identify(
         found.interrupted = True
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
-    settings |= _arranged(free, loss, places, origin, motion, arm)
+    settings |= delay | _arranged(free, loss, places, origin, motion, arm)
     remarks = [] if arcs is not None else other_lengths(recording, rope_guess)
     return conclude(basis, held_out, settings, remarks, ranges)
 

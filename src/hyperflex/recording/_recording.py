@@ -88,10 +88,7 @@ class Recording:
     def __repr__(self) -> str:
         name = f"{self.name!r}: " if self.name else ""
         what = f"{self.kind} of {self.n_links} links" if self.n_links else "one marker"
-        return (
-            f"<Recording {name}{what}, {self.t.size} samples, "
-            f"{self.t[0]:g} to {self.t[-1]:g} s, {self.gaps} gaps>"
-        )
+        return f"<Recording {name}{what}, {self.t.size} samples, {self.t[0]:g} to {self.t[-1]:g} s, {self.gaps} gaps>"
 
     @property
     def n_links(self) -> int:

@@ -124,7 +124,7 @@ def _start(each: Number, found: Identification, guess: Rope) -> float | None:
     if each.law in ("factor", "taper"):
         return 1.0
     if each.name in ("gravity_angle", "delay"):
-        return 0.0
+        return float(found.settings.get(f"{each.name}_from", 0.0))
     if each.name.startswith("origin"):
         return None
     if each.name == "arc":

@@ -273,9 +273,10 @@ def _controlled(run: Rollout, setup: Setup, control: Control, rate: float) -> tu
 def output_times(t_eval: npt.ArrayLike | None, begin: float, end: float) -> Array:
     """Check the output times (T,) of a run from `begin` to `end`, s; by default every SAMPLE_TIME and the end."""
     if t_eval is None:
-        if (end - begin) / SAMPLE_TIME > MOST_OUTPUTS:
+        count = (end - begin) / SAMPLE_TIME
+        if count > MOST_OUTPUTS:
             raise InvalidInput(
-                f"the run is long: an output every {SAMPLE_TIME:g} s would be {(end - begin) / SAMPLE_TIME:.2g} of them",
+                f"the run is so long that an output every {SAMPLE_TIME:g} s would make {count:.3g} of them",
                 got=f"{end - begin:g} s",
                 allowed=f"up to {MOST_OUTPUTS * SAMPLE_TIME:g} s without t_eval",
                 fix="Say when you want to see it: t_eval=[...]",
