@@ -75,6 +75,11 @@ class Batch:
             raise AttributeError(f"{name!r} was not kept; kept: {', '.join(values)}")
         return np.asarray(values[name])
 
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{self.status.count(name)} {name}" for name in dict.fromkeys(self.status))
+        times = f"{self.t.size} time{'s' * (self.t.size > 1)} to {self.t[-1]:g} s"
+        return f"<Batch of {len(self.status)} members: {counts}; {times}; kept: {', '.join(self.values)}>"
+
     @property
     def failed(self) -> list[int]:
         """Numbers of the members that did not finish."""
@@ -82,6 +87,8 @@ class Batch:
 
     def why(self, member: int) -> str:
         """Return what went wrong with a member, and advice; empty if nothing did."""
+        if not -len(self.status) <= member < len(self.status):
+            raise InvalidInput("no such member", got=member, allowed=f"0 to {len(self.status) - 1}")
         name = self.status[member]
         advice = {status.NAMES[code]: text for code, text in status.ADVICE.items()}.get(name, "")
         return (
@@ -132,9 +139,9 @@ def simulate_batch(
         As in :func:`hyperflex.simulate`; the same for all members. The energy account does not shorten the steps here;
         it is checked at the outputs.
     q0, qd0 : (n,) or (M, n) array_like, optional
-        Angles, rad, and rates, rad/s, at the start.
+        Angles, rad, and rates, rad/s, at the start; one row for all members, or one each.
     t_eval : (T,) array_like, optional
-        Times of the output, s; by default the end alone. A step ends at each of them, so ask for what you need.
+        Times of the output, s, from 0 on; by default the end alone. A step ends at each, so ask for what you need.
     step : float, optional
         A step chosen beforehand, s, without error control.
     keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy"}
@@ -165,13 +172,18 @@ def simulate_batch(
     (4, 1, 2)
     """
     keep = tuple(checks.choice("keep", name, tuple(KEPT)) for name in keep)
-    setups = _setups(ropes, motions, arm, duration, tol)
+    rows = [_rows(name, value) for name, value in (("q0", q0), ("qd0", qd0))]
+    setups = _setups(ropes, motions, rows, arm, duration, tol)
     chains = [setup.chain() for setup in setups]
     drives = [setup.drive() for setup in setups]
-    starts = _starts(setups, q0, qd0)
+    starts = _starts(setups, rows)
     t = checks.times("t_eval", [setups[0].duration] if t_eval is None else t_eval)
-    if t[0] <= 0.0 or t[-1] > setups[0].duration:
-        raise InvalidInput("t_eval leaves the run", got=[float(t[0]), float(t[-1])], allowed=f"0 < t <= {duration:g} s")
+    if t[0] < 0.0 or not 0.0 < t[-1] <= setups[0].duration:
+        raise InvalidInput(
+            "t_eval leaves the run",
+            got=[float(t[0]), float(t[-1])],
+            allowed=f"0 to {setups[0].duration:g} s, and some time after the start",
+        )
     members = _members(chains, drives, starts)
     table = scheme(next(order for least, order in ORDERS if setups[0].tol >= least))
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
@@ -187,6 +199,8 @@ class _Work:
 
     def __init__(self, members: Members, terms: Terms, t: Array, keep: tuple[str, ...], setups: list[Setup]) -> None:
         self.members, self.terms, self.t = members, terms, t
+        self.first = 1 if t[0] > 0.0 else 0  # row of start and outputs to show first: the start, where it is asked for
+        self.stop = np.zeros(1, dtype=np.int64)  # 1: blocks at work end where they are
         self.ropes = [setup.rope for setup in setups]
         self.floor = np.array([least_scale(rope) for rope in self.ropes])
         count, _, n = members.links.shape
@@ -198,11 +212,15 @@ class _Work:
     def block(self, low: int, high: int) -> int:
         """Run members low..high - 1 and keep what is wanted of them."""
         n = self.members.links.shape[2]
-        y = np.full((high - low, self.t.size, 2 * n + 2), np.nan)
+        after = self.t[1 - self.first :].copy()  # times after the start
+        y = np.full((high - low, after.size, 2 * n + 2), np.nan)
         codes, reached = np.full(high - low, -1), np.zeros(high - low)
-        core.run_block(self.members, self.terms, low, high, self.t, y, codes, reached)
+        core.run_block(self.members, self.terms, low, high, after, y, codes, reached, self.stop)
         rows = slice(low, high)
-        joint = self.check_energy(low, high, y, codes, reached)
+        states = np.concatenate([self.members.start[rows, None], y], axis=1)
+        times = np.append(self.terms.begin, after)
+        joint = self.check_energy(low, high, times, states, codes, reached)[:, self.first :]
+        y = states[:, self.first :]
         for name, target in self.values.items():
             if name == "tip":
                 length = self.members.links[rows, LENGTH][:, None, :]
@@ -215,13 +233,13 @@ class _Work:
         self.codes[rows] = codes
         return high - low
 
-    def check_energy(self, low: int, high: int, y: Array, codes: npt.NDArray[np.int64], reached: Array) -> Array:
-        """Mark members whose energy balance fails, and forget what they show from there on.
+    def check_energy(
+        self, low: int, high: int, times: Array, states: Array, codes: npt.NDArray[np.int64], reached: Array
+    ) -> Array:
+        """Mark members whose energy balance fails, and forget their `states` (high - low, T, 2 n + 2) from there on.
 
-        Returns the position of the first joint at the outputs (high - low, T, 2), m.
+        Returns the position of the first joint at `times` (high - low, T, 2), m; the first time is that of the start.
         """
-        times = np.append(self.terms.begin, self.t)
-        states = np.concatenate([self.members.start[low:high, None], y], axis=1)
         kinetic, potential = np.empty((high - low, times.size)), np.empty((high - low, times.size))
         joint = np.empty((high - low, times.size, 2))
         observe_block(self.members, self.terms, low, high, times, states, kinetic, potential, joint)
@@ -234,8 +252,8 @@ class _Work:
             good = int(balanced(floor[m], kinetic[m], potential[m], held, work[m], lost[m]))
             if good < times.size:
                 codes[m], reached[m] = status.ENERGY, times[good]
-                y[m, good - 1 :] = np.nan
-        return joint[:, 1:]
+                states[m, good:] = np.nan
+        return joint
 
     def run(self, workers: int, progress: bool) -> Batch:
         """Run all blocks on threads; Ctrl-C keeps what is finished."""
@@ -255,6 +273,7 @@ class _Work:
                     if report is not None:
                         report(finished)
             except KeyboardInterrupt:
+                self.stop[0] = 1
                 for future in futures:
                     future.cancel()
         names = tuple(status.NAMES[int(code)] if code >= 0 else INTERRUPTED for code in self.codes)
@@ -269,18 +288,21 @@ def _columns(name: str, n: int) -> slice | int:
 def _setups(
     ropes: Rope | Sequence[Rope],
     motions: Motion | Sequence[Motion] | None,
+    rows: list[Array | None],
     arm: Arm | None,
     duration: float,
     tol: float,
 ) -> list[Setup]:
+    """Return the set-up of each member; `rows` are the starts, (k, n) each."""
     rope_list = [ropes] if isinstance(ropes, Rope) else list(ropes)
     motion_list = [motions] if motions is None or isinstance(motions, Motion) else list(motions)
-    count = max(len(rope_list), len(motion_list))
-    if not rope_list or not motion_list or {len(rope_list), len(motion_list)} - {1, count}:
+    counts = [len(rope_list), len(motion_list), *(1 if each is None else len(each) for each in rows)]
+    count = max(counts)
+    if 0 in counts or set(counts) - {1, count}:
         raise InvalidInput(
-            "ropes and motions do not fit together",
-            got=[len(rope_list), len(motion_list)],
-            allowed="one for all members, or as many of both",
+            "ropes, motions, q0 and qd0 do not fit together",
+            got=counts,
+            allowed="one for all members, or as many of each",
         )
     common = {(rope.n_links, rope.friction_model) for rope in rope_list}
     if len(common) > 1:
@@ -296,14 +318,21 @@ def _setups(
     ]
 
 
-def _starts(setups: list[Setup], q0: npt.ArrayLike | None, qd0: npt.ArrayLike | None) -> Array:
+def _rows(name: str, value: npt.ArrayLike | None) -> Array | None:
+    """Return a start as rows (k, n), one a member or one for all."""
+    if value is None:
+        return None
+    given = checks.array(name, value, (-1,) if np.ndim(value) < 2 else (-1, -1))
+    return np.atleast_2d(given)
+
+
+def _starts(setups: list[Setup], rows: list[Array | None]) -> Array:
     count, n = len(setups), setups[0].rope.n_links
     result = np.zeros((count, 2 * n + 2))
     result[:, :n] = np.array([setup.rope.hanging_angle for setup in setups])[:, None]
-    for name, value, columns in (("q0", q0, slice(0, n)), ("qd0", qd0, slice(n, 2 * n))):
+    for name, value, columns in zip(("q0", "qd0"), rows, (slice(0, n), slice(n, 2 * n)), strict=True):
         if value is not None:
-            shape = (n,) if np.ndim(value) == 1 else (count, n)
-            result[:, columns] = checks.array(name, value, shape)
+            result[:, columns] = checks.array(name, value, (len(value), n))
     return result
 
 
