@@ -145,8 +145,8 @@ class Identification:
         lines = [f"Identification {self.status}: " + ", ".join(told)]
         for title, value, spread in (("value", self.values, self.sd), ("ratio", self.ratios, self.ratio_sd)):
             for name, numbers in value.items():
-                if told := _told(np.atleast_1d(numbers), np.atleast_1d(spread[name])):
-                    lines.append(f"  {title} {name:<13} {told}")
+                if said := _told(np.atleast_1d(numbers), np.atleast_1d(spread[name])):
+                    lines.append(f"  {title} {name:<13} {said}")
         ranges = [(name, self.intervals[name]) for name in self.parameters if name in self.intervals]
         lines += [f"  {100 * each.level:g} % {name:<13} {each}" for name, each in ranges[:MANY]]
         if len(ranges) > MANY:
