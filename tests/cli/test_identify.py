@@ -204,7 +204,8 @@ def test_an_interrupted_fit_leaves_a_whole_folder_marked_as_such(hyperflex, swin
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--rope", swing / "guess.toml", "--free", "friction", *DECLARED)
     code, out, err = hyperflex("identify", swing / "swing.csv", *arguments, "-o", swing / "found")
-    assert (code, out) == (130, "")
+    assert code == 130
+    assert "friction" in out  # the table of the best so far
     assert "marked as interrupted" in err
     assert '<span class="badge">interrupted</span>' in (swing / "found" / "report.html").read_text("utf-8")
 

@@ -83,6 +83,7 @@ def identify(
     lead = _lead(setup)
     places = _numbers("--arc", arc, "0.2,0.4,0.6") if arc else None
     seen = _numbers("--origin", [origin], "0.01,-0.02") if origin else None
+    fastest: dict[str, Any] = {} if max_rate is None else {"max_rate": max_rate}
     measured = read_recording(
         recording,
         kind=kind,
@@ -98,7 +99,7 @@ def identify(
         wrapped=wrapped,
         noise=noise,
         columns=columns.split(",") if columns else None,
-        **({} if max_rate is None else {"max_rate": max_rate}),
+        **fastest,
     )
     guess = Rope.from_toml(rope)
     with rounds.bar(json) as hear:
