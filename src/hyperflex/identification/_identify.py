@@ -38,7 +38,7 @@ from hyperflex.identification._stages import Measured, fit_in_stages
 from hyperflex.identification._threads import one_thread
 from hyperflex.identification._uncertainty import Basis, judge
 from hyperflex.identification._verdict import other_lengths
-from hyperflex.identification._windows import usual_length
+from hyperflex.identification._windows import holding_enough, usual_length
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
@@ -88,7 +88,7 @@ def identify(
         ``arm_inertia`` and ``arm_friction`` (of the shaft) with a measured torque.
     window : float, s, optional
         Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope, or less
-        where links turn fast; it does not depend on the guess of what is free.
+        where links turn fast, and more where frames are few; it does not depend on the guess of what is free.
     train : float, s, optional
         Fit the samples with t < train and predict the rest; ``inf`` fits all. By default the first 80 % is fitted if
         the rest is long enough for a prediction, else all.
@@ -164,7 +164,7 @@ def identify(
     check_times(fitted.channels, rope_guess)
     check_motion(fitted.shape, fitted.channels)
     delay = {}
-    usual = usual_length(fitted.shape, rope_guess)
+    usual = holding_enough(usual_length(fitted.shape, rope_guess), fitted.shape)
     if "delay" in free:
         delay["delay_from"] = first_delay(foretold, fitted, usual, Loss(loss))
         plant = with_delay(plant, delay["delay_from"])
@@ -176,7 +176,7 @@ def identify(
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
     basis = Basis(plant, windows, found, judge(plant, windows, found))
     how = intervals if found.converged or intervals is None else "covariance"
-    ranges = None if how is None else all_intervals(basis, how)
+    ranges = None if how is None else all_intervals(basis, how, report=_reporter(progress))
     held_out = None
     try:
         if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more

@@ -50,14 +50,18 @@ class Window:
 def usual_length(recording: Recording, rope: Rope) -> float:
     """Return a window length (s): a small swing of a rod as long as the rope, or less where links turn fast.
 
-    It depends on what is known (lengths, gravity), not on the guess of what is not: nor does the fit, then. Where
-    frames are few, or many are lost, it is doubled until it holds enough of them.
+    It depends on what is known (lengths, gravity), not on the guess of what is not: nor does the fit, then.
     """
     gravity = float(np.hypot(*rope.gravity))
     period = 2.0 * np.pi * float(np.sqrt(2.0 * rope.total_length / (3.0 * gravity))) if gravity > 0.0 else 1.0
     fastest = float(rms_rates(recording).max())
     spacing = float(np.median(np.diff(recording.t)))
-    length = max(min(PART * period, TURN / fastest if fastest > 0.0 else np.inf), FEWEST * spacing)
+    return max(min(PART * period, TURN / fastest if fastest > 0.0 else np.inf), FEWEST * spacing)
+
+
+def holding_enough(length: float, recording: Recording) -> float:
+    """Return a window length (s), doubled until it holds enough frames: they may be few, or many lost."""
+    spacing = float(np.median(np.diff(recording.t)))
     seen = float((~np.isnan(recording.data)).mean(axis=0).min()) * length / spacing
     return float(length * 2.0 ** np.ceil(np.log2(SEEN / seen))) if 0.0 < seen < SEEN else length
 
