@@ -113,7 +113,7 @@ def identify(
         parameter); ``auto`` profiles where the covariance is skewed, as that of a parameter near 0; None finds none.
     progress : bool or callable
         True prints a line a round on standard error; a callable gets a dict with window, stage, stages, round, cost,
-        gain, damping.
+        gain, damping, and of a profile its parameter and ``phase="profile"``.
 
     Returns
     -------
@@ -312,8 +312,9 @@ def _reporter(progress: bool | Report) -> Report:
 
     def line(entry: dict[str, float]) -> None:
         if progress:
+            about = f"profile of {entry['parameter']}, " if "parameter" in entry else ""
             sys.stderr.write(
-                f"windows of {entry['window']:.3g} s, round {entry['round']:.0f}: cost {entry['cost']:.6g}, "
+                f"{about}windows of {entry['window']:.3g} s, round {entry['round']:.0f}: cost {entry['cost']:.6g}, "
                 f"down by {100.0 * entry['gain']:.3g} %\n"
             )
 
