@@ -15,8 +15,6 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import batch as core
 from hyperflex.core import status
-from hyperflex.core.chain import Chain
-from hyperflex.core.drive import Drive
 from hyperflex.core.jit import announce_compilation
 from hyperflex.core.lanes import MEMBERS
 from hyperflex.core.members import LENGTH, Members, Terms, observe_block
@@ -24,7 +22,8 @@ from hyperflex.core.steppers import scheme
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.rollouts import balanced, least_scale, lever, progress_bar, stored
+from hyperflex.simulation.members import members_of, rows_of, setups_of, starts_of
+from hyperflex.simulation.rollouts import balanced, least_scale, progress_bar, stored
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -172,11 +171,11 @@ def simulate_batch(
     (4, 1, 2)
     """
     keep = tuple(checks.choice("keep", name, tuple(KEPT)) for name in keep)
-    rows = [_rows(name, value) for name, value in (("q0", q0), ("qd0", qd0))]
-    setups = _setups(ropes, motions, rows, arm, duration, tol)
+    rows = [rows_of(name, value) for name, value in (("q0", q0), ("qd0", qd0))]
+    setups = setups_of(ropes, motions, rows, arm, duration, tol)
     chains = [setup.chain() for setup in setups]
     drives = [setup.drive() for setup in setups]
-    starts = _starts(setups, rows)
+    starts = starts_of(setups, rows)
     t = checks.times("t_eval", [setups[0].duration] if t_eval is None else t_eval)
     if t[0] < 0.0 or not 0.0 < t[-1] <= setups[0].duration:
         raise InvalidInput(
@@ -184,7 +183,7 @@ def simulate_batch(
             got=[float(t[0]), float(t[-1])],
             allowed=f"0 to {setups[0].duration:g} s, and some time after the start",
         )
-    members = _members(chains, drives, starts)
+    members = members_of(chains, drives, starts)
     table = scheme(next(order for least, order in ORDERS if setups[0].tol >= least))
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
     terms = Terms(0.0, setups[0].tol, chains[0].bears, chosen, table.best, table.gap, table.rounding)
@@ -283,76 +282,3 @@ class _Work:
 def _columns(name: str, n: int) -> slice | int:
     columns: dict[str, slice | int] = {"q": slice(0, n), "qd": slice(n, 2 * n), "motor_work": 2 * n}
     return columns.get(name, 2 * n + 1)
-
-
-def _setups(
-    ropes: Rope | Sequence[Rope],
-    motions: Motion | Sequence[Motion] | None,
-    rows: list[Array | None],
-    arm: Arm | None,
-    duration: float,
-    tol: float,
-) -> list[Setup]:
-    """Return the set-up of each member; `rows` are the starts, (k, n) each."""
-    rope_list = [ropes] if isinstance(ropes, Rope) else list(ropes)
-    motion_list = [motions] if motions is None or isinstance(motions, Motion) else list(motions)
-    counts = [len(rope_list), len(motion_list), *(1 if each is None else len(each) for each in rows)]
-    count = max(counts)
-    if 0 in counts or set(counts) - {1, count}:
-        raise InvalidInput(
-            "ropes, motions, q0 and qd0 do not fit together",
-            got=counts,
-            allowed="one for all members, or as many of each",
-        )
-    common = {(rope.n_links, rope.friction_model) for rope in rope_list}
-    if len(common) > 1:
-        raise InvalidInput(
-            "ropes of a batch differ in links or friction model",
-            got=sorted(common),
-            allowed="the same for all",
-            fix="Run one batch for each kind",
-        )
-    return [
-        Setup(rope_list[m % len(rope_list)], motion_list[m % len(motion_list)], arm, duration=duration, tol=tol)
-        for m in range(count)
-    ]
-
-
-def _rows(name: str, value: npt.ArrayLike | None) -> Array | None:
-    """Return a start as rows (k, n), one a member or one for all."""
-    if value is None:
-        return None
-    given = checks.array(name, value, (-1,) if np.ndim(value) < 2 else (-1, -1))
-    return np.atleast_2d(given)
-
-
-def _starts(setups: list[Setup], rows: list[Array | None]) -> Array:
-    count, n = len(setups), setups[0].rope.n_links
-    result = np.zeros((count, 2 * n + 2))
-    result[:, :n] = np.array([setup.rope.hanging_angle for setup in setups])[:, None]
-    for name, value, columns in zip(("q0", "qd0"), rows, (slice(0, n), slice(n, 2 * n)), strict=True):
-        if value is not None:
-            result[:, columns] = checks.array(name, value, (len(value), n))
-    return result
-
-
-def _members(chains: list[Chain], drives: list[Drive], starts: Array) -> Members:
-    links = np.stack(
-        [
-            np.stack([c.length, c.mass, c.com, c.inertia, c.viscous, c.stiffness, c.rest, c.dry, lever(c)])
-            for c in chains
-        ]
-    )
-    whole = np.array(
-        [[c.tip_mass, c.gx, c.gy, d.arm_length, d.torque_limit] for c, d in zip(chains, drives, strict=True)]
-    )
-    padding = np.zeros((1, *drives[0].coef.shape[1:]))
-    return Members(
-        links,
-        whole,
-        starts,
-        np.concatenate([d.breaks for d in drives]),
-        np.concatenate([part for d in drives for part in (d.coef, padding)]),
-        np.array([d.loop for d in drives]),
-        np.concatenate([[0], np.cumsum([d.breaks.size for d in drives])]),
-    )
