@@ -80,6 +80,14 @@ def test_a_regulated_swing_does_not_overshoot():
     assert x[t > 5.0].max() > 0.8 * 0.4
 
 
+def test_a_metre_too_far_costs_more_than_a_metre_too_little():
+    rule = Regulate(CASTER, 0.4)
+    t = 0.02 * np.arange(1.0, round(rule.horizon / 0.02) + 1.0)
+    short, exact, far = rule.cost(t, np.array([0.3, 0.4, 0.5])[:, None] * np.ones(t.size))
+    assert exact == 0.0
+    assert far > 10.0 * short
+
+
 def test_a_plan_is_followed_where_nothing_disturbs():
     plan = np.full(6, CASTER.usual_rest)
     motion = CASTER.motion(np.cumsum(np.append(0.0, plan + 0.5)))

@@ -39,7 +39,7 @@ def write(wanted: Sequence[str], folder: Path, tell: Callable[[str], None]) -> P
     written = [file for name in wanted for file in write_picture(folder, name, content, paper.fig13())]
     caption = (
         f"Above: the tip's phase portrait in the first {_SHOWN:g} s, cut off at {_EDGE:g} m where the tip cracks like "
-        f"a whip (the CSV file is not). Below: the median of r in each {WINDOW:g} s. In the paper t_b = 0 is largest in "
+        f"a whip (the CSV file is not). Below: the median of r in {WINDOW:g} s. In the paper t_b = 0 is largest in "
         "the end and 0.20 s most efficient on the way; claim C5 tells what is here."
     )
     sections = [
