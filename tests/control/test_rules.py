@@ -88,15 +88,28 @@ def test_a_metre_too_far_costs_more_than_a_metre_too_little():
     assert far > 10.0 * short
 
 
-def test_a_plan_is_followed_where_nothing_disturbs():
+@pytest.mark.parametrize("look_again", [math.inf, 0.1])
+def test_a_plan_is_followed_where_nothing_disturbs(look_again):
     plan = np.full(6, CASTER.usual_rest)
     motion = CASTER.motion(np.cumsum(np.append(0.0, plan + 0.5)))
     t, x = reach(motion, 5.0)
     wanted = 0.98 * x.max()
     reached = float(reach_time(t, x[None], wanted)[0])
-    swung = swing(TrueState(ROPE, ARM), Pump(CASTER, wanted, plan=plan, reached=reached), CASTER, duration=reached)
+    rule = Pump(CASTER, wanted, plan=plan, reached=reached)
+    swung = swing(TrueState(ROPE, ARM), rule, CASTER, duration=reached, look_again=look_again)
     t, x = reach(swung.motion, 6.0)
     assert reach_time(t, x[None], wanted)[0] < reached + 0.02  # not later than planned, but for planning's tolerance
+
+
+@pytest.mark.parametrize("planned", [True, False])
+def test_looking_again_within_a_rest_does_not_start_it_anew(planned, monkeypatch):
+    monkeypatch.setattr(Pump, "_choose", lambda *_: None)  # what was decided stands, so looks must not matter
+    plan = [0.35, 0.2, 0.4]
+    for again in (math.inf, 0.1):
+        rule = Pump(CASTER, 0.9, plan=plan if planned else None, depth=2)
+        starts = swing(TrueState(ROPE, ARM), rule, CASTER, duration=2.0, look_again=again).starts
+        rests = plan[:2] if planned else [CASTER.usual_rest] * 2
+        np.testing.assert_allclose(np.diff(starts)[:2] - 0.5, rests, atol=1e-12)  # rounding
 
 
 def test_bad_input():

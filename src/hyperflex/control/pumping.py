@@ -45,6 +45,7 @@ class Lookahead(ABC):
             self.horizon = checks.number("horizon", horizon, sign="positive", unit="s")
         self.longest = 0.6 * period
         self.rests = np.full(depth, caster.usual_rest)
+        self._before = (0, 0.0)  # half turns made, and time, s, at the last look
 
     @abstractmethod
     def cost(self, t: Array, reach: Array) -> Array:
@@ -52,13 +53,22 @@ class Lookahead(ABC):
 
     def next_start(self, now: RopeState, made: int) -> float:
         """Return when the next half turn shall start, s."""
-        self.rests = np.append(self.rests[1:], self.caster.usual_rest)
+        if not self._waited(now, made):
+            self.rests = np.append(self.rests[1:], self.caster.usual_rest)
         coarse, fine = np.arange(0.0, self.longest, COARSE), FINE * np.arange(-4, 5)
         for k in range(self.rests.size):
             self._choose(k, coarse, self.horizon, now, made)
         for k in range(self.rests.size):
             self._choose(k, self.rests[k] + fine, self.horizon, now, made)
         return now.t + float(self.rests[0])
+
+    def _waited(self, now: RopeState, made: int) -> bool:
+        """Whether this is another look in the same rest, of which a part is over then."""
+        again = made == self._before[0]
+        if again:
+            self.rests[0] = max(0.0, self.rests[0] - (now.t - self._before[1]))
+        self._before = (made, now.t)
+        return again
 
     def _choose(self, k: int, tried: Array, horizon: float, now: RopeState, made: int) -> None:
         """Replace rest k by the best of those `tried` (m,), s, or leave it."""
@@ -113,7 +123,8 @@ class Pump(Lookahead):
         """Return when the next half turn shall start, s."""
         if self.plan is None or made > self.plan.size:
             return super().next_start(now, made)
-        self.rests = self.rests[-(self.plan.size - made + 1) :]
+        self.rests = self.rests[-(self.plan.size - made + 1) :].copy()
+        self._waited(now, made)
         left = max(0.5 * self.caster.period, self.reached - now.t) + MARGIN * self.caster.period
         for step in STEPS:
             for k in range(self.rests.size):
