@@ -70,7 +70,7 @@ def swing(source: StateSource, rule: Rule, caster: Caster, *, duration: float, l
     >>> caster = Caster(cable, hf.Arm())
     >>> swung = swing(TrueState(cable, hf.Arm()), CrossingRule(caster, 0.0), caster, duration=3.0)
     >>> [round(float(start), 2) for start in swung.starts]
-    [0.0, 1.03, 1.78, 2.98]
+    [0.0, 1.03, 1.78, 2.99]
     """
     end = checks.number("duration", duration, sign="positive", unit="s")
     pause = checks.number("look_again", look_again, sign="positive", unit="s", infinite=True)

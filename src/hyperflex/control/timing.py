@@ -33,7 +33,8 @@ class CrossingRule:
     caster : Caster
         The model that predicts.
     lead : float
-        t_b of the paper, s; negative: that long after the crossing.
+        t_b of the paper, s; negative: that long after the crossing (one that happens while the arm still moves is not
+        seen then).
 
     Notes
     -----
