@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         revise,
     )
     from hyperflex.model import Arm, Rope, Setup
-    from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
+    from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, strokes, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
     from hyperflex.simulation import (
         Batch,
@@ -84,6 +84,7 @@ _HOMES = {
     "sensitivities": "simulation",
     "simulate": "simulation",
     "simulate_batch": "simulation",
+    "strokes": "motion",
     "swings": "motion",
     "tip_crosses": "simulation",
     "tip_speed_peak": "simulation",
@@ -129,6 +130,7 @@ __all__ = [
     "sensitivities",
     "simulate",
     "simulate_batch",
+    "strokes",
     "swings",
     "tip_crosses",
     "tip_speed_peak",
