@@ -38,7 +38,7 @@ from tests.reference.random_ropes import Case, draw, draw_stuck
 
 RESULTS = Path(__file__).parent / "results"
 PATIENCE = 120.0  # s of processor time for a run and its tighter ones
-ALLOWED_FAILURES = 0.01
+ALLOWED_FAILURES, MOST = 0.01, 0.99  # parts of all: errors, and errors within USUAL tol growth
 ALLOWED_DRIFT = 1e-6  # rad in 10 s, of a joint whose dry friction bears more than it must
 STICKING = 10  # one rope that should stick for so many others
 SLOWEST = 8
@@ -207,10 +207,15 @@ def summary(rows: Iterable[dict[str, Any]]) -> str:
 
 
 def passed(rows: list[dict[str, Any]]) -> bool:
-    """Nothing silently wrong; few errors, and none of an ordinary rope."""
+    """Nothing silently wrong; few errors or runs that nothing could be compared with, and none of an ordinary rope.
+
+    The promise is wide, so that no rope breaks it by chance; that nearly all ropes stay far below it is asked too.
+    """
     outcomes = Counter(row["outcome"] for row in rows)
-    ordinary = any(row["ordinary"] and row["outcome"] == "failed" for row in rows)
-    return outcomes["wrong"] == 0 and not ordinary and outcomes["failed"] <= ALLOWED_FAILURES * len(rows)
+    ordinary = any(row["ordinary"] and row["outcome"] != "met" for row in rows)
+    open_ones = outcomes["failed"] + outcomes["unchecked"]
+    near = np.mean([row["factor"] <= USUAL for row in rows if row["outcome"] in ("met", "wrong")])
+    return outcomes["wrong"] == 0 and not ordinary and open_ones <= ALLOWED_FAILURES * len(rows) and near >= MOST
 
 
 def text(rows: list[dict[str, Any]], seed: int, numbers: range) -> str:

@@ -148,6 +148,7 @@ RUNS = [
     case("NaN-duration", lambda: run(duration=NAN), "duration", "nan"),
     case("infinite-duration", lambda: run(duration=INF), "duration", "inf"),
     case("text-duration", lambda: run(duration="10 s"), "duration", "'10 s'"),
+    case("endless-outputs", lambda: run(duration=1e6), "1e+08", "t_eval"),
     case("times-before-the-start", lambda: run(t_eval=[-0.1, 0.05]), "t_eval", "-0.1"),
     case("times-after-the-end", lambda: run(t_eval=[0.0, 0.2]), "t_eval", "0.2"),
     case("unsorted-times", lambda: run(t_eval=[0.0, 0.05, 0.02]), "t_eval goes back", "[0.05, 0.02]"),

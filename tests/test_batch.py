@@ -5,6 +5,8 @@ from __future__ import annotations
 import _thread
 import copy
 import pickle
+import signal
+import threading
 import tracemalloc
 
 import numpy as np
@@ -75,6 +77,37 @@ def test_results_do_not_depend_on_threads_or_neighbours() -> None:
     np.testing.assert_array_equal(one.tip, three.tip)
     alone = hf.simulate_batch(ropes[41], motions[41], arm=ARM, duration=0.5)
     np.testing.assert_array_equal(one.tip[41], alone.tip[0])
+
+
+def test_a_dry_neighbour_changes_nothing() -> None:
+    ropes, motions = family(60, n=3)
+    ropes[-1] = ropes[-1].replace(dry_friction=1e-4)
+    ropes[7] = ropes[7].replace(dry_friction=1e-4)
+    t = np.linspace(0.25, 1.0, 4)
+
+    def run(threads: int) -> np.ndarray:  # at this tolerance steps end on rounding, which dry friction judges otherwise
+        return hf.simulate_batch(
+            ropes, motions, arm=ARM, duration=1.0, t_eval=t, tol=1e-12, keep=("q",), threads=threads
+        ).q
+
+    one = run(1)
+    assert np.isfinite(one).all()
+    for threads in (2, 5):
+        np.testing.assert_array_equal(run(threads), one)
+
+
+def test_one_rope_from_many_starts() -> None:
+    rope = family(1, n=2)[0][0]
+    q0 = np.array([[0.0, 0.0], [1.0, 1.0], [0.3, -0.2]])
+    t = [0.0, 0.5, 1.0]
+    batch = hf.simulate_batch(rope, duration=1.0, q0=q0, qd0=[0.1, 0.2], t_eval=t, keep=("q", "tip"))
+    assert batch.q.shape == (3, 3, 2)
+    np.testing.assert_array_equal(batch.q[:, 0], q0)
+    for row, start in enumerate(q0):
+        alone = hf.simulate(rope, duration=1.0, q0=start, qd0=[0.1, 0.2], t_eval=t)
+        np.testing.assert_allclose(batch.tip[row], alone.tip, atol=1e-4)  # 1e-6 a step and one second of them
+    rates = hf.simulate_batch(rope, duration=0.5, qd0=np.ones((4, 2)))
+    assert len(rates.status) == 4
 
 
 def test_start_states_and_sampled_motions() -> None:
@@ -167,6 +200,27 @@ def test_ctrl_c_keeps_finished_members(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.isnan(batch.tip[32:]).all()
 
 
+def test_ctrl_c_ends_a_block_at_work() -> None:
+    soft = hf.Rope.uniform(length=0.6, mass=0.3, n_links=20, friction=1e-3)
+    stiff = soft.replace(friction=0.0, stiffness=1e5)  # minutes of work
+    q0 = np.linspace(0.0, 0.3, 20)
+    main = threading.main_thread().ident
+    assert main is not None
+    hf.simulate_batch(soft, duration=0.01, q0=q0)  # compile first
+    clock = threading.Timer(2.0, lambda: signal.pthread_kill(main, signal.SIGINT))
+    clock.start()
+    batch = hf.simulate_batch([soft] * 8 + [stiff] * 56, duration=10.0, q0=q0, threads=1)
+    clock.join()
+    assert batch.status[:8] == ("ok",) * 8
+    assert batch.status[8:] == ("interrupted",) * 56
+    assert np.isfinite(batch.tip[:8]).all()
+    assert np.isnan(batch.tip[8:]).all()
+    assert 0.0 < batch.reached[8] < 10.0
+    assert "8 ok, 56 interrupted" in repr(batch)
+    with pytest.raises(InvalidInput, match="no such member"):
+        batch.why(99)
+
+
 def test_dataset_is_labelled() -> None:
     ropes, motions = family(2)
     data = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.2, keep=("tip", "q")).dataset
@@ -179,11 +233,12 @@ def test_dataset_is_labelled() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"ropes": []}, "ropes and motions"),
-        ({"ropes": family(3)[0]}, "ropes and motions"),
+        ({"ropes": []}, "ropes, motions, q0 and qd0"),
+        ({"ropes": family(3)[0]}, "ropes, motions, q0 and qd0"),
         ({"ropes": [family(1)[0][0], family(1, n=9)[0][0]]}, "differ in links"),
         ({"keep": ("wind",)}, "keep"),
-        ({"t_eval": [0.0, 0.1]}, "t_eval"),
+        ({"t_eval": [-0.1, 0.1]}, "t_eval"),
+        ({"t_eval": [0.0]}, "t_eval"),
         ({"t_eval": [0.2, 0.1]}, "t_eval"),
         ({"t_eval": [9.0]}, "t_eval"),
         ({"q0": np.zeros((3, 8))}, "q0"),

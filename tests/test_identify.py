@@ -20,6 +20,7 @@ from hyperflex.identification._noise import autocorrelation
 from hyperflex.identification._parameters import Parameters
 from hyperflex.identification._plant import Plant
 from hyperflex.identification._prediction import HeldOut, predict
+from hyperflex.identification._scale import scaling
 from hyperflex.identification._shooting import Fit, Linear, fit, fit_state
 from hyperflex.identification._stages import Measured
 from hyperflex.identification._uncertainty import Information, judge, ratio_spread
@@ -28,7 +29,6 @@ from hyperflex.identification._verdict import (
     not_arrived,
     not_noise,
     other_lengths,
-    scaling,
     verdict,
 )
 from hyperflex.identification._windows import Window, cut, thin, usual_length
@@ -568,7 +568,9 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "lead": ({"lead": 0.0}, "lead has the wrong sign"),
     "arm alone": ({"arm": Arm(0.1)}, "without its motion"),
     "still": ({"recording": Recording(RECORDING.t, 1e-4 * RECORDING.data)}, "nothing moves"),
-    "too little": ({"recording": Recording(RECORDING.t[:3], RECORDING.data[:3])}, "too few samples"),
+    "too little": ({"recording": Recording(RECORDING.t[:3], RECORDING.data[:3])}, "too short"),
+    "five samples": ({"recording": Recording(RECORDING.t[:5], RECORDING.data[:5])}, "too short .* another unit"),
+    "milliseconds": ({"recording": Recording(1e3 * RECORDING.t, RECORDING.data)}, "further apart .* another unit"),
     "tiny window": ({"window": 0.03}, "too few samples"),
     "massless": ({"rope_guess": PENDULUM.replace(mass=0.0), "free": ["mass"]}, "mass is free but starts from 0"),
 }
@@ -606,7 +608,9 @@ def test_a_rope_that_cannot_be_simulated_is_an_error(monkeypatch: pytest.MonkeyP
 def test_progress_is_told_and_printed(free_swing: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     told: list[dict[str, float]] = []
     result = identify(free_swing, GUESS, ["friction"], progress=told.append)
-    assert [tuple(sorted(e.items())) for e in told] == [tuple(sorted(e.items())) for e in result.history]
+    fitted = [e for e in told if "phase" not in e]
+    assert [tuple(sorted(e.items())) for e in fitted] == [tuple(sorted(e.items())) for e in result.history]
+    assert all(e["phase"] == "profile" for e in told[len(fitted) :])
     assert {"window", "stage", "stages", "round", "cost", "gain", "damping"} == set(told[0])
     assert capsys.readouterr() == ("", "")
     identify(free_swing, GUESS, ["friction"], progress=True)

@@ -63,7 +63,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no columns": ({"data": np.zeros((2, 0))}, "no columns"),
     "all gaps": ({"data": [[0.1, NAN], [0.2, NAN]]}, "channel 1 of angles has no value"),
     "odd markers": ({"kind": "markers", "data": np.zeros((2, 5))}, "wrong number of columns"),
-    "one marker": ({"kind": "markers", "data": np.zeros((2, 2))}, "wrong number of columns"),
+    "half a marker": ({"kind": "markers", "data": np.zeros((2, 1))}, "wrong number of columns"),
     "kind": ({"kind": "video"}, "kind is not known"),
     "noise 0": ({"noise": 0.0}, "noise"),
     "noise nan": ({"noise": NAN}, "noise"),
@@ -359,7 +359,10 @@ def test_wrapped_angles_are_unwrapped_only_when_declared(tmp_path: Path) -> None
 
 def test_unsorted_and_infinite_samples_are_named(tmp_path: Path) -> None:
     t, data, _ = swing(n=1)
-    for row, column, value, match in ((7, 0, t[6], "repeats a time at sample 7"), (7, 1, math.inf, r"data\[7, 0\]")):
+    for row, column, value, match in (
+        (7, 0, t[6], "repeats a time at sample 7"),
+        (7, 1, math.inf, "line 9, column 'th1', is infinite"),
+    ):
         table = np.column_stack([t, data])
         table[row, column] = value
         with pytest.raises(InvalidInput, match=match):

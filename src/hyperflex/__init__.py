@@ -11,11 +11,13 @@ from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
     from hyperflex.identification import (
+        Bootstrap,
         Design,
         Experiment,
         Identification,
         ModelComparison,
         Revision,
+        bootstrap,
         compare_models,
         design,
         identify,
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
         revise,
     )
     from hyperflex.model import Arm, Ground, Peg, Rope, Setup, Wall, refined
-    from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, swings, torque_profile
+    from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, strokes, swings, torque_profile
     from hyperflex.recording import Recording, read_recording
     from hyperflex.simulation import (
         Batch,
@@ -48,6 +50,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Arm": "model",
     "Batch": "simulation",
+    "Bootstrap": "identification",
     "Design": "identification",
     "Event": "simulation",
     "Experiment": "identification",
@@ -68,6 +71,7 @@ _HOMES = {
     "Wall": "model",
     "Winding": "winding",
     "angle_reached": "simulation",
+    "bootstrap": "identification",
     "compare_models": "identification",
     "design": "identification",
     "hold": "motion",
@@ -88,6 +92,7 @@ _HOMES = {
     "simulate": "simulation",
     "simulate_batch": "simulation",
     "slip": "winding",
+    "strokes": "motion",
     "swings": "motion",
     "tension": "winding",
     "tip_crosses": "simulation",
@@ -100,6 +105,7 @@ _HOMES = {
 __all__ = [
     "Arm",
     "Batch",
+    "Bootstrap",
     "Design",
     "Event",
     "Experiment",
@@ -121,6 +127,7 @@ __all__ = [
     "Winding",
     "__version__",
     "angle_reached",
+    "bootstrap",
     "compare_models",
     "design",
     "hold",
@@ -141,6 +148,7 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "slip",
+    "strokes",
     "swings",
     "tension",
     "tip_crosses",

@@ -106,6 +106,35 @@ def test_a_fit_that_did_not_converge_is_written_marked_and_exits_with_3(hyperfle
     assert next(iter(json.loads(out).items())) == ("status", "not converged")
 
 
+def test_ctrl_c_prints_the_best_so_far(hyperflex, swing, monkeypatch):
+    whole = identification.identify
+
+    def interrupted(*arguments, **options):
+        return dataclasses.replace(whole(*arguments, **options), status="interrupted")
+
+    monkeypatch.setattr(identification, "identify", interrupted)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    code, out, err = hyperflex("identify", swing / "swing.csv", *arguments)
+    assert code == 130
+    assert "friction" in out
+    assert "interrupted" in out
+    assert "best so far" in err
+
+
+def test_intervals_and_the_fastest_turn_can_be_chosen(hyperflex, hyperflex_json, swing):
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "--intervals", "none")
+    assert code == 0
+    assert result["intervals"] == {}
+    code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "--intervals", "profile")
+    assert result["intervals"]["friction[0]"]["kind"] == "profile"
+    code, out, err = hyperflex("identify", swing / "swing.csv", *arguments, "--max-rate", "1")
+    assert (code, out) == (2, "")
+    for words in ("--max-rate = 1", "--unit deg", "--wrapped", "--time-unit ms", "a larger --max-rate"):
+        assert words in err
+    assert "max_rate" not in err
+
+
 @pytest.mark.parametrize("taken", ["swing.csv", "guess.toml"])
 def test_no_input_is_overwritten(hyperflex, swing, taken):
     before = (swing / taken).read_bytes()
@@ -175,7 +204,8 @@ def test_an_interrupted_fit_leaves_a_whole_folder_marked_as_such(hyperflex, swin
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--rope", swing / "guess.toml", "--free", "friction", *DECLARED)
     code, out, err = hyperflex("identify", swing / "swing.csv", *arguments, "-o", swing / "found")
-    assert (code, out) == (130, "")
+    assert code == 130
+    assert "friction" in out  # the table of the best so far
     assert "marked as interrupted" in err
     assert '<span class="badge">interrupted</span>' in (swing / "found" / "report.html").read_text("utf-8")
 

@@ -31,9 +31,9 @@ def test_reproduce_as_json(hyperflex_json, tmp_path):
 
 
 def test_an_unknown_figure_is_refused(hyperflex_json, tmp_path):
-    code, result = hyperflex_json("reproduce", "fig13", "-o", tmp_path / "paper")
+    code, result = hyperflex_json("reproduce", "fig14", "-o", tmp_path / "paper")
     assert code == 2
-    assert "fig13" in result["error"]
+    assert "fig14" in result["error"]
     assert not (tmp_path / "paper").exists()
 
 

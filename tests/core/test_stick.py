@@ -94,11 +94,11 @@ def test_events_that_change_nothing_are_rounding_and_chatter_has_an_end() -> Non
     assert good
     assert stick.widened(chatter, n) == pytest.approx(10.0)
     assert settled(1.0, grip + 1.0) == (True, 1.0)
-    assert stick.widened(n + 30.0, n) == 1e8  # and no more
-    assert settled(n + 4.0 + stick.HOPELESS, grip)[0]
-    assert not settled(n + 5.0 + stick.HOPELESS, grip)[0]
+    assert stick.widened(stick.usual(n) + 26.0, n) == 1e8  # and no more
+    assert settled(stick.usual(n) + stick.HOPELESS, grip)[0]
+    assert not settled(stick.usual(n) + 1.0 + stick.HOPELESS, grip)[0]
     state.w[:] += 2e-10 * np.arange(1, n + 1)  # rest, where limits are wider by a thousand
-    settled(n + 7.0, grip)
+    settled(stick.usual(n) + 3.0, grip)
     np.testing.assert_array_equal(state.w, state.base[3])
 
 

@@ -12,16 +12,19 @@ from scipy.optimize import brentq, lsq_linear
 from scipy.stats import f, norm
 
 from hyperflex import files
+from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import Identification, _intervals, identify, profile
+from hyperflex.identification import Identification, _intervals, _profile, identify, profile
 from hyperflex.identification._intervals import all_intervals, skewed
 from hyperflex.identification._loss import Loss
+from hyperflex.identification._plant import Seen
 from hyperflex.identification._profile import profiled
-from hyperflex.identification._threshold import _rise, quantile, threshold
+from hyperflex.identification._shooting import fit
+from hyperflex.identification._threshold import _draws, _rise, quantile, threshold
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
-from tests.identification.linear import autoregressive, fitted, waves
+from tests.identification.linear import Line, autoregressive, fitted, waves
 
 NOISE = 0.01  # rad
 PAPER = Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)
@@ -141,6 +144,82 @@ def test_coloured_noise_widens_a_profile_as_it_does_the_covariance() -> None:
     assert (found.low, found.high) == pytest.approx((one.low, one.high), abs=0.005 * (one.high - one.low))
 
 
+class Dipped(Line):
+    """The same, and a third wave that acts near one value of the first parameter only: another optimum there."""
+
+    def __init__(self, plain: Line, at: float, width: float) -> None:
+        super().__init__(plain.shared, plain.own, plain.truth)
+        self.at, self.width = at, width
+        self.third = np.cos(50.0 * np.linspace(0.0, 1.0, plain.shared.shape[0]))[:, None]
+
+    def dip(self, x: Array) -> float:
+        return float(np.exp(-(((x[0] - self.at) / self.width) ** 2)))
+
+    def predict(self, x: Array, t: Array, state: Array) -> Array | None:
+        return super().predict(x, t, state) + self.dip(x) * self.third  # type: ignore[operator]
+
+    def slopes(self, x: Array, t: Array, state: Array) -> Seen | None:
+        shared = self.shared.copy()
+        shared[:, :, 0] -= 2.0 * (x[0] - self.at) / self.width**2 * self.dip(x) * self.third
+        return Seen(self.predict(x, t, state), self.own, shared)  # type: ignore[arg-type]
+
+
+def test_a_better_optimum_on_the_way_is_told() -> None:
+    noise = np.random.default_rng(4).standard_normal((60, 1))
+    plain = fitted(waves(60), noise)
+    sd = float(np.sqrt(plain.information.covariance[0, 0]))
+    dipped = Dipped(waves(60), plain.fit.x[0] + 2.0 * sd, 0.4 * sd)
+    data = noise + dipped.third  # the third wave is there
+    basis = fitted(dipped, data)
+    assert basis.fit.x[0] == pytest.approx(dipped.at, abs=sd)  # the search itself finds it, near as it is
+    stuck = replace(
+        plain,
+        plant=dipped,
+        windows=basis.windows,
+        fit=fit(dipped, basis.windows, plain.fit.x, plain.fit.states, held=[0], enough=1e-9),
+    )
+    one = profiled(stuck, 0, 0.95)
+    assert one.gain > 1.0
+    assert one.better is not None
+    first = dipped.parameters.all[0]
+    assert one.better.inertia[0] == pytest.approx(first.value(dipped.at), abs=first.value(sd))
+    assert (one.rise >= 0.0).all()
+    told = all_intervals(stuck, "profile")["inertia[0]"].remark
+    assert "not the best one" in told
+    assert "profile(found, 'inertia[0]').better" in told
+    honest = profiled(plain, 0, 0.95)
+    assert honest.gain < 0.01  # what the fit left, in residual variances
+    assert honest.better is None
+
+
+def test_a_profile_that_is_too_dear_leaves_the_covariance_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
+    monkeypatch.setattr(_profile, "MOST_ROUNDS", 0)
+    one, plain = profiled(basis, 0, 0.95), all_intervals(basis, "covariance")["inertia[0]"]
+    assert (one.low, one.high, one.kind) == (plain.low, plain.high, "covariance")
+    found = all_intervals(basis, "profile")["inertia[0]"]
+    assert (found.kind, found.low) == ("covariance", plain.low)
+    assert "too dear" in found.remark
+
+
+def test_progress_hears_of_profiles() -> None:
+    basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
+    heard: list[dict[str, object]] = []
+    all_intervals(basis, "profile", report=heard.append)  # type: ignore[arg-type]
+    assert {entry["phase"] for entry in heard} == {"profile"}
+    assert [*dict.fromkeys((e["parameter"], e["stage"], e["stages"]) for e in heard)] == [
+        ("inertia[0]", 0, 2),
+        ("friction[0]", 1, 2),
+    ]
+    assert all({"window", "round", "cost", "gain", "damping"} <= entry.keys() for entry in heard)
+
+
+def test_draws_do_not_pile_up() -> None:
+    for k in range(20):
+        threshold(0.95, 10.0 + k, 0, np.eye(1), np.zeros(1))
+    assert _draws.cache_info().currsize <= 8
+
+
 def test_robust_losses_profile_what_their_covariance_says() -> None:
     random = np.random.default_rng(4)
     noise = random.standard_normal((300, 1)) * np.where(random.uniform(size=(300, 1)) < 0.05, 10.0, 1.0)
@@ -223,7 +302,7 @@ def test_refusals(found: Identification) -> None:
 def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
     recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(_intervals, "profiled", interrupted)

@@ -231,6 +231,18 @@ def test_what_is_left_of_the_torque_stands_beside_the_angles() -> None:
     assert not any("poor" in text for text in found.verdict)
 
 
+def test_a_torque_of_the_wrong_sign_is_told() -> None:
+    """Masses then go where the torque is least, and angles alone still fit."""
+    recording, values = measured()
+    options: dict[str, Any] = {"motion": MOVE, "arm": LIGHT, "torque": -values, "torque_noise": TORQUE_NOISE}
+    found = identify(recording, GUESS, [*SCALED, "arm_inertia"], intervals=None, **options)
+    told = [text for text in found.verdict if text.startswith("The torque does not fit")]
+    assert len(told) == 1
+    assert "sign" in told[0]
+    assert "unit" in told[0]
+    assert not any(text.startswith("All free parameters can be known") for text in found.verdict)
+
+
 def test_gaps_in_the_torque_and_a_held_out_part() -> None:
     recording, torque = measured()
     torque = torque.copy()

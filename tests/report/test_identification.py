@@ -13,6 +13,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.identification import Identification, correlogram
+from hyperflex.identification._verdict import not_noise
 from hyperflex.recording import Recording
 from hyperflex.report import identification
 from hyperflex.report.fit_figures import (
@@ -113,6 +114,20 @@ def test_a_page_warns_where_predictions_leave_their_band(tmp_path, swing):
     narrow = dataclasses.replace(found.held_out, sd=0.2 * found.held_out.sd)
     text = page(tmp_path, (recording, changed(found, held_out=narrow)))
     assert re.search(r'class="warn">Only \d+ % of the values that the fit has not seen', text)
+
+
+@pytest.mark.usefixtures("unseen")
+def test_model_error_and_predictions_that_hold_are_one_statement(tmp_path, swing):
+    recording, found = swing
+    (told,) = not_noise(50.0)
+    wide = dataclasses.replace(found.held_out, sd=3.0 * found.held_out.sd)
+    text = page(tmp_path, (recording, changed(found, verdict=(told,), held_out=wide)))
+    verdict = text[text.index("<h2>Verdict") : text.index("<h2>Parameters")]
+    assert "can be believed" not in verdict
+    assert 'class="fine"' not in verdict
+    assert verdict.count('class="warn"') == 1
+    assert "Standard deviations and intervals then tell little" in verdict
+    assert "Predictions over" in verdict
 
 
 def test_many_channels_are_shown_by_a_few_and_all_of_them_elsewhere(tmp_path, markers):

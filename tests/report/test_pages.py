@@ -79,8 +79,8 @@ def test_reproduce_writes_pictures_tables_claims_and_a_page(tmp_path):
 
 
 def test_reproduce_refuses_unknown_figures_and_files_in_the_way(tmp_path):
-    with pytest.raises(InvalidInput, match="fig13"):
-        reproduce(["fig13"], tmp_path / "out")
+    with pytest.raises(InvalidInput, match="fig14"):
+        reproduce(["fig14"], tmp_path / "out")
     assert not (tmp_path / "out").exists()
     (tmp_path / "taken").write_text("x")
     with pytest.raises(FileProblem, match="not a folder"):

@@ -73,7 +73,8 @@ def run(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return output.interrupted("Interrupted; nothing was left half written.", {}, as_json=as_json)
     except HyperflexError as error:
-        return output.complain(str(error), type(error).__name__, output.REFUSED, as_json=as_json)
+        message = output.spelt(str(error)) if "identify" in arguments[:1] else str(error)
+        return output.complain(message, type(error).__name__, output.REFUSED, as_json=as_json)
     except _PARSER_ERROR as error:
         worded = getattr(error, "format_message", None)
         message = worded() if worded else str(error)

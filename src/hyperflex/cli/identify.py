@@ -58,6 +58,12 @@ def identify(
     wrapped: Annotated[bool | None, typer.Option(help="Whether angles jump by whole turns.")] = None,
     noise: Annotated[float | None, typer.Option(help="Standard deviation of a sample, in its unit.")] = None,
     columns: Annotated[str | None, typer.Option(help="Data columns in order, with commas between them.")] = None,
+    max_rate: Annotated[
+        float | None, typer.Option(help="Angles that turn faster, rad/s, are refused as wrong units. [default: 300]")
+    ] = None,
+    intervals: Annotated[
+        str, typer.Option(help="How 95 % intervals are found: auto, covariance, profile or none.")
+    ] = "auto",
     json: output.Json = False,
 ) -> None:
     """Identify a rope from a recording.
@@ -65,7 +71,7 @@ def identify(
     Units, axes and frame rate are declared by the file or by the options, never guessed. Markers sit at the joints
     unless --arc says where.
 
-    Ctrl-C ends the fit; the best so far is written, marked as interrupted.
+    Ctrl-C ends the fit; the best so far is printed and written, marked as interrupted.
 
     The exit code is 3 if the fit did not converge; the rope is written all the same, marked as not converged.
     """
@@ -77,6 +83,7 @@ def identify(
     lead = _lead(setup)
     places = _numbers("--arc", arc, "0.2,0.4,0.6") if arc else None
     seen = _numbers("--origin", [origin], "0.01,-0.02") if origin else None
+    fastest: dict[str, Any] = {} if max_rate is None else {"max_rate": max_rate}
     measured = read_recording(
         recording,
         kind=kind,
@@ -92,6 +99,7 @@ def identify(
         wrapped=wrapped,
         noise=noise,
         columns=columns.split(",") if columns else None,
+        **fastest,
     )
     guess = Rope.from_toml(rope)
     with rounds.bar(json) as hear:
@@ -104,12 +112,15 @@ def identify(
             arcs=places,
             origin=seen,
             loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
+            intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
             progress=hear,
             **lead,
         )
     files = _write(out, measured, result, guess, json)
     summary = {"status": result.status, "output": out, "files": files, **result.summary()}
     if result.status == "interrupted":  # the best so far is written, and says what it is
+        if not json:
+            _show(result, files)
         words = f"Interrupted; the best so far is in {out}, marked as interrupted."
         raise typer.Exit(output.interrupted(words, summary, as_json=json))
     if json:
@@ -196,5 +207,5 @@ def _show(found: Identification, files: dict[str, Path]) -> None:
                 output.console().print(f"  and {len(table.rows) - _ROWS} more, in {files['rope']}", markup=False)
     for sentence in found.verdict:
         output.console().print(sentence, markup=False)
-    words = {"rope": "rope and figures", "figures": "figures", "page": "the whole story on one page"}
+    words = {"rope": "rope and figures", "figures": "numbers", "page": "the whole story on one page"}
     output.print_pairs("Written", [(words[kind], str(path)) for kind, path in files.items()])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 FAILED, REFUSED, NOT_CONVERGED, INTERRUPTED = 1, 2, 3, 130  # exit codes
+_ADVICE = re.compile(  # an argument with its value, as errors advise it
+    r"\b(?P<name>kind|columns|time_unit|time|unit|frame_rate|y_axis|scale|zero|sense|angles|wrapped|noise|arcs|origin|"
+    r"window|train|loss|intervals|max_rate)=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|[\w.]+)"
+)
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
 
 
@@ -33,6 +38,18 @@ def complain(message: str, kind: str, code: int, *, as_json: bool) -> int:
     if as_json:
         print_json({"error": message, "type": kind})
     return code
+
+
+def spelt(message: str) -> str:
+    """Return advice on arguments of ``identify`` and ``read_recording`` with the command's options for their names."""
+
+    def option(found: re.Match[str]) -> str:
+        name = {"arcs": "arc"}.get(found["name"], found["name"].replace("_", "-"))
+        value = found["value"].strip("'\"[]()").replace(", ", ",")
+        return f"--{name}" if found["name"] == "wrapped" else f"--{name} {value}"
+
+    advice = _ADVICE.sub(option, message)
+    return re.sub(r"\bmax_rate\b", "--max-rate", advice)
 
 
 def interrupted(message: str, left: Mapping[str, Any], *, as_json: bool) -> int:

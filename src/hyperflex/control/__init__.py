@@ -1,12 +1,76 @@
-"""Control of a cast: so far the pseudo-energy that tells how far the rope has been pumped up."""
+"""Control of a cast: pseudo-energy, the paper's timing rule, better rules, and the loop that they run in."""
 
-from hyperflex.control.pseudo_energy import (
-    PhasePortrait,
-    Spiral,
-    driving_constant,
-    phase_portrait,
-    pseudo_energy,
-    spiral,
-)
+from __future__ import annotations
 
-__all__ = ["PhasePortrait", "Spiral", "driving_constant", "phase_portrait", "pseudo_energy", "spiral"]
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import loader
+
+if TYPE_CHECKING:
+    from hyperflex.control.caster import Caster
+    from hyperflex.control.closed_loop import Swung, swing
+    from hyperflex.control.pseudo_energy import (
+        PhasePortrait,
+        Spiral,
+        driving_constant,
+        phase_portrait,
+        pseudo_energy,
+        spiral,
+    )
+    from hyperflex.control.pumping import Pump, Regulate
+    from hyperflex.control.reach import reach_time
+    from hyperflex.control.rests import PumpPlan, plan_pumping
+    from hyperflex.control.state_source import RopeState, SimulatedCamera, StateSource, TrueState
+    from hyperflex.control.timing import CrossingRule, Rule
+
+_HOMES = {
+    "Caster": "caster",
+    "CrossingRule": "timing",
+    "PhasePortrait": "pseudo_energy",
+    "Pump": "pumping",
+    "PumpPlan": "rests",
+    "Regulate": "pumping",
+    "RopeState": "state_source",
+    "Rule": "timing",
+    "SimulatedCamera": "state_source",
+    "Spiral": "pseudo_energy",
+    "StateSource": "state_source",
+    "Swung": "closed_loop",
+    "TrueState": "state_source",
+    "driving_constant": "pseudo_energy",
+    "phase_portrait": "pseudo_energy",
+    "plan_pumping": "rests",
+    "pseudo_energy": "pseudo_energy",
+    "reach_time": "reach",
+    "spiral": "pseudo_energy",
+    "swing": "closed_loop",
+}
+
+__all__ = [
+    "Caster",
+    "CrossingRule",
+    "PhasePortrait",
+    "Pump",
+    "PumpPlan",
+    "Regulate",
+    "RopeState",
+    "Rule",
+    "SimulatedCamera",
+    "Spiral",
+    "StateSource",
+    "Swung",
+    "TrueState",
+    "driving_constant",
+    "phase_portrait",
+    "plan_pumping",
+    "pseudo_energy",
+    "reach_time",
+    "spiral",
+    "swing",
+]
+
+__getattr__ = loader(__name__, _HOMES)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

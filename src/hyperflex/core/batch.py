@@ -212,13 +212,13 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
 
 
 @kernel
-def settle(terms, lane, end, size, has_dry):  # type: ignore[no-untyped-def]
-    """Note a step of the error `size` in one lane's clock and choose the next; returns a status code."""
+def settle(terms, lane, end, size, dry):  # type: ignore[no-untyped-def]
+    """Note a step of the error `size` in the clock of a lane, `dry` or not, and choose the next; returns a code."""
     order = terms.best.size - 1
     step = lane[WANTED]
     if size <= 1.0:
         lane[TIME] = end if step >= end - lane[TIME] else lane[TIME] + step
-        faint = has_dry and is_rounding(size, terms.tol, step, terms.rounding)
+        faint = dry and is_rounding(size, terms.tol, step, terms.rounding)
         grown = MOST * step if faint else longer(step, size, lane[LAST], lane[SIZE], order)
         lane[STEP] = max(grown, lane[STEP]) if step < lane[STEP] else grown
         lane[LAST], lane[SIZE] = 0.0 if faint else step, size
@@ -233,7 +233,7 @@ def settle(terms, lane, end, size, has_dry):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type: ignore[no-untyped-def]
+def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  # type: ignore[no-untyped-def]
     """Run members low..high - 1; each step ends at a break of the drive or at an output at the latest.
 
     Parameters
@@ -244,6 +244,7 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
     y_out : (high - low, T, 2 n + 2) out, states
     codes : (high - low,) out, status codes
     reached : (high - low,) out, s
+    stop : (1,) int64; once another thread makes it 1, the block ends: members at work keep their codes as they were
     """
     k = len(ln.MEMBERS)
     n = members.links.shape[2]
@@ -254,19 +255,24 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
     member = np.full(k, -1)
     index = np.zeros(k, dtype=np.int64)
     coming = low
-    has_dry, watch = members.links[low:high, DRY].any(), new_watch(n)
+    dry, watch = np.zeros(k, dtype=np.bool_), new_watch(n)
     for i in range(1, n + 1):  # idle lanes are swept too: an inertia keeps their numbers finite
         lanes[(i * ln.ROW + ln.INERTIA) * k : (i * ln.ROW + ln.INERTIA + 1) * k] = 1.0
     while True:
         for j in range(k):
             if member[j] < 0 and coming < high:
-                member[j], index[j] = coming, 0
+                member[j], index[j], dry[j] = coming, 0, members.links[coming, DRY].any()
                 enter(members, terms, coming, lanes, tip, path, j, lane[j], energy[j])
                 coming += 1
         if prepare(members, terms, member, lane, index, path, t_out) == 0:
             return
-        for j in range(k if has_dry else 0):
-            unsettled = member[j] >= 0 and lane[j, UNSETTLED] == 1.0
+        if stop[0] != 0:
+            for j in range(k):
+                if member[j] >= 0:
+                    reached[member[j] - low] = lane[j, TIME]
+            return
+        for j in range(k):
+            unsettled = dry[j] and member[j] >= 0 and lane[j, UNSETTLED] == 1.0
             if unsettled and not settle_lane(members, terms, member[j], lanes, path, j, lane[j], watch):
                 codes[member[j] - low], reached[member[j] - low], member[j] = status.FRICTION, lane[j, TIME], -1
         extrapolate_lanes(members, terms, lane, energy, lanes, tip, path)
@@ -279,14 +285,14 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached):  # type:
             step, verdict = lane[j, WANTED], 0
             if lane[j, RETRY] == 1.0 and size < np.inf:
                 size = min(size, 1.0)  # its longer attempt was good
-            if has_dry and size <= 1.0:
+            if dry[j] and size <= 1.0:
                 verdict = look(members, terms, member[j], lanes, path, j, lane[j], watch)
                 if verdict == AGAIN:
                     continue
-            code = settle(terms, lane[j], end, size, has_dry)
+            code = settle(terms, lane[j], end, size, dry[j])
             if code == status.OK:
                 accept(lanes, n, j, energy)
-                if has_dry:
+                if dry[j]:
                     conclude(lanes, n, j, lane[j], energy, step, verdict == EVENT, watch)
                 if t_out[index[j]] <= lane[j, TIME]:
                     write(lanes, n, j, energy, y_out[m, index[j]])

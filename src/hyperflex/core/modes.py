@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.core.chain import PRINTED, Chain
 from hyperflex.core.jit import kernel
-from hyperflex.core.stick import STILL, at_rest, bear, hopeless, widened, wider
+from hyperflex.core.stick import STILL, at_rest, bear, hopeless, usual, widened, wider
 
 SENSE = 1e-11  # part of the largest acceleration below which the sense of a joint's acceleration is rounding
 CALM = 1e-8  # rad/s, slower than this a joint that chatters may be brought to rest
@@ -32,7 +32,7 @@ def settled(chain, q, w, base, torque, chatter, grip, before, room):  # type: ig
     before[:] = grip
     good = False
     while not (good or hopeless(chatter, n)):
-        if chatter > n + 4.0:
+        if chatter > usual(n):
             calm(chain, w, base, min(STILL * widened(chatter, n), CALM))
         good = decide(chain, q, w, base, torque, widened(chatter, n), grip, room)
         if not good:

@@ -82,21 +82,27 @@ def bear(chain, q, w, grip, base, torque, room):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def usual(n):  # type: ignore[no-untyped-def]
+    """Quick events that n joints may need which slip at next to no rate: each sticks, comes loose and sticks again."""
+    return 4.0 * n + 4.0
+
+
+@kernel
 def widened(chatter, n):  # type: ignore[no-untyped-def]
-    """Factor on SLACK and NOISE after so many quick events: n joints may change at once, more is chatter."""
-    return 10.0 ** min(WIDEST, max(0.0, chatter - n - 4.0))
+    """Factor on SLACK and NOISE after so many quick events: more than the usual are chatter."""
+    return 10.0 ** min(WIDEST, max(0.0, chatter - usual(n)))
 
 
 @kernel
 def hopeless(chatter, n):  # type: ignore[no-untyped-def]
     """Whether so many quick events are chatter that widening does not end."""
-    return chatter > n + 4.0 + HOPELESS
+    return chatter > usual(n) + HOPELESS
 
 
 @kernel
 def wider(chatter, n):  # type: ignore[no-untyped-def]
     """Count of quick events at which that factor is ten times as large as at `chatter`."""
-    return max(chatter, n + 4.0) + 1.0
+    return max(chatter, usual(n)) + 1.0
 
 
 @kernel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -38,8 +39,8 @@ def read_table(path: PathLike) -> tuple[list[str], Array]:
         When the file is missing, empty, binary or not UTF-8.
     InvalidInput
         When there is no header or no row, names repeat, a row has too few or too many cells, or a cell is no number
-        (line and column are named), when another separator is used, or when the file ends, without a line feed, in a
-        number with fewer digits than its column has: most likely it was cut off there.
+        or infinite (line and column are named), when another separator is used, or when the file ends, without a line
+        feed, in a number with fewer digits than its column has: most likely it was cut off there.
     """
     text = read_text(path, "table")
     rows = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
@@ -159,7 +160,7 @@ def _row(path: PathLike, number: int, row: list[str], names: list[str], cut: boo
             fix=why,
         )
     try:
-        return [float(cell) if cell.strip() else float("nan") for cell in row]
+        numbers = [float(cell) if cell.strip() else math.nan for cell in row]
     except ValueError:
         column = next(k for k, cell in enumerate(row) if cell.strip() and not _is_number(cell))
         raise InvalidInput(
@@ -168,6 +169,14 @@ def _row(path: PathLike, number: int, row: list[str], names: list[str], cut: boo
             allowed="a number with a decimal point, or nothing for a gap",
             fix=_CUT if cut and column == len(row) - 1 else "",
         ) from None
+    for column, value in enumerate(numbers):
+        if math.isinf(value):
+            raise InvalidInput(
+                f"{path}, line {number}, column {names[column]!r}, is infinite",
+                got=row[column].strip(),
+                allowed="a finite number, or nothing for a gap",
+            )
+    return numbers
 
 
 def _check_end(path: PathLike, number: int, cells: list[str]) -> None:

@@ -9,7 +9,8 @@ from hyperflex.identification._baselines import (
     swing_period,
 )
 from hyperflex.identification._bootstrap import Bootstrap, bootstrap
-from hyperflex.identification._choice import FittedModel, ModelComparison, compare_models
+from hyperflex.identification._choice import compare_models
+from hyperflex.identification._comparison import FittedModel, ModelComparison
 from hyperflex.identification._correlogram import correlogram
 from hyperflex.identification._design import Design, Plan, design
 from hyperflex.identification._experiments import Experiment

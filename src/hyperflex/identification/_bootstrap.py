@@ -15,6 +15,7 @@ from hyperflex.identification._loss import Loss
 from hyperflex.identification._noise import correlations
 from hyperflex.identification._profile import basis_of
 from hyperflex.identification._shooting import fit
+from hyperflex.identification._threads import one_thread
 from hyperflex.identification._uncertainty import Basis
 from hyperflex.identification._windows import Window
 from hyperflex.simulation.rollouts import progress_bar
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from hyperflex.identification._result import Identification
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Bootstrap:
     """Fits to simulated recordings.
 
@@ -44,6 +45,10 @@ class Bootstrap:
     failed: int
     interrupted: bool
 
+    def __repr__(self) -> str:
+        end = ", interrupted" if self.interrupted else ""
+        return f"<Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}: {', '.join(self.names)}>"
+
     def interval(self, name: str, level: float = LEVEL) -> Interval:
         """Return the interval that leaves out (1 - level) / 2 of the samples of parameter `name` on either side.
 
@@ -58,6 +63,7 @@ class Bootstrap:
         return Interval(float(low), float(high), "bootstrap", level=level)
 
 
+@one_thread()
 def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progress: bool = False) -> Bootstrap:
     """Simulate recordings like the one that was fitted, fit each, and return what they find.
 

@@ -8,17 +8,23 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification._intervals import Interval, of_ratios
+from hyperflex.identification._misfit import poor, poor_torque
 from hyperflex.identification._parameters import SCALARS
 from hyperflex.identification._plant import Plant
 from hyperflex.identification._prediction import HeldOut
 from hyperflex.identification._result import Identification
 from hyperflex.identification._sensors import Angles
 from hyperflex.identification._uncertainty import Basis, ratio_spread, ratios
-from hyperflex.identification._verdict import failed_predictions, not_arrived, not_noise, too_large, verdict
-from hyperflex.identification._windows import Window
+from hyperflex.identification._verdict import (
+    failed_predictions,
+    in_harmony,
+    noise_unknown,
+    not_arrived,
+    not_noise,
+    too_large,
+    verdict,
+)
 from hyperflex.model import Rope
-
-POOR = 0.2  # part of the motion that may stay unexplained before the verdict calls the fit poor
 
 
 def conclude(
@@ -33,7 +39,7 @@ def conclude(
     parameters = plant.parameters
     x = parameters.rounded(found.x)
     rope, slopes = parameters.rope(x), parameters.slopes(x)
-    spreads = information.spread(np.diag(slopes))
+    spreads = information.deviations(slopes)
     weights = np.concatenate([w.weight for w in windows])
     flat = np.concatenate([r.reshape(w.y.shape) for r, w in zip(found.residuals, windows, strict=True)])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -45,10 +51,13 @@ def conclude(
     rms = np.sqrt(np.nanmean(residuals**2, axis=0))
     ratio_sd = ratio_spread(parameters, information)
     status = "interrupted" if found.interrupted else "converged" if found.converged else "not converged"
-    words = not_arrived(status) + verdict(parameters, information, rope, ratio_sd) + _poor(windows, rms, unit)
-    words += not_noise(information.correlation, information.whiteness) + failed_predictions(held_out) + remarks
+    words = not_arrived(status) + verdict(parameters, information, rope, ratio_sd)
+    words += poor(windows, residuals, unit, found.loss) + poor_torque(windows, torque, found.loss)
+    words += not_noise(information.correlation, information.whiteness)
+    words += noise_unknown(information.agrees, information.freedom) + failed_predictions(held_out) + remarks
     if ((weights != 0.0) & (weights != 1.0)).any():  # the recording says what its noise is
         words += too_large(information.variance, information.freedom)
+    words += [each.remark for each in (intervals or {}).values() if each.remark]
     if intervals is not None:
         intervals = intervals | of_ratios(ratios(rope), ratio_sd, information.freedom)
     return Identification(
@@ -58,7 +67,7 @@ def conclude(
         ratios=ratios(rope),
         ratio_sd=ratio_sd,
         intervals=intervals or {},
-        verdict=tuple(words),
+        verdict=tuple(in_harmony(words)),
         identifiable=information.unknown.shape[1] == 0,
         residual_rms=rms,
         residual_t=np.concatenate([w.t for w in windows]),
@@ -93,18 +102,3 @@ def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array
                 held = getattr(rope, name).copy()
             result.setdefault(name, held)[list(parameter.links)] = number
     return result
-
-
-def _poor(windows: list[Window], rms: Array, unit: str) -> list[str]:
-    """Return a warning where the model leaves much of the motion unexplained."""
-    known = [np.where(w.weight > 0.0, w.y, np.nan)[:, : rms.size] for w in windows]
-    spread = np.sqrt(np.mean([np.nanvar(y, axis=0) for y in known], axis=0))
-    worst = int(np.argmax(rms / np.maximum(spread, 1e-12)))
-    if rms[worst] <= POOR * spread[worst]:
-        return []
-    what = f"link {worst}" if unit == "rad" else f"marker {worst // 2}"
-    text = (
-        f"The fit is poor: {what} is {rms[worst]:.3g} {unit} off, and moves by {spread[worst]:.3g} {unit} (rms) within "
-        "the windows. Check the recording's units, zero and sense, the link lengths, the base's motion and the guess."
-    )
-    return [text]

@@ -80,6 +80,21 @@ def worse(one: HeldOut, best: HeldOut) -> bool:
     return bool(sure and mine.mean() > MATTERS**2 * other.mean())
 
 
+def _unclear(one: Evidence, best: Evidence) -> str:
+    """Return why the prediction of `one` does not count as worse than that of `best`."""
+    if one.held_out is None or best.held_out is None:
+        return "one of them was not predicted"
+    mine, other = _squares(one.held_out), _squares(best.held_out)
+    if mine.size < FEW or mine.size != other.size:
+        return f"a difference within {100.0 * (ALIKE - 1.0):.0f} % counts for nothing where so little is held out"
+    if mine.mean() <= MATTERS**2 * other.mean():
+        return f"a difference within {100.0 * (MATTERS - 1.0):.0f} % is too small to matter"
+    return (
+        f"over the {mine.size} predicted stretches the difference varies too much to be told from chance (less than "
+        f"{CLEAR:g} standard errors)"
+    )
+
+
 def error(held_out: HeldOut | None) -> float:
     """Return the rms prediction error over channels and stretches, rad or m; inf without a prediction."""
     return float("inf") if held_out is None else float(np.sqrt(_squares(held_out).mean()))
@@ -111,7 +126,9 @@ def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, s
     if both:
         chosen = min(both, key=lambda each: each.unknowns)
         also = f"it predicts {_milli(error(chosen.held_out), unit)} off, " + (
-            "best of all." if chosen is nearest else f"no clearly worse than {nearest.name} ({_short(nearest, unit)})."
+            "best of all."
+            if chosen is nearest
+            else f"not clearly worse than {nearest.name} ({_short(nearest, unit)}): {_unclear(chosen, nearest)}."
         )
         return chosen.name, f"{_by_bic(chosen, known)} {also[0].upper()}{also[1:]}{_hue(chosen)}"
     simple = min(good, key=lambda each: each.unknowns)

@@ -15,6 +15,7 @@ from hyperflex.identification._loss import Loss
 from hyperflex.identification._measured import measure, with_torque
 from hyperflex.identification._parameters import Parameter, Parameters
 from hyperflex.identification._plant import PRECISION, Plant, pivot_places
+from hyperflex.identification._scale import growing
 from hyperflex.identification._sensors import Places
 from hyperflex.identification._shooting import linearise
 from hyperflex.identification._uncertainty import UNKNOWN, Information, ratio_spread, ratios
@@ -43,7 +44,7 @@ class Foresight:
         """
         x = self.information.x
         rope = self.parameters.rope(x)
-        sd = self.information.spread(np.diag(self.parameters.slopes(x)))
+        sd = self.information.deviations(self.parameters.slopes(x))
         own = {
             p.label: (p.name, float(s), size(p, float(each)))
             for p, s, each in zip(self.parameters.all, sd, x, strict=True)
@@ -122,4 +123,5 @@ def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Info
     told = singular > UNKNOWN * singular[0]
     known, unknown = directions[told].T, directions[~told].T
     covariance = (known / singular[told] ** 2) @ known.T * np.outer(widths, widths)
-    return Information(x, widths, singular, known, unknown, covariance, 1.0)
+    tied = growing(plant.parameters, x, unknown)
+    return Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)

@@ -14,8 +14,10 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.identification._admit import check_motion, check_times
 from hyperflex.identification._band import doubt
 from hyperflex.identification._conclude import conclude
+from hyperflex.identification._delay import first_delay, with_delay
 from hyperflex.identification._intervals import HOWS, How, all_intervals
 from hyperflex.identification._loss import LOSSES, Loss, LossName
 from hyperflex.identification._measured import (
@@ -33,9 +35,10 @@ from hyperflex.identification._result import Identification
 from hyperflex.identification._sensors import Angles, Places
 from hyperflex.identification._shooting import Report
 from hyperflex.identification._stages import Measured, fit_in_stages
+from hyperflex.identification._threads import one_thread
 from hyperflex.identification._uncertainty import Basis, judge
 from hyperflex.identification._verdict import other_lengths
-from hyperflex.identification._windows import check_motion, usual_length
+from hyperflex.identification._windows import holding_enough, usual_length
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
@@ -43,6 +46,7 @@ from hyperflex.recording import Recording
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
 
 
+@one_thread()
 def identify(
     recording: Recording,
     rope_guess: Rope,
@@ -77,20 +81,21 @@ def identify(
     free : sequence of str
         ``inertia``, ``com``, ``mass``, ``length``, ``friction``, ``dry_friction``, ``stiffness`` (each link's own),
         ``tip_mass``, ``gravity_angle`` (rad; turns gravity, for a camera that is not level), ``delay`` (s; by how much
-        `motion` comes later in the recording's time), ``arc`` (m; each marker's place, or ``arc[2]``). ``friction[2]``
-        frees one link only, ``friction:shared`` one value for all links, ``friction:factor`` one factor on the guess of
-        all, ``friction:taper`` the logarithm by which it grows along the rope, pivoted at its middle.
+        `motion` comes later in the recording's time; looked for within a window's length), ``arc`` (m; each marker's
+        place, or ``arc[2]``). ``friction[2]`` frees one link only, ``friction:shared`` one value for all links,
+        ``friction:factor`` one factor on the guess of all, ``friction:taper`` the logarithm by which it grows along the
+        rope, pivoted at its middle.
         ``arm_inertia`` and ``arm_friction`` (of the shaft) with a measured torque.
     window : float, s, optional
         Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope, or less
-        where links turn fast; it does not depend on the guess of what is free.
+        where links turn fast, and more where frames are few; it does not depend on the guess of what is free.
     train : float, s, optional
         Fit the samples with t < train and predict the rest; ``inf`` fits all. By default the first 80 % is fitted if
         the rest is long enough for a prediction, else all.
     motion, arm : Motion, Arm, optional
         What the first joint does, in the recording's time; by default it hangs from a fixed point.
     arcs : (K,) array_like, m, optional
-        Distance along the rope of each marker from the first joint.
+        Distance along the rope of each marker from the first joint. A marker alone needs `origin` as well.
     origin : (2,) array_like, m, optional
         Where the camera sees the origin of the motion (the first joint, if it is fixed). With `arcs` and without it,
         it is fitted as well, as ``origin_x`` and ``origin_y``.
@@ -108,7 +113,7 @@ def identify(
         parameter); ``auto`` profiles where the covariance is skewed, as that of a parameter near 0; None finds none.
     progress : bool or callable
         True prints a line a round on standard error; a callable gets a dict with window, stage, stages, round, cost,
-        gain, damping.
+        gain, damping, and of a profile its parameter and ``phase="profile"``.
 
     Returns
     -------
@@ -148,7 +153,7 @@ def identify(
     checks.choice("loss", loss, LOSSES)
     if intervals is not None:
         checks.choice("intervals", intervals, HOWS)
-    measured, places = _checked(recording, rope_guess, arcs)
+    measured, places = _checked(recording, rope_guess, arcs, origin, motion, arm)
     if arm is not None and motion is None:
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
     if torque is not None and arm is None:
@@ -156,16 +161,22 @@ def identify(
     plant = planned(recording, rope_guess, free, places, origin, motion, arm, torque=torque is not None)
     foretold = plant.without_torque()  # what is held out is predicted without force or torque
     fitted, rest = _split(measured, train, lead, ahead)
+    check_times(fitted.channels, rope_guess)
+    check_motion(fitted.shape, fitted.channels)
+    delay = {}
+    usual = holding_enough(usual_length(fitted.shape, rope_guess), fitted.shape)
+    if "delay" in free:
+        delay["delay_from"] = first_delay(foretold, fitted, usual, Loss(loss))
+        plant = with_delay(plant, delay["delay_from"])
+        foretold = plant.without_torque()
     if torque is not None:
         fitted, _ = _split(with_torque(measured, torque, torque_noise), train, lead, ahead)
-    check_motion(fitted.shape)
-    usual = usual_length(fitted.shape, rope_guess)
     length = usual if window is None else checks.number("window", window, sign="positive", infinite=True)
     length = min(length, 1.001 * fitted.channels.duration)
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
     basis = Basis(plant, windows, found, judge(plant, windows, found))
     how = intervals if found.converged or intervals is None else "covariance"
-    ranges = None if how is None else all_intervals(basis, how)
+    ranges = None if how is None else all_intervals(basis, how, report=_reporter(progress))
     held_out = None
     try:
         if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
@@ -175,12 +186,19 @@ def identify(
         found.interrupted = True
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
-    settings |= _arranged(free, loss, places, origin, motion, arm)
+    settings |= delay | _arranged(free, loss, places, origin, motion, arm)
     remarks = [] if arcs is not None else other_lengths(recording, rope_guess)
     return conclude(basis, held_out, settings, remarks, ranges)
 
 
-def _checked(recording: Recording, rope: Rope, arcs: npt.ArrayLike | None) -> tuple[Measured, Array | None]:
+def _checked(
+    recording: Recording,
+    rope: Rope,
+    arcs: npt.ArrayLike | None,
+    origin: npt.ArrayLike | None,
+    motion: Motion | None,
+    arm: Arm | None,
+) -> tuple[Measured, Array | None]:
     """Return what is fitted, if it fits the rope, and where its markers sit if not at the joints."""
     if not isinstance(recording, Recording) or not isinstance(rope, Rope):
         raise InvalidInput(
@@ -191,7 +209,15 @@ def _checked(recording: Recording, rope: Rope, arcs: npt.ArrayLike | None) -> tu
     if arcs is not None:
         places = checked_arcs(recording, rope, arcs)
         refuse_still_markers(recording, places)
-        return measure(recording, rope, places), places
+        joint = None
+        if places.size == 1:
+            if origin is None:
+                raise InvalidInput(
+                    "one marker alone does not show where the rope hangs from",
+                    fix="Say where the camera sees that: origin=(x, y), in m; or track a second marker",
+                )
+            joint = checks.array("origin", origin, (2,), unit="m") + pivot_places(motion, arm, recording.t)
+        return measure(recording, rope, places, joint), places
     if recording.n_links != rope.n_links:
         raise InvalidInput(
             "the recording and the rope have different numbers of links",
@@ -286,8 +312,9 @@ def _reporter(progress: bool | Report) -> Report:
 
     def line(entry: dict[str, float]) -> None:
         if progress:
+            about = f"profile of {entry['parameter']}, " if "parameter" in entry else ""
             sys.stderr.write(
-                f"windows of {entry['window']:.3g} s, round {entry['round']:.0f}: cost {entry['cost']:.6g}, "
+                f"{about}windows of {entry['window']:.3g} s, round {entry['round']:.0f}: cost {entry['cost']:.6g}, "
                 f"down by {100.0 * entry['gain']:.3g} %\n"
             )
 

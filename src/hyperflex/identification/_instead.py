@@ -10,7 +10,7 @@ import numpy as np
 from hyperflex.errors import HyperflexError
 from hyperflex.identification._experiments import Experiment
 from hyperflex.identification._foresight import Foresight, foresee
-from hyperflex.identification._verdict import PARALLEL, scaling
+from hyperflex.identification._scale import common_factor
 from hyperflex.model import Arm, Rope
 
 WEIGHED = ("mass", "com", "tip_mass")  # what a pair of scales can tell
@@ -56,8 +56,7 @@ def instead(asked: Asked, experiments: Sequence[Experiment], seen: Foresight) ->
 
 def _common(seen: Foresight) -> bool:
     """Tell whether the common factor of all moments and frictions is among what is unknown."""
-    common, unknown = scaling(seen.parameters, seen.information.x), seen.information.unknown
-    return common is not None and bool(np.linalg.norm(common - unknown @ (unknown.T @ common)) <= PARALLEL)
+    return common_factor(seen.parameters, seen.information.x, seen.information.unknown) is not None
 
 
 def _weigh(asked: Asked, experiments: Sequence[Experiment]) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification._profile import End, profiled
+from hyperflex.identification._profile import BETTER, End, Profile, by_covariance, profiled
+from hyperflex.identification._shooting import Report
 from hyperflex.identification._threshold import felt, quantile
 from hyperflex.identification._uncertainty import Basis
 
@@ -17,6 +18,7 @@ HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
 LEVEL = 0.95
 TIED = 0.1  # correlation with a parameter beside its bound from which the bound is felt
 BENT = 0.1  # part by which the root of the rise may depart from a straight line before the covariance is left
+SIGNED = ("p/p1",)  # ratios that may be negative: a centre of mass behind its joint
 MOST = 4  # profiles that "auto" takes on, each as dear as two or three fits
 
 
@@ -26,7 +28,8 @@ class Interval:
 
     `kind` says how it was found: ``covariance`` (Student's quantile times the standard deviation), ``profile``,
     ``bootstrap``, or ``unknown`` where the data set no limits. `ends` says of either end whether it is one
-    (``crossed``), the parameter's own bound (``bound``), or no limit at all (``open``).
+    (``crossed``), the parameter's own bound (``bound``), or no limit at all (``open``). `remark` tells what went wrong
+    on the way, or nothing.
     """
 
     low: float
@@ -34,6 +37,7 @@ class Interval:
     kind: Literal["covariance", "profile", "bootstrap", "unknown"]
     ends: tuple[End, End] = ("crossed", "crossed")
     level: float = LEVEL
+    remark: str = ""
 
     def __str__(self) -> str:
         return f"{self.low:.5g} to {self.high:.5g} ({self.kind})"
@@ -42,7 +46,7 @@ class Interval:
         return self.low <= value <= self.high
 
 
-def all_intervals(basis: Basis, how: How, level: float = LEVEL) -> dict[str, Interval]:
+def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Report | None = None) -> dict[str, Interval]:
     """Return intervals of all free parameters, by label.
 
     Parameters
@@ -54,6 +58,9 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL) -> dict[str, Int
         nearest to their bounds in sd.
     level : float
         How often they shall hold the truth.
+    report : callable, optional
+        Hears of each round of each profile: what it hears of a fit's rounds, but the stages are the parameters, and
+        ``phase`` is "profile"; and the ``parameter``.
 
     Notes
     -----
@@ -64,39 +71,64 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL) -> dict[str, Int
     if how == "covariance":
         return result
     try:
-        for k in _worst(basis) if how == "auto" else range(len(labels)):
-            if result[labels[k]].kind != "unknown":
-                found = profiled(basis, k, level)
-                result[labels[k]] = Interval(found.low, found.high, "profile", found.ends, level)
+        chosen = _worst(basis) if how == "auto" else list(range(len(labels)))
+        chosen = [k for k in chosen if result[labels[k]].kind != "unknown"]
+        length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
+        for number, k in enumerate(chosen):
+            at = {"phase": "profile", "parameter": labels[k], "window": length, "stage": number, "stages": len(chosen)}
+            found = profiled(basis, k, level, report=None if report is None else _with(report, at))
+            remark = _remark(found)
+            result[labels[k]] = Interval(found.low, found.high, found.kind, found.ends, level, remark)
     except KeyboardInterrupt:
         pass
     return result
 
 
+def _with(report: Report, at: dict[str, Any]) -> Report:
+    return lambda entry: report(entry | at)
+
+
+def _remark(found: Profile) -> str:
+    """Return what a profile met on its way that a reader should know."""
+    if found.gain > BETTER:
+        return (
+            f"Beside {found.name} the squares fall {found.gain:.3g} residual variances below those of this fit: it is "
+            f"not the best one. Fit again from there: rope_guess=profile(found, {found.name!r}).better."
+        )
+    if found.kind == "covariance":
+        return (
+            f"The profile of {found.name} was too dear to follow to its ends: its interval is that of the standard "
+            "deviation."
+        )
+    return ""
+
+
 def from_covariance(basis: Basis, which: int, level: float = LEVEL) -> Interval:
     """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
     information, parameter = basis.information, basis.plant.parameters.all[which]
-    least = float(basis.plant.parameters.lower[which])
-    sd = float(information.spread(np.eye(information.x.size)[which : which + 1])[0])
-    if not np.isfinite(sd):
+    if not np.isfinite(information.deviations(np.ones(information.x.size))[which]):
         low = -np.inf if parameter.form == "linear" else 0.0
         return Interval(low, np.inf, "unknown", ("open" if low else "bound", "open"), level)
-    half = sd * float(np.sqrt(quantile(level, information.freedom)))
-    low = float(information.x[which]) - half
-    end: End = "bound" if low < least else "crossed"
-    high = parameter.value(float(information.x[which]) + half)
-    return Interval(parameter.value(max(low, least)), high, "covariance", (end, "crossed"), level)
+    low, high, ends = by_covariance(basis, which, level)
+    return Interval(low, high, "covariance", ends, level)
 
 
 def of_ratios(ratios: dict[str, Array], sd: dict[str, Array], freedom: float) -> dict[str, Interval]:
-    """Return intervals of the ratios, by name and link, e.g. ``J/p1[0]``, from their standard deviations."""
+    """Return intervals of the ratios, by name and link, e.g. ``J/p1[0]``, from their standard deviations.
+
+    They end at 0 where the ratio cannot be negative.
+    """
     times, result = float(np.sqrt(quantile(LEVEL, freedom))), {}
     for name, values in ratios.items():
         for k, (value, spread) in enumerate(zip(values, sd[name], strict=True)):
             if not np.isfinite(spread):
-                result[f"{name}[{k}]"] = Interval(-np.inf, np.inf, "unknown", ("open", "open"))
+                low = -np.inf if name in SIGNED else 0.0
+                result[f"{name}[{k}]"] = Interval(low, np.inf, "unknown", ("bound" if low == 0.0 else "open", "open"))
             elif spread > 0.0:
-                result[f"{name}[{k}]"] = Interval(value - times * spread, value + times * spread, "covariance")
+                low, high = value - times * spread, value + times * spread
+                bounded = low < 0.0 and name not in SIGNED
+                ends: tuple[End, End] = ("bound" if bounded else "crossed", "crossed")
+                result[f"{name}[{k}]"] = Interval(0.0 if bounded else low, high, "covariance", ends)
     return result
 
 
@@ -126,9 +158,10 @@ def _worst(basis: Basis) -> list[int]:
     information = basis.information
     sd = np.sqrt(np.diag(information.covariance))
     above = (information.x - basis.plant.parameters.lower) / np.where(sd > 0.0, sd, 1.0)
+    known = np.isfinite(information.deviations(np.ones(sd.size)))
     chosen: list[int] = []
     for k in np.argsort(above, kind="stable"):
-        if len(chosen) < MOST and skewed(basis, int(k)):
+        if len(chosen) < MOST and known[k] and skewed(basis, int(k)):
             chosen.append(int(k))
     return chosen
 

@@ -27,6 +27,8 @@ def checked_arcs(recording: Recording, rope: Rope, arcs: npt.ArrayLike) -> Array
     if recording.kind != "markers":
         raise InvalidInput("arcs are given, but the recording holds angles", got=recording.kind, allowed="markers")
     places = checks.array("arcs", arcs, (count,), unit="m")
+    if count == 1 and places[0] <= 0.0:
+        raise InvalidInput("the marker sits on the first joint", got=places.tolist(), allowed="more than 0 m from it")
     length = rope.total_length
     if (np.diff(places) <= 0.0).any() or places[0] < 0.0 or places[-1] > 1.001 * length:
         raise InvalidInput(
@@ -54,7 +56,7 @@ def refuse_still_markers(recording: Recording, arcs: Array) -> None:
         )
 
 
-def measure(recording: Recording, rope: Rope, arcs: Array | None) -> Measured:
+def measure(recording: Recording, rope: Rope, arcs: Array | None, joint: Array | None = None) -> Measured:
     """Return what is fitted.
 
     Parameters
@@ -65,6 +67,8 @@ def measure(recording: Recording, rope: Rope, arcs: Array | None) -> Measured:
         The guess; its lengths say which link a marker sits on.
     arcs : (K,) array, optional
         See :func:`checked_arcs`.
+    joint : (T, 2) array, m, optional
+        Where the first joint is seen, if it is known; a marker alone needs it for the line from there.
 
     Notes
     -----
@@ -76,7 +80,11 @@ def measure(recording: Recording, rope: Rope, arcs: Array | None) -> Measured:
     if arcs is None:
         angles = recording.angles()
         return Measured(angles, angles)
-    shape = _shape(recording, rope, arcs)
+    if arcs.size == 1 and joint is not None:
+        along = replace(recording, data=np.column_stack([joint, recording.data]), noise=None)
+        shape = _shape(along, rope, np.append(0.0, arcs))
+    else:
+        shape = _shape(recording, rope, arcs)
     n = rope.n_links
     believed = None
     if arcs.size - 1 < n and n > 1:

@@ -10,8 +10,14 @@ import numpy as np
 from hyperflex.checks import Array
 
 MOST_TERMS = 8  # of the autoregression
-ROUNDS = 8  # of giving back what the fit has absorbed
+PATIENCE = 2  # further terms in a row that BIC does not ask for before the search ends
 NEAR_ONE = 0.995  # greatest size of a partial autocorrelation: beyond it noise would hardly ever return to 0
+LATER = 0.95  # the same for all but the first: tones that hardly die away are no noise
+AGREES = 0.05  # by which autocorrelations may miss those of the residuals before no process is said to leave them
+ROUNDS = 20  # of Gauss and Newton's steps
+SETTLED = 1e-9  # sum of squared misses of autocorrelations below which nothing is left to gain
+HARDLY = 0.01  # part of that sum which a step must gain for another to be worth its while
+STEP = 1e-6  # of differences
 
 
 @dataclass(frozen=True)
@@ -27,42 +33,64 @@ class Piece:
     basis: Array
 
 
-def autoregression(pieces: Sequence[Piece]) -> Array:
-    """Return the coefficients (k,) of r_t = sum of a_j r_(t - j) + white noise that the residuals show; often k = 0.
+def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
+    """Return an autoregression of the residuals, r_t = sum of a_j r_(t - j) + white noise; often none.
 
-    All channels and windows are taken as pieces of one stationary process. Its autocorrelations are those which, after
-    the fit has absorbed its part, leave the residuals' own; k is chosen by BIC. Lags count samples: times are taken as
-    even. Cost: a few products of (m, m) and (m, C K) a window.
+    Returns
+    -------
+    terms (k,)
+        The a_j, always of a stationary process.
+    agrees : bool
+        Whether such a process, after the fit has absorbed its part, would leave the autocorrelations that the residuals
+        show. Where none is found the terms are those of Yule and Walker for the residuals as they are.
+
+    Notes
+    -----
+    All channels and windows are taken as pieces of one stationary process; k is chosen by BIC. What is searched are
+    the partial autocorrelations, kept within NEAR_ONE and LATER, by damped steps that only ever lessen the misfit:
+    where slow noise is nearly all absorbed, giving back what is missing in full at each round would run away. Lags
+    count samples: times are taken as even. Cost: a few Fourier transforms (m, C K) a window.
     """
     observed = _lagged(pieces)
     longest = max(piece.residual.shape[0] for piece in pieces)
-    terms = min(MOST_TERMS, longest // 4)
-    if observed[0] <= 0.0 or terms == 0:
-        return np.zeros(0)
-    wanted = observed[: terms + 1] / observed[0]
-    count = float(sum(piece.seen.sum() - piece.basis.shape[2] for piece in pieces))
-    white = _expected(pieces, np.zeros(0), terms)
-    start = np.clip(wanted[1:] - white[1:] / white[0], -NEAR_ONE, NEAR_ONE)
-    order = _order(np.append(1.0, start), max(count, 2.0))
-    correlation = start[:order]
-    found = levinson(np.append(1.0, correlation))[0]
-    for _ in range(ROUNDS if order else 0):
-        expected = _expected(pieces, found, order)
-        correlation = correlation + wanted[1 : order + 1] - expected[1:] / expected[0]
-        found = levinson(np.append(1.0, correlation))[0]
-        correlation = correlations(found, order + 1)[1:]
-    return found
+    most = min(MOST_TERMS, longest // 4)
+    if observed[0] <= 0.0 or most == 0:
+        return np.zeros(0), True
+    wanted = observed / observed[0]
+    count = max(2.0, float(sum(piece.seen.sum() - piece.basis.shape[2] for piece in pieces)))
+    response = expected(pieces, most)
+    plain = partial(wanted[: most + 1])
+    parts, least, passed, chosen, gap = np.zeros(0), 0.0, 0, np.zeros(0), 0.0
+    for k in range(1, most + 1):
+        parts, misfit = _matched(response[: k + 1], wanted[1 : k + 1], np.append(parts, plain[k - 1]))
+        asked = _bic(parts, count)
+        passed = 0 if asked < least else passed + 1
+        if passed == 0:
+            least, chosen, gap = asked, parts, misfit
+        if passed == PATIENCE:
+            break
+    if gap <= AGREES:
+        return terms_of(chosen), True
+    return terms_of(plain[: chosen.size]), False
 
 
-def levinson(correlation: Array) -> tuple[Array, Array]:
-    """Return the autoregression (k,) of autocorrelations (k + 1,), and what each further term leaves (k + 1,) of 1."""
-    terms, left = np.zeros(0), [1.0]
+def partial(correlation: Array) -> Array:
+    """Return the partial autocorrelations (k,) of autocorrelations (k + 1,), by Levinson's recursion."""
+    parts, left = np.zeros(0), 1.0
     for k in range(1, correlation.size):
-        part = (correlation[k] - terms @ correlation[k - 1 : 0 : -1]) / left[-1]
-        part = float(np.clip(part, -NEAR_ONE, NEAR_ONE))
+        terms = terms_of(parts)
+        part = (correlation[k] - terms @ correlation[k - 1 : 0 : -1]) / left
+        parts = np.append(parts, np.clip(part, -NEAR_ONE, NEAR_ONE))
+        left *= 1.0 - float(parts[-1]) ** 2
+    return parts
+
+
+def terms_of(parts: Array) -> Array:
+    """Return the autoregression (k,) of partial autocorrelations (k,); stationary if all are smaller than 1."""
+    terms = np.zeros(0)
+    for part in parts:
         terms = np.append(terms - part * terms[::-1], part)
-        left.append(left[-1] * (1.0 - part**2))
-    return terms, np.array(left)
+    return terms
 
 
 def correlations(terms: Array, count: int) -> Array:
@@ -111,11 +139,67 @@ def autocorrelation(residuals: Sequence[Array]) -> float:
     return max(1.0, float(1.0 + 2.0 * part[1:end].sum()))
 
 
-def _order(correlation: Array, count: float) -> int:
-    """Return how many terms BIC asks for."""
-    left = levinson(correlation)[1]
-    terms = np.arange(left.size)
-    return int(np.argmin(count * np.log(left) + terms * np.log(count)))
+def expected(pieces: Sequence[Piece], most: int) -> Array:
+    """Return what makes of autocorrelations (m,) the mean of `_lagged` (most + 1,): a matrix (most + 1, m).
+
+    For noise of variance 1: the trace over lags of (1 - Q Q^T) R (1 - Q Q^T), Q the basis. R holds each autocorrelation
+    on two diagonals, whose sums are products of Fourier transforms.
+    """
+    longest = max(most + 1, *(piece.residual.shape[0] for piece in pieces))
+    result = np.zeros((most + 1, longest))
+    for piece in pieces:
+        basis, seen, m = piece.basis, piece.seen, piece.residual.shape[0]
+        spectrum = np.fft.rfft(basis, 2 * m, axis=0)
+        crossed = spectrum.conj().swapaxes(1, 2) @ spectrum
+        for lag in range(min(most + 1, m)):
+            inner = np.einsum("tck,tcl->kl", basis[: m - lag], basis[lag:])
+            near = np.zeros_like(basis)
+            near[: m - lag] += seen[: m - lag, :, None] * basis[lag:]
+            near[lag:] += seen[lag:, :, None] * basis[: m - lag]
+            total = np.einsum("fkl,kl->f", crossed, inner)
+            total -= np.einsum("fck,fck->f", np.fft.rfft(near, 2 * m, axis=0).conj(), spectrum)
+            sums = np.fft.irfft(total, 2 * m)
+            result[lag, 0] += sums[0]
+            result[lag, 1:m] += sums[1:m] + sums[:m:-1]
+            result[lag, lag] += _apart(seen, seen, lag)
+    return result
+
+
+def _bic(parts: Array, count: float) -> float:
+    """Return what BIC makes of partial autocorrelations, less what it makes of none."""
+    return count * float(np.log(1.0 - parts**2).sum()) + parts.size * float(np.log(count))
+
+
+def _left(response: Array, terms: Array) -> Array:
+    """Return the autocorrelations (k,) that residuals show on average; `response` (k + 1, m) as of `expected`."""
+    sums = response @ correlations(terms, response.shape[1])
+    result: Array = sums[1:] / max(float(sums[0]), 1e-300)
+    return result
+
+
+def _matched(response: Array, wanted: Array, start: Array) -> tuple[Array, float]:
+    """Return partial autocorrelations (k,) whose residuals show those wanted (k,), and the greatest miss."""
+    bound = np.append(NEAR_ONE, np.full(start.size - 1, LATER))
+    z = np.arctanh(np.clip(start / bound, -0.99, 0.99))
+
+    def miss(at: Array) -> Array:
+        return _left(response, terms_of(bound * np.tanh(at))) - wanted
+
+    away, damping = miss(z), 1e-3
+    for _ in range(ROUNDS):
+        slope = np.stack([(miss(z + STEP * one) - away) / STEP for one in np.eye(z.size)], axis=1)
+        normal = slope.T @ slope
+        scale = np.diag(np.diag(normal) + 1e-12)
+        move = -np.linalg.solve(normal + damping * scale, slope.T @ away)
+        tried = miss(z + move)
+        before, after = float(away @ away), float(tried @ tried)
+        if after < before:
+            z, away, damping = z + move, tried, max(0.1 * damping, 1e-9)
+        else:
+            damping *= 10.0
+        if after < SETTLED or (1.0 - HARDLY) * before < after < before:
+            break
+    return bound * np.tanh(z), float(np.abs(away).max())
 
 
 def _lagged(pieces: Sequence[Piece]) -> Array:
@@ -131,21 +215,3 @@ def _lagged(pieces: Sequence[Piece]) -> Array:
 def _apart(first: Array, second: Array, lag: int) -> float:
     """Return the sum of products of values `lag` samples apart; of what is (m, C) or (m, C, K)."""
     return float((first[lag:] * second[: second.shape[0] - lag]).sum())
-
-
-def _expected(pieces: Sequence[Piece], terms: Array, most: int) -> Array:
-    """Return what `_lagged` would be on average (most + 1,), for noise of variance 1 with such autocorrelations.
-
-    The trace over lags of (1 - Q Q^T) R (1 - Q Q^T), Q the basis.
-    """
-    sums = np.zeros(most + 1)
-    for piece in pieces:
-        basis, shape = piece.basis, piece.residual.shape
-        own = correlations(terms, max(shape[0], most + 1))
-        turned = coloured(terms, basis) * piece.seen[:, :, None]
-        inner = np.einsum("mck,mcl->kl", basis, turned)
-        twice = basis @ inner
-        for lag in range(min(most + 1, shape[0])):
-            sums[lag] += own[lag] * _apart(piece.seen, piece.seen, lag) + _apart(basis, twice, lag)
-            sums[lag] -= _apart(basis, turned, lag) + _apart(turned, basis, lag)
-    return sums

@@ -99,6 +99,17 @@ class Plant:
             seen = np.column_stack([seen, self.motor.see(at.chain, at.drive, at.arm, t, run.y)])
         return seen if np.isfinite(seen).all() else None
 
+    def carried(self, x: Array, t: float, state: Array, until: float) -> Array | None:
+        """Return the state (2n,) at `until`, s, that comes of `state` at t; None where the rollout fails."""
+        at = self._at(x)
+        if at is None:
+            return None
+        n, times = at.rope.n_links, np.array([t, until])
+        run = prepare(at.chain, at.drive, (state[:n], state[n:]), times, self._limits(at, times))
+        if finish(run) != status.OK or not np.isfinite(run.y[-1]).all():
+            return None
+        return np.asarray(run.y[-1, : 2 * n].copy())
+
     def slopes(self, x: Array, t: Array, state: Array) -> Seen | None:
         """Return the same with exact derivatives, or None."""
         at = self._at(x)

@@ -11,9 +11,10 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification._loss import Loss
-from hyperflex.identification._shooting import fit
+from hyperflex.identification._shooting import Fit, Report, fit
 from hyperflex.identification._threshold import quantile, threshold
 from hyperflex.identification._uncertainty import Basis
+from hyperflex.model import Rope
 
 if TYPE_CHECKING:
     from hyperflex.identification._result import Identification
@@ -23,6 +24,8 @@ FINISH = 1e-2  # gain of a round, in units of the residual variance, below which
 CLOSE = 0.01  # sd to which an end is found
 LONGEST = 3.0  # factor by which a step may grow
 TRIES = 25  # points on either side
+MOST_ROUNDS = 100  # of all fits on one side; usual are ten
+BETTER = 1.0  # fall of the squares, over the residual variance, from which another optimum is said to be better
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +47,14 @@ class Profile:
     values, rise, limit : (K,) array
         The curve: values of the parameter (SI units, increasing), the least sum of squares there over the residual
         variance, less that of the optimum, and the rise at which a value is refused.
+    kind : str
+        ``profile``; ``covariance`` where the curve was too dear to follow to its ends: the interval is then that of
+        the standard deviation.
+    gain : float
+        By how much the squares fell below those of the result on the way, over the residual variance; 0 if they did
+        not. Beyond 1 the result is not the best fit, and the interval means little.
+    better : Rope or None
+        The rope at the least of these, where `gain` is beyond 1: a guess for another fit.
     """
 
     name: str
@@ -54,6 +65,9 @@ class Profile:
     values: Array
     rise: Array
     limit: Array
+    kind: Literal["profile", "covariance"] = "profile"
+    gain: float = 0.0
+    better: Rope | None = None
 
 
 @dataclass(frozen=True)
@@ -71,7 +85,9 @@ class _Point:
         return float(np.sqrt(max(self.rise, 0.0)) - np.sqrt(self.limit))
 
 
-def profile(found: Identification, name: str, level: float = 0.95, points: int = 0) -> Profile:
+def profile(
+    found: Identification, name: str, level: float = 0.95, points: int = 0, *, progress: Report | None = None
+) -> Profile:
     """Return the profile likelihood interval of one parameter.
 
     Parameters
@@ -84,6 +100,8 @@ def profile(found: Identification, name: str, level: float = 0.95, points: int =
         How often such intervals shall hold the truth.
     points : int
         So many more points of the curve on either side, for drawing.
+    progress : callable, optional
+        Hears of each round of each fit, as that of :func:`identify` does.
 
     Returns
     -------
@@ -99,7 +117,8 @@ def profile(found: Identification, name: str, level: float = 0.95, points: int =
     At each value all other parameters and states are fitted again, starting from where the last point leads in a
     straight line. The rise of the squares is compared with F(1, freedom), or beside a bound with what the bound makes
     of it (see ``_threshold``); autocorrelation divides it by the factor by which it widens the variance, and robust
-    losses count as :func:`judge` has them. Cost: about three fits of two or three rounds on either side.
+    losses count as :func:`judge` has them. Cost: about three fits of two or three rounds on either side; after a
+    hundred rounds a side is given up.
     """
     basis = basis_of(found)
     level = checks.number("level", level, sign="positive")
@@ -108,7 +127,7 @@ def profile(found: Identification, name: str, level: float = 0.95, points: int =
     labels = basis.plant.parameters.labels
     if name not in labels:
         raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(labels))
-    return profiled(basis, labels.index(name), level, checks.count("points", points, least=0))
+    return profiled(basis, labels.index(name), level, checks.count("points", points, least=0), progress)
 
 
 def basis_of(found: Identification) -> Basis:
@@ -119,37 +138,59 @@ def basis_of(found: Identification) -> Basis:
     return basis
 
 
-def profiled(basis: Basis, which: int, level: float, points: int = 0) -> Profile:
+def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Report | None = None) -> Profile:
     """Return the profile of parameter number `which`; see :func:`profile`."""
     parameter = basis.plant.parameters.all[which]
     variances = np.diag(basis.information.covariance)
-    unknown = np.isinf(basis.information.spread(np.eye(variances.size)[which : which + 1])[0])
+    unknown = np.isinf(basis.information.deviations(np.ones(variances.size))[which])
     if unknown or variances[which] <= 0.0:
         least = parameter.value(basis.plant.parameters.lower[which])
         return Profile(parameter.label, least, np.inf, level, ("open", "open"), *np.zeros((3, 0)))
-    walk = _Walk(basis, which, level)
-    below, low = walk.side(-1.0)
-    above, high = walk.side(1.0)
+    walk = _Walk(basis, which, level, report)
+    kind: Literal["profile", "covariance"] = "profile"
+    try:
+        below, first = walk.side(-1.0)
+        above, second = walk.side(1.0)
+        low = parameter.value(below) if np.isfinite(below) or parameter.form == "log" else -np.inf
+        high = parameter.value(above) if np.isfinite(above) else np.inf
+        ends = first, second
+    except _TooDear:
+        kind = "covariance"
+        low, high, ends = by_covariance(basis, which, level)
     if points:
         walk.fill(points)
     known = sorted((p for p in walk.points if np.isfinite(p.rise)), key=lambda p: float(p.x[which]))
-    return Profile(
-        parameter.label,
-        parameter.value(below) if np.isfinite(below) or parameter.form == "log" else -np.inf,
-        parameter.value(above) if np.isfinite(above) else np.inf,
-        level,
-        (low, high),
+    curve = (
         np.array([parameter.value(float(p.x[which])) for p in known]),
-        np.array([p.rise for p in known]),
+        np.array([max(p.rise, 0.0) for p in known]),
         np.array([p.limit for p in known]),
     )
+    best = min(known, key=lambda p: p.rise)
+    gain = (basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
+    better = basis.plant.parameters.rope(best.x) if gain > BETTER else None
+    return Profile(parameter.label, low, high, level, ends, *curve, kind, max(gain, 0.0), better)
+
+
+def by_covariance(basis: Basis, which: int, level: float) -> tuple[float, float, tuple[End, End]]:
+    """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
+    information, parameter = basis.information, basis.plant.parameters.all[which]
+    least, x = float(basis.plant.parameters.lower[which]), float(information.x[which])
+    sd = float(information.deviations(np.ones(information.x.size))[which])
+    half = sd * float(np.sqrt(quantile(level, information.freedom)))
+    end: End = "bound" if x - half < least else "crossed"
+    return parameter.value(max(x - half, least)), parameter.value(x + half), (end, "crossed")
+
+
+class _TooDear(Exception):
+    """A side has taken all its rounds."""
 
 
 class _Walk:
     """Walks away from the optimum along one parameter, to either side."""
 
-    def __init__(self, basis: Basis, which: int, level: float) -> None:
-        self.basis, self.which, self.level = basis, which, level
+    def __init__(self, basis: Basis, which: int, level: float, report: Report | None) -> None:
+        self.basis, self.which, self.level, self.report = basis, which, level, report
+        self.left = MOST_ROUNDS
         information, found = basis.information, basis.fit
         self.lower = basis.plant.parameters.lower
         self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
@@ -157,17 +198,24 @@ class _Walk:
         self.sd = float(np.sqrt(information.covariance[which, which]))
         self.unit = information.variance * float(information.covariance[which, which] / information.plain[which, which])
         self.enough = FINISH * information.variance / max(found.cost, 1e-300)
-        best = fit(basis.plant, basis.windows, found.x, found.states, loss=self.loss, enough=self.enough, rounds=10)
-        if best.interrupted:
-            raise KeyboardInterrupt
+        best = self._fit(found.x, found.states, 10)
         self.least = best.cost
         self.points = [self._point(best.x, best.states, best.cost)]
 
     def _point(self, x: Array, states: list[Array], cost: float) -> _Point:
         information = self.basis.information
-        rise = max(cost - self.least, 0.0) / self.unit
+        rise = (cost - self.least) / self.unit  # negative where this optimum is a better one
         limit = threshold(self.level, information.freedom, self.which, information.covariance, x - self.lower)
         return _Point(x, states, rise, limit)
+
+    def _fit(self, x: Array, states: list[Array], rounds: int, held: tuple[int, ...] = ()) -> Fit:
+        """Return a fit from there, all other than `held` free."""
+        plant, windows = self.basis.plant, self.basis.windows
+        loss, enough, report = self.loss, self.enough, self.report
+        found = fit(plant, windows, x, states, loss=loss, enough=enough, rounds=rounds, report=report, held=held)
+        if found.interrupted:
+            raise KeyboardInterrupt
+        return found
 
     def at(self, value: float) -> _Point | None:
         """Return the fit with the parameter at `value`, from the nearest one known; None where none can be found."""
@@ -177,27 +225,21 @@ class _Walk:
         move = x - start.x
         states = [s + f @ move for s, f in zip(start.states, self.basis.information.follow, strict=True)]
         for begin in (states, start.states):
+            if self.left <= 0:
+                raise _TooDear
             try:
-                found = fit(
-                    self.basis.plant,
-                    self.basis.windows,
-                    x,
-                    begin,
-                    loss=self.loss,
-                    enough=self.enough,
-                    rounds=20,
-                    held=(self.which,),
-                )
+                found = self._fit(x, begin, min(20, self.left), held=(self.which,))
             except InvalidInput:
+                self.left -= 1
                 continue
-            if found.interrupted:
-                raise KeyboardInterrupt
+            self.left -= len(found.history)
             self.points.append(self._point(found.x, found.states, found.cost))
             return self.points[-1]
         return None
 
     def side(self, sign: float) -> tuple[float, End]:
         """Return x of the end of the interval below (-1) or above (1) the optimum, and what it is."""
+        self.left = MOST_ROUNDS
         bound = float(self.lower[self.which]) if sign < 0.0 else np.inf
         inside, outside = self.points[0], None
         origin = float(inside.x[self.which])
@@ -225,7 +267,7 @@ class _Walk:
         """Return where to look next: where the root of the rise, as good as a straight line, meets the limit."""
         here = float(inside.x[self.which])
         if outside is None:
-            root = max(float(np.sqrt(inside.rise / inside.limit)), 1.0 / LONGEST)
+            root = max(float(np.sqrt(max(inside.rise, 0.0) / inside.limit)), 1.0 / LONGEST)
             return origin + max(1.0 / root, 1.05) * (here - origin) if here != origin else origin + step
         there = float(outside.x[self.which])
         part = -inside.excess / (outside.excess - inside.excess)
@@ -236,5 +278,6 @@ class _Walk:
         values = np.array([p.x[self.which] for p in self.points])
         for end in (values.min(), values.max()):
             for value in np.linspace(values[0], end, points + 2)[1:-1]:
+                self.left = MOST_ROUNDS
                 if value != values[0]:
                     self.at(float(value))

@@ -16,6 +16,8 @@ from hyperflex.identification._prediction import HeldOut
 from hyperflex.identification._uncertainty import Basis
 from hyperflex.model import Rope
 
+MANY = 8  # numbers of a kind that are printed
+
 
 @dataclass(frozen=True, eq=False)
 class Identification:
@@ -53,7 +55,7 @@ class Identification:
     settings : dict
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
         time of the residuals (samples), seconds taken; how the fit was set up: words in ``free``, loss, base, and
-        `arcs` and `origin` if given.
+        `arcs` and `origin` if given, and the delay that the fit started from (s), if it was free.
     status : str
         ``converged``, ``interrupted`` (Ctrl-C; the best so far) or ``not converged``.
     unit : str
@@ -143,22 +145,38 @@ class Identification:
         lines = [f"Identification {self.status}: " + ", ".join(told)]
         for title, value, spread in (("value", self.values, self.sd), ("ratio", self.ratios, self.ratio_sd)):
             for name, numbers in value.items():
-                pairs = zip(np.atleast_1d(numbers), np.atleast_1d(spread[name]), strict=True)
-                lines.append(f"  {title} {name:<13}" + "  ".join(f"{x:.5g} ± {s:.2g}" for x, s in pairs))
-        lines += [
-            f"  {100 * self.intervals[name].level:g} % {name:<13} {self.intervals[name]}"
-            for name in self.parameters
-            if name in self.intervals
-        ]
-        lines.append(f"  fit error, m{self.unit}       " + "  ".join(f"{1e3 * x:.2f}" for x in self.residual_rms))
+                if said := _told(np.atleast_1d(numbers), np.atleast_1d(spread[name])):
+                    lines.append(f"  {title} {name:<13} {said}")
+        ranges = [(name, self.intervals[name]) for name in self.parameters if name in self.intervals]
+        lines += [f"  {100 * each.level:g} % {name:<13} {each}" for name, each in ranges[:MANY]]
+        if len(ranges) > MANY:
+            lines.append(f"  and {len(ranges) - MANY} more in intervals")
+        lines.append(f"  fit error, m{self.unit}       {_few([f'{1e3 * x:.2f}' for x in self.residual_rms])}")
         if self.torque_rms is not None:
             lines.append(f"  torque error, mN m     {1e3 * self.torque_rms:.3f}")
         if self.held_out is not None:
             lines.append(
                 f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  "
-                + "  ".join(f"{1e3 * x:.2f}" for x in self.held_out.rms)
+                + _few([f"{1e3 * x:.2f}" for x in self.held_out.rms])
             )
         return "\n".join([*lines, *(f"  {text}" for text in self.verdict)])
+
+
+def _told(values: Array, spreads: Array) -> str:
+    """Return values (n,) with their deviations; those that were held are left out, what all links share stands once."""
+    pairs = [f"{x:.5g} ± {s:.2g}" for x, s in zip(values, spreads, strict=True)]
+    free = np.flatnonzero(spreads)
+    if len(pairs) > 1 and len(set(pairs)) == 1:
+        return f"{pairs[0]} each" if free.size else ""
+    if free.size < len(pairs):
+        return _few([f"[{k}] {pairs[k]}" for k in free])
+    return _few(pairs)
+
+
+def _few(words: list[str]) -> str:
+    """Return words side by side; of many the first ones."""
+    more = f"  and {len(words) - MANY} more" if len(words) > MANY else ""
+    return "  ".join(words[:MANY]) + more
 
 
 def _plain(value: Array) -> Any:

@@ -13,8 +13,10 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.dynamics import bias, mass_matrix
 from hyperflex.errors import IdentificationError, InvalidInput
+from hyperflex.identification._admit import check_motion, check_times
 from hyperflex.identification._regression import regression
 from hyperflex.identification._simplex import MOST, Rates, first_state, fitting, initial_state, squared_error
+from hyperflex.identification._threads import one_thread
 from hyperflex.model import Rope, Setup
 from hyperflex.recording import Recording
 from hyperflex.simulation import Slopes, angles
@@ -108,6 +110,7 @@ class Revision:
         return sum(each.evaluations for each in self.rounds)
 
 
+@one_thread()
 def revise(
     recording: Recording,
     rope_guess: Rope,
@@ -152,7 +155,7 @@ def revise(
     Raises
     ------
     InvalidInput
-        If the recording does not fit the rope.
+        If the recording does not fit the rope, or shows no motion beyond noise.
     IdentificationError
         If the rope cannot be simulated from the guess.
 
@@ -166,6 +169,8 @@ def revise(
     """
     began = time.perf_counter()
     measured = fitting(recording, rope_guess)
+    check_times(measured, rope_guess)
+    check_motion(measured)
     checks.choice("profile", profile, PROFILES)
     revision = _Revision(measured, rope_guess, rates, profile, checks.count("most", most))
     done: list[Round] = []

@@ -23,6 +23,7 @@ ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which 
 SHORT = 1.0  # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
 ROUGH = 1e-5  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
 STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up
+NEAR, FALL = 1e-2, 0.7  # in scales: farther above its bound a parameter falls by no more than this part of the way
 LEFT = 1e-6  # damping for what the linear model has left to gain: parameters that do not act promise nothing
 Report = Callable[[dict[str, float]], None]
 
@@ -257,7 +258,8 @@ def _improve(
 def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
     """Return the step -matrix^-1 gradient that keeps x >= lower: what would cross stops at its bound, the rest adapts.
 
-    Steps of logarithms and the like are kept below 1 (a factor of e).
+    Steps of logarithms and the like are kept below 1 (a factor of e); what is far above its bound comes down to it by
+    and by, for the linear model of a far point says little about the bound, and a fit that stands there may stay.
     """
     free = (x > lower) | (gradient < 0.0)
     move = np.zeros(x.size)
@@ -271,5 +273,8 @@ def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
         move[crossing] = lower[crossing] - x[crossing]
         free &= ~crossing
     unbounded = ~np.isfinite(lower)
-    largest = float(np.abs(move[unbounded]).max()) if unbounded.any() else 0.0
-    return move / max(1.0, largest)
+    longest = float(np.abs(move[unbounded]).max()) if unbounded.any() else 0.0
+    above = x - lower
+    far = ~unbounded & (above > NEAR)
+    falling = float((-move[far] / (FALL * above[far])).max()) if far.any() else 0.0
+    return move / max(1.0, longest, falling)

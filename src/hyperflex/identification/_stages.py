@@ -11,6 +11,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification._loss import Loss
 from hyperflex.identification._plant import Plant
+from hyperflex.identification._restarts import restarted
 from hyperflex.identification._shooting import Fit, Report, fit, fit_state
 from hyperflex.identification._windows import FEWEST, Window, cut, thin
 from hyperflex.recording import Recording
@@ -63,7 +64,10 @@ def fit_in_stages(
             known = {} if not done else {w.t[0]: s for w, s in zip(done[-1][1], done[-1][0].states, strict=True)}
             usable, states = _starts(plant, windows, x, known, loss, refine=bool(done))
             enough = None if part == length else HARDLY
-            found = fit(plant, usable, x, states, loss=loss, enough=enough, report=_with_stage(report, stage))
+            heard = _with_stage(report, stage)
+            found = fit(plant, usable, x, states, loss=loss, enough=enough, report=heard)
+            if part == length and not found.interrupted:
+                found = restarted(plant, usable, found, known_noise=measured.channels.noise is not None, report=heard)
         except KeyboardInterrupt:
             if not done:
                 raise

@@ -79,7 +79,7 @@ def threshold(level: float, freedom: float, which: int, covariance: Array, above
     return usual * float(np.quantile(rise / size, level) / np.quantile(plain / size, level))
 
 
-@functools.cache
+@functools.lru_cache(maxsize=8)
 def _draws(count: int, freedom: float) -> tuple[Array, Array]:
     """Return normal draws (DRAWS, count), and of the residual variance over its mean (DRAWS,)."""
     random = np.random.default_rng(SEED)

@@ -12,6 +12,7 @@ from hyperflex.identification._loss import Loss
 from hyperflex.identification._noise import Piece, autocorrelation, autoregression, coloured, correlations
 from hyperflex.identification._parameters import Parameters, lumped
 from hyperflex.identification._plant import Plant
+from hyperflex.identification._scale import Mask, growing
 from hyperflex.identification._shooting import Fit, least_squares, linearise
 from hyperflex.identification._whiteness import whiteness
 from hyperflex.identification._windows import Window
@@ -29,8 +30,9 @@ class Information:
     singular (P,): of the derivatives of all residuals, states eliminated, largest first. known (P, k) and unknown
     (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. correlation: autocorrelation time of
     the residuals, samples. plain (P, P): the covariance if the residuals were white. variance: of what each residual
-    counts. freedom: of that variance, in independent values. terms (k,): of the residuals' autoregression. whiteness:
-    probability that white noise leaves such residuals. follow: how each window's state moves with x (2n, P).
+    counts. freedom: of that variance, in independent values, 1 at least. terms (k,): of the residuals' autoregression;
+    agrees: whether that leaves such residuals. whiteness: probability that white noise leaves such residuals. follow:
+    how each window's state moves with x (2n, P). growing (P,): which parameters stand in an unknown common factor.
     """
 
     x: Array
@@ -46,6 +48,8 @@ class Information:
     terms: Array = field(default_factory=lambda: np.zeros(0))
     whiteness: float = 1.0
     follow: tuple[Array, ...] = ()
+    agrees: bool = True
+    growing: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def spread(self, gradient: Array) -> Array:
         """Return the sd (k,) of functions of x with the given gradients (k, P); inf where x alone cannot tell."""
@@ -54,6 +58,11 @@ class Information:
         length = np.sqrt((scaled**2).sum(axis=1))
         beyond = np.sqrt(((scaled @ self.unknown) ** 2).sum(axis=1)) > TOUCHED * length
         return np.where(beyond & (length > 0.0), np.inf, np.sqrt(np.maximum(variance, 0.0)))
+
+    def deviations(self, slopes: Array) -> Array:
+        """Return the sd (P,) of the parameters' values, `slopes` (P,) of their x; inf where they cannot be known."""
+        own = self.spread(np.diag(slopes))
+        return np.where(self.growing, np.inf, own) if self.growing.size else own
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +102,7 @@ def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
     known, unknown = directions[told].T, directions[~told].T
     inner = known / singular[told]  # A^+ = inner inner^T
     pieces = [model.piece(inner * widths[:, None]) for model in models]
-    terms = autoregression(pieces)
+    terms, agrees = autoregression(pieces)
     absorbed = sum(float((piece.basis * coloured(terms, piece.basis)).sum()) for piece in pieces)
     freedom = max(1.0, slopes.size - absorbed)
     factor = 1.0 + absorbed / slopes.size * float(slopes.var()) / mean**2
@@ -116,6 +125,8 @@ def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
         terms=terms,
         whiteness=whiteness(pieces),
         follow=tuple(model.follow for model in models),
+        agrees=agrees,
+        growing=growing(plant.parameters, fit.x, unknown),
     )
 
 

@@ -5,21 +5,26 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification._names import SHARE
-from hyperflex.identification._parameters import FORMS, Parameters, lumped
+from hyperflex.identification._parameters import FORMS, Parameters
 from hyperflex.identification._prediction import HeldOut
+from hyperflex.identification._scale import common_factor, growing
 from hyperflex.identification._uncertainty import TOUCHED, Information
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
 CORRELATED = 10.0  # samples
+FEW = 2.0  # independent values; a variance from fewer has no sd
 CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
 COLOURED = (
     "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
     "and intervals allow for the first, not for the second: parameters may be biased."
 )
+ALL_KNOWN = "All free parameters can be known from this motion, given those that were held."
+ALL_ACT = (
+    "Each free parameter acts in this motion in a way of its own, given those that were held; how far the values can "
+    "be trusted, the other sentences say."
+)
 LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a link
-PARALLEL = 0.1  # part of a direction that may lie outside of others for it to count as one of them
 
 
 def verdict(parameters: Parameters, information: Information, rope: Rope, spreads: dict[str, Array]) -> list[str]:
@@ -48,6 +53,11 @@ def not_arrived(status: str) -> list[str]:
     return [text]
 
 
+def in_harmony(words: list[str]) -> list[str]:
+    """Return the sentences of a verdict, without saying that all can be known beside a warning."""
+    return words if len(words) == 1 else [ALL_ACT if text == ALL_KNOWN else text for text in words]
+
+
 def not_noise(correlation: float, whiteness: float = 1.0) -> list[str]:
     """Return a warning where the residuals hang together over many samples, or so clearly that it is no chance.
 
@@ -56,10 +66,32 @@ def not_noise(correlation: float, whiteness: float = 1.0) -> list[str]:
     if correlation <= CORRELATED:
         return [] if whiteness >= CHANCE else [COLOURED]
     text = (
-        f"The residuals are no noise (they hang together over {correlation:.0f} samples): the model leaves something "
-        "out, and parameters, friction above all, may be off by more than their deviations say."
+        f"The residuals are no noise (they hang together over {correlation:.0f} samples) but errors of the model: it "
+        "leaves something out. Standard deviations and intervals then tell little: they say how estimates scatter, not "
+        "how far such errors draw them away. Parameters, friction above all, may be off by more."
     )
     return [text]
+
+
+def noise_unknown(agrees: bool, freedom: float) -> list[str]:
+    """Return a warning where the standard deviations rest on a noise model that does not hold, or on next to nothing.
+
+    `agrees` tells whether the residuals' autoregression leaves such residuals; `freedom` of how many independent values
+    their variance is taken.
+    """
+    if not agrees:
+        text = (
+            "No stationary noise would leave such residuals: standard deviations and intervals take them as they are, "
+            "though the fit has absorbed part of them, and may be far too small."
+        )
+        return [text]
+    if freedom < FEW:
+        text = (
+            f"What the fit has left is worth about {freedom:.2g} independent values: standard deviations and intervals "
+            "are hardly more than a guess. Record longer, or free fewer parameters."
+        )
+        return [text]
+    return []
 
 
 def too_large(variance: float, freedom: float) -> list[str]:
@@ -101,52 +133,19 @@ def failed_predictions(held_out: HeldOut | None) -> list[str]:
     return [text]
 
 
-def scaling(parameters: Parameters, x: Array) -> Array | None:
-    """Return the direction (P,) in which all moments, frictions and stiffnesses grow alike, or None if there is none.
-
-    In units of ``parameters.widths``, of length 1. It is the one that leaves the motion as it is where no known force
-    acts: d/dx of p, J (about the joint), viscous friction, dry friction and stiffness equals their own value, the
-    lengths between joints stay. Torques weigh as little as they act: one that is held hides no common factor of the
-    moments, it only limits it.
-    """
-    now, fixed = _scaled(parameters.rope(x)), np.abs(_scaled(parameters.rope(x)))
-    n = parameters.guess.n_links
-    sizes = np.concatenate([np.full(n, part.max() or 1.0) for part in fixed.reshape(-1, n)])
-    weights = np.concatenate([np.ones(3 * n), np.full(3 * n, SHARE)]) / sizes
-    columns = []
-    for k, step in enumerate(1e-6 * parameters.widths):
-        up = x.copy()
-        up[k] += step
-        columns.append((_scaled(parameters.rope(up)) - now) / step * parameters.widths[k])
-    wanted = np.where(np.arange(6 * n) // n == 2, 0.0, now) * weights
-    matrix = np.stack(columns, axis=1) * weights[:, None]
-    found: Array = np.linalg.lstsq(matrix, wanted, rcond=1e-8)[0]
-    away = (matrix @ found - wanted)[: 3 * n]
-    length = float(np.linalg.norm(found))
-    if np.linalg.norm(away) > PARALLEL * np.linalg.norm(wanted[: 3 * n]) or length == 0.0:
-        return None
-    return found / length
-
-
-def _scaled(rope: Rope) -> Array:
-    """Return p, J, lengths between joints, viscous friction, dry friction, stiffness in one row (6 n,)."""
-    between = np.append(rope.length[:-1], 0.0)
-    return np.concatenate([*lumped(rope), between, rope.friction, rope.dry_friction, rope.stiffness])
-
-
 def _unknown(parameters: Parameters, information: Information, spreads: dict[str, Array]) -> list[str]:
     """Return what cannot be known: a common factor, parameters that do not act, and those that act alike."""
     unknown = information.unknown
     if unknown.shape[1] == 0:
-        return ["All free parameters can be known from this motion, given those that were held."]
-    common = scaling(parameters, information.x)
-    if common is not None and np.linalg.norm(common - unknown @ (unknown.T @ common)) > PARALLEL:
-        common = None
+        return [ALL_KNOWN]
+    common = common_factor(parameters, information.x, unknown)
     others = unknown if common is None else unknown - np.outer(common, common @ unknown)
     idle = np.sqrt((others**2).sum(axis=1)) > 1.0 - TOUCHED
     shares = np.sqrt((unknown**2).sum(axis=1))
-    free = zip(parameters.all, shares, idle, strict=True)
-    names = ", ".join(dict.fromkeys(p.name for p, share, alone in free if share > TOUCHED and not alone))
+    grows = growing(parameters, information.x, unknown)
+    idle &= ~grows
+    free = zip(parameters.all, (shares > TOUCHED) | grows, idle, strict=True)
+    names = ", ".join(dict.fromkeys(p.name for p, touched, alone in free if touched and not alone))
     count = unknown.shape[1] - int(idle.sum())
     said = [_together(names, count, spreads, common is not None)] if count else []
     said.extend(
@@ -180,7 +179,7 @@ def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -
 def _values(parameters: Parameters, information: Information, rope: Rope) -> list[str]:
     """Return what looks odd about single values."""
     said = []
-    sd = information.spread(np.diag(parameters.slopes(information.x)))
+    sd = information.deviations(parameters.slopes(information.x))
     values = parameters.values(parameters.rounded(information.x))
     for parameter, value, spread in zip(parameters.all, values, sd, strict=True):
         if parameter.form == "nonnegative" and value == 0.0:

@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
 DENSEST = 200  # samples a window; more of them repeat what their neighbours say and only cost time
 FEWEST = 8  # samples a window, where the recording allows it
+SEEN = 20  # values of each link's angle in a window, ten for each unknown of its state, where the recording allows it
 PART = 1.2  # periods
 TURN = 8.0  # rad a link may turn within a window, as rms rate times time: beyond it fits find false minima
 BLIND = 0.5  # part of a window for which a link may be out of sight
@@ -57,6 +57,13 @@ def usual_length(recording: Recording, rope: Rope) -> float:
     fastest = float(rms_rates(recording).max())
     spacing = float(np.median(np.diff(recording.t)))
     return max(min(PART * period, TURN / fastest if fastest > 0.0 else np.inf), FEWEST * spacing)
+
+
+def holding_enough(length: float, recording: Recording) -> float:
+    """Return a window length (s), doubled until it holds enough frames: they may be few, or many lost."""
+    spacing = float(np.median(np.diff(recording.t)))
+    seen = float((~np.isnan(recording.data)).mean(axis=0).min()) * length / spacing
+    return float(length * 2.0 ** np.ceil(np.log2(SEEN / seen))) if 0.0 < seen < SEEN else length
 
 
 def rms_rates(recording: Recording) -> Array:
@@ -155,15 +162,3 @@ def _value_and_slope(tau: Array, y: Array) -> tuple[float, float]:
         away = np.abs(powers @ found - y)
         weight = 1.0 / np.sqrt(np.maximum(away, 0.1 * away.mean() + 1e-12))
     return float(found[0]), float(found[1])
-
-
-def check_motion(recording: Recording) -> None:
-    """Refuse recordings in which nothing moves."""
-    swing = np.nanmax(recording.data, axis=0) - np.nanmin(recording.data, axis=0)
-    if not (swing > STILL).any():
-        raise InvalidInput(
-            "nothing moves in the recording",
-            got=f"largest swing {swing.max():.3g} rad",
-            allowed=f"more than {STILL:g} rad",
-            fix="Record a free swing, or check the unit of the angles",
-        )

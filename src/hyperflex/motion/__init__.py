@@ -1,5 +1,6 @@
 """Arm motions: piecewise polynomials of time, each with the instants at which its acceleration jumps."""
 
+from hyperflex.motion.half_turns import strokes
 from hyperflex.motion.piecewise import Motion
 from hyperflex.motion.profiles import (
     PATHS,
@@ -25,6 +26,7 @@ __all__ = [
     "moving_point",
     "read_motion",
     "sampled",
+    "strokes",
     "swings",
     "to_spec",
     "torque_profile",

@@ -11,6 +11,7 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import profiles
+from hyperflex.motion.half_turns import strokes
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 
 
@@ -38,6 +39,7 @@ def from_spec(spec: Mapping[str, Any], folder: Path | None = None) -> Motion:
         "hold": profiles.hold,
         "move": profiles.move,
         "swings": profiles.swings,
+        "strokes": strokes,
         "sampled": profiles.sampled,
         "moving point": profiles.moving_point,
         "torque": profiles.torque_profile,

@@ -30,10 +30,12 @@ from hyperflex.paper.figures import Table, casts, fig9, fig10, fig11, fig12
 from hyperflex.paper.identification import FINER, SMALL, SWINGS, WIDE, Swing, methods, record, revised
 from hyperflex.paper.identification_claims import identification_claims
 from hyperflex.paper.identification_figures import fig3, fig5, fig6, table1, table2
+from hyperflex.paper.timing import LEADS, TimedCast, fig13, largest_in_the_end, timed, timing_claims
 
 __all__ = [
     "DURATION",
     "FINER",
+    "LEADS",
     "OUTCOMES",
     "READINGS",
     "SMALL",
@@ -48,6 +50,7 @@ __all__ = [
     "Reading",
     "Swing",
     "Table",
+    "TimedCast",
     "cable",
     "cast",
     "casting_arm",
@@ -61,7 +64,9 @@ __all__ = [
     "fig10",
     "fig11",
     "fig12",
+    "fig13",
     "identification_claims",
+    "largest_in_the_end",
     "linearized",
     "methods",
     "reach_table",
@@ -74,4 +79,6 @@ __all__ = [
     "success_over_failure",
     "table1",
     "table2",
+    "timed",
+    "timing_claims",
 ]

@@ -35,7 +35,7 @@ class Claim:
     Attributes
     ----------
     name : str
-        "C1" to "C4", "C6", "C7".
+        "C1" to "C7".
     statement : str
         The claim in words.
     reading : Reading or Swing

@@ -31,7 +31,8 @@ class Recording:
     data : array_like (T, C)
         ``kind="angles"``: C = n absolute link angles in rad, unwrapped (0 hanging, positive towards +x; link 0 nearest
         the motor). ``kind="markers"``: C = 2 (n + 1) positions ``x0, y0, x1, y1, ...`` in m (x right, y up) of markers
-        at the joints, the first at the pivot. NaN marks a gap.
+        at the joints, the first at the pivot; or of any markers, also one alone, whose places along the rope `identify`
+        is told. NaN marks a gap.
     kind : {"angles", "markers"}
         What `data` holds.
     noise : array_like (T, C), (C,) or float, optional
@@ -86,14 +87,12 @@ class Recording:
 
     def __repr__(self) -> str:
         name = f"{self.name!r}: " if self.name else ""
-        return (
-            f"<Recording {name}{self.kind} of {self.n_links} links, {self.t.size} samples, "
-            f"{self.t[0]:g} to {self.t[-1]:g} s, {self.gaps} gaps>"
-        )
+        what = f"{self.kind} of {self.n_links} links" if self.n_links else "one marker"
+        return f"<Recording {name}{what}, {self.t.size} samples, {self.t[0]:g} to {self.t[-1]:g} s, {self.gaps} gaps>"
 
     @property
     def n_links(self) -> int:
-        """Number of links that the channels describe."""
+        """Number of links that the channels describe; 0 for a marker alone."""
         columns = int(self.data.shape[1])
         return columns if self.kind == "angles" else columns // 2 - 1
 
@@ -155,6 +154,7 @@ class Recording:
         """
         if self.kind == "angles":
             return self
+        self._need_two("angles of links")
         places = self.data.reshape(self.t.size, -1, 2)
         along = np.diff(places, axis=1)
         distance = np.hypot(along[..., 0], along[..., 1])
@@ -175,6 +175,7 @@ class Recording:
         """Return the median distance (n,) between neighbouring markers, m. InvalidInput for angles, which have none."""
         if self.kind == "angles":
             raise InvalidInput("a recording of angles has no lengths", got=self.kind, allowed="markers")
+        self._need_two("lengths of links")
         along = np.diff(self.data.reshape(self.t.size, -1, 2), axis=1)
         lengths: Array = np.nanmedian(np.hypot(along[..., 0], along[..., 1]), axis=0)
         return lengths
@@ -190,6 +191,16 @@ class Recording:
         from hyperflex.recording._netcdf import write
 
         write(self, path)
+
+    def _need_two(self, what: str) -> None:
+        """Refuse a marker alone where lines between markers are wanted."""
+        if self.n_links < 1:
+            raise InvalidInput(
+                f"a marker alone shows no {what}",
+                got=f"{self.data.shape[1]} columns",
+                allowed="x and y of the pivot and of the far end of each link: 4, 6, 8, ... columns",
+                fix="To identify a rope by it, say where along the rope it sits: arcs=[...] and origin=(x, y)",
+            )
 
     def _pick(self, rows: Array | np.ndarray[tuple[int], np.dtype[np.bool_ | np.intp]]) -> Recording:
         """Return the chosen samples."""
@@ -219,11 +230,11 @@ def _check_columns(kind: Kind, data: Array) -> None:
     columns = data.shape[1]
     if kind == "angles" and columns < 1:
         raise InvalidInput("data has no columns", got=data.shape, allowed="one column a link")
-    if kind == "markers" and (columns < 4 or columns % 2):
+    if kind == "markers" and (columns < 2 or columns % 2):
         raise InvalidInput(
             "data has the wrong number of columns for markers",
             got=columns,
-            allowed="x and y of the pivot and of the far end of each link: 4, 6, 8, ... columns",
+            allowed="x and y of each marker: 2, 4, 6, ... columns",
         )
     empty = np.isnan(data).all(axis=0)
     if empty.any():

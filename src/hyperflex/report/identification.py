@@ -27,6 +27,7 @@ from hyperflex.report.style import png
 from hyperflex.report.units import readable
 
 LONG = 16  # rows of a table that are shown at once
+_MODEL_ERROR = ("The residuals are no noise", "The residuals are not white")  # how the verdict's warnings begin
 _TRUSTED = 0.85  # part of held-out values within their 95 % band, below which the page warns
 _DPI = 110
 _FILES = {"rope": "rope.toml", "figures": "identification.json", "page": "report.html"}
@@ -108,16 +109,28 @@ def _verdict(found: Identification) -> Section:
         tiles.append((error_words, f"off when {held.ahead:g} s are predicted that the fit has not seen (rms)"))
         if np.isfinite(held.inside):
             tiles.append((f"{100.0 * held.inside:.0f} %", "of these predictions lie where 95 % are expected"))
-            marks += _trust(held)
+            marks = _with_trust(marks, held)
     return Section("Verdict", tiles=tuple(tiles), marks=tuple(marks))
 
 
-def _trust(held: HeldOut) -> list[tuple[bool, str]]:
-    """Return what the held-out part says of the fit's own uncertainty."""
+def _with_trust(marks: list[tuple[bool, str]], held: HeldOut) -> list[tuple[bool, str]]:
+    """Return the marks with what the held-out part says of the fit's own uncertainty.
+
+    Where residuals are model error, predictions that hold are no reason to believe the parameters' deviations: both
+    are said in one sentence.
+    """
     part = f"{100.0 * held.inside:.0f} % of the values that the fit has not seen lie where it expects 95 %"
-    if held.inside >= _TRUSTED:
-        return [(True, f"{part}: its uncertainties can be believed over {held.ahead:g} s.")]
-    return [(False, f"Only {part}: the model leaves something out, and real uncertainties are larger than given here.")]
+    if held.inside < _TRUSTED:
+        text = f"Only {part}: the model leaves something out, and real uncertainties are larger than given here."
+        return [*marks, (False, text)]
+    told = [k for k, (_, sentence) in enumerate(marks) if sentence.startswith(_MODEL_ERROR)]
+    if not told:
+        return [*marks, (True, f"{part}: its uncertainties can be believed over {held.ahead:g} s.")]
+    text = (
+        f"{marks[told[0]][1]} Predictions over {held.ahead:g} s hold all the same ({part}): what the model leaves out "
+        "moves them less than it moves the parameters."
+    )
+    return [*marks[: told[0]], (False, text), *marks[told[0] + 1 :]]
 
 
 def _found(found: Identification, guess: Rope | None) -> list[Section]:

@@ -124,7 +124,7 @@ def _start(each: Number, found: Identification, guess: Rope) -> float | None:
     if each.law in ("factor", "taper"):
         return 1.0
     if each.name in ("gravity_angle", "delay"):
-        return 0.0
+        return float(found.settings.get(f"{each.name}_from", 0.0))
     if each.name.startswith("origin"):
         return None
     if each.name == "arc":
@@ -166,7 +166,9 @@ def _spread(found: Identification, label: str, value: float, sd: float) -> tuple
     if not np.isfinite(sd):
         return "", "cannot be known"
     low, high = _interval(found, label, value, sd)
-    return short(sd), _span(max(low, 0.0), high, sd)
+    if label not in found.intervals and not label.startswith("p/p1"):  # intervals know their bounds
+        low = max(low, 0.0)
+    return short(sd), _span(low, high, sd)
 
 
 def _span(low: float, high: float, sd: float) -> str:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from hyperflex import checks, files
 from hyperflex.paper import Claim
-from hyperflex.report import casting_part, identification_part
+from hyperflex.report import casting_part, identification_part, timing_part
 from hyperflex.report.folder import whole_folder
 from hyperflex.report.page import Section, write_page
 from hyperflex.report.part import Part
 from hyperflex.report.tables import claims_table, markdown, verdicts
 
-PARTS = (identification_part, casting_part)
+PARTS = (identification_part, casting_part, timing_part)
 FIGURES = tuple(name for part in PARTS for name in part.NAMES)
 
 
@@ -43,7 +43,8 @@ def reproduce(
     ----------
     names : sequence of str
         Which figures and tables: "table1", "table2", "fig3", "fig5", "fig6" on identification, "fig9" to "fig12" on
-        casting, or "all". The claims of whichever of the two is asked for are measured with them.
+        casting, "fig13" on timing control, or "all". The claims of whichever of the three is asked for are measured
+        with them.
     directory : str or Path
         Folder to write to, whole or not at all; made if it is not there, other files in it stay.
     progress : callable, optional

@@ -15,8 +15,6 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import batch as core
 from hyperflex.core import status
-from hyperflex.core.chain import Chain
-from hyperflex.core.drive import Drive
 from hyperflex.core.jit import announce_compilation
 from hyperflex.core.lanes import MEMBERS
 from hyperflex.core.members import LENGTH, Members, Terms, observe_block
@@ -24,8 +22,9 @@ from hyperflex.core.steppers import scheme
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.beside_batch import INTERRUPTED, TURNS, members_of, run_members
-from hyperflex.simulation.rollouts import balanced, least_scale, lever, progress_bar, stored
+from hyperflex.simulation.beside_batch import INTERRUPTED, TURNS, beside_of, run_members
+from hyperflex.simulation.members import members_of, rows_of, setups_of, starts_of
+from hyperflex.simulation.rollouts import balanced, least_scale, progress_bar, stored
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -76,6 +75,11 @@ class Batch:
             raise AttributeError(f"{name!r} was not kept; kept: {', '.join(values)}")
         return np.asarray(values[name])
 
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{self.status.count(name)} {name}" for name in dict.fromkeys(self.status))
+        times = f"{self.t.size} time{'s' * (self.t.size > 1)} to {self.t[-1]:g} s"
+        return f"<Batch of {len(self.status)} members: {counts}; {times}; kept: {', '.join(self.values)}>"
+
     @property
     def failed(self) -> list[int]:
         """Numbers of the members that did not finish."""
@@ -83,6 +87,8 @@ class Batch:
 
     def why(self, member: int) -> str:
         """Return what went wrong with a member, and advice; empty if nothing did."""
+        if not -len(self.status) <= member < len(self.status):
+            raise InvalidInput("no such member", got=member, allowed=f"0 to {len(self.status) - 1}")
         name = self.status[member]
         advice = {status.NAMES[code]: text for code, text in status.ADVICE.items()}.get(name, "")
         return (
@@ -136,9 +142,9 @@ def simulate_batch(
         As in :func:`hyperflex.simulate`; the same for all members. The energy account does not shorten the steps here;
         it is checked at the outputs.
     q0, qd0 : (n,) or (M, n) array_like, optional
-        Angles, rad, and rates, rad/s, at the start.
+        Angles, rad, and rates, rad/s, at the start; one row for all members, or one each.
     t_eval : (T,) array_like, optional
-        Times of the output, s; by default the end alone. A step ends at each of them, so ask for what you need.
+        Times of the output, s, from 0 on; by default the end alone. A step ends at each, so ask for what you need.
     step : float, optional
         A step chosen beforehand, s, without error control; not beside pegs.
     keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns"}
@@ -179,18 +185,19 @@ def simulate_batch(
         if step is not None:
             raise InvalidInput("step is not there beside pegs", got=step, fix="Give contact_step or tol")
         others = {"duration": duration, "tol": tol, "contact_step": contact_step}
-        beside = members_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, others=others)
+        beside = beside_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, others=others)
         t = _outputs(t_eval, beside.setup(0).duration)
         values, names, reached = run_members(beside, t, keep, workers, progress)
         return Batch(t, values, tuple(names), reached)
     if TURNS in keep:
         raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
-    setups = _setups(ropes, motions, arm, duration, tol)
+    rows = [rows_of(name, value) for name, value in (("q0", q0), ("qd0", qd0))]
+    setups = setups_of(ropes, motions, rows, arm, duration, tol)
     chains = [setup.chain() for setup in setups]
     drives = [setup.drive() for setup in setups]
-    starts = _starts(setups, q0, qd0)
+    starts = starts_of(setups, rows)
     t = _outputs(t_eval, setups[0].duration)
-    members = _members(chains, drives, starts)
+    members = members_of(chains, drives, starts)
     table = scheme(next(order for least, order in ORDERS if setups[0].tol >= least))
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
     terms = Terms(0.0, setups[0].tol, chains[0].bears, chosen, table.best, table.gap, table.rounding)
@@ -204,6 +211,8 @@ class _Work:
 
     def __init__(self, members: Members, terms: Terms, t: Array, keep: tuple[str, ...], setups: list[Setup]) -> None:
         self.members, self.terms, self.t = members, terms, t
+        self.first = 1 if t[0] > 0.0 else 0  # row of start and outputs to show first: the start, where it is asked for
+        self.stop = np.zeros(1, dtype=np.int64)  # 1: blocks at work end where they are
         self.ropes = [setup.rope for setup in setups]
         self.floor = np.array([least_scale(rope) for rope in self.ropes])
         count, _, n = members.links.shape
@@ -215,11 +224,15 @@ class _Work:
     def block(self, low: int, high: int) -> int:
         """Run members low..high - 1 and keep what is wanted of them."""
         n = self.members.links.shape[2]
-        y = np.full((high - low, self.t.size, 2 * n + 2), np.nan)
+        after = self.t[1 - self.first :].copy()  # times after the start
+        y = np.full((high - low, after.size, 2 * n + 2), np.nan)
         codes, reached = np.full(high - low, -1), np.zeros(high - low)
-        core.run_block(self.members, self.terms, low, high, self.t, y, codes, reached)
+        core.run_block(self.members, self.terms, low, high, after, y, codes, reached, self.stop)
         rows = slice(low, high)
-        joint = self.check_energy(low, high, y, codes, reached)
+        states = np.concatenate([self.members.start[rows, None], y], axis=1)
+        times = np.append(self.terms.begin, after)
+        joint = self.check_energy(low, high, times, states, codes, reached)[:, self.first :]
+        y = states[:, self.first :]
         for name, target in self.values.items():
             if name == "tip":
                 length = self.members.links[rows, LENGTH][:, None, :]
@@ -232,13 +245,13 @@ class _Work:
         self.codes[rows] = codes
         return high - low
 
-    def check_energy(self, low: int, high: int, y: Array, codes: npt.NDArray[np.int64], reached: Array) -> Array:
-        """Mark members whose energy balance fails, and forget what they show from there on.
+    def check_energy(
+        self, low: int, high: int, times: Array, states: Array, codes: npt.NDArray[np.int64], reached: Array
+    ) -> Array:
+        """Mark members whose energy balance fails, and forget their `states` (high - low, T, 2 n + 2) from there on.
 
-        Returns the position of the first joint at the outputs (high - low, T, 2), m.
+        Returns the position of the first joint at `times` (high - low, T, 2), m; the first time is that of the start.
         """
-        times = np.append(self.terms.begin, self.t)
-        states = np.concatenate([self.members.start[low:high, None], y], axis=1)
         kinetic, potential = np.empty((high - low, times.size)), np.empty((high - low, times.size))
         joint = np.empty((high - low, times.size, 2))
         observe_block(self.members, self.terms, low, high, times, states, kinetic, potential, joint)
@@ -251,8 +264,8 @@ class _Work:
             good = int(balanced(floor[m], kinetic[m], potential[m], held, work[m], lost[m]))
             if good < times.size:
                 codes[m], reached[m] = status.ENERGY, times[good]
-                y[m, good - 1 :] = np.nan
-        return joint[:, 1:]
+                states[m, good:] = np.nan
+        return joint
 
     def run(self, workers: int, progress: bool) -> Batch:
         """Run all blocks on threads; Ctrl-C keeps what is finished."""
@@ -272,6 +285,7 @@ class _Work:
                     if report is not None:
                         report(finished)
             except KeyboardInterrupt:
+                self.stop[0] = 1
                 for future in futures:
                     future.cancel()
         names = tuple(status.NAMES[int(code)] if code >= 0 else INTERRUPTED for code in self.codes)
@@ -281,74 +295,15 @@ class _Work:
 def _outputs(t_eval: npt.ArrayLike | None, duration: float) -> Array:
     """Check the output times (T,), s; by default the end alone."""
     t = checks.times("t_eval", [duration] if t_eval is None else t_eval)
-    if t[0] <= 0.0 or t[-1] > duration:
-        raise InvalidInput("t_eval leaves the run", got=[float(t[0]), float(t[-1])], allowed=f"0 < t <= {duration:g} s")
+    if t[0] < 0.0 or not 0.0 < t[-1] <= duration:
+        raise InvalidInput(
+            "t_eval leaves the run",
+            got=[float(t[0]), float(t[-1])],
+            allowed=f"0 to {duration:g} s, and some time after the start",
+        )
     return t
 
 
 def _columns(name: str, n: int) -> slice | int:
     columns: dict[str, slice | int] = {"q": slice(0, n), "qd": slice(n, 2 * n), "motor_work": 2 * n}
     return columns.get(name, 2 * n + 1)
-
-
-def _setups(
-    ropes: Rope | Sequence[Rope],
-    motions: Motion | Sequence[Motion] | None,
-    arm: Arm | None,
-    duration: float,
-    tol: float,
-) -> list[Setup]:
-    rope_list = [ropes] if isinstance(ropes, Rope) else list(ropes)
-    motion_list = [motions] if motions is None or isinstance(motions, Motion) else list(motions)
-    count = max(len(rope_list), len(motion_list))
-    if not rope_list or not motion_list or {len(rope_list), len(motion_list)} - {1, count}:
-        raise InvalidInput(
-            "ropes and motions do not fit together",
-            got=[len(rope_list), len(motion_list)],
-            allowed="one for all members, or as many of both",
-        )
-    common = {(rope.n_links, rope.friction_model) for rope in rope_list}
-    if len(common) > 1:
-        raise InvalidInput(
-            "ropes of a batch differ in links or friction model",
-            got=sorted(common),
-            allowed="the same for all",
-            fix="Run one batch for each kind",
-        )
-    return [
-        Setup(rope_list[m % len(rope_list)], motion_list[m % len(motion_list)], arm, duration=duration, tol=tol)
-        for m in range(count)
-    ]
-
-
-def _starts(setups: list[Setup], q0: npt.ArrayLike | None, qd0: npt.ArrayLike | None) -> Array:
-    count, n = len(setups), setups[0].rope.n_links
-    result = np.zeros((count, 2 * n + 2))
-    result[:, :n] = np.array([setup.rope.hanging_angle for setup in setups])[:, None]
-    for name, value, columns in (("q0", q0, slice(0, n)), ("qd0", qd0, slice(n, 2 * n))):
-        if value is not None:
-            shape = (n,) if np.ndim(value) == 1 else (count, n)
-            result[:, columns] = checks.array(name, value, shape)
-    return result
-
-
-def _members(chains: list[Chain], drives: list[Drive], starts: Array) -> Members:
-    links = np.stack(
-        [
-            np.stack([c.length, c.mass, c.com, c.inertia, c.viscous, c.stiffness, c.rest, c.dry, lever(c)])
-            for c in chains
-        ]
-    )
-    whole = np.array(
-        [[c.tip_mass, c.gx, c.gy, d.arm_length, d.torque_limit] for c, d in zip(chains, drives, strict=True)]
-    )
-    padding = np.zeros((1, *drives[0].coef.shape[1:]))
-    return Members(
-        links,
-        whole,
-        starts,
-        np.concatenate([d.breaks for d in drives]),
-        np.concatenate([part for d in drives for part in (d.coef, padding)]),
-        np.array([d.loop for d in drives]),
-        np.concatenate([[0], np.cumsum([d.breaks.size for d in drives])]),
-    )

@@ -62,7 +62,7 @@ class Members:
         return Setup(rope, motion, self.arm, q0=q0, qd0=qd0, pegs=pegs, **self.others)
 
 
-def members_of(
+def beside_of(
     ropes: Rope | Sequence[Rope],
     motions: Motion | Sequence[Motion] | None,
     pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]],

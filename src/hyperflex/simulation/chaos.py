@@ -24,7 +24,7 @@ FINE = 1e-9  # of the rope's length: the tolerance of all runs
 NUDGES = 3
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Predictability:
     """How small errors grow along a run; made by :func:`predictability`.
 
@@ -47,6 +47,10 @@ class Predictability:
     size: Array
     displacement: Array
     tol: float
+
+    def __repr__(self) -> str:
+        worst = f"an error grows up to {float(self.growth.max()):.3g}-fold"
+        return f"<Predictability over {self.t[0]:g} to {self.t[-1]:g} s, {len(self.size)} nudges: {worst}>"
 
     @property
     def growth(self) -> Array:

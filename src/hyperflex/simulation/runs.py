@@ -35,6 +35,7 @@ from hyperflex.simulation.rollouts import (
 from hyperflex.trajectory import State, Trajectory
 
 SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose
+MOST_OUTPUTS = 1e7  # of a run whose user has not chosen; more of them would fill the memory first
 INTERRUPTED = "interrupted"
 
 
@@ -297,6 +298,14 @@ def _controlled(run: Rollout, setup: Setup, control: Control, rate: float) -> tu
 def output_times(t_eval: npt.ArrayLike | None, begin: float, end: float) -> Array:
     """Check the output times (T,) of a run from `begin` to `end`, s; by default every SAMPLE_TIME and the end."""
     if t_eval is None:
+        count = (end - begin) / SAMPLE_TIME
+        if count > MOST_OUTPUTS:
+            raise InvalidInput(
+                f"the run is so long that an output every {SAMPLE_TIME:g} s would make {count:.3g} of them",
+                got=f"{end - begin:g} s",
+                allowed=f"up to {MOST_OUTPUTS * SAMPLE_TIME:g} s without t_eval",
+                fix="Say when you want to see it: t_eval=[...]",
+            )
         return np.append(begin + SAMPLE_TIME * np.arange(math.ceil((end - begin) / SAMPLE_TIME - 1e-9)), end)
     t = checks.times("t_eval", t_eval)
     if t[0] < begin or t[-1] > end:

@@ -1,0 +1,114 @@
+"""Pumping the paper's cable to |x| = 1.8 m: its rest, constant rests, the paper's timing rule, ours, a search.
+
+python -m benchmarks.pumping             some minutes; results in benchmarks/results/
+python -m benchmarks.pumping --search    searches the rests anew as well, some minutes a path on an idle machine
+
+All with the same half turn of the arm: stroke pi, 0.73 s, bang-bang. The first starts at t = 0 with the rope hanging
+at rest. Physical friction, through the bottom and over the top. Simulated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmarks import machine
+
+from hyperflex import files
+from hyperflex.control import CrossingRule, Pump, SimulatedCamera, TrueState, plan_pumping, swing
+from hyperflex.paper import T_REST, cable, casting_arm
+from hyperflex.paper.pumping import BEST, LONGEST, WANTED, arrival, caster, closed_loop, constant_arrivals, motion_of
+
+PATHS = ("under", "over")
+CONSTANTS = np.round(np.arange(0.30, 0.70, 0.002), 3)  # s; outside none is among the best
+LEADS = (0.0, 0.1, 0.2, 0.3)  # s
+ROPES = 8  # true ropes seen by the simulated camera
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--search", action="store_true", help="search the rests anew")
+    parser.add_argument("--ropes", type=int, default=ROPES, help="true ropes for the camera")
+    parser.add_argument("--out", default=str(Path(__file__).parent / "results"), help="folder, or - for none")
+    options = parser.parse_args()
+    about = machine.describe()
+    rows = {path: measure(path, options.search, options.ropes) for path in PATHS}
+    page = f"# Pumping to |x| = {WANTED:g} m\n\n{text(rows)}\n{machine.sentence(about)}\n"
+    print(page)
+    if options.out != "-":
+        folder = Path(options.out)
+        files.write_text(folder / "pumping.json", json.dumps({"machine": about, "rows": rows}, indent=1) + "\n")
+        files.write_text(folder / "pumping.md", page)
+
+
+def measure(path: Any, search: bool, ropes: int) -> dict[str, Any]:
+    """Times of arrival, s, of every way to pump; None where the tip does not arrive."""
+    times = constant_arrivals(path, CONSTANTS)
+    best = int(np.argmin(times))
+    rope, arm, model = cable(), casting_arm(), caster(path)
+    own = float(constant_arrivals(path, np.array([T_REST["success"]]))[0])
+    row: dict[str, Any] = {"0.53 s": own, "constant": float(CONSTANTS[best]), "best constant": float(times[best])}
+    for lead in LEADS:
+        swung = swing(TrueState(rope, arm), CrossingRule(model, lead), model, duration=LONGEST)
+        row[f"t_b = {lead:.1f} s"] = known(arrival(swung.motion))
+    greedy = swing(TrueState(rope, arm), Pump(model, WANTED), model, duration=LONGEST - 4.0)
+    row["looking ahead"] = known(arrival(greedy.motion))
+    row["rests"] = list(BEST[path])
+    row["search"] = arrival(motion_of(path, BEST[path]))
+    if search:
+        found = plan_pumping(model, WANTED)
+        row["search anew"], row["rests anew"] = found.reached, [round(float(r), 4) for r in found.rests]
+    row["closed loop"] = known(arrival(closed_loop(path, TrueState(rope, arm))))
+    row["camera"] = [camera(path, seed) for seed in range(ropes)]
+    return row
+
+
+def camera(path: Any, seed: int) -> dict[str, float | None]:
+    """Arrival, s, of a rope that differs from the model, seen late and noisily; and of the same plan, open loop."""
+    rope, arm = cable(), casting_arm()
+    length, mass, friction = 1.0 + np.array([0.01, 0.02, 0.2]) * np.random.default_rng(seed).standard_normal(3)
+    true = rope.replace(
+        length=length * rope.length, com=length * rope.com, mass=mass * rope.mass, friction=friction * rope.friction
+    )
+    loop = closed_loop(path, SimulatedCamera(TrueState(true, arm), rope, arm, seed=seed), look_again=0.2)
+    return {
+        "closed loop": known(arrival(loop, rope=true)),
+        "open loop": known(arrival(motion_of(path, BEST[path]), rope=true)),
+    }
+
+
+def known(time: float) -> float | None:
+    """Return a time, or None where it is not finite."""
+    return time if np.isfinite(time) else None
+
+
+def text(rows: dict[str, dict[str, Any]]) -> str:
+    """Return the table, and what the camera did, as Markdown."""
+    skip = ("constant", "rests", "rests anew", "camera")
+    names = [name for name in rows["under"] if name not in skip]
+    lines = ["| way | under, s | over, s |", "|---|---|---|"]
+    for name in names:
+        label = (
+            f"{name}, {rows['under']['constant']:g} and {rows['over']['constant']:g} s"
+            if name.startswith("best")
+            else name
+        )
+        lines.append(f"| {label} | {shown(rows['under'][name])} | {shown(rows['over'][name])} |")
+    for path, row in rows.items():
+        for kind in ("closed loop", "open loop"):
+            times = [each[kind] for each in row["camera"]]
+            lines += ["", f"Camera, {path}, {kind}: {', '.join(map(shown, times))} s."]
+    return "\n".join(lines) + "\n"
+
+
+def shown(time: float | None) -> str:
+    """Return a time with two digits."""
+    return "not reached" if time is None else f"{time:.2f}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""Where a controller gets the rope's state from: the truth of a simulation, or an estimate with noise and delay."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import DEFAULT_TOL, Arm, Rope
+from hyperflex.motion import Motion
+from hyperflex.simulation import simulate
+from hyperflex.trajectory import State
+
+
+@dataclass(frozen=True, eq=False)
+class RopeState:
+    """What a controller is told of the rope.
+
+    Attributes
+    ----------
+    t : float
+        Instant that it holds for, s.
+    q, qd : (n,) float64
+        Absolute link angles, rad, and rates, rad/s, of the controller's chain.
+    covariance : (2 n, 2 n) float64, or None
+        Of (q, qd), as far as it is known, in rad and rad/s.
+    """
+
+    t: float
+    q: Array
+    qd: Array
+    covariance: Array | None = None
+
+
+class StateSource(Protocol):
+    """Whatever tells the state of a rope while it moves: a simulation, a camera with an estimator."""
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        """Return the state at an instant, from whatever has been seen until then.
+
+        Parameters
+        ----------
+        t : float
+            The instant, s; never earlier than in the call before.
+        motion : Motion
+            What the arm has done since t = 0 and, as far as it is decided, will do; it covers `t`.
+        """
+
+
+class TrueState:
+    """The true state of a simulated rope that hangs at rest at t = 0.
+
+    Parameters
+    ----------
+    rope, arm : Rope, Arm
+        What is simulated.
+    tol : float
+        As in :func:`hyperflex.simulate`, m.
+    """
+
+    def __init__(self, rope: Rope, arm: Arm, *, tol: float = DEFAULT_TOL) -> None:
+        self.rope, self.arm, self.tol = rope, arm, tol
+        self._last = State(0.0, np.full(rope.n_links, rope.hanging_angle), np.zeros(rope.n_links))
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        """Return the simulated state at `t`, s, under `motion`.
+
+        Raises
+        ------
+        InvalidInput
+            A time before that of the last call.
+        SimulationError
+            The simulation failed.
+        """
+        time = checks.number("t", t, sign="nonnegative", unit="s")
+        ahead = time - self._last.t
+        if ahead < 0.0:
+            raise InvalidInput("time goes back", got=time, allowed=f"at least {self._last.t:g} s")
+        if ahead > 0.0:
+            # From angles and rates alone: the same state whether or not the motion has been changed since.
+            start = State(self._last.t, self._last.q, self._last.qd)
+            run = simulate(self.rope, motion, arm=self.arm, duration=ahead, state=start, t_eval=[time], tol=self.tol)
+            self._last = State(time, run.q[-1], run.qd[-1])
+        return RopeState(time, self._last.q, self._last.qd)
+
+
+class SimulatedCamera:
+    """Stand-in for a camera with an estimator: frames come at a rate and late, with noise; a model bridges the delay.
+
+    Parameters
+    ----------
+    truth : StateSource
+        What the camera looks at; with as many links as `rope`.
+    rope, arm : Rope, Arm
+        The model that predicts from the last frame to now. It may be wrong, and then the prediction is.
+    rate : float
+        Frames per second.
+    delay : float
+        From a frame to its estimate, s.
+    angle_sd, rate_sd : float
+        Standard deviations of the errors in each link's angle, rad, and rate, rad/s, at a frame; independent from link
+        to link and frame to frame.
+    seed : int
+        Of the noise; the same frame has the same noise in each run.
+    with_covariance : bool
+        Report the covariance: that of the frame, carried through the delay by the model's exact derivatives.
+
+    Notes
+    -----
+    Simulated, and not validated against a camera: a real estimator's errors are correlated along the rope and in time.
+    """
+
+    def __init__(
+        self,
+        truth: StateSource,
+        rope: Rope,
+        arm: Arm,
+        *,
+        rate: float = 30.0,
+        delay: float = 0.1,
+        angle_sd: float = 0.01,
+        rate_sd: float = 0.1,
+        seed: int = 0,
+        with_covariance: bool = False,
+    ) -> None:
+        self.truth, self.rope, self.arm = truth, rope, arm
+        self.rate = checks.number("rate", rate, sign="positive", unit="Hz")
+        self.delay = checks.number("delay", delay, sign="nonnegative", unit="s")
+        self.angle_sd = checks.number("angle_sd", angle_sd, sign="nonnegative", unit="rad")
+        self.rate_sd = checks.number("rate_sd", rate_sd, sign="nonnegative", unit="rad/s")
+        self.seed = checks.count("seed", seed, least=0)
+        self.with_covariance = with_covariance
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        """Return what the newest frame that is through says of `t`, s; before the first one, the rope hangs at rest.
+
+        Raises
+        ------
+        InvalidInput
+            The truth has another number of links than the model.
+        SimulationError
+            The model cannot be simulated from what was seen.
+        """
+        number = math.floor((t - self.delay) * self.rate + 1e-9)
+        if number < 0:
+            seen = RopeState(0.0, np.full(self.rope.n_links, self.rope.hanging_angle), np.zeros(self.rope.n_links))
+        else:
+            seen = self._frame(number, motion)
+        if t <= seen.t:
+            return RopeState(t, seen.q, seen.qd, self._frame_covariance() if self.with_covariance else None)
+        start = State(seen.t, seen.q, seen.qd)
+        run = simulate(self.rope, motion, arm=self.arm, duration=t - seen.t, state=start, t_eval=[t])
+        covariance = self._carried(seen, t, motion) if self.with_covariance else None
+        return RopeState(t, run.q[-1], run.qd[-1], covariance)
+
+    def _frame(self, number: int, motion: Motion) -> RopeState:
+        true = self.truth.state(number / self.rate, motion)
+        n = self.rope.n_links
+        if true.q.size != n:
+            raise InvalidInput("camera and model differ in links", got=n, allowed=f"{true.q.size}, as in the truth")
+        noise = np.random.default_rng([self.seed, number]).standard_normal((2, n))
+        return RopeState(true.t, true.q + self.angle_sd * noise[0], true.qd + self.rate_sd * noise[1])
+
+    def _frame_covariance(self) -> Array:
+        n = self.rope.n_links
+        return np.diag(np.repeat([self.angle_sd**2, self.rate_sd**2], n))
+
+    def _carried(self, seen: RopeState, t: float, motion: Motion) -> Array:
+        """Covariance (2 n, 2 n) at `t` of the frame's own, by the derivatives of the model's prediction."""
+        from hyperflex.simulation import sensitivities
+
+        run = sensitivities(
+            self.rope,
+            motion.shifted(-seen.t),
+            arm=self.arm,
+            duration=t - seen.t,
+            q0=seen.q,
+            qd0=seen.qd,
+            t_eval=[t - seen.t],
+            wrt=["q0", "qd0"],
+        )
+        step = np.concatenate([run.dq[-1], run.dqd[-1]])
+        return np.asarray(step @ self._frame_covariance() @ step.T)

@@ -1,0 +1,66 @@
+"""When a fit is called poor, and when all can be said to be known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification._loss import Loss
+from hyperflex.identification._misfit import poor, poor_torque
+from hyperflex.identification._verdict import ALL_ACT, ALL_KNOWN, in_harmony
+from hyperflex.identification._windows import Window
+
+
+def windows(noise: float | None = None, moves: float = 1.0, channels: int = 2) -> list[Window]:
+    """Two windows of 100 samples in which each channel swings by `moves` (rms), with one gap."""
+    t = np.linspace(0.0, 1.0, 101)[:-1]
+    y = moves * np.sqrt(2.0) * np.sin(2.0 * np.pi * t)[:, None] * np.ones(channels)
+    weight = np.full(y.shape, 1.0 if noise is None else 1.0 / noise)
+    weight[3, 0] = 0.0
+    return [Window(t, np.where(weight > 0.0, y, 0.0), weight, np.zeros(4), np.zeros((0, 4)))] * 2
+
+
+def left(size: float, channels: int = 2) -> Array:
+    """Residuals with such an rms, apart from chance, and the windows' gap."""
+    residuals = size * np.random.default_rng(0).standard_normal((200, channels))
+    residuals[[3, 103], 0] = np.nan
+    return residuals
+
+
+def test_a_fit_is_poor_that_leaves_a_third_of_the_motion() -> None:
+    residuals = left(0.1)
+    assert poor(windows(), residuals, "rad", Loss()) == []
+    residuals[:, 1] *= 3.0
+    (told,) = poor(windows(), residuals, "rad", Loss())
+    assert "fit is poor: link 1 is 0.3" in told
+    (told,) = poor(windows(), residuals, "m", Loss())
+    assert "marker 0" in told
+
+
+def test_outliers_alone_make_no_fit_poor_where_the_loss_leaves_them_out() -> None:
+    residuals = left(0.02)
+    residuals[::20] += 3.0  # one in twenty, rms 0.67
+    assert poor(windows(), residuals, "rad", Loss())
+    for name in ("huber", "cauchy"):
+        assert poor(windows(), residuals, "rad", Loss(name)) == []
+    assert poor(windows(), left(0.4), "rad", Loss("cauchy"))
+
+
+def test_a_fit_down_to_the_declared_noise_is_not_poor_however_little_moves() -> None:
+    still = windows(2e-3, moves=4e-3)
+    assert poor(still, left(2.04e-3), "m", Loss()) == []
+    assert poor(still, left(4e-3), "m", Loss())  # twice what was declared, and all of the motion
+    assert poor(windows(None, moves=4e-3), left(2.04e-3), "m", Loss())  # nothing was declared
+
+
+def test_a_torque_that_does_not_fit() -> None:
+    seen = windows(0.01, channels=3)
+    assert poor_torque(seen, None, Loss()) == []
+    assert poor_torque(seen, left(0.05)[:, 1], Loss()) == []
+    assert "check its sign" in poor_torque(seen, left(1.0)[:, 1], Loss())[0].lower()
+
+
+def test_all_can_be_known_does_not_stand_beside_a_warning() -> None:
+    assert in_harmony([ALL_KNOWN]) == [ALL_KNOWN]
+    assert in_harmony(["Not converged.", ALL_KNOWN]) == ["Not converged.", ALL_ACT]
+    assert not ALL_ACT.startswith("All free parameters can be known")

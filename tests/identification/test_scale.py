@@ -1,0 +1,70 @@
+"""An unknown common factor, and what stands at 0 beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperflex.identification import Identification, identify
+from hyperflex.identification._intervals import of_ratios
+from hyperflex.identification._names import parse
+from hyperflex.identification._parameters import Parameters
+from hyperflex.identification._scale import growing, scaling
+from hyperflex.model import Rope
+from hyperflex.recording import Recording
+from hyperflex.simulation import simulate
+
+TRUE = Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 0.0])
+FREE = ["inertia", "com", "friction"]
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    t = np.arange(151) * 0.02
+    swing = simulate(TRUE, duration=3.0, t_eval=t, q0=[0.6, 0.9]).q
+    return Recording(t, swing + 4e-3 * np.random.default_rng(2).standard_normal(swing.shape), noise=4e-3)
+
+
+def guessed(recording: Recording, factor: float) -> Identification:
+    guess = TRUE.replace(mass=TRUE.mass * factor, inertia=1.3 * factor * TRUE.inertia, friction=1e-3 * factor)
+    return identify(recording, guess, FREE, train=np.inf)
+
+
+def test_what_is_at_0_beside_an_unknown_factor_has_no_interval_of_its_own(recording: Recording) -> None:
+    one, ten = guessed(recording, 1.0), guessed(recording, 10.0)
+    for found in (one, ten):
+        assert found.values["friction"][1] == 0.0
+        assert np.isinf(found.sd["friction"]).all()
+        alone = found.intervals["friction[1]"]
+        assert (alone.low, alone.high, alone.kind, alone.ends) == (0.0, np.inf, "unknown", ("bound", "open"))
+        ratio = found.intervals["c/p1[1]"]
+        assert (ratio.low, ratio.ends[0]) == (0.0, "bound")
+        assert np.isfinite(ratio.high)
+        assert found.verdict[0].startswith("One common factor of inertia, com, friction")
+    # the mass that was guessed is no part of a ratio; 1 %: where either fit stops
+    assert ten.intervals["c/p1[1]"].high == pytest.approx(one.intervals["c/p1[1]"].high, rel=0.01)
+
+
+def test_what_grows_with_the_common_factor() -> None:
+    free = ["inertia", "com", "friction", "gravity_angle"]
+    parameters = Parameters(TRUE, parse(TRUE, free))
+    common = scaling(parameters, parameters.start)
+    assert common is not None
+    assert common[parameters.labels.index("friction[1]")] == 0.0  # 0 times any factor
+    found = growing(parameters, parameters.start, common[:, None])
+    assert [name for name, each in zip(parameters.labels, found, strict=True) if each] == [
+        "inertia[0]",
+        "inertia[1]",
+        "friction[0]",
+        "friction[1]",
+    ]
+    assert not growing(parameters, parameters.start, np.eye(7)[:, 6:]).any()  # only gravity_angle is unknown
+
+
+def test_ratios_end_at_0_where_they_cannot_be_negative() -> None:
+    values = {"J/p1": np.array([0.1]), "p/p1": np.array([0.1]), "c/p1": np.array([0.0])}
+    found = of_ratios(values, {name: np.array([1.0]) for name in values}, np.inf)
+    assert found["J/p1[0]"].low == found["c/p1[0]"].low == 0.0
+    assert found["J/p1[0]"].ends == found["c/p1[0]"].ends == ("bound", "crossed")
+    assert found["p/p1[0]"].low < -1.0  # a centre of mass may lie behind its joint
+    assert found["c/p1[0]"].high == pytest.approx(1.96, abs=0.01)  # the normal quantile

@@ -1,0 +1,76 @@
+"""What results say of themselves when printed: short, and nothing of what was held."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+import hyperflex as hf
+
+PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], friction=[3e-4, 1e-4])
+T = np.arange(0.0, 4.0, 0.02)
+
+
+def fitted(rope: hf.Rope, free: list[str], **others: object) -> hf.Identification:
+    run = hf.simulate(rope, duration=4.0, t_eval=T, q0=np.full(rope.n_links, 0.8))
+    data = run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
+    return hf.identify(hf.Recording(T, data), rope, free, **others)  # type: ignore[arg-type]
+
+
+def test_what_all_links_share_is_printed_once() -> None:
+    rope = hf.Rope.uniform(length=0.6, mass=0.1, n_links=12, friction=5e-4)
+    found = fitted(rope, ["friction:shared", "gravity_angle"], intervals=None)
+    said = str(found)
+    line = next(line for line in said.splitlines() if "value friction" in line)
+    assert line.count("±") == 1
+    assert line.endswith("each")
+    assert "gravity_angle " in said
+    assert max(len(line) for line in said.splitlines() if line not in str(found.verdict)) < 300
+    assert "and 4 more" in next(line for line in said.splitlines() if "fit error" in line)
+    assert "± 0 " not in said + " "
+
+
+def test_what_was_held_is_left_out() -> None:
+    found = fitted(PAIR, ["friction[1]"], intervals=None)
+    line = next(line for line in str(found).splitlines() if "value friction" in line)
+    assert "[1]" in line
+    assert line.count("±") == 1
+
+
+def test_long_arrays_stay_out_of_short_names() -> None:
+    found = fitted(PAIR, ["friction"], intervals=None)
+    drawn = hf.bootstrap(found, 2)
+    assert repr(drawn) == "<Bootstrap of 2 fits, 0 more failed: friction[0], friction[1]>"
+    grown = hf.predictability(hf.Setup(PAIR, duration=1.0, q0=[0.8, 0.8]))
+    assert len(repr(grown)) < 120
+    assert "fold" in repr(grown)
+
+
+def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back() -> None:
+    def threads() -> set[int]:
+        return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+    inside: list[set[int]] = []
+    run = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8])
+    recording = hf.Recording(T, run.q)
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = threads()
+        hf.identify(recording, PAIR, ["friction"], intervals=None, progress=lambda _: inside.append(threads()))
+        hf.revise(recording, PAIR, rounds=1, most=3, progress=lambda _: inside.append(threads()))
+        assert threads() == before
+    assert len(inside) > 1
+    assert all(each == {1} for each in inside)
+
+
+@pytest.mark.parametrize("late", [0.5, -0.4])
+def test_a_delay_far_off_is_found(late: float) -> None:
+    motion, arm = hf.swings(t_move=0.7, t_rest=0.4), hf.Arm(length=0.1)
+    run = hf.simulate(PAIR, motion, arm=arm, duration=4.0, t_eval=T)
+    data = run.q + 2e-3 * np.random.default_rng(1).standard_normal(run.q.shape)
+    found = hf.identify(
+        hf.Recording(T + late, data), PAIR.replace(friction=1e-3), ["friction", "delay"], motion=motion, arm=arm
+    )
+    assert found.status == "converged"
+    assert abs(found.values["delay"] - late) < 4.0 * found.sd["delay"] < 4e-3
+    assert abs(found.settings["delay_from"] - late) < 0.1  # the grid's step is a sixteenth of a window
