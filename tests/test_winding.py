@@ -14,7 +14,7 @@ from hyperflex.model import cuts
 from hyperflex.winding import slip, turns
 from tests.reference import dense
 from tests.reference.arm import links_of
-from tests.reference.wrapping import capstan
+from tests.reference.wrapping import capstan, laid
 
 PEG = hf.Peg(0.6, -0.7, 0.03, 0.3)
 
@@ -155,13 +155,13 @@ def test_a_tug_tells_what_a_wound_rope_holds() -> None:
     rope = hf.Rope.uniform(1.0, 0.02, 60, 0.0025, friction=1e-3, tip_mass=0.2)
     peg = hf.Peg(0.0, 0.0, 0.03, 0.2)
     start = hf.moving_point([0.0, 1.0], [-0.0326, -0.0326], [-0.3, -0.3])
-    q0 = over_the_top(rope.length, 0.0326, 0.3)
+    q0 = math.pi - laid(rope.length, (-0.0326, 0.3), 0.0326, math.pi)  # up, over the peg and down
     run = hf.simulate(rope, start, duration=0.5, q0=q0, pegs=[peg])
-    pull = hf.tug(run, peg, speed=0.05, distance=0.03)
+    pull = hf.tug(run, peg, speed=0.02, distance=0.03)
     assert pull.slipped
     tail = 9.81 * (0.2 + 0.02 * (1.0 - 0.3 - math.pi * 0.0325))
     up = 9.81 * 0.02 * 0.3  # and the weight of the way up
-    # The pull is dynamic, at 0.05 m/s, and the tail swings a little: 5 %.
+    # The pull is dynamic, at 0.02 m/s, and the rope's place on the peg changes meanwhile: 5 % (3 % were seen).
     limit = tail * math.exp(0.2 * math.pi) - up
     assert pull.hold == pytest.approx(limit, rel=0.05)
     assert pull.holds(0.9 * limit)
@@ -176,7 +176,8 @@ def test_a_link_that_rolls_does_not_slip() -> None:
     """A rod that rolls over a peg under its own weight: its contact goes along it and round the peg alike."""
     peg, rod = hf.Peg(0.0, 0.0, 0.05, 1.0), hf.Rope(length=[1.0], mass=[0.1], radius=0.0025)
     angle = np.linspace(0.5 * math.pi, 0.7 * math.pi, 50)
-    run = hf.simulate(hf.Setup(rod, pegs=[peg, hf.Peg(9.0, 0.0, 0.05)], duration=0.49, q0=[-1.0]))
+    far = hf.moving_point([0.0, 1.0], [5.0, 5.0], [5.0, 5.0])  # any run of 50 samples, given other places below
+    run = hf.simulate(hf.Setup(rod, far, pegs=[peg, hf.Peg(9.0, 0.0, 0.05)], duration=0.49))
     axis = 0.0525
     place = 0.5 - axis * (angle - angle[0])
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -186,9 +187,3 @@ def test_a_link_that_rolls_does_not_slip() -> None:
     slid = replace(run, q=angle[:, None], base=axis * normal - 0.5 * along)
     # The same place of the rod stays on the peg while the contact goes round it: it slides by as much.
     np.testing.assert_allclose(np.abs(slip(slid, peg)), axis * (angle - angle[0]), rtol=0, atol=1e-12)
-
-
-def over_the_top(length: np.ndarray, axis: float, rise: float) -> np.ndarray:
-    """Angles of links that go straight up, over a circle of radius `axis` clockwise, and straight down."""
-    along = np.cumsum(length) - 0.5 * length
-    return math.pi - np.clip((along - rise) / axis, 0.0, math.pi)

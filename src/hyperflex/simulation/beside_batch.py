@@ -17,6 +17,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.contact import beside, finer
+from hyperflex.simulation.inside import check_outside
 from hyperflex.simulation.outcome import conclude
 from hyperflex.simulation.rollouts import limits, prepare, progress_bar
 from hyperflex.trajectory import Trajectory, swept
@@ -124,6 +125,8 @@ def run_members(
         Time that each member reached, s.
     """
     setups = [members.setup(m) for m in range(members.count)]
+    for m, setup in enumerate(setups):
+        check_outside(setup, who=f"the rope of member {m}")
     sizes = {"link": max(s.rope.n_links for s in setups), "axis": 2, "peg": len(_round(setups[0]))}
     values = {k: np.full((len(setups), t.size, *(sizes[d] for d in SHAPES[k])), np.nan) for k in keep}
     names, reached = [INTERRUPTED] * len(setups), np.zeros(len(setups))

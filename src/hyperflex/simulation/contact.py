@@ -21,6 +21,7 @@ from hyperflex.core.contact_step import Kept
 from hyperflex.core.drive import Drive
 from hyperflex.core.progress import INDEX, MARK, T
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refined
+from hyperflex.simulation.inside import check_outside
 from hyperflex.simulation.rollouts import BUDGET, Rollout, starting_clock
 from hyperflex.trajectory import State
 
@@ -50,6 +51,7 @@ class Beside:
 
     def __init__(self, run: Rollout, setup: Setup, saved: Mapping[str, Any]) -> None:
         contacts = setup.contacts()
+        check_outside(setup, run.time, run.progress.y[: run.chain.length.size])
         n, m = run.chain.length.size, contacts.x.size
         self.looser = setup.tol / DEFAULT_TOL
         run.limits = run.limits._replace(tol=FLIGHT_TOL * setup.tol)
