@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
+    from hyperflex.casting import CastPlan, MotorLimits, plan_cast
     from hyperflex.identification import (
         Bootstrap,
         Design,
@@ -26,7 +27,18 @@ if TYPE_CHECKING:
         revise,
     )
     from hyperflex.model import Arm, Ground, Peg, Rope, Setup, Wall, refined
-    from hyperflex.motion import Motion, hold, move, moving_point, read_motion, sampled, strokes, swings, torque_profile
+    from hyperflex.motion import (
+        Motion,
+        hold,
+        move,
+        moves,
+        moving_point,
+        read_motion,
+        sampled,
+        strokes,
+        swings,
+        torque_profile,
+    )
     from hyperflex.recording import Recording, read_recording
     from hyperflex.simulation import (
         Batch,
@@ -48,6 +60,9 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "CastPlan": "casting",
+    "MotorLimits": "casting",
+    "plan_cast": "casting",
     "Arm": "model",
     "Batch": "simulation",
     "Bootstrap": "identification",
@@ -78,6 +93,7 @@ _HOMES = {
     "identify": "identification",
     "initial_state": "identification",
     "move": "motion",
+    "moves": "motion",
     "moving_point": "motion",
     "phase_reached": "simulation",
     "predictability": "simulation",
@@ -106,6 +122,7 @@ __all__ = [
     "Arm",
     "Batch",
     "Bootstrap",
+    "CastPlan",
     "Design",
     "Event",
     "Experiment",
@@ -113,6 +130,7 @@ __all__ = [
     "Identification",
     "ModelComparison",
     "Motion",
+    "MotorLimits",
     "Peg",
     "Predictability",
     "Recording",
@@ -134,8 +152,10 @@ __all__ = [
     "identify",
     "initial_state",
     "move",
+    "moves",
     "moving_point",
     "phase_reached",
+    "plan_cast",
     "predictability",
     "read_motion",
     "read_recording",

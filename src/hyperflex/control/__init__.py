@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
-    from hyperflex.control.caster import Caster
+    from hyperflex.control.caster import Caster, swing_period
     from hyperflex.control.closed_loop import Swung, swing
     from hyperflex.control.pseudo_energy import (
         PhasePortrait,
@@ -44,6 +44,7 @@ _HOMES = {
     "reach_time": "reach",
     "spiral": "pseudo_energy",
     "swing": "closed_loop",
+    "swing_period": "caster",
 }
 
 __all__ = [
@@ -67,6 +68,7 @@ __all__ = [
     "reach_time",
     "spiral",
     "swing",
+    "swing_period",
 ]
 
 __getattr__ = loader(__name__, _HOMES)

@@ -23,6 +23,28 @@ PLANNING_TOL = 1e-4  # m; docs/how-to/accuracy.md
 SOON = 1e-6  # s, within which a crossing that has just been is not found again
 
 
+def swing_period(rope: Rope) -> float:
+    """Return the period of a small swing of a whole rope as if it were a rigid rod, s; a rope's own is 2 % longer.
+
+    Parameters
+    ----------
+    rope : Rope
+
+    Raises
+    ------
+    InvalidInput
+        If the rope has no weight.
+    """
+    base = np.concatenate([[0.0], np.cumsum(rope.length)[:-1]])
+    centre = base + rope.com
+    moment = float((rope.inertia + rope.mass * centre**2).sum() + rope.tip_mass * rope.total_length**2)
+    first = float((rope.mass * centre).sum() + rope.tip_mass * rope.total_length)
+    weight = first * math.hypot(*rope.gravity)
+    if weight == 0.0:
+        raise InvalidInput("rope has no weight, so it does not swing", got=rope.gravity, allowed="gravity")
+    return 2.0 * math.pi * math.sqrt(moment / weight)
+
+
 @dataclass(frozen=True)
 class Caster:
     """A rope on an arm that makes half turns, as its controller knows it; the true one may differ.
@@ -51,16 +73,8 @@ class Caster:
 
     @property
     def period(self) -> float:
-        """Period of a small swing of the whole rope as if it were a rigid rod, s; a rope's own is 2 % longer."""
-        rope = self.rope
-        base = np.concatenate([[0.0], np.cumsum(rope.length)[:-1]])
-        centre = base + rope.com
-        moment = float((rope.inertia + rope.mass * centre**2).sum() + rope.tip_mass * rope.total_length**2)
-        first = float((rope.mass * centre).sum() + rope.tip_mass * rope.total_length)
-        weight = first * math.hypot(*rope.gravity)
-        if weight == 0.0:
-            raise InvalidInput("rope has no weight, so it does not swing", got=rope.gravity, allowed="gravity")
-        return 2.0 * math.pi * math.sqrt(moment / weight)
+        """Period of a small swing of the rope, s; see :func:`swing_period`."""
+        return swing_period(self.rope)
 
     @property
     def usual_rest(self) -> float:

@@ -3,7 +3,7 @@
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle
 from hyperflex.model.peg import Peg
-from hyperflex.model.refine import cuts, refined
+from hyperflex.model.refine import cuts, divided, refined
 from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, Rope
 from hyperflex.model.setup import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Setup
 from hyperflex.model.wall import Ground, Wall
@@ -22,5 +22,6 @@ __all__ = [
     "Setup",
     "Wall",
     "cuts",
+    "divided",
     "refined",
 ]

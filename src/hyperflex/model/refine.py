@@ -56,14 +56,40 @@ def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, rat
     >>> fine.n_links, bool(fine.length.min() <= 0.3 * 0.0325)
     (163, True)
     """
-    pieces = cuts(rope, pegs, arm=arm, ratio=ratio)
+    return _divided(rope, cuts(rope, pegs, arm=arm, ratio=ratio))
+
+
+def divided(rope: Rope, pieces: npt.ArrayLike) -> Rope:
+    """Cut each link of a rope into pieces, see :func:`refined`.
+
+    Parameters
+    ----------
+    rope : Rope
+        Links that are cut must have their centre of mass in their middle.
+    pieces : int or (n,) array_like of int
+        Pieces that a link is cut into, >= 1.
+
+    Raises
+    ------
+    InvalidInput
+        If a link that is to be cut is not uniform, or `pieces` does not fit.
+    """
+    given = checks.array(
+        "pieces", np.broadcast_to(np.asarray(pieces, dtype=np.float64), (rope.n_links,)), (rope.n_links,)
+    )
+    if (given < 1.0).any() or (given != np.round(given)).any():
+        raise InvalidInput("pieces are not whole numbers from 1 on", got=given.tolist(), allowed="1, 2, ...")
+    return _divided(rope, given.astype(np.int64))
+
+
+def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
     if (pieces == 1).all():
         return rope
     uneven = (pieces > 1) & (np.abs(rope.com - 0.5 * rope.length) > 1e-9 * rope.length)
     if uneven.any():
         k = int(np.argmax(uneven))
         raise InvalidInput(
-            f"link {k} may touch a peg but is not uniform, so it cannot be cut",
+            f"link {k} is not uniform, so it cannot be cut",
             got=float(rope.com[k]),
             allowed="com = length / 2",
             fix="Give shorter links there",

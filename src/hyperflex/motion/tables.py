@@ -12,6 +12,7 @@ from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import profiles
 from hyperflex.motion.half_turns import strokes
+from hyperflex.motion.moves import moves
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 
 
@@ -40,6 +41,7 @@ def from_spec(spec: Mapping[str, Any], folder: Path | None = None) -> Motion:
         "move": profiles.move,
         "swings": profiles.swings,
         "strokes": strokes,
+        "moves": moves,
         "sampled": profiles.sampled,
         "moving point": profiles.moving_point,
         "torque": profiles.torque_profile,

@@ -1,0 +1,35 @@
+"""Casting: throw a rope round a target, wind it and hold."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import loader
+
+if TYPE_CHECKING:
+    from hyperflex.casting.limits import MotorLimits
+    from hyperflex.casting.plan import CastPlan, plan_cast
+    from hyperflex.casting.reach import Reach, reach
+    from hyperflex.casting.throw import Throw
+    from hyperflex.casting.thrower import Thrower
+    from hyperflex.casting.verify import Cast, verify
+
+_HOMES = {
+    "Cast": "verify",
+    "CastPlan": "plan",
+    "MotorLimits": "limits",
+    "Reach": "reach",
+    "Throw": "throw",
+    "Thrower": "thrower",
+    "plan_cast": "plan",
+    "reach": "reach",
+    "verify": "verify",
+}
+
+__all__ = ["Cast", "CastPlan", "MotorLimits", "Reach", "Throw", "Thrower", "plan_cast", "reach", "verify"]
+
+__getattr__ = loader(__name__, _HOMES)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

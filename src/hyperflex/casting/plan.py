@@ -1,0 +1,259 @@
+"""Plan a cast: search for a throw that winds a rope round a target and holds, and verify it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.casting.limits import MotorLimits
+from hyperflex.casting.reach import Reach, reach
+from hyperflex.casting.search import Landing, Search
+from hyperflex.casting.throw import Throw
+from hyperflex.casting.thrower import Thrower
+from hyperflex.casting.verify import WOUND, Cast, verify
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, Peg, Rope, divided
+from hyperflex.motion import Motion
+from hyperflex.simulation.rollouts import progress_bar
+
+PATIENCE = 60.0  # s of searching by default
+GENERATIONS = 5  # of free swings in a round
+SETTLED, ROUNDS = 1.03, 2  # a round that gains less than this factor is idle; so many idle ones, and the peg is next
+SWINGING = 0.5  # part of the patience after which the search goes on beside the peg in any case
+RESTART = 12  # generations beside the peg from one place
+ALIKE = 0.05  # points that differ by less are one
+FINER = 2  # pieces of each link in the second verification
+TRIES = 3  # throws verified at most between two generations
+
+
+@dataclass(frozen=True, eq=False)
+class CastPlan:
+    """A planned cast, or why there is none.
+
+    Attributes
+    ----------
+    thrower : Thrower
+        Rope, arm and limits.
+    peg : Peg
+        The target.
+    reach : Reach
+        What could be said before searching.
+    throw : Throw or None
+        The best throw found; None where nothing strikes the peg.
+    cast : Cast or None
+        What became of it in a verified, simulated run.
+    finer : Cast or None
+        The same with links of half the length: what of it stands when the model is better.
+    reason : str
+        Why the plan fails; empty if it does not.
+    runs : int
+        Simulated runs of the search.
+    seconds : float
+        Time that it took, s.
+    interrupted : bool
+        Ctrl-C came; the plan is the best until then.
+    """
+
+    thrower: Thrower
+    peg: Peg
+    reach: Reach
+    throw: Throw | None
+    cast: Cast | None
+    finer: Cast | None
+    reason: str
+    runs: int
+    seconds: float
+    interrupted: bool = False
+
+    @property
+    def success(self) -> bool:
+        """Wound and held, in both verified runs."""
+        return not self.reason
+
+    @property
+    def motion(self) -> Motion | None:
+        """What the arm does, from rest at t = 0; None where there is no throw."""
+        return None if self.throw is None else self.throw.motion(self.thrower.limits)
+
+
+def plan_cast(
+    rope: Rope,
+    arm: Arm,
+    target: Peg,
+    limits: MotorLimits | None = None,
+    *,
+    time_limit: float | None = None,
+    hold: float = 0.0,
+    patience: float = PATIENCE,
+    regardless: bool = False,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: bool = False,
+) -> CastPlan:
+    """Plan how an arm casts its rope round a target, winds it and holds.
+
+    Parameters
+    ----------
+    rope, arm : Rope, Arm
+        The rope hangs at rest from the arm, which points to one side.
+    target : Peg
+        To be wound by WOUND turns or more.
+    limits : MotorLimits, optional
+        Of the motor; by default the paper's.
+    time_limit : float, optional
+        Within which the rope must strike, s; by default five periods of its swing.
+    hold : float
+        Pull that the wound rope should bear, N; only asked of what can be reached at all.
+    patience : float
+        Time to search, s; a plan that stands ends it.
+    regardless : bool
+        Search even for a target that is called out of reach.
+    seed : int
+        Of the search: with the same seed, and patience enough, the same plan.
+    threads : int, optional
+        By default one a processor.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    CastPlan
+        Ctrl-C ends the search; the plan is the best until then.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument is not what it should be.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> far = hf.plan_cast(cable, hf.Arm(length=0.105), hf.Peg(2.5, 0.0, 0.03))
+    >>> far.success, far.reason
+    (False, 'out of reach: the rope ends 0.43 m short of the target')
+    """
+    begin = time.monotonic()
+    if not isinstance(target, Peg):
+        raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
+    patience = checks.number("patience", patience, sign="positive", unit="s")
+    thrower = Thrower(rope, arm, MotorLimits() if limits is None else limits, 0.0 if time_limit is None else time_limit)
+    known = reach(thrower, target, hold=hold)
+    if known.impossible or not (known.within or regardless):
+        return CastPlan(thrower, target, known, None, None, None, known.reason, 0, time.monotonic() - begin)
+    work = _Work(Search(thrower, target, checks.count("seed", seed, least=0), threads), begin, patience)
+    interrupted = False
+    with progress_bar(0.0, patience, progress, "planning") as report:
+        try:
+            work.go(report)
+        except KeyboardInterrupt:
+            interrupted = True
+            with suppress(KeyboardInterrupt):
+                work.settle()
+    throw, cast, finer = work.best
+    return CastPlan(
+        thrower,
+        target,
+        known,
+        throw,
+        cast,
+        finer,
+        why_not(cast, finer, interrupted),
+        work.search.runs,
+        time.monotonic() - begin,
+        interrupted,
+    )
+
+
+class _Work:
+    """The course of a search: rounds of swings, then of throws beside the peg; what looks good is verified."""
+
+    def __init__(self, search: Search, begin: float, patience: float) -> None:
+        self.search, self.begin, self.patience = search, begin, patience
+        thrower = search.thrower
+        self.finer = replace(thrower, rope=divided(thrower.rope, FINER), time=thrower.time)
+        self.checked: list[Landing] = []
+        self.best: tuple[Throw | None, Cast | None, Cast | None] = (None, None, None)
+
+    @property
+    def spent(self) -> float:
+        return time.monotonic() - self.begin
+
+    def go(self, report: Callable[[float], None] | None) -> None:
+        """Search until a plan stands or patience ends."""
+        score, idle, close = 0.0, 0, 0
+        while self.spent < self.patience and not self.done():
+            beside = self.search.landings and (idle >= ROUNDS or self.spent > SWINGING * self.patience)
+            if beside and close % RESTART:
+                self.search.refine()
+                close += 1
+            else:
+                before, score = score, self.swing()
+                idle = idle + 1 if score < SETTLED * before + 0.01 else 0
+                self.search.restart()
+                close = 1
+            self.look()
+            if report is not None:
+                report(min(self.spent, self.patience))
+        self.settle()
+
+    def swing(self) -> float:
+        """A round of free swings, the best of which are tried beside the peg."""
+        score = 0.0
+        for _ in range(GENERATIONS):
+            score = max(score, self.search.swing())
+            if self.spent > self.patience:
+                break
+        if self.search.swings:
+            self.search.try_ends()
+        return score
+
+    def done(self) -> bool:
+        """Whether a plan stands."""
+        return self.best[1] is not None and not why_not(self.best[1], self.best[2], False)
+
+    def look(self) -> None:
+        """Verify the best throws that were not verified yet."""
+        for _ in range(TRIES):
+            found = next((one for one in self.search.landings if one.turns >= WOUND and self.fresh(one)), None)
+            if found is None or self.done():
+                return
+            self.check(found)
+
+    def settle(self) -> None:
+        """Verify the best throw of all where none that winds was found."""
+        if self.best[0] is None and self.search.landings:
+            self.check(self.search.landings[0])
+
+    def fresh(self, one: Landing) -> bool:
+        return all(one.side != old.side or np.abs(one.x - old.x).max() > ALIKE for old in self.checked)
+
+    def check(self, found: Landing) -> None:
+        """Verify a throw and keep it if it is better than the best until now."""
+        search = self.search
+        self.checked.append(found)
+        cast = verify(search.thrower, search.peg, found.throw.motion(search.thrower.limits))
+        finer = verify(self.finer, search.peg, found.throw.motion(search.thrower.limits)) if cast.success else None
+        rank = [_rank(one) for one in (cast, finer)]
+        if self.best[0] is None or rank > [_rank(one) for one in self.best[1:]]:
+            self.best = (found.throw, cast, finer)
+
+
+def _rank(cast: Cast | None) -> tuple[bool, float]:
+    return (False, 0.0) if cast is None else (cast.success, abs(cast.turns))
+
+
+def why_not(cast: Cast | None, finer: Cast | None, interrupted: bool) -> str:
+    """Say why a cast fails, "" if it does not."""
+    if cast is None:
+        return "interrupted before any throw was verified" if interrupted else "too little energy: no throw strikes it"
+    if cast.reason:
+        return cast.reason
+    if finer is None:
+        return "interrupted before it was verified with finer links"
+    return f"with links of half the length {finer.reason}" if finer.reason else ""

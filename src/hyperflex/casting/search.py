@@ -1,0 +1,140 @@
+"""The search for a throw: free swings towards promising strikes, then the strikes' last moves beside the peg."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hyperflex.casting import landing, strikes
+from hyperflex.casting.genes import LAST, Genes
+from hyperflex.casting.throw import Throw
+from hyperflex.casting.thrower import Thrower
+from hyperflex.checks import Array
+from hyperflex.model import Peg
+
+MEMBERS, LANDING_MEMBERS = 32, 16  # of a generation of free swings, and of one beside the peg
+KEPT = 4  # of a generation's swings that may be tried beside the peg
+APART = 0.1  # strokes or rests by which two swings differ if they are to be tried both
+TRIED = 4  # swings of a round that are tried beside the peg
+ENDS, RESTS = (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)  # last moves that are tried: half turns, periods
+NARROW = 0.25  # spread of a search beside the peg, in parts of the first one's
+
+
+class Swing(NamedTuple):
+    """A free swing that strikes the peg."""
+
+    score: float
+    side: int
+    x: Array
+
+
+class Landing(NamedTuple):
+    """A throw that was run beside the peg, its score and the turns that stay."""
+
+    score: float
+    turns: float
+    side: int
+    x: Array
+    throw: Throw
+
+
+@dataclass(eq=False)
+class Search:
+    """A search by CMA-ES (Hansen 2016, arXiv:1604.00772), first on free swings, then beside the peg.
+
+    Parameters
+    ----------
+    thrower : Thrower
+    peg : Peg
+    seed : int
+    threads : int, optional
+    """
+
+    thrower: Thrower
+    peg: Peg
+    seed: int = 0
+    threads: int | None = None
+    swings: list[Swing] = field(default_factory=list)
+    landings: list[Landing] = field(default_factory=list)
+    runs: int = 0
+
+    def __post_init__(self) -> None:
+        self.genes = {side: Genes(self.thrower, side) for side in (-1, 1)}
+        self._free = {side: self._evolution(g.centre(), 1.0, MEMBERS, g) for side, g in self.genes.items()}
+        self._tried: list[Swing] = []
+        self._close: tuple[int, Any] | None = None
+
+    def _evolution(self, centre: Array, size: float, members: int, genes: Genes) -> Any:
+        import cma
+
+        self.seed += 1
+        options = {"popsize": members, "verbose": -9, "seed": self.seed, "CMA_stds": genes.spreads()}
+        return cma.CMAEvolutionStrategy(centre, size, options)
+
+    def swing(self) -> float:
+        """One generation of free swings from each side; returns the best score so far."""
+        for side, evolution in self._free.items():
+            points = evolution.ask()
+            found = strikes.fly(
+                self.thrower, self.peg, [self.genes[side].throw(x) for x in points], threads=self.threads
+            )
+            evolution.tell(points, list(-found.score))
+            self.runs += len(points)
+            for k in np.argsort(-found.score)[:KEPT]:
+                if found.score[k] > 0.0:
+                    self.swings.append(Swing(float(found.score[k]), side, np.asarray(points[k])))
+        self.swings.sort(key=lambda one: -one.score)
+        return self.swings[0].score if self.swings else strikes.NEVER
+
+    def try_ends(self) -> None:
+        """Run the best swings that were not tried yet beside the peg, with several last moves each."""
+        fresh: list[Swing] = []
+        for one in self.swings:
+            if all(one.side != other.side or np.abs(one.x - other.x).max() > APART for other in self._tried + fresh):
+                fresh.append(one)
+            if len(fresh) == TRIED:
+                break
+        self._tried += fresh
+        for side in (-1, 1):
+            points = [
+                np.append(one.x[:-LAST], [end, rest, 1.0])
+                for one in fresh
+                if one.side == side
+                for end in ENDS
+                for rest in RESTS
+            ]
+            if points:
+                self.land(side, points)
+
+    def refine(self) -> None:
+        """One generation of throws beside the peg, about the best one."""
+        if self._close is None:
+            best = self.landings[0]
+            self._close = best.side, self._evolution(best.x, NARROW, LANDING_MEMBERS, self.genes[best.side])
+        side, evolution = self._close
+        points = evolution.ask()
+        evolution.tell(points, list(-self.land(side, points)))
+
+    def restart(self) -> None:
+        """Let the next :meth:`refine` begin from the best throw of then."""
+        self._close = None
+
+    def land(self, side: int, points: list[Array]) -> Array:
+        """Run points beside the peg, keep what they led to, and return their scores (M,)."""
+        throws = [self.genes[side].throw(x) for x in points]
+        found = strikes.fly(self.thrower, self.peg, throws, threads=self.threads)
+        score = found.score.copy()
+        struck = np.flatnonzero(np.isfinite(found.t))
+        self.runs += 2 * len(points)
+        if struck.size:
+            cut = [throws[k].cut(float(found.t[k]), self.thrower.limits) for k in struck]
+            state = found.t[struck], found.q[struck], found.qd[struck]
+            ended = landing.land(self.thrower, self.peg, cut, state, threads=self.threads)
+            score[struck] = ended.score
+            for k, throw, value, turns in zip(struck, cut, ended.score, ended.turns, strict=True):
+                self.landings.append(Landing(float(value), float(turns), side, np.asarray(points[k]), throw))
+            self.landings.sort(key=lambda one: -one.score)
+        score[~np.isfinite(found.t)] = np.minimum(score[~np.isfinite(found.t)], 0.0)
+        return score

@@ -1,0 +1,177 @@
+"""Free swings in batch: where the rope first strikes the peg, and what its tail could do from there.
+
+Nothing here knows of contact, so a swing costs some milliseconds. What it tells is no more than a promise: at the
+strike the rope's tail is taken as a body that turns about the peg, and its energy of turning is set against what lifts
+its centre of mass over the top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.casting.throw import Throw
+from hyperflex.casting.thrower import Thrower
+from hyperflex.checks import Array
+from hyperflex.model import Peg
+from hyperflex.motion import Motion
+from hyperflex.simulation import simulate_batch
+
+SAMPLE_TIME = 0.02  # s, between looks at a swing
+COARSE_TOL = 1e-3  # m, of swings in a search
+NEAR = 0.02  # m, gap from which on the rope is said to strike
+ENOUGH, TURNS_ENOUGH = 2.0, 2.0  # energy ratio, and turns of tail, beyond which more does not count
+USED = 0.7  # turns' worth of tail that hangs from the peg in the end, and does not wind
+NEVER = -1.0  # score of a swing that strikes nothing, less its distance in metres
+
+
+@dataclass(frozen=True, eq=False)
+class Strikes:
+    """First strikes of several swings (M,).
+
+    Attributes
+    ----------
+    score : (M,) float64
+        The more, the better; below 0 where nothing is struck.
+    ratio : (M,) float64
+        Energy of turning about the peg over what lifts the tail's centre over the top.
+    turns : (M,) float64
+        Length of the tail in turns about the peg.
+    t : (M,) float64
+        Last sample before the strike, s; NaN where there is none.
+    q, qd : (M, n) float64
+        State there.
+    """
+
+    score: Array
+    ratio: Array
+    turns: Array
+    t: Array
+    q: Array
+    qd: Array
+
+
+def fly(thrower: Thrower, peg: Peg, throws: Sequence[Throw], *, threads: int | None = None) -> Strikes:
+    """Let the rope swing freely under each throw and look for its first strike on a peg."""
+    return look(thrower, peg, [throw.motion(thrower.limits) for throw in throws], threads=threads)
+
+
+def look(thrower: Thrower, peg: Peg, motions: Sequence[Motion], *, threads: int | None = None) -> Strikes:
+    """Find the first strikes on a peg of a rope that swings freely under each motion, from rest at t = 0."""
+    rope, radius = thrower.rope, thrower.arm.length
+    count = round(thrower.time / SAMPLE_TIME)
+    t: Array = SAMPLE_TIME * np.arange(1.0, count + 1.0)
+    batch = simulate_batch(
+        rope,
+        list(motions),
+        arm=thrower.arm,
+        duration=float(t[-1]),
+        t_eval=t,
+        tol=COARSE_TOL,
+        keep=("q", "qd"),
+        threads=threads,
+    )
+    angle, rate = (np.stack([sample(motion, t, k) for motion in motions]) for k in (0, 1))
+    base = radius * np.stack([np.sin(angle), -np.cos(angle)], axis=-1) + np.array(thrower.arm.pivot)
+    base_velocity = radius * rate[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    at, link, least = first(np.nan_to_num(batch.q), base, rope.length, peg, rope.radius)
+    struck = (at > 0) & np.isfinite(batch.q).all(axis=(1, 2))
+    rows, at = np.arange(len(motions)), np.where(struck, at, 1)
+    ratio, left = promise(
+        thrower,
+        peg,
+        (batch.q[rows, at], batch.qd[rows, at]),
+        (base[rows, at], base_velocity[rows, at]),
+        link,
+    )
+    tail = np.clip(left - USED, 0.0, TURNS_ENOUGH)
+    score = np.where(struck, np.minimum(ratio, ENOUGH) * tail, NEVER - least)
+    return Strikes(
+        np.nan_to_num(score, nan=2.0 * NEVER),
+        np.where(struck, ratio, 0.0),
+        np.where(struck, left, 0.0),
+        np.where(struck, t[at - 1], np.nan),
+        batch.q[rows, at - 1],
+        batch.qd[rows, at - 1],
+    )
+
+
+def sample(motion: Motion, t: Array, derivative: int) -> Array:
+    """Arm angle (0) or rate (1) of a motion at times t (T,)."""
+    return motion.angle(t) if derivative == 0 else motion.rate(t)
+
+
+def first(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) -> tuple[Array, Array, Array]:
+    """Return the sample and the link of the first strike on a peg, and the smallest distance.
+
+    Parameters
+    ----------
+    q : (M, T, n) rad
+    base : (M, T, 2) m, the rope's first joint
+    length : (n,) m
+    peg : Peg
+    rope_radius : float, m
+
+    Returns
+    -------
+    at : (M,) int64
+        Sample; 0 where nothing is struck.
+    link : (M,) int64
+    least : (M,) float64
+        Smallest gap, m.
+    """
+    count, samples, n = q.shape
+    sin, cos = np.sin(q), np.cos(q)
+    x, y = peg.x - base[..., 0], peg.y - base[..., 1]  # from a link's motor-side joint to the peg
+    gap = np.empty((count, samples, n))
+    beside = np.empty((count, samples, n))
+    for i in range(n):
+        along = np.clip(x * sin[..., i] - y * cos[..., i], 0.0, length[i])
+        inside = (along > 0.0) & (along < length[i])
+        across = x * cos[..., i] + y * sin[..., i]
+        gap[..., i] = np.hypot(x - along * sin[..., i], y + along * cos[..., i])
+        beside[..., i] = np.where(inside, across, 0.0)
+        x, y = x - length[i] * sin[..., i], y + length[i] * cos[..., i]
+    gap -= peg.radius + rope_radius
+    hit: npt.NDArray[np.bool_] = np.asarray((gap < NEAR).any(axis=2))
+    hit[:, 1:] |= (beside[:, 1:] * beside[:, :-1] < 0.0).any(axis=2)  # it has passed through between two samples
+    hit[:, 0] = False
+    at = np.where(hit.any(axis=1), hit.argmax(axis=1), 0)
+    link = gap[np.arange(count), at].argmin(axis=1)
+    return at, link, np.maximum(gap.min(axis=(1, 2)), 0.0)
+
+
+def promise(
+    thrower: Thrower, peg: Peg, state: tuple[Array, Array], base: tuple[Array, Array], link: Array
+) -> tuple[Array, Array]:
+    """Return the energy ratio and the turns of tail (M,) of strikes with link `link` (M,) in given states.
+
+    Parameters
+    ----------
+    thrower : Thrower
+    peg : Peg
+    state : q, qd, (M, n) each
+    base : place and velocity of the first joint, (M, 2) each
+    link : (M,) int64
+    """
+    rope, (q, qd) = thrower.rope, state
+    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
+    across = np.stack([np.cos(q), np.sin(q)], axis=-1) * qd[..., None]
+    ends = base[0][:, None] + np.cumsum(rope.length[:, None] * along, axis=1) - np.array([peg.x, peg.y])
+    speeds = base[1][:, None] + np.cumsum(rope.length[:, None] * across, axis=1)
+    back = rope.length - rope.com
+    places = np.concatenate([ends - back[:, None] * along, ends[:, -1:]], axis=1)
+    speeds = np.concatenate([speeds - back[:, None] * across, speeds[:, -1:]], axis=1)
+    mass = np.append(rope.mass, rope.tip_mass) * (np.arange(rope.n_links + 1) >= link[:, None])
+    momentum = (mass * (places[..., 0] * speeds[..., 1] - places[..., 1] * speeds[..., 0])).sum(axis=1)
+    inertia = (mass * (places**2).sum(axis=2)).sum(axis=1)
+    whole = mass.sum(axis=1)
+    centre = (mass[..., None] * places).sum(axis=1) / whole[:, None]
+    down = np.array(rope.gravity)
+    weight = np.hypot(*down)
+    lift = whole * (weight * np.hypot(*centre.T) + centre @ down)
+    left = np.array([rope.length[k:].sum() for k in link]) / (2.0 * np.pi * (peg.radius + rope.radius))
+    return 0.5 * momentum**2 / np.maximum(inertia * np.maximum(lift, 1e-12), 1e-300), left

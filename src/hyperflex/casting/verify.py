@@ -1,0 +1,130 @@
+"""A throw run as exactly as the library can: wound or not, held or not, and why not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex import winding
+from hyperflex.casting.thrower import Thrower
+from hyperflex.checks import Array
+from hyperflex.errors import SimulationError
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
+from hyperflex.motion import Motion
+from hyperflex.simulation import simulate
+from hyperflex.trajectory import Trajectory
+
+WOUND = 1.25  # turns, from the arm's tip to the rope's end
+SETTLING = 1.0  # s after the last move before the watch begins
+WATCH = 2.0  # s, for which the rope must hold
+SLIP = 5e-3  # m, by which it may slip meanwhile
+SAMPLE_TIME = 0.01  # s
+QUIET_TURNS = 0.02  # by which turns may change while the rope holds, beside the tail's swinging
+
+
+@dataclass(frozen=True, eq=False)
+class Cast:
+    """What became of a throw in a verified (simulated) run.
+
+    Attributes
+    ----------
+    wound, held : bool
+        Turned WOUND times or more about the peg; slipped by less than SLIP in WATCH seconds after the arm stopped.
+    turns : float
+        Signed turns from the arm's tip to the rope's end at the end of the run, positive counterclockwise.
+    slipped : float
+        Greatest way of the rope on the peg in the watch, m; NaN where it is not on the peg.
+    strike : float
+        When the rope first touches the peg, s; NaN if it does not.
+    torque : float
+        Greatest torque that the arm's motion asks of the motor for the rope, N m.
+    reason : str
+        Why it failed; empty if it did not.
+    run : Trajectory or None
+        The run; None where it failed.
+    """
+
+    wound: bool
+    held: bool
+    turns: float
+    slipped: float
+    strike: float
+    torque: float
+    reason: str
+    run: Trajectory | None
+
+    @property
+    def success(self) -> bool:
+        """Wound and held."""
+        return self.wound and self.held and not self.reason
+
+
+def verify(
+    thrower: Thrower,
+    peg: Peg,
+    motion: Motion,
+    *,
+    tol: float = DEFAULT_TOL,
+    contact_step: float = DEFAULT_CONTACT_STEP,
+    watch: float = WATCH,
+) -> Cast:
+    """Run a motion from rest beside a peg on the refined rope and see whether it winds and holds.
+
+    Parameters
+    ----------
+    thrower : Thrower
+    peg : Peg
+    motion : Motion
+        That ends; the arm stays where it is then.
+    tol, contact_step : float
+        As for :func:`hyperflex.simulate`, m and s.
+    watch : float
+        How long the rope must hold after the arm has stopped, s. The watch begins SETTLING later if the rope still
+        winds; a rope that has unwound by then has not held.
+    """
+    stop = float(motion.breaks[-1])
+    duration = stop + SETTLING + watch
+    t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)
+    t[-1] = min(t[-1], duration)
+    try:
+        run = simulate(
+            thrower.rope,
+            motion,
+            arm=thrower.arm,
+            duration=duration,
+            pegs=[peg],
+            tol=tol,
+            contact_step=contact_step,
+            t_eval=t,
+        )
+    except SimulationError as error:
+        return Cast(False, False, 0.0, np.nan, np.nan, np.nan, f"the simulation failed ({error.status})", None)
+    return judge(thrower, peg, run, stop)
+
+
+def judge(thrower: Thrower, peg: Peg, run: Trajectory, stop: float) -> Cast:
+    """Say what became of a throw whose arm stopped at `stop`, s."""
+    wound = winding.wound(run, peg)
+    watched = run.t >= stop + SETTLING
+    turns = wound.turns[watched]
+    sense = np.sign(turns[-1])
+    way = winding.slip(run, peg)[watched]
+    on = bool(np.isfinite(wound.before[watched]).all())
+    slipped = float(np.abs(way - way[0]).max()) if on else float("nan")
+    enough = bool((sense * turns >= WOUND).all())
+    held = on and slipped < SLIP
+    touched = np.isfinite(wound.before)
+    torque = float(np.abs(run.motor_torque).max())
+    reason = ""
+    if not touched.any():
+        reason = "the rope does not touch the peg"
+    elif not enough:
+        most = float(np.abs(wound.turns).max())
+        reason = f"it winds {abs(turns[-1]):.2f} turns ({most:.2f} at most), and {WOUND:g} are asked"
+    elif not held:
+        reason = "the rope leaves the peg" if not on else f"it slips by {1e3 * slipped:.1f} mm, {1e3 * SLIP:g} allowed"
+    elif torque > thrower.limits.torque:
+        reason = f"it asks {torque:.3g} N m of a motor that gives {thrower.limits.torque:.3g}"
+    strike = float(run.t[touched.argmax()]) if touched.any() else float("nan")
+    return Cast(enough, held, float(turns[-1]), slipped, strike, torque, reason, run)
