@@ -109,12 +109,12 @@ def rates_at(found, motion, c):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def watch(chain, pegs, kept, desk, h, bounce):  # type: ignore[no-untyped-def]
+def watch(chain, pegs, kept, desk, h, push, bounce):  # type: ignore[no-untyped-def]
     """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
 
     A gap may be closed, not more. Where a link turns about the peg, its gap changes by a term of second order, which is
-    allowed for as the rates before the step predict it. `bounce` is the part of the restitution that takes place in an
-    impact.
+    allowed for as the rates before the step predict it. Without `push` no contact moves the rope, so that none can give
+    it energy. `bounce` is the part of the restitution that takes place in an impact.
     """
     found, impulses, motion = desk.found, desk.impulses, desk.motion
     n = motion.w.size
@@ -163,6 +163,8 @@ def watch(chain, pegs, kept, desk, h, bounce):  # type: ignore[no-untyped-def]
         if found.gap[c] > -DEEP:
             out = min(RECOVERY, PUSH / (abs(kept.normal[i, p]) + SLIGHT_FORCE))
         impulses.target[c] = max(found.gap[c] / h, -out) + bend / h
+        if not push:
+            impulses.target[c], impulses.lean[c] = max(impulses.target[c], 0.0), 0.0
     return least
 
 
@@ -190,7 +192,7 @@ def keep(kept, found, impulses, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, bounce):  # type: ignore[no-untyped-def]
+def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce):  # type: ignore[no-untyped-def]
     """Take a step from y (2 n or more,) at time t to ``desk.out``; h = 0.0: an impact, in which nothing else acts.
 
     Parameters
@@ -198,6 +200,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, bounce):  # typ
     chain, drive, part, pegs : Chain, Drive, Segment that holds t..t + h, Pegs
     pull : (2,) force on the tip beside gravity, N
     kept, desk : Kept (not changed), Desk
+    push : bool, whether contacts may push the rope out of a peg
     bounce : float, part of the restitution that takes place in an impact
 
     Returns
@@ -225,7 +228,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, bounce):  # typ
     motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
     motion.base[2] = base[2, 3] - base[0, 3]
     motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
-    least = watch(chain, pegs, kept, desk, h, bounce)
+    least = watch(chain, pegs, kept, desk, h, push, bounce)
     recall(kept, desk.found, desk.impulses, h)
     rounds = solve(chain, desk.found, desk.impulses, motion, h, whole)
     for i in range(n):
