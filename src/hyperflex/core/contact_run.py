@@ -195,9 +195,10 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
         wanted = min(clock[STEP], bounds.step)
         h = fitted(wanted, end - t)
         shortest = min(SHORTEST * bounds.step, h)
-        push = True
+        push, anew, back, stale = True, False, False, np.inf
         while True:
-            least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, 0.0)
+            begin = nothing if anew else kept
+            least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, begin, desk, push, 0.0)
             touch = desk.touch[0]
             if touch == 0.0 and not struck:
                 impact(chain, drive, part, pegs, pull, course, desk, nothing)
@@ -218,8 +219,11 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
             surplus = has - had + desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
             good = -LOSS * allowed <= surplus <= allowed and rounds > 0 and h <= longest
             good = good and (least > -DEEPER or -least <= clock[DEEPEST])
-            if good or h <= shortest:
+            if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
                 break
+            if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
+                anew, back, stale = not anew, anew, surplus
+                continue
             h = max(0.5 * h, shortest)
             wanted, push = h, True
             clock[REJECTED] += 1.0

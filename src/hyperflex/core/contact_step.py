@@ -21,6 +21,7 @@ DEEP = 2e-5  # m, penetration from which on it takes the power that it needs
 RELAXED = 0.99  # of the last step's forces is where the next step starts: what nothing asks for dies out
 SLIGHT_FORCE = 1e-6  # N
 NEAR = 1e-4  # m, gap below which a link is watched even at rest
+BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
 FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints, by contacts, put in; J
@@ -154,7 +155,7 @@ def watch(chain, pegs, kept, desk, h, push, bounce):  # type: ignore[no-untyped-
         s, gap, nx, ny = nearest(chain, pegs, desk.ahead_trig, desk.ahead, i, p)
         bend = 0.0
         if found.gap[c] < NEAR and gap < NOWHERE:
-            bend = max(-NEAR, min(gap - found.gap[c] - h * closing, NEAR))
+            bend = max(-BEND, min(gap - found.gap[c] - h * closing, BEND))
             lever = s * motion.w[i]
             wx = desk.ahead_speed[0, i] + lever * desk.ahead_trig[n + i]
             wy = desk.ahead_speed[1, i] + lever * desk.ahead_trig[i]
