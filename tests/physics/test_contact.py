@@ -58,12 +58,12 @@ def test_a_mass_on_a_string_winds_up_round_a_peg() -> None:
     q0 = laid(rope.length, (-axis, 0.1), axis, 0.0)
     qd0 = np.where(np.cumsum(rope.length) > 0.1 + 1e-9, speed / free, 0.0)
     still = hf.moving_point([0.0, 1.0], [-axis, -axis], [0.1, 0.1])
-    run = hf.simulate(rope, still, duration=2.0, q0=q0, qd0=qd0, pegs=[peg], refine=False)
+    run = hf.simulate(rope, still, duration=1.0, q0=q0, qd0=qd0, pegs=[peg], refine=False)
     left = np.sqrt(free**2 - 2.0 * 0.02 * speed * run.t)
     turned = (free - left) / 0.02
     # A polygon of corners d = 0.3 is 0.75 % longer than its circle, and the rope has 2.5 % of the mass.
     np.testing.assert_allclose(run.q[:, -1], turned, rtol=0, atol=0.02 * turned[-1])
-    assert turned[-1] > 9.9
+    assert turned[-1] > 4.3
     # The mass keeps its energy: what joints and contact take of it is below 1 %.
     assert run.kinetic_energy[-1] == pytest.approx(run.kinetic_energy[0], rel=0.01)
 

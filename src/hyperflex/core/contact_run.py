@@ -32,7 +32,8 @@ GROWTH = 1.5
 EASY = 0.2  # part of the energy allowed, below which steps grow
 LOSS = 10.0  # how many times more energy may vanish than appear
 SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a step
-DEEPER = 1e-4  # m, penetration at which a step is tried again at half its length
+GENEROUS = 100.0  # how many times more energy than may appear contacts may give a rope that they push out
+DEEPER = 5e-5  # m, penetration at which a step is tried again at half its length
 
 # T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
 # found that obey the law. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest
@@ -137,9 +138,9 @@ def impact(chain, drive, part, pegs, pull, course, desk, nothing):  # type: igno
     Newton's restitution with friction may give energy; where it does, nothing bounces.
     """
     t, y = course.clock[T], course.y
-    least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, 1.0)
+    least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, True, 1.0)
     if pegs.bounce.any() and desk.account[CONTACT] < 0.0:
-        least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, 0.0)
+        least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, True, 0.0)
     commit(course, desk, 0.0, rounds, least)
     course.clock[IMPACTS] += 1.0
     course.clock[DUE] = 0.0
@@ -194,8 +195,10 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
         wanted = min(clock[STEP], bounds.step)
         h = fitted(wanted, end - t)
         shortest = min(SHORTEST * bounds.step, h)
+        push, anew, back, stale = True, False, False, np.inf
         while True:
-            least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, 0.0)
+            begin = nothing if anew else kept
+            least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, begin, desk, push, 0.0)
             touch = desk.touch[0]
             if touch == 0.0 and not struck:
                 impact(chain, drive, part, pegs, pull, course, desk, nothing)
@@ -205,18 +208,24 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
                 h = max(touch, BRIEF)
                 shortest = min(shortest, h)
                 continue
+            allowed = bounds.rate * h + 1e-15
+            if push and desk.account[CONTACT] < -GENEROUS * allowed:
+                push = False
+                continue
             longest = too_fast(chain, pegs, desk)
             if math.isnan(had):
                 had = energy(chain, y, desk.base[0])
             has = energy(chain, desk.out, desk.base[2])
             surplus = has - had + desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
-            allowed = bounds.rate * h + 1e-15
             good = -LOSS * allowed <= surplus <= allowed and rounds > 0 and h <= longest
             good = good and (least > -DEEPER or -least <= clock[DEEPEST])
-            if good or h <= shortest:
+            if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
                 break
+            if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
+                anew, back, stale = not anew, anew, surplus
+                continue
             h = max(0.5 * h, shortest)
-            wanted = h
+            wanted, push = h, True
             clock[REJECTED] += 1.0
         if not (abs(surplus) < np.inf):
             if kept.mode.any():  # begin anew, from nothing

@@ -21,6 +21,7 @@ DEEP = 2e-5  # m, penetration from which on it takes the power that it needs
 RELAXED = 0.99  # of the last step's forces is where the next step starts: what nothing asks for dies out
 SLIGHT_FORCE = 1e-6  # N
 NEAR = 1e-4  # m, gap below which a link is watched even at rest
+BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
 FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints, by contacts, put in; J
@@ -109,12 +110,12 @@ def rates_at(found, motion, c):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def watch(chain, pegs, kept, desk, h, bounce):  # type: ignore[no-untyped-def]
+def watch(chain, pegs, kept, desk, h, push, bounce):  # type: ignore[no-untyped-def]
     """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
 
     A gap may be closed, not more. Where a link turns about the peg, its gap changes by a term of second order, which is
-    allowed for as the rates before the step predict it. `bounce` is the part of the restitution that takes place in an
-    impact.
+    allowed for as the rates before the step predict it. Without `push` no contact moves the rope, so that none can give
+    it energy. `bounce` is the part of the restitution that takes place in an impact.
     """
     found, impulses, motion = desk.found, desk.impulses, desk.motion
     n = motion.w.size
@@ -154,7 +155,7 @@ def watch(chain, pegs, kept, desk, h, bounce):  # type: ignore[no-untyped-def]
         s, gap, nx, ny = nearest(chain, pegs, desk.ahead_trig, desk.ahead, i, p)
         bend = 0.0
         if found.gap[c] < NEAR and gap < NOWHERE:
-            bend = max(-NEAR, min(gap - found.gap[c] - h * closing, NEAR))
+            bend = max(-BEND, min(gap - found.gap[c] - h * closing, BEND))
             lever = s * motion.w[i]
             wx = desk.ahead_speed[0, i] + lever * desk.ahead_trig[n + i]
             wy = desk.ahead_speed[1, i] + lever * desk.ahead_trig[i]
@@ -163,6 +164,8 @@ def watch(chain, pegs, kept, desk, h, bounce):  # type: ignore[no-untyped-def]
         if found.gap[c] > -DEEP:
             out = min(RECOVERY, PUSH / (abs(kept.normal[i, p]) + SLIGHT_FORCE))
         impulses.target[c] = max(found.gap[c] / h, -out) + bend / h
+        if not push:
+            impulses.target[c], impulses.lean[c] = max(impulses.target[c], 0.0), 0.0
     return least
 
 
@@ -190,7 +193,7 @@ def keep(kept, found, impulses, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, bounce):  # type: ignore[no-untyped-def]
+def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce):  # type: ignore[no-untyped-def]
     """Take a step from y (2 n or more,) at time t to ``desk.out``; h = 0.0: an impact, in which nothing else acts.
 
     Parameters
@@ -198,6 +201,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, bounce):  # typ
     chain, drive, part, pegs : Chain, Drive, Segment that holds t..t + h, Pegs
     pull : (2,) force on the tip beside gravity, N
     kept, desk : Kept (not changed), Desk
+    push : bool, whether contacts may push the rope out of a peg
     bounce : float, part of the restitution that takes place in an impact
 
     Returns
@@ -225,7 +229,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, bounce):  # typ
     motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
     motion.base[2] = base[2, 3] - base[0, 3]
     motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
-    least = watch(chain, pegs, kept, desk, h, bounce)
+    least = watch(chain, pegs, kept, desk, h, push, bounce)
     recall(kept, desk.found, desk.impulses, h)
     rounds = solve(chain, desk.found, desk.impulses, motion, h, whole)
     for i in range(n):

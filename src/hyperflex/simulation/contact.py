@@ -31,7 +31,7 @@ FLIGHT_TOL = 1e-3  # of the tolerance: with all of it a flight would gain and lo
 CLEAR = 0.03  # m, gap at which a rope that was in contact has left
 # Energy that may come from nowhere at the usual tolerance, in parts of the energy at stake for each second; and where
 # joint friction is so low that the rope's own motion, and not contact, sets the steps
-APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 6e-5, 1e-4  # 1/s, 1/s, N m s/rad
+APPEARING, APPEARING_FREE, LOW_FRICTION = 5e-7, 3e-5, 1e-4  # 1/s, 1/s, N m s/rad
 STEP = "contact_step"
 KEPT = ("contact_normal", "contact_tangent", "contact_mode")  # in a state's checkpoint
 
