@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.casting import tables
 from hyperflex.casting.limits import MotorLimits
 from hyperflex.casting.reach import Reach, reach
 from hyperflex.casting.search import Landing, Search
@@ -17,6 +18,7 @@ from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.verify import WOUND, Cast, verify
 from hyperflex.errors import InvalidInput
+from hyperflex.files import PathLike
 from hyperflex.model import Arm, Peg, Rope, divided
 from hyperflex.motion import Motion
 from hyperflex.simulation.rollouts import progress_bar
@@ -79,6 +81,18 @@ class CastPlan:
     def motion(self) -> Motion | None:
         """What the arm does, from rest at t = 0; None where there is no throw."""
         return None if self.throw is None else self.throw.motion(self.thrower.limits)
+
+    def to_csv(self, path: PathLike, *, rate: float = tables.RATE) -> None:
+        """Write what the arm does at a motor's rate, Hz, to a CSV file that :func:`hyperflex.read_motion` reads."""
+        tables.write_motion(path, tables.motion_of(self), rate)
+
+    def to_netcdf(self, path: PathLike) -> None:
+        """Write the verified run to NetCDF."""
+        tables.run_of(self).to_netcdf(path)
+
+    def to_toml(self, path: PathLike) -> None:
+        """Write set-up, limits and outcome to TOML: ``hyperflex simulate`` runs it, ``casting.read_plan`` reads it."""
+        tables.write_plan(path, self)
 
 
 def plan_cast(
