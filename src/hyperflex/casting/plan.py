@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.verify import WOUND, Cast, verify
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.model import Arm, Peg, Rope, divided
+from hyperflex.model import Arm, Peg, Rope, Setup, divided
 from hyperflex.motion import Motion
 from hyperflex.simulation.rollouts import progress_bar
 
@@ -86,7 +87,7 @@ class CastPlan:
         """Write what the arm does at a motor's rate, Hz, to a CSV file that :func:`hyperflex.read_motion` reads."""
         tables.write_motion(path, tables.motion_of(self), rate)
 
-    def to_netcdf(self, path: PathLike) -> None:
+    def to_netcdf(self, path: str | Path) -> None:
         """Write the verified run to NetCDF."""
         tables.run_of(self).to_netcdf(path)
 
@@ -157,6 +158,7 @@ def plan_cast(
         raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
     patience = checks.number("patience", patience, sign="positive", unit="s")
     thrower = Thrower(rope, arm, MotorLimits() if limits is None else limits, 0.0 if time_limit is None else time_limit)
+    Setup(thrower.rope, arm=thrower.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
     known = reach(thrower, target, hold=hold)
     if known.impossible or not (known.within or regardless):
         return CastPlan(thrower, target, known, None, None, None, known.reason, 0, time.monotonic() - begin)

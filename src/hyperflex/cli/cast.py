@@ -56,7 +56,8 @@ def cast(
     if out.exists() and not out.is_dir():
         raise FileProblem(f"{out} is a file, not a folder. Give another name with -o.")
     rate = number("--rate", rate, sign="positive", unit="Hz")
-    given = {"speed": speed, "acceleration": acceleration, "torque": torque}
+    arm_length = number("--arm-length", arm_length, sign="positive", unit="m")
+    given: dict[str, Any] = {"speed": speed, "acceleration": acceleration, "torque": torque}
     limits = MotorLimits(**{name: value for name, value in given.items() if value is not None})
     plan = plan_cast(
         Rope.from_toml(rope),

@@ -70,7 +70,7 @@ def write_cast(
             held = holding(plan.cast.run, plan.peg) if plan.cast.wound else None
             names["run"] = "cast.nc"
             plan.to_netcdf(stage / "cast.nc")
-            pictures = _pictures(stage, plan, held, tell)
+            pictures = draw(stage, plan, held, tell)
             names |= {kind: path.name for kind, path in pictures.items()}
         _write_page(stage / "report.html", plan, held, {kind: path.read_bytes() for kind, path in pictures.items()})
     return {kind: Path(directory) / name for kind, name in names.items()}, held
@@ -117,8 +117,8 @@ def _end_words(plan: CastPlan, held: Holding | None) -> str:
     return f"wound and held; hold force {held.force:.2f} N" + (" (tug)" if held.tug.slipped else " or more (tug)")
 
 
-def _pictures(folder: Path, plan: CastPlan, held: Holding | None, tell: Tell) -> dict[str, Path]:
-    """Draw everything into `folder`; return the files by what they are."""
+def draw(folder: Path, plan: CastPlan, held: Holding | None, tell: Tell, film: str = "cast.gif") -> dict[str, Path]:
+    """Draw pictures and film of a verified run into `folder`; return the files by what they are."""
     tell("drawing")
     figures = {"strike": strike_figure(plan), "course": course_figure(plan)}
     if held is not None:
@@ -128,7 +128,7 @@ def _pictures(folder: Path, plan: CastPlan, held: Holding | None, tell: Tell) ->
         written[kind] = folder / f"{kind}.png"
         with files.atomic(written[kind], "wb") as file:
             file.write(png(figure))
-    written["film"] = folder / "cast.gif"
+    written["film"] = folder / film
     animate(
         run_of(plan),
         written["film"],
@@ -141,16 +141,15 @@ def _pictures(folder: Path, plan: CastPlan, held: Holding | None, tell: Tell) ->
     return written
 
 
+def shown_pictures(pictures: dict[str, bytes]) -> dict[str, Picture]:
+    """Return what :func:`draw` drew with captions, the film first."""
+    return {kind: Picture(pictures[kind], caption) for kind, caption in _CAPTIONS.items() if kind in pictures}
+
+
 def _write_page(path: Path, plan: CastPlan, held: Holding | None, pictures: dict[str, bytes]) -> None:
-    sections = [
-        Section(
-            "In short",
-            tiles=words.tiles(plan, held),
-            marks=((plan.success, words.verdict(plan)),),
-            text=words.story(plan, held),
-        ),
-    ]
-    shown = {kind: Picture(content, _CAPTIONS[kind]) for kind, content in pictures.items()}
+    told = words.tiles(plan, held), ((plan.success, words.verdict(plan)),), words.story(plan, held)
+    sections = [Section("In short", tiles=told[0], marks=told[1], text=told[2])]
+    shown = shown_pictures(pictures)
     if "film" in shown:
         sections.append(Section("The cast", pictures=(shown["film"], shown["strike"])))
         sections.append(Section("Course", pictures=(shown["course"],)))

@@ -41,8 +41,8 @@ def verdict(plan: CastPlan) -> str:
 def tiles(plan: CastPlan, held: Holding | None) -> Tiles:
     """Return the key figures."""
     peg = plan.peg
-    shown = [(f"({peg.x:.3g}, {peg.y:.3g}) m", "target: x and y of its centre from the motor's shaft")]
-    shown.append((f"{1e3 * peg.radius:.3g} mm", "radius of the target, a round peg"))
+    place = f"target, a round peg: radius; centre at x = {peg.x:.3g} m, y = {peg.y:.3g} m from the motor's shaft"
+    shown = [(f"{1e3 * peg.radius:.3g} mm", place)]
     if plan.throw is not None:
         shown.append((swings_words(plan), "of the arm to and fro, then one last move"))
     if plan.cast is not None and plan.cast.run is not None:
@@ -98,7 +98,8 @@ def _hold(held: Holding) -> str:
     return (
         f"Hold force: pulled slowly away from the target, {bore}. For comparison, the tail that hangs beyond the "
         f"target weighs {held.tail:.3f} N; times e^(mu angle), with mu = {held.mu:g} and {held.angle:.1f} rad of "
-        f"contact, that is {held.rule:.2f} N. This rule leaves out the weight of the rope that lies on the target."
+        f"contact, that is {held.rule:.2f} N. This rule leaves out the weight of the rope on the target and "
+        "of the rope between target and arm, which the pull bears as well."
     )
 
 
