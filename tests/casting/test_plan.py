@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex import winding
 from hyperflex.casting import plan as planning
 from hyperflex.casting.search import Search
 from hyperflex.errors import InvalidInput
@@ -26,7 +27,7 @@ def test_a_target_in_reach_is_wound_and_held() -> None:
     fine = hf.Rope.uniform(length=2.0, mass=0.125, n_links=125, radius=0.0025, friction=5e-4 * 2.5)
     stop = float(found.motion.breaks[-1])
     run = hf.simulate(fine, found.motion, arm=ARM, duration=stop + 3.0, pegs=[EASY], contact_step=5e-4)
-    turns = np.abs(hf.winding.turns(run, EASY)[run.t > stop + 1.0])
+    turns = np.abs(winding.turns(run, EASY)[run.t > stop + 1.0])
     assert turns.min() >= 1.25
     t = np.linspace(0.0, stop, 5000)
     limits = found.thrower.limits

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 
 import hyperflex as hf
 from hyperflex.casting import MotorLimits, Thrower, reach
-from hyperflex.casting.reach import ENERGY, GAIN, HANGING, WIDEST
+from hyperflex.casting.targets import ENERGY, GAIN, HANGING, WIDEST
 from hyperflex.errors import InvalidInput
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
@@ -72,7 +72,7 @@ def test_the_needed_turns_are_those_a_hanging_end_can_make() -> None:
 
 def test_the_hold_asked_for_counts() -> None:
     known = reach(THROWER, at(1.36, 0.66, 0.04))
-    weight_per_m, axis = 0.125 * 9.80665 / 2.0, 0.0425
+    weight_per_m, axis = 0.125 * 9.81 / 2.0, 0.0425
     turns = known.needed - HANGING
     hanging = 2.0 - 1.36 + axis - turns * 2.0 * np.pi * axis
     assert known.hold == pytest.approx(weight_per_m * hanging * np.exp(0.3 * 2.0 * np.pi * turns))
@@ -82,7 +82,7 @@ def test_the_hold_asked_for_counts() -> None:
 
 def test_what_is_down_is_where_gravity_points() -> None:
     """Gravity along x: the same target turned by a right angle."""
-    turned = Thrower(CABLE.replace(gravity=(9.80665, 0.0)), THROWER.arm, THROWER.limits)
+    turned = Thrower(CABLE.replace(gravity=(9.81, 0.0)), THROWER.arm, THROWER.limits)
     there, here = reach(turned, hf.Peg(0.9, 0.4, 0.03)), reach(THROWER, hf.Peg(-0.4, -0.9, 0.03))
     assert there == here
 

@@ -46,7 +46,7 @@ def test_what_a_turning_rod_promises() -> None:
     qd = np.where(np.arange(50) < 25, 0.0, w)[None]
     ratio, turns = promise(THROWER, peg, (q, qd), (np.zeros((1, 2)), np.zeros((1, 2))), np.array([25]))
     s = 1.0
-    expected = (w**2 * s**2 / 6.0) / (9.80665 * 0.5 * s * (1.0 + np.cos(slope)))
+    expected = (w**2 * s**2 / 6.0) / (9.81 * 0.5 * s * (1.0 + np.cos(slope)))
     assert ratio[0] == pytest.approx(expected, rel=1e-3)  # links as points: (1/25)^2 / 4 of the inertia is missing
     assert turns[0] == pytest.approx(s / (2.0 * np.pi * 0.0125))
 
@@ -56,7 +56,7 @@ def test_a_weight_at_the_tip_counts() -> None:
     peg, w = hf.Peg(0.0, -1.0, 0.01), 4.0
     q, qd = np.zeros((1, 50)), np.where(np.arange(50) < 25, 0.0, w)[None]
     ratio, _ = promise(heavy, peg, (q, qd), (np.zeros((1, 2)), np.zeros((1, 2))), np.array([25]))
-    assert ratio[0] == pytest.approx(0.5 * w**2 / (2.0 * 9.80665), rel=1e-5)  # a point: the rope is 1e-6 of it
+    assert ratio[0] == pytest.approx(0.5 * w**2 / (2.0 * 9.81), rel=1e-5)  # a point: the rope is 1e-6 of it
 
 
 def test_strikes_are_those_of_the_swing_itself() -> None:

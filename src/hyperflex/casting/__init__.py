@@ -8,22 +8,22 @@ from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
     from hyperflex.casting.limits import MotorLimits
+    from hyperflex.casting.outcome import Cast, verify
     from hyperflex.casting.plan import CastPlan, plan_cast
-    from hyperflex.casting.reach import Reach, reach
+    from hyperflex.casting.targets import Reach, reach
     from hyperflex.casting.throw import Throw
     from hyperflex.casting.thrower import Thrower
-    from hyperflex.casting.verify import Cast, verify
 
 _HOMES = {
-    "Cast": "verify",
+    "Cast": "outcome",
     "CastPlan": "plan",
     "MotorLimits": "limits",
-    "Reach": "reach",
+    "Reach": "targets",
     "Throw": "throw",
     "Thrower": "thrower",
     "plan_cast": "plan",
-    "reach": "reach",
-    "verify": "verify",
+    "reach": "targets",
+    "verify": "outcome",
 }
 
 __all__ = ["Cast", "CastPlan", "MotorLimits", "Reach", "Throw", "Thrower", "plan_cast", "reach", "verify"]

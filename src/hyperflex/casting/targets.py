@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.thrower import Thrower
-from hyperflex.casting.verify import WOUND
 from hyperflex.control import swing_period
 from hyperflex.model import Peg
 
