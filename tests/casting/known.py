@@ -8,11 +8,11 @@ import time
 import numpy as np
 
 import hyperflex as hf
+from hyperflex.casting.outcome import verify
 from hyperflex.casting.plan import CastPlan, why_not
-from hyperflex.casting.reach import reach
+from hyperflex.casting.targets import reach
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
-from hyperflex.casting.verify import verify
 
 PEG = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04, 0.3)
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperflex import winding
-from hyperflex.casting.holding import holding
+from hyperflex.casting.hold import holding
 from tests.casting.known import CABLE, PEG, planned
 
 

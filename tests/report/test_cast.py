@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hyperflex.casting.holding import holding
+from hyperflex.casting.hold import holding
 from hyperflex.report.animation import animate
 from hyperflex.report.cast import film_note, write_cast
 from hyperflex.report.cast_figures import course_figure, strike_figure, tug_figure

@@ -7,27 +7,27 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
-    from hyperflex.casting.holding import Holding
+    from hyperflex.casting.hold import Holding
     from hyperflex.casting.limits import MotorLimits
+    from hyperflex.casting.outcome import Cast, verify
     from hyperflex.casting.plan import CastPlan, plan_cast
-    from hyperflex.casting.reach import Reach, reach
     from hyperflex.casting.tables import read_plan
+    from hyperflex.casting.targets import Reach, reach
     from hyperflex.casting.throw import Throw
     from hyperflex.casting.thrower import Thrower
-    from hyperflex.casting.verify import Cast, verify
 
 _HOMES = {
-    "Cast": "verify",
+    "Cast": "outcome",
     "CastPlan": "plan",
-    "Holding": "holding",
+    "Holding": "hold",
     "MotorLimits": "limits",
-    "Reach": "reach",
+    "Reach": "targets",
     "Throw": "throw",
     "Thrower": "thrower",
     "plan_cast": "plan",
     "read_plan": "tables",
-    "reach": "reach",
-    "verify": "verify",
+    "reach": "targets",
+    "verify": "outcome",
 }
 
 __all__ = [

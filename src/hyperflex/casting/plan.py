@@ -13,11 +13,11 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.casting import tables
 from hyperflex.casting.limits import MotorLimits
-from hyperflex.casting.reach import Reach, reach
+from hyperflex.casting.outcome import WOUND, Cast, verify
 from hyperflex.casting.search import Landing, Search
+from hyperflex.casting.targets import Reach, reach
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
-from hyperflex.casting.verify import WOUND, Cast, verify
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.model import Arm, Peg, Rope, Setup, divided
@@ -203,7 +203,7 @@ class _Work:
     def go(self, report: Callable[[float], None] | None) -> None:
         """Search until a plan stands or patience ends."""
         score, idle, close = 0.0, 0, 0
-        while self.spent < self.patience and not self.done():
+        while not self.search.runs or (self.spent < self.patience and not self.done()):
             beside = self.search.landings and (idle >= ROUNDS or self.spent > SWINGING * self.patience)
             if beside and close % RESTART:
                 self.search.refine()

@@ -18,8 +18,8 @@ from hyperflex.motion import Motion
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from hyperflex.casting.outcome import Cast
     from hyperflex.casting.plan import CastPlan
-    from hyperflex.casting.verify import Cast
 
 RATE = 200.0  # Hz
 MOST_ROWS = 10_000_000

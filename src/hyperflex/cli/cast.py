@@ -13,7 +13,7 @@ from hyperflex.errors import FileProblem
 
 if TYPE_CHECKING:
     from hyperflex.casting import CastPlan
-    from hyperflex.casting.holding import Holding
+    from hyperflex.casting.hold import Holding
 
 
 def cast(

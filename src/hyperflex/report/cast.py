@@ -9,7 +9,7 @@ import numpy as np
 
 from hyperflex import files, winding
 from hyperflex.casting import CastPlan
-from hyperflex.casting.holding import Holding, holding
+from hyperflex.casting.hold import Holding, holding
 from hyperflex.casting.tables import RATE, run_of
 from hyperflex.report import cast_words as words
 from hyperflex.report.animation import animate

@@ -8,9 +8,9 @@ import numpy as np
 
 from hyperflex import winding
 from hyperflex.casting import CastPlan
-from hyperflex.casting.holding import Holding
+from hyperflex.casting.hold import Holding
+from hyperflex.casting.outcome import SETTLING, WOUND
 from hyperflex.casting.tables import run_of
-from hyperflex.casting.verify import SETTLING, WOUND
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, look, new_figure
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from hyperflex.casting import CastPlan
-from hyperflex.casting.holding import Holding
-from hyperflex.casting.verify import SLIP, WATCH, WOUND
+from hyperflex.casting.hold import Holding
+from hyperflex.casting.outcome import SLIP, WATCH, WOUND
 from hyperflex.model import Peg
 from hyperflex.report.cast_figures import way
 from hyperflex.report.tables import TextTable

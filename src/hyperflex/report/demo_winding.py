@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from hyperflex.casting.holding import Holding, holding
+from hyperflex.casting.hold import Holding, holding
 from hyperflex.casting.tables import run_of
 from hyperflex.paper.demo import Demo
 from hyperflex.report import cast_words as words
