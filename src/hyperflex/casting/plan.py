@@ -84,15 +84,35 @@ class CastPlan:
         return None if self.throw is None else self.throw.motion(self.thrower.limits)
 
     def to_csv(self, path: PathLike, *, rate: float = tables.RATE) -> None:
-        """Write what the arm does at a motor's rate, Hz, to a CSV file that :func:`hyperflex.read_motion` reads."""
+        """Write what the arm does at a motor's rate to a CSV file that :func:`hyperflex.read_motion` reads.
+
+        Parameters
+        ----------
+        path : path-like
+            Where to write, whole or not at all.
+        rate : float
+            Rows a second, Hz.
+        """
         tables.write_motion(path, tables.motion_of(self), rate)
 
     def to_netcdf(self, path: str | Path) -> None:
-        """Write the verified run to NetCDF."""
+        """Write the verified run to NetCDF.
+
+        Parameters
+        ----------
+        path : path-like
+            Where to write, whole or not at all.
+        """
         tables.run_of(self).to_netcdf(path)
 
     def to_toml(self, path: PathLike) -> None:
-        """Write set-up, limits and outcome to TOML: ``hyperflex simulate`` runs it, ``casting.read_plan`` reads it."""
+        """Write set-up, limits and outcome to TOML: ``hyperflex simulate`` runs it, ``casting.read_plan`` reads it.
+
+        Parameters
+        ----------
+        path : path-like
+            Where to write, whole or not at all.
+        """
         tables.write_plan(path, self)
 
 
