@@ -6,10 +6,12 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.casting import tables
 from hyperflex.casting.limits import MotorLimits
 from hyperflex.casting.outcome import WOUND, Cast, verify
 from hyperflex.casting.search import Landing, Search
@@ -17,7 +19,8 @@ from hyperflex.casting.targets import Reach, reach
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Peg, Rope, divided
+from hyperflex.files import PathLike
+from hyperflex.model import Arm, Peg, Rope, Setup, divided
 from hyperflex.motion import Motion
 from hyperflex.simulation.rollouts import progress_bar
 
@@ -79,6 +82,18 @@ class CastPlan:
     def motion(self) -> Motion | None:
         """What the arm does, from rest at t = 0; None where there is no throw."""
         return None if self.throw is None else self.throw.motion(self.thrower.limits)
+
+    def to_csv(self, path: PathLike, *, rate: float = tables.RATE) -> None:
+        """Write what the arm does at a motor's rate, Hz, to a CSV file that :func:`hyperflex.read_motion` reads."""
+        tables.write_motion(path, tables.motion_of(self), rate)
+
+    def to_netcdf(self, path: str | Path) -> None:
+        """Write the verified run to NetCDF."""
+        tables.run_of(self).to_netcdf(path)
+
+    def to_toml(self, path: PathLike) -> None:
+        """Write set-up, limits and outcome to TOML: ``hyperflex simulate`` runs it, ``casting.read_plan`` reads it."""
+        tables.write_plan(path, self)
 
 
 def plan_cast(
@@ -143,6 +158,7 @@ def plan_cast(
         raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
     patience = checks.number("patience", patience, sign="positive", unit="s")
     thrower = Thrower(rope, arm, MotorLimits() if limits is None else limits, 0.0 if time_limit is None else time_limit)
+    Setup(thrower.rope, arm=thrower.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
     known = reach(thrower, target, hold=hold)
     if known.impossible or not (known.within or regardless):
         return CastPlan(thrower, target, known, None, None, None, known.reason, 0, time.monotonic() - begin)
