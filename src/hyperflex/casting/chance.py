@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.casting import outcomes
+from hyperflex.casting import flights
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.uncertainty import Draw, Uncertainty
-from hyperflex.casting.verify import WOUND
+from hyperflex.casting.outcome import WOUND
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg
 
@@ -93,5 +93,5 @@ def wins(
     thrower: Thrower, pairs: list[tuple[Throw, Draw]], *, threads: int | None = None
 ) -> npt.NDArray[np.bool_]:
     """Whether each throw winds by WOUND turns that stay, in its own world (M,)."""
-    found = outcomes.ends(outcomes.from_rest(thrower, pairs), thrower.arm, thrower.time, threads=threads)
+    found = flights.ends(flights.from_rest(thrower, pairs), thrower.arm, thrower.time, threads=threads)
     return np.asarray(found.turns >= WOUND)
