@@ -7,26 +7,55 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
+    from hyperflex.casting.chance import Success, success
+    from hyperflex.casting.following import DrawnWorld, Followed, Look, follow
     from hyperflex.casting.limits import MotorLimits
+    from hyperflex.casting.outcome import Cast, verify
     from hyperflex.casting.plan import CastPlan, plan_cast
-    from hyperflex.casting.reach import Reach, reach
+    from hyperflex.casting.targets import Reach, reach
     from hyperflex.casting.throw import Throw
     from hyperflex.casting.thrower import Thrower
-    from hyperflex.casting.verify import Cast, verify
+    from hyperflex.casting.uncertainty import Draw, Uncertainty
 
 _HOMES = {
-    "Cast": "verify",
+    "Cast": "outcome",
     "CastPlan": "plan",
+    "Draw": "uncertainty",
+    "DrawnWorld": "following",
+    "Followed": "following",
+    "Look": "following",
     "MotorLimits": "limits",
-    "Reach": "reach",
+    "Reach": "targets",
+    "Success": "chance",
     "Throw": "throw",
     "Thrower": "thrower",
+    "Uncertainty": "uncertainty",
+    "follow": "following",
     "plan_cast": "plan",
-    "reach": "reach",
-    "verify": "verify",
+    "reach": "targets",
+    "success": "chance",
+    "verify": "outcome",
 }
 
-__all__ = ["Cast", "CastPlan", "MotorLimits", "Reach", "Throw", "Thrower", "plan_cast", "reach", "verify"]
+__all__ = [
+    "Cast",
+    "CastPlan",
+    "Draw",
+    "DrawnWorld",
+    "Followed",
+    "Look",
+    "MotorLimits",
+    "Reach",
+    "Success",
+    "Throw",
+    "Thrower",
+    "Uncertainty",
+    "follow",
+    "plan_cast",
+    "reach",
+    "success",
+    "verify",
+]
 
 __getattr__ = loader(__name__, _HOMES)
 

@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.casting import flights
+from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.uncertainty import Draw, Uncertainty
-from hyperflex.casting.outcome import WOUND
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg
 
@@ -89,9 +89,7 @@ def success(
     return Success(int(won.sum()), draws)
 
 
-def wins(
-    thrower: Thrower, pairs: list[tuple[Throw, Draw]], *, threads: int | None = None
-) -> npt.NDArray[np.bool_]:
+def wins(thrower: Thrower, pairs: list[tuple[Throw, Draw]], *, threads: int | None = None) -> npt.NDArray[np.bool_]:
     """Whether each throw winds by WOUND turns that stay, in its own world (M,)."""
     found = flights.ends(flights.from_rest(thrower, pairs), thrower.arm, thrower.time, threads=threads)
     return np.asarray(found.turns >= WOUND)

@@ -48,7 +48,8 @@ class Flights:
 
     def part(self, rows: Sequence[int]) -> Flights:
         """Return some of them."""
-        ropes, pegs, motions = ([values[m] for m in rows] for values in (self.ropes, self.pegs, self.motions))
+        ropes, pegs = [self.ropes[m] for m in rows], [self.pegs[m] for m in rows]
+        motions = [self.motions[m] for m in rows]
         return Flights(ropes, pegs, motions, self.q[list(rows)], self.qd[list(rows)], self.since)
 
 
@@ -93,9 +94,7 @@ def ends(flights: Flights, arm: Arm, time: float, *, threads: int | None = None)
     return Landings(score, turns)
 
 
-def struck(
-    flights: Flights, arm: Arm, time: float, *, threads: int | None = None
-) -> tuple[Array, Array, Array, Array]:
+def struck(flights: Flights, arm: Arm, time: float, *, threads: int | None = None) -> tuple[Array, Array, Array, Array]:
     """Return when throws strike, seconds after their start, and their states just before.
 
     Returns
@@ -141,7 +140,22 @@ def fly(flights: Flights, arm: Arm, span: float, *, threads: int | None = None) 
     return t, batch.q, batch.qd
 
 
+def strike(thrower: Thrower, peg: Peg, throws: Sequence[Throw], *, threads: int | None = None) -> Array:
+    """Return when throws (M,) strike in the world that is expected, s; NaN where they do not."""
+    q = np.full((len(throws), thrower.rope.n_links), thrower.rope.hanging_angle)
+    motions = [throw.motion(thrower.limits) for throw in throws]
+    count = len(throws)
+    batch = Flights([thrower.rope] * count, [peg] * count, motions, q, np.zeros_like(q))
+    return struck(batch, thrower.arm, thrower.time, threads=threads)[0]
+
+
 def arm_tip(arm: Arm, motion: Motion, t: Array) -> Array:
     """Place of the rope's first joint (T, 2) at times t (T,), m."""
     angle = motion.angle(t)
-    return np.stack([np.sin(angle), -np.cos(angle)], axis=-1) * arm.length + np.array(arm.pivot)
+    return np.asarray(np.stack([np.sin(angle), -np.cos(angle)], axis=-1) * arm.length + np.array(arm.pivot))
+
+
+def arm_tip_velocity(arm: Arm, motion: Motion, t: Array) -> Array:
+    """Velocity of the rope's first joint (T, 2) at times t (T,), m/s."""
+    angle, rate = motion.angle(t), motion.rate(t)
+    return np.asarray(np.stack([np.cos(angle), np.sin(angle)], axis=-1) * (arm.length * rate)[:, None])

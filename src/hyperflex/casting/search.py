@@ -61,6 +61,7 @@ class Search:
     runs: int = 0
 
     def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
         self.genes = {side: Genes(self.thrower, side) for side in (-1, 1)}
         self._free = {side: self._evolution(g.centre(), 1.0, MEMBERS, g) for side, g in self.genes.items()}
         self._tried: list[Swing] = []
@@ -69,8 +70,13 @@ class Search:
     def _evolution(self, centre: Array, size: float, members: int, genes: Genes) -> Any:
         import cma
 
-        self.seed += 1
-        options = {"popsize": members, "verbose": -9, "seed": self.seed, "CMA_stds": genes.spreads()}
+        options = {
+            "popsize": members,
+            "verbose": -9,
+            "CMA_stds": genes.spreads(),
+            "seed": np.nan,  # numpy's global generator is left alone
+            "randn": lambda *shape: self._random.standard_normal(shape),
+        }
         return cma.CMAEvolutionStrategy(centre, size, options)
 
     def swing(self) -> float:

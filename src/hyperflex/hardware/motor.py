@@ -132,7 +132,7 @@ class SimulatedMotor:
         count = math.floor((until - self._t) / step + 1e-9)
         if count < 1:
             return
-        times = self._t + step * np.arange(1, count + 1)
+        times: Array = self._t + step * np.arange(1.0, count + 1.0)
         wanted = self._wanted(times - step)  # of each step's beginning: so it is late by the lag, and no step more
         w, most = 2.0 / self.lag, self.torque / self.inertia
         y, v = self._y, self._v

@@ -2,7 +2,6 @@
 
 from hyperflex.motion.half_turns import strokes
 from hyperflex.motion.lag import lagged
-from hyperflex.motion.moves import moves
 from hyperflex.motion.piecewise import Motion
 from hyperflex.motion.profiles import (
     PATHS,
@@ -15,6 +14,7 @@ from hyperflex.motion.profiles import (
     swings,
     torque_profile,
 )
+from hyperflex.motion.sequence import moves
 from hyperflex.motion.tables import from_spec, read_motion, to_spec
 
 __all__ = [

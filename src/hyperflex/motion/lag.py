@@ -48,7 +48,9 @@ def lagged(motion: Motion, lag: float) -> Motion:
     lag = checks.number("lag", lag, sign="nonnegative", unit="s")
     others = np.delete(motion.coef, ANGLE, axis=1)
     if motion.loop >= 0 or others[..., 1:].any() or np.ptp(others[..., 0], axis=0).any():
-        raise InvalidInput("only the arm's angle lags", got=motion.spec or "pieces", allowed="a motion of the arm, once")
+        raise InvalidInput(
+            "only the arm's angle lags", got=motion.spec or "pieces", allowed="a motion of the arm, once"
+        )
     if lag == 0.0:
         return motion
     breaks, rows, switch = [float(motion.breaks[0])], [], []
@@ -106,4 +108,4 @@ def _hermite(one: Array, two: Array, span: float) -> Array:
     v = two[1] * span - b - 2.0 * c
     w = two[2] * span**2 - 2.0 * c
     top = [10.0 * p - 4.0 * v + 0.5 * w, -15.0 * p + 7.0 * v - w, 6.0 * p - 3.0 * v + 0.5 * w]
-    return np.array([a, b, c, *top]) / span ** np.arange(POWERS)
+    return np.asarray(np.array([a, b, c, *top]) / span ** np.arange(POWERS))
