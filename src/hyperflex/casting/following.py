@@ -46,7 +46,7 @@ class Look:
     decided : str
         "kept", "changed" or "aborted".
     seconds : float
-        Time that the decision took, s; on a machine with two processors more than `left`.
+        Time that the decision took, s; it may be more than `left`.
     """
 
     move: int
@@ -134,8 +134,8 @@ def follow(
 
     Notes
     -----
-    The way on is sought in free flights, for the state in which the plan strikes (:func:`matching.match`), and taken if
-    it wins more often beside the peg than the plan does. Simulated time stands still while a decision is made:
+    A plan that wins in all the tried worlds is kept. Else another way on is sought in free flights, for the state in
+    which the plan was to strike (:func:`matching.match`), and taken if it wins more often beside the peg. Simulated time stands still while a decision is made:
     `thinking` is kept by what may change, and :attr:`Look.seconds` says what it really took.
     """
     pause = checks.number("thinking", thinking, sign="nonnegative", unit="s")
@@ -179,9 +179,13 @@ class _Loop:
     def decide(self, goal: Goal, state: RopeState, pause: float, likely: float) -> tuple[float, float, str]:
         """Decide what is left; returns chances before and after, and the decision in a word."""
         ways = [self.throw]
-        if self.move < self.throw.count:
-            ways += match(self.thrower, goal, self.throw, self.move, state, pause, threads=self.threads)
         chance, value = self.chances(ways, state)
+        if self.move < self.throw.count and chance[0] < 1.0:
+            others = match(self.thrower, goal, self.throw, self.move, state, pause, threads=self.threads)
+            if others:
+                more = self.chances(others, state)
+                ways += others
+                chance, value = np.append(chance, more[0]), np.append(value, more[1])
         best = int(np.argmax(value))
         best = best if value[best] > value[0] + BETTER else 0
         if chance[best] < likely and self.move > self.throw.count - LATEST:

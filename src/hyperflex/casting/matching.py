@@ -16,7 +16,7 @@ from hyperflex.model import Peg, Rope
 
 PLACE, SPEED = 0.05, 0.5  # m, m/s: errors of a joint's place and velocity that count one
 REST_STEP, STROKE_STEP = 0.01, 0.03  # s, rad, of the differences
-REST_SPREAD, STROKE_SPREAD, TIME_SPREAD = 0.05, 0.2, 0.1  # s, rad, s: changes that cost one
+REST_SPREAD, STROKE_SPREAD, TIME_SPREAD = 0.15, 0.6, 0.3  # s, rad, s: changes that cost one
 ROUNDS = 2  # Gauss-Newton steps
 PARTS = (1.0, 0.5, 0.2)  # of each step that are tried
 WINDOW = 0.3  # s about the planned strike within which a flight is compared
@@ -110,6 +110,14 @@ def match(
     return [way for _, way in ways[:WAYS]]
 
 
+def nearest(rows: Array, goal: Array) -> Array:
+    """Least squared distance (M,) of paths through rows (M, T, f), straight between them, from a goal (f,)."""
+    way = np.diff(rows, axis=1)
+    behind = goal - rows[:, :-1]
+    part = np.clip((behind * way).sum(axis=2) / np.maximum((way**2).sum(axis=2), 1e-300), 0.0, 1.0)
+    return np.asarray(((behind - part[..., None] * way) ** 2).sum(axis=2).min(axis=1))
+
+
 class _Match:
     """What the flights of one match have in common."""
 
@@ -168,7 +176,7 @@ class _Match:
             ]
         )
         rows = np.nan_to_num(rows, nan=1e3)
-        miss = ((rows - self.goal.features) ** 2).sum(axis=2).min(axis=1)
+        miss = nearest(rows, self.goal.features)
         after = min(at + 1, near.size - 1)
         drift = (rows[:, after] - rows[:, after - 1]) / (t[1] - t[0])
         return miss, rows[:, at], drift

@@ -58,6 +58,8 @@ class Draw:
 
 def _jittered(rests: Array, durations: Array, late: Array) -> Array:
     """Return the rests (k,) of moves that start late by `late` (k,); none starts before the last one has ended."""
+    if not late.any():
+        return rests
     starts = np.cumsum(rests) + np.cumsum(durations) - durations
     found, ended = np.empty_like(rests), 0.0
     for k, start in enumerate(starts + late):
@@ -76,7 +78,7 @@ class Uncertainty:
     ----------
     length, mass, friction : float
         Relative standard deviation of the rope's length, its mass, and its viscous and dry friction; one factor for
-        all links, log-normal about 1.
+        all links, log-normal with mean 1.
     mu : float
         The same of the peg's friction.
     lag : float
@@ -139,7 +141,8 @@ class Uncertainty:
     def _draw(self, rng: np.random.Generator, thrower: Thrower, peg: Peg) -> Draw:
         """Draw one world; numbers are taken in a fixed order, so that worlds stay alike when one part is left out."""
         spreads = np.array([self.length, self.mass, self.friction, self.mu])
-        factors = np.exp(np.sqrt(np.log1p(spreads**2)) * rng.standard_normal(4))
+        sigma = np.sqrt(np.log1p(spreads**2))
+        factors = np.exp(sigma * rng.standard_normal(4) - 0.5 * sigma**2)
         lag = self.lag * abs(float(rng.standard_normal()))
         late = self.timing * rng.standard_normal(MOVES)
         rope = thrower.rope if self.fit is None else _of_fit(self.fit, rng, thrower.rope)
