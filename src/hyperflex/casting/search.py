@@ -18,7 +18,8 @@ MEMBERS, LANDING_MEMBERS = 32, 16  # of a generation of free swings, and of one 
 KEPT = 4  # of a generation's swings that may be tried beside the peg
 APART = 0.1  # strokes or rests by which two swings differ if they are to be tried both
 TRIED = 4  # swings of a round that are tried beside the peg
-ENDS, RESTS = (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)  # last moves that are tried: half turns, periods
+# What is tried after a strike: strokes still made, then the last move, in half turns, after a rest in periods
+MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
 NARROW = 0.25  # spread of a search beside the peg, in parts of the first one's
 
 
@@ -105,11 +106,12 @@ class Search:
         self._tried += fresh
         for side in (-1, 1):
             points = [
-                np.append(one.x[:-LAST], [end, rest, 1.0])
+                np.append(one.x[:-LAST], [more, end, rest, 1.0])
                 for one in fresh
                 if one.side == side
+                for more in MORE
                 for end in ENDS
-                for rest in RESTS
+                for rest in (RESTS if more < 1.0 else RESTS[:1])
             ]
             if points:
                 self.land(side, points)
