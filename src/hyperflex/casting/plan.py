@@ -12,12 +12,15 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.casting import tables
+from hyperflex.casting.chance import Success, success
 from hyperflex.casting.limits import MotorLimits
 from hyperflex.casting.outcome import WOUND, Cast, verify
+from hyperflex.casting.robust import Hardening
 from hyperflex.casting.search import Landing, Search
 from hyperflex.casting.targets import Reach, reach
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
+from hyperflex.casting.uncertainty import Uncertainty
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.model import Arm, Peg, Rope, Setup, divided
@@ -31,6 +34,7 @@ SWINGING = 0.5  # part of the patience after which the search goes on beside the
 RESTART = 12  # generations beside the peg from one place
 ALIKE = 0.05  # points that differ by less are one
 FINER = 2  # pieces of each link in the second verification
+NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
 TRIES = 3  # throws verified at most between two generations
 
 
@@ -60,6 +64,8 @@ class CastPlan:
         Time that it took, s.
     interrupted : bool
         Ctrl-C came; the plan is the best until then.
+    stated : Success or None
+        How often the throw winds in simulated worlds drawn afresh, where an uncertainty was given.
     """
 
     thrower: Thrower
@@ -72,6 +78,7 @@ class CastPlan:
     runs: int
     seconds: float
     interrupted: bool = False
+    stated: Success | None = None
 
     @property
     def success(self) -> bool:
@@ -104,6 +111,7 @@ def plan_cast(
     *,
     time_limit: float | None = None,
     hold: float = 0.0,
+    uncertainty: Uncertainty | None = None,
     patience: float = PATIENCE,
     regardless: bool = False,
     seed: int = 0,
@@ -124,8 +132,11 @@ def plan_cast(
         Within which the rope must strike, s; by default five periods of its swing.
     hold : float
         Pull that the wound rope should bear, N; only asked of what can be reached at all.
+    uncertainty : Uncertainty, optional
+        Of what is given here. With it the plan is the throw that wins in most of the worlds drawn from it, and its
+        success is stated from worlds drawn afresh.
     patience : float
-        Time to search, s; a plan that stands ends it.
+        Time to search, s; a plan that stands ends it, one that wins in all worlds tried if they are uncertain.
     regardless : bool
         Search even for a target that is called out of reach.
     seed : int
@@ -162,7 +173,8 @@ def plan_cast(
     known = reach(thrower, target, hold=hold)
     if known.impossible or not (known.within or regardless):
         return CastPlan(thrower, target, known, None, None, None, known.reason, 0, time.monotonic() - begin)
-    work = _Work(Search(thrower, target, checks.count("seed", seed, least=0), threads), begin, patience)
+    nominal = patience if uncertainty is None else NOMINAL * patience
+    work = _Work(Search(thrower, target, checks.count("seed", seed, least=0), threads), begin, nominal)
     interrupted = False
     with progress_bar(0.0, patience, progress, "planning") as report:
         try:
@@ -171,7 +183,15 @@ def plan_cast(
             interrupted = True
             with suppress(KeyboardInterrupt):
                 work.settle()
+        if uncertainty is not None and not interrupted:
+            try:
+                work.harden(uncertainty, report)
+            except KeyboardInterrupt:
+                interrupted = True
     throw, cast, finer = work.best
+    stated = None
+    if uncertainty is not None and throw is not None and not interrupted:
+        stated = success(thrower, target, throw, uncertainty, seed=seed, threads=threads)
     return CastPlan(
         thrower,
         target,
@@ -183,6 +203,7 @@ def plan_cast(
         work.search.runs,
         time.monotonic() - begin,
         interrupted,
+        stated,
     )
 
 
@@ -245,6 +266,23 @@ class _Work:
         """Verify the best throw of all where none that winds was found."""
         if self.best[0] is None and self.search.landings:
             self.check(self.search.landings[0])
+
+    def harden(self, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
+        """Look for the throw that wins in most worlds, for what patience is left, and verify the best ones."""
+        search, until = self.search, self.begin + self.patience / NOMINAL
+        work = Hardening(
+            search.thrower, search.peg, search.genes, uncertainty, seed=search.seed, threads=search.threads
+        )
+        work.go(search.landings, until, None if report is None else lambda: report(self.spent))
+        search.runs += work.runs
+        first = None
+        for found in work.order[:TRIES]:
+            self.best = (None, None, None)
+            self.check(found.landing)
+            first = first or self.best
+            if self.done():
+                return
+        self.best = first or self.best
 
     def fresh(self, one: Landing) -> bool:
         return all(one.side != old.side or np.abs(one.x - old.x).max() > ALIKE for old in self.checked)
