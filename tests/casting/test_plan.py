@@ -104,3 +104,38 @@ def test_the_same_seed_searches_alike() -> None:
     scores = [search.swing() for search in searches]
     assert scores[0] == scores[1] != scores[2]
     assert np.array_equal(searches[0].swings[0].x, searches[1].swings[0].x)
+
+
+def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_success_stated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The course of things alone: what is raced, verified and stated is made up."""
+    landed = [planning.Landing(3.0 - k, 2.0, 1, np.full(3, float(k)), f"throw {k}") for k in range(3)]  # type: ignore[arg-type]
+    seen: dict[str, object] = {}
+
+    def go(self: planning._Work, report: object) -> None:
+        self.search.landings += landed
+        self.check(landed[0])
+
+    def check(self: planning._Work, found: planning.Landing) -> None:
+        good = found.throw != "throw 2"
+        cast = SimpleNamespace(success=good, turns=2.0, reason="" if good else "it slips")
+        self.best = (found.throw, cast, cast if good else None)  # type: ignore[assignment]
+
+    def harden(self: planning.Hardening, found: list, until: float, report: object) -> None:
+        seen["raced"] = list(found)
+        self.order = [SimpleNamespace(landing=landed[k]) for k in (2, 1, 0)]  # type: ignore[misc]
+
+    def success(thrower: object, peg: object, throw: object, *_: object, **__: object) -> hf.casting.Success:
+        seen["stated"] = throw
+        return hf.casting.Success(30, 40)
+
+    monkeypatch.setattr(planning._Work, "go", go)
+    monkeypatch.setattr(planning._Work, "check", check)
+    monkeypatch.setattr(planning.Hardening, "go", harden)
+    monkeypatch.setattr(planning, "success", success)
+    found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=hf.casting.Uncertainty())
+    assert seen == {"raced": landed, "stated": "throw 1"}  # the most robust one that stands when it is verified
+    assert (found.throw, found.reason, found.stated) == ("throw 1", "", hf.casting.Success(30, 40))
+    nominal = hf.plan_cast(CABLE, ARM, EASY)
+    assert (nominal.throw, nominal.stated) == ("throw 0", None)

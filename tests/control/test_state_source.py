@@ -80,3 +80,16 @@ def test_another_number_of_links_is_refused():
     finer = hf.Rope.uniform(length=1.0, mass=0.1, n_links=7, radius=0.003)
     with pytest.raises(InvalidInput, match="links"):
         camera(rope=finer).state(1.0, MOTION)
+
+
+def test_times_that_do_not_add_up_to_the_last_digit_are_no_error():
+    """Runs between such times end a rounding before or after the time that was asked for."""
+    rng = np.random.default_rng(0)
+    times = np.sort(rng.uniform(0.0, 1.0, 60))
+    ends = times[:-1] + np.diff(times)
+    assert (ends < times[1:]).any()  # else nothing is tested
+    source = TrueState(ROPE, ARM)
+    seen = [source.state(float(t), MOTION).t for t in times]
+    assert seen == times.tolist()
+    eye = camera(delay=0.0137, rate=61.3)
+    assert [eye.state(float(t), MOTION).t for t in times] == times.tolist()
