@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -70,7 +71,7 @@ def test_a_refinement_takes_the_place_only_if_it_is_better(made_up: list[int]) -
     for _ in range(12):
         work.refine()
         means.append(float(np.mean(work.champion.worth[:JUDGED])))
-    assert all(b >= a for a, b in zip(means[:-1], means[1:], strict=True))
+    assert all(b >= a for a, b in itertools.pairwise(means))
     assert work.champion.landing.throw.end > start.throw.end
     assert sum(work.champion.wins) > sum(next(one for one in work.order if one.landing is start).wins)
 

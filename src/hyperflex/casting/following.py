@@ -135,8 +135,9 @@ def follow(
     Notes
     -----
     A plan that wins in all the tried worlds is kept. Else another way on is sought in free flights, for the state in
-    which the plan was to strike (:func:`matching.match`), and taken if it wins more often beside the peg. Simulated time stands still while a decision is made:
-    `thinking` is kept by what may change, and :attr:`Look.seconds` says what it really took.
+    which the plan was to strike (:func:`matching.match`), and taken if it wins more often beside the peg. Simulated
+    time stands still while a decision is made: `thinking` is kept by what may change, and :attr:`Look.seconds` says
+    what it really took.
     """
     pause = checks.number("thinking", thinking, sign="nonnegative", unit="s")
     known = uncertainty or Uncertainty()
