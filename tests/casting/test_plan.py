@@ -9,7 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import winding
-from hyperflex.casting import plan as planning
+from hyperflex.casting import Thrower, course
 from hyperflex.casting.search import Search
 from hyperflex.errors import InvalidInput
 
@@ -77,7 +77,7 @@ def test_a_search_that_finds_nothing_says_so() -> None:
 
 
 def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) -> None:
-    landed = planning.Landing(2.0, 2.0, 1, np.zeros(3), "a throw")  # type: ignore[arg-type]
+    landed = course.Landing(2.0, 2.0, 1, np.zeros(3), "a throw")  # type: ignore[arg-type]
 
     def swing(self: Search) -> float:
         if self.landings:
@@ -85,14 +85,14 @@ def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) ->
         self.landings.append(landed)
         return 1.0
 
-    def check(self: planning._Work, found: planning.Landing) -> None:
+    def check(self: course.Course, found: course.Landing) -> None:
         cast = SimpleNamespace(success=False, turns=2.0, reason="it slips")
         self.best = (found.throw, cast, None)  # type: ignore[assignment]
         self.checked.append(found)
 
     monkeypatch.setattr(Search, "swing", swing)
     monkeypatch.setattr(Search, "try_ends", lambda self: None)
-    monkeypatch.setattr(planning._Work, "check", check)
+    monkeypatch.setattr(course.Course, "check", check)
     found = hf.plan_cast(CABLE, ARM, EASY)
     assert found.interrupted
     assert found.throw == "a throw"
@@ -100,7 +100,7 @@ def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_the_same_seed_searches_alike() -> None:
-    searches = [Search(planning.Thrower(CABLE, ARM, hf.MotorLimits()), EASY, seed) for seed in (4, 4, 5)]
+    searches = [Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY, seed) for seed in (4, 4, 5)]
     scores = [search.swing() for search in searches]
     assert scores[0] == scores[1] != scores[2]
     assert np.array_equal(searches[0].swings[0].x, searches[1].swings[0].x)

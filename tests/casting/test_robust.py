@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def test_a_refinement_takes_the_place_only_if_it_is_better(made_up: list[int]) -
     for _ in range(12):
         work.refine()
         means.append(float(np.mean(work.champion.worth[:JUDGED])))
-    assert all(b >= a for a, b in itertools.pairwise(means))
+    assert all(b >= a for a, b in pairwise(means))
     assert work.champion.landing.throw.end > start.throw.end
     assert sum(work.champion.wins) > sum(next(one for one in work.order if one.landing is start).wins)
 

@@ -9,9 +9,11 @@ from hyperflex.lazy import loader
 if TYPE_CHECKING:
     from hyperflex.casting.chance import Success, success
     from hyperflex.casting.following import DrawnWorld, Followed, Look, follow
+    from hyperflex.casting.hold import Holding
     from hyperflex.casting.limits import MotorLimits
     from hyperflex.casting.outcome import Cast, verify
     from hyperflex.casting.plan import CastPlan, plan_cast
+    from hyperflex.casting.tables import read_plan
     from hyperflex.casting.targets import Reach, reach
     from hyperflex.casting.throw import Throw
     from hyperflex.casting.thrower import Thrower
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Cast": "outcome",
     "CastPlan": "plan",
+    "Holding": "hold",
     "Draw": "uncertainty",
     "DrawnWorld": "following",
     "Followed": "following",
@@ -32,6 +35,7 @@ _HOMES = {
     "Uncertainty": "uncertainty",
     "follow": "following",
     "plan_cast": "plan",
+    "read_plan": "tables",
     "reach": "targets",
     "success": "chance",
     "verify": "outcome",
@@ -43,6 +47,7 @@ __all__ = [
     "Draw",
     "DrawnWorld",
     "Followed",
+    "Holding",
     "Look",
     "MotorLimits",
     "Reach",
@@ -53,6 +58,7 @@ __all__ = [
     "follow",
     "plan_cast",
     "reach",
+    "read_plan",
     "success",
     "verify",
 ]
