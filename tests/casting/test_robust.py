@@ -18,7 +18,7 @@ from tests.casting.test_landing import PEG, THROWER, WINDS
 
 def landing(end: float, score: float = 1.0, turns: float = 2.0) -> Landing:
     """A throw told from others by the end of its last move, and by its point."""
-    return Landing(score, turns, -1, np.full(9, end), replace(WINDS, end=end))
+    return Landing(score, turns, -1, np.full(10, end), replace(WINDS, end=end))
 
 
 @pytest.fixture

@@ -103,14 +103,18 @@ class Course:
         )
         work.go(search.landings, until, None if report is None else lambda: report(self.spent))
         search.runs += work.runs
-        first = None
-        for found in work.order[:TRIES]:
-            self.best = (None, None, None)
-            self.check(found.landing)
-            first = first or self.best
-            if self.done():
-                return
-        self.best = first or self.best
+        before, first = self.best, None
+        try:
+            for found in work.order[:TRIES]:
+                self.best = (None, None, None)
+                self.check(found.landing)
+                first = first or self.best
+                if self.done():
+                    return
+        except KeyboardInterrupt:
+            self.best = first or before
+            raise
+        self.best = first or before
 
     def fresh(self, one: Landing) -> bool:
         """Whether nothing like it was verified yet."""
