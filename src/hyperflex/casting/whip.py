@@ -15,8 +15,8 @@ from hyperflex.casting.lash import Mark
 from hyperflex.casting.limits import MotorLimits
 from hyperflex.casting.strokes import Strokes
 from hyperflex.casting.thrower import Thrower
-from hyperflex.casting.whip_aim import SIDE, Aim, aimed
-from hyperflex.casting.whip_search import APART, Found, WhipMap, WhipSearch, times, whip_map
+from hyperflex.casting.whip_aim import Aim, aimed
+from hyperflex.casting.whip_search import WhipMap, WhipSearch, whip_map
 from hyperflex.casting.whip_strike import RADIUS, Impact, Lash, impact, lash
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
@@ -25,8 +25,9 @@ from hyperflex.motion import Motion
 from hyperflex.simulation.rollouts import progress_bar
 
 PATIENCE, PERIODS = 30.0, 3.0  # s; swing periods within which the tip strikes by default
-NEAR = 0.25  # m, cost of the nearest peak of the map up to which a target is in reach
-READY, GENERATIONS = 0.06, 24  # m, cost from which on a swing is aimed; of a search before it
+NEAR = 0.12  # m, cost of the nearest peak of the map up to which a target is in reach
+TRIED = 8  # peaks of the map that are aimed as they are
+READY, GENERATIONS = 0.06, 16  # m, cost from which on a swing is aimed; of a search before it
 PLANS = 3  # whips that meet the target, of which the least uncertain one is taken
 MEETS = 1e-3  # m
 FINER = 2  # pieces of each link in the second verification
@@ -217,9 +218,7 @@ def plan_whip(
     thrower = (
         known.thrower
         if known is not None
-        else Thrower(
-            rope, arm, MotorLimits() if limits is None else limits, time_limit or PERIODS * swing_period(rope)
-        )
+        else Thrower(rope, arm, MotorLimits() if limits is None else limits, time_limit or PERIODS * swing_period(rope))
     )
     known = whip_map(thrower, threads=threads) if known is None else known
     told = reach_whip(known, mark)
@@ -248,22 +247,28 @@ class _Work:
         return time.monotonic() - self.begin
 
     def go(self, report: Callable[[float], None] | None) -> None:
-        thrower = self.known.thrower
-        for number, found in enumerate(self.known.nearest(self.mark)):
-            search = WhipSearch(thrower, self.mark, found, self.seed + number, self.threads)
+        nearest = self.known.nearest(self.mark)
+        for found in nearest[:TRIED]:
+            if self.add(aimed(self.known.thrower, self.mark, found), report):
+                return
+        for number, found in enumerate(nearest):
+            search = WhipSearch(self.known.thrower, self.mark, found, self.seed + number, self.threads)
             for _ in range(GENERATIONS):
                 if search.found.cost < READY or self.spent > self.patience:
                     break
                 search.step()
-                if report is not None:
-                    report(min(self.spent, self.patience))
             self.runs += search.runs
-            aim = aimed(thrower, self.mark, search.found)
-            if aim is not None:
-                self.aims.append(aim)
-                self.aims.sort(key=self.rank)
-            if self.spent > self.patience or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS:
+            if self.add(aimed(self.known.thrower, self.mark, search.found), report):
                 return
+
+    def add(self, aim: Aim | None, report: Callable[[float], None] | None) -> bool:
+        """Keep a whip; tells whether there are enough, or no time is left."""
+        if aim is not None:
+            self.aims.append(aim)
+            self.aims.sort(key=self.rank)
+        if report is not None:
+            report(min(self.spent, self.patience))
+        return self.spent > self.patience or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
 
     def rank(self, aim: Aim) -> tuple[float, float]:
         """The less, the better: by how much a whip fails, then how uncertain it is."""

@@ -1,4 +1,4 @@
-"""A whip made exact: where its peak is, how that changes with each stroke and rest, and Gauss-Newton onto the target."""
+"""A whip made exact: where its peak is, how that moves with strokes and rests, and Gauss-Newton onto the target."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from hyperflex.simulation import sensitivities
 AIM_TOL = 1e-6  # m
 SIDE, GRID = 0.12, 2e-3  # s: where a peak is looked for, before and after where it was last, and how densely
 ROUNDS, HALVINGS = 12, 4
+IDLE, IDLES = 0.8, 3  # a round that leaves more than this part of what is wrong is idle; so many idle ones end it
 CLOSE = 2e-4  # m, a miss that need not fall
 LONGEST = 0.6  # longest step, in spreads of the map's swings
 KEEP_ANGLE, KEEP_SPEED = 0.85, 1.01  # parts of what is allowed and asked that are kept to
@@ -67,9 +68,7 @@ def look(thrower: Thrower, strokes: Strokes, near: float) -> Aim | None:
     ways = [{f"x{k}": part} for k, part in enumerate(strokes.variations(thrower.limits))]
     doubts = [{"rope's length": scaled}, {"rope's friction": {"friction": rope.friction}}]
     try:
-        run = sensitivities(
-            rope, motion, arm=arm, duration=float(t[-1]), t_eval=t, tol=AIM_TOL, wrt=[*ways, *doubts]
-        )
+        run = sensitivities(rope, motion, arm=arm, duration=float(t[-1]), t_eval=t, tol=AIM_TOL, wrt=[*ways, *doubts])
     except SimulationError:
         return None
     angle, rate = motion.angle(t), arm.length * motion.rate(t)
@@ -147,8 +146,9 @@ def aimed(thrower: Thrower, mark: Mark, found: Found) -> Aim | None:
         return None
     scale = np.repeat([np.pi * SPREAD_ENDS, swing_period(thrower.rope) * SPREAD_RESTS], best.strokes.ends.size)
     wrong, by = asked(mark, best)
+    idle = 0
     for _ in range(ROUNDS):
-        if np.hypot(*wrong[:2]) < CLOSE and wrong.size == 2:
+        if idle == IDLES or (np.hypot(*wrong[:2]) < CLOSE and wrong.size == 2):
             break
         step = -scale * np.linalg.lstsq(by * scale, wrong, rcond=1e-3)[0]
         step = step / max(1.0, float(np.abs(step / scale).max()) / LONGEST)
@@ -161,6 +161,6 @@ def aimed(thrower: Thrower, mark: Mark, found: Found) -> Aim | None:
             step = 0.4 * step
         else:
             break
+        idle += np.linalg.norm(new) > IDLE * np.linalg.norm(wrong)
         best, wrong, by = tried, new, new_by
     return best
-

@@ -1,4 +1,4 @@
-"""What a whip does at its target in a verified run, and with what impact it would strike something that stands there."""
+"""What a whip does at its target in a verified run, and its blow on something that stands there."""
 
 from __future__ import annotations
 
@@ -158,8 +158,7 @@ def impact(
         pegs=[Peg(float(x), float(y), radius, mu)],
         refine=False,
     )
-    assert run.contact_force is not None and run.contact_loss is not None
-    force = -run.contact_force  # on the peg
+    force = -np.asarray(run.contact_force)  # on the peg
     size = np.hypot(*np.moveaxis(force.sum(axis=1), -1, 0))
     if not (size > TOUCH).any():
         return Impact(float("nan"), 0.0, 0.0, 0.0, 0.0, 0)
@@ -168,7 +167,7 @@ def impact(
     pushes = force[blow].sum(axis=0) * step  # (n, 2)
     total = pushes.sum(axis=0)
     through = np.flatnonzero(np.hypot(*pushes.T) > 0.05 * np.hypot(*total))
-    loss = run.contact_loss
+    loss = np.asarray(run.contact_loss)
     return Impact(
         float(run.t[first]),
         float(np.hypot(*total)),

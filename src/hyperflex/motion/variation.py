@@ -110,6 +110,8 @@ def _turned(values: dict[str, Any], name: str) -> dict[str, Any]:
     key, _, index = name.rstrip("]").partition("[")
     changed = list(values[key])
     if (key == "rests" and changed[int(index)] == 0.0) or (key == "ramps" and changed[int(index)] > BANG_BANG):
-        raise InvalidInput(f"{name} cannot vary where it is", got=changed[int(index)], allowed="a rest > 0, a ramp < 0.5")
+        raise InvalidInput(
+            f"{name} cannot vary where it is", got=changed[int(index)], allowed="a rest > 0, a ramp < 0.5"
+        )
     changed[int(index)] += 1j * _TINY
     return {**values, key: changed}
