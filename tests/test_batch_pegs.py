@@ -53,6 +53,14 @@ def test_pegs_for_all_members() -> None:
     np.testing.assert_array_equal(batch.tip[2], alone.tip)
 
 
+def test_one_rope_from_many_starts() -> None:
+    ropes, _ = family()
+    q0 = np.linspace(1.0, 1.3, 3)[:, None] + np.zeros(10)
+    batch = hf.simulate_batch(ropes[0], pegs=PEGS[0], q0=q0, **HOW)
+    alone = hf.simulate(ropes[0], pegs=PEGS[0], q0=q0[1], t_eval=[DURATION], **HOW)
+    np.testing.assert_array_equal(batch.tip[1], alone.tip)
+
+
 @pytest.mark.parametrize(
     ("what", "words"),
     [

@@ -61,7 +61,7 @@ def test_an_arm_carries_the_rope_clear_of_a_peg() -> None:
 def test_a_batch_names_the_member() -> None:
     q0 = np.array([1.5, 0.0])[:, None] + np.zeros(6)
     with pytest.raises(InvalidInput, match="the rope of member 1 starts inside an obstacle: link 5"):
-        hf.simulate_batch(ROPE, [None, None], q0=q0, duration=0.1, pegs=[hf.Ground(0.0, -0.5)], refine=False)
+        hf.simulate_batch(ROPE, q0=q0, duration=0.1, pegs=[hf.Ground(0.0, -0.5)], refine=False)
 
 
 def test_depths_are_those_of_a_fine_sampling() -> None:

@@ -31,12 +31,15 @@ class Winding:
         Signed angle about the peg from the first to the last link that lies on it, rad; 0 where fewer than two do.
     before, after : (T,) float64
         Tension of the rope towards the motor and towards the tip of the links on the peg, N; NaN where none is.
+    tail : (T,) float64
+        Weight of what hangs beyond the links on the peg, the tip's mass included, N; NaN where none is.
     """
 
     turns: Array
     arc: Array
     before: Array
     after: Array
+    tail: Array
 
 
 @dataclass(frozen=True)
@@ -96,12 +99,14 @@ def wound(run: Trajectory, peg: Peg) -> Winding:
     rows = np.arange(run.t.size)
     through = np.cumsum(np.concatenate([np.zeros((run.t.size, 1)), angles], axis=1), axis=1)
     middle = 0.5 * (through[:, :-1] + through[:, 1:])
-    pull = tension(run)
+    pull, rope = tension(run), run.setup.rope
+    beyond = rope.tip_mass + np.append(np.cumsum(rope.mass[::-1])[::-1], 0.0)
     return Winding(
         turns=angles.sum(axis=1) / (2.0 * np.pi),
         arc=np.where(any_touch, middle[rows, last] - middle[rows, first], 0.0),
         before=np.where(any_touch, pull[rows, first], np.nan),
         after=np.where(any_touch, pull[rows, last + 1], np.nan),
+        tail=np.where(any_touch, np.hypot(*rope.gravity) * beyond[last + 1], np.nan),
     )
 
 

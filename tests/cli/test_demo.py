@@ -25,6 +25,7 @@ def test_demo_prints_intervals_and_what_to_look_at(hyperflex, ready, tmp_path):
     assert "mapped truth" in out
     assert "report.html" in out
     assert "prediction error" in out
+    assert "round the target and holds, in simulation" in " ".join(out.split())
 
 
 def test_demo_as_json(hyperflex_json, ready, tmp_path):
@@ -32,6 +33,8 @@ def test_demo_as_json(hyperflex_json, ready, tmp_path):
     assert code == 0
     assert result["source"] == "simulated"
     assert all(Path(path).exists() for path in result["files"].values())
+    assert result["plan"]["success"]
+    assert result["hold_force_N"] == ready.winding.held.force
     for name, parameter in result["parameters"].items():
         low, high = parameter["interval_95"]
         assert parameter["covered"] == (low <= parameter["mapped_truth"] <= high), name

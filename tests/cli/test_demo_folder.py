@@ -23,6 +23,13 @@ def test_the_folder_is_complete(demo_report):
         "casts.png",
         "cast.gif",
         "cast.nc",
+        "wound.gif",
+        "wound.nc",
+        "strike.png",
+        "course.png",
+        "tug.png",
+        "motion.csv",
+        "plan.toml",
         "rope.toml",
         "identification.json",
         "summary.md",
@@ -77,12 +84,26 @@ def test_files_can_be_used_again(demo_report):
     assert cast.dataset.attrs["source"] == "simulated"
 
 
+def test_the_demo_ends_wound_and_held(demo_report):
+    plan, held = demo_report.demo.plan, demo_report.winding.held
+    assert plan.success, plan.reason
+    assert abs(plan.cast.turns) >= 1.25
+    assert held.force > held.tail
+    wound = hf.read_trajectory(demo_report.files["wound"])
+    np.testing.assert_array_equal(wound.q, plan.cast.run.q)
+    page = demo_report.files["page"].read_text("utf-8")
+    for told in (f"{abs(plan.cast.turns):.2f} turns", f"{held.force:.2f} N", f"{plan.throw.count} swings", "40 links"):
+        assert told in page
+    # Whether the rope of the recording winds too is told as it is: it is no promise of a plan on an identified rope.
+    assert (demo_report.winding.verdicts[1][0]) == demo_report.demo.proof.success
+
+
 def test_the_page_says_simulated_and_names_no_folder(demo_report):
     text = demo_report.files["page"].read_text("utf-8")
     plain = re.sub(r'src="data:[^"]*"', "", text)
     assert "simulated" in plain
     assert "Nothing here was measured on a real rope" in plain
-    assert plain.count("<figure>") == 5
+    assert plain.count("<figure>") == 9
     assert str(demo_report.files["page"].parent) not in plain
     assert "demo_swing.csv" not in plain
     for row in demo_report.parameters.rows:

@@ -11,17 +11,19 @@ from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 
-STROKE, LAST = 0.95 * np.pi, 3  # rad, stroke that a search starts from; numbers of the last move
+STROKE, LAST = 0.95 * np.pi, 4  # rad, stroke that a search starts from; numbers of the last move
+MOST = 2  # strokes after the strike
 KEEPING_STEP = 0.54  # part of a period, from stroke to stroke, that keeps step with a swing
 SPREAD, END_SPREAD = 0.15, 0.5  # of strokes and rests, and of the last move, at the start of a search
 
 
 @dataclass(frozen=True)
 class Genes:
-    """How points (2 k + 3,) stand for throws of a thrower with k strokes.
+    """How points (2 k + 4,) stand for throws of a thrower with k strokes.
 
-    The first k are strokes in half turns, the next k rests in periods of a swing, the last three the last move: its
-    end in half turns, the rest before it in periods, and its speed as part of the motor's.
+    The first k are strokes in half turns, the next k rests in periods of a swing, the last four what comes after the
+    strike: strokes that are still made (the whole part of it, up to MOST), then a last move: its end in half turns, the
+    rest before it in periods, and its speed as part of the motor's.
     """
 
     thrower: Thrower
@@ -57,22 +59,24 @@ class Genes:
         """Point that a search starts from: steady pumping, the last move to hanging down."""
         k = self.strokes
         return np.concatenate(
-            [np.full(k, self._usual_stroke / np.pi), np.full(k, self.rest / self.period), [0.0, 0.05, 0.9]]
+            [np.full(k, self._usual_stroke / np.pi), np.full(k, self.rest / self.period), [0.5, 0.0, 0.05, 0.9]]
         )
 
     def spreads(self) -> Array:
-        """Standard deviations (2 k + 3,) at the start of a search."""
-        return np.concatenate([np.full(2 * self.strokes, SPREAD), [END_SPREAD, 0.1, 0.2]])
+        """Standard deviations (2 k + 4,) at the start of a search."""
+        return np.concatenate([np.full(2 * self.strokes, SPREAD), [0.5, END_SPREAD, 0.1, 0.2]])
 
     def throw(self, x: Array) -> Throw:
         """Return the throw that a point stands for, with all its strokes."""
         k = self.strokes
+        more, end, rest, speed = (float(value) for value in x[2 * k :])
         return Throw(
             self.side,
             np.pi * np.minimum(np.abs(x[:k]), 1.0),
             self.period * np.abs(x[k : 2 * k]),
-            np.pi * float(x[2 * k]),
-            self.period * abs(float(x[2 * k + 1])),
-            min(abs(float(x[2 * k + 2])), 1.0),
+            np.pi * end,
+            self.period * abs(rest),
+            min(abs(speed), 1.0),
             k,
+            int(np.clip(np.floor(more), 0, MOST)),
         )

@@ -10,7 +10,8 @@ import numpy as np
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
-from hyperflex.model import Peg
+from hyperflex.model import Arm, Peg, Rope
+from hyperflex.motion import Motion
 from hyperflex.simulation import simulate_batch
 
 COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search
@@ -58,15 +59,40 @@ def land(
         (M,), (M, n), (M, n): where each run starts, s, rad, rad/s.
     threads : int, optional
     """
-    begin, q, qd = state
-    stops = np.array([throw.stops(thrower.limits) for throw in throws])
-    span = np.maximum(stops - begin, 0.5) + SETTLE
-    t: Array = SAMPLE_TIME * np.arange(1.0, np.ceil(span.max() / SAMPLE_TIME) + 1.0)
+    begin = state[0]
     motions = [throw.motion(thrower.limits).shifted(-start) for throw, start in zip(throws, begin, strict=True)]
+    return settle([thrower.rope], [peg], motions, state, arm=thrower.arm, threads=threads)
+
+
+def settle(
+    ropes: Sequence[Rope],
+    pegs: Sequence[Peg],
+    motions: Sequence[Motion],
+    state: tuple[Array, Array, Array],
+    *,
+    arm: Arm,
+    threads: int | None = None,
+) -> Landings:
+    """Run ropes beside pegs from shortly before their strikes.
+
+    Parameters
+    ----------
+    ropes, pegs : (M,) or (1,) sequences
+        One each, or one for all.
+    motions : (M,) sequence of Motion
+        From the start of each run on, which is their t = 0; they end.
+    state : (t, q, qd)
+        As for :func:`land`.
+    arm : Arm
+    threads : int, optional
+    """
+    begin, q, qd = state
+    span = np.maximum([float(motion.breaks[-1]) for motion in motions], 0.5) + SETTLE
+    t: Array = SAMPLE_TIME * np.arange(1.0, np.ceil(span.max() / SAMPLE_TIME) + 1.0)
     batch = simulate_batch(
-        thrower.rope,
-        motions,
-        arm=thrower.arm,
+        list(ropes) * (1 if len(ropes) > 1 else len(motions)),
+        list(motions),
+        arm=arm,
         duration=float(t[-1]),
         q0=q,
         qd0=qd,
@@ -74,7 +100,7 @@ def land(
         tol=COARSE_TOL,
         contact_step=COARSE_STEP,
         refine=False,
-        pegs=[peg],
+        pegs=[[peg] for peg in pegs],
         keep=("turns",),
         threads=threads,
     )

@@ -6,18 +6,24 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.casting import tables
+from hyperflex.casting.chance import Success, success
 from hyperflex.casting.limits import MotorLimits
-from hyperflex.casting.reach import Reach, reach
+from hyperflex.casting.outcome import WOUND, Cast, verify
+from hyperflex.casting.robust import Hardening
 from hyperflex.casting.search import Landing, Search
+from hyperflex.casting.targets import Reach, reach
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
-from hyperflex.casting.verify import WOUND, Cast, verify
+from hyperflex.casting.uncertainty import Uncertainty
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Peg, Rope, divided
+from hyperflex.files import PathLike
+from hyperflex.model import Arm, Peg, Rope, Setup, divided
 from hyperflex.motion import Motion
 from hyperflex.simulation.rollouts import progress_bar
 
@@ -28,6 +34,7 @@ SWINGING = 0.5  # part of the patience after which the search goes on beside the
 RESTART = 12  # generations beside the peg from one place
 ALIKE = 0.05  # points that differ by less are one
 FINER = 2  # pieces of each link in the second verification
+NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
 TRIES = 3  # throws verified at most between two generations
 
 
@@ -57,6 +64,8 @@ class CastPlan:
         Time that it took, s.
     interrupted : bool
         Ctrl-C came; the plan is the best until then.
+    stated : Success or None
+        How often the throw winds in simulated worlds drawn afresh, where an uncertainty was given.
     """
 
     thrower: Thrower
@@ -69,6 +78,7 @@ class CastPlan:
     runs: int
     seconds: float
     interrupted: bool = False
+    stated: Success | None = None
 
     @property
     def success(self) -> bool:
@@ -80,6 +90,18 @@ class CastPlan:
         """What the arm does, from rest at t = 0; None where there is no throw."""
         return None if self.throw is None else self.throw.motion(self.thrower.limits)
 
+    def to_csv(self, path: PathLike, *, rate: float = tables.RATE) -> None:
+        """Write what the arm does at a motor's rate, Hz, to a CSV file that :func:`hyperflex.read_motion` reads."""
+        tables.write_motion(path, tables.motion_of(self), rate)
+
+    def to_netcdf(self, path: str | Path) -> None:
+        """Write the verified run to NetCDF."""
+        tables.run_of(self).to_netcdf(path)
+
+    def to_toml(self, path: PathLike) -> None:
+        """Write set-up, limits and outcome to TOML: ``hyperflex simulate`` runs it, ``casting.read_plan`` reads it."""
+        tables.write_plan(path, self)
+
 
 def plan_cast(
     rope: Rope,
@@ -89,6 +111,7 @@ def plan_cast(
     *,
     time_limit: float | None = None,
     hold: float = 0.0,
+    uncertainty: Uncertainty | None = None,
     patience: float = PATIENCE,
     regardless: bool = False,
     seed: int = 0,
@@ -109,8 +132,11 @@ def plan_cast(
         Within which the rope must strike, s; by default five periods of its swing.
     hold : float
         Pull that the wound rope should bear, N; only asked of what can be reached at all.
+    uncertainty : Uncertainty, optional
+        Of what is given here. With it the plan is the throw that wins in most of the worlds drawn from it, and its
+        success is stated from worlds drawn afresh.
     patience : float
-        Time to search, s; a plan that stands ends it.
+        Time to search, s; a plan that stands ends it, one that wins in all worlds tried if they are uncertain.
     regardless : bool
         Search even for a target that is called out of reach.
     seed : int
@@ -143,10 +169,12 @@ def plan_cast(
         raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
     patience = checks.number("patience", patience, sign="positive", unit="s")
     thrower = Thrower(rope, arm, MotorLimits() if limits is None else limits, 0.0 if time_limit is None else time_limit)
+    Setup(thrower.rope, arm=thrower.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
     known = reach(thrower, target, hold=hold)
     if known.impossible or not (known.within or regardless):
         return CastPlan(thrower, target, known, None, None, None, known.reason, 0, time.monotonic() - begin)
-    work = _Work(Search(thrower, target, checks.count("seed", seed, least=0), threads), begin, patience)
+    nominal = patience if uncertainty is None else NOMINAL * patience
+    work = _Work(Search(thrower, target, checks.count("seed", seed, least=0), threads), begin, nominal)
     interrupted = False
     with progress_bar(0.0, patience, progress, "planning") as report:
         try:
@@ -155,7 +183,15 @@ def plan_cast(
             interrupted = True
             with suppress(KeyboardInterrupt):
                 work.settle()
+        if uncertainty is not None and not interrupted:
+            try:
+                work.harden(uncertainty, report)
+            except KeyboardInterrupt:
+                interrupted = True
     throw, cast, finer = work.best
+    stated = None
+    if uncertainty is not None and throw is not None and not interrupted:
+        stated = success(thrower, target, throw, uncertainty, seed=seed, threads=threads)
     return CastPlan(
         thrower,
         target,
@@ -167,6 +203,7 @@ def plan_cast(
         work.search.runs,
         time.monotonic() - begin,
         interrupted,
+        stated,
     )
 
 
@@ -187,7 +224,7 @@ class _Work:
     def go(self, report: Callable[[float], None] | None) -> None:
         """Search until a plan stands or patience ends."""
         score, idle, close = 0.0, 0, 0
-        while self.spent < self.patience and not self.done():
+        while not self.search.runs or (self.spent < self.patience and not self.done()):
             beside = self.search.landings and (idle >= ROUNDS or self.spent > SWINGING * self.patience)
             if beside and close % RESTART:
                 self.search.refine()
@@ -229,6 +266,23 @@ class _Work:
         """Verify the best throw of all where none that winds was found."""
         if self.best[0] is None and self.search.landings:
             self.check(self.search.landings[0])
+
+    def harden(self, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
+        """Look for the throw that wins in most worlds, for what patience is left, and verify the best ones."""
+        search, until = self.search, self.begin + self.patience / NOMINAL
+        work = Hardening(
+            search.thrower, search.peg, search.genes, uncertainty, seed=search.seed, threads=search.threads
+        )
+        work.go(search.landings, until, None if report is None else lambda: report(self.spent))
+        search.runs += work.runs
+        first = None
+        for found in work.order[:TRIES]:
+            self.best = (None, None, None)
+            self.check(found.landing)
+            first = first or self.best
+            if self.done():
+                return
+        self.best = first or self.best
 
     def fresh(self, one: Landing) -> bool:
         return all(one.side != old.side or np.abs(one.x - old.x).max() > ALIKE for old in self.checked)

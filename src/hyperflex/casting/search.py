@@ -18,7 +18,8 @@ MEMBERS, LANDING_MEMBERS = 32, 16  # of a generation of free swings, and of one 
 KEPT = 4  # of a generation's swings that may be tried beside the peg
 APART = 0.1  # strokes or rests by which two swings differ if they are to be tried both
 TRIED = 4  # swings of a round that are tried beside the peg
-ENDS, RESTS = (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)  # last moves that are tried: half turns, periods
+# What is tried after a strike: strokes still made, then the last move, in half turns, after a rest in periods
+MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
 NARROW = 0.25  # spread of a search beside the peg, in parts of the first one's
 
 
@@ -61,6 +62,7 @@ class Search:
     runs: int = 0
 
     def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
         self.genes = {side: Genes(self.thrower, side) for side in (-1, 1)}
         self._free = {side: self._evolution(g.centre(), 1.0, MEMBERS, g) for side, g in self.genes.items()}
         self._tried: list[Swing] = []
@@ -69,8 +71,13 @@ class Search:
     def _evolution(self, centre: Array, size: float, members: int, genes: Genes) -> Any:
         import cma
 
-        self.seed += 1
-        options = {"popsize": members, "verbose": -9, "seed": self.seed, "CMA_stds": genes.spreads()}
+        options = {
+            "popsize": members,
+            "verbose": -9,
+            "CMA_stds": genes.spreads(),
+            "seed": np.nan,  # numpy's global generator is left alone
+            "randn": lambda *shape: self._random.standard_normal(shape),
+        }
         return cma.CMAEvolutionStrategy(centre, size, options)
 
     def swing(self) -> float:
@@ -99,11 +106,12 @@ class Search:
         self._tried += fresh
         for side in (-1, 1):
             points = [
-                np.append(one.x[:-LAST], [end, rest, 1.0])
+                np.append(one.x[:-LAST], [more, end, rest, 1.0])
                 for one in fresh
                 if one.side == side
+                for more in MORE
                 for end in ENDS
-                for rest in RESTS
+                for rest in (RESTS if more < 1.0 else RESTS[:1])
             ]
             if points:
                 self.land(side, points)

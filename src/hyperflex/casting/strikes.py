@@ -111,7 +111,7 @@ def first(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) ->
     ----------
     q : (M, T, n) rad
     base : (M, T, 2) m, the rope's first joint
-    length : (n,) m
+    length : (n,) m, or (M, 1, n), each member's own
     peg : Peg
     rope_radius : float, m
 
@@ -129,12 +129,12 @@ def first(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) ->
     gap = np.empty((count, samples, n))
     beside = np.empty((count, samples, n))
     for i in range(n):
-        along = np.clip(x * sin[..., i] - y * cos[..., i], 0.0, length[i])
-        inside = (along > 0.0) & (along < length[i])
+        along = np.clip(x * sin[..., i] - y * cos[..., i], 0.0, length[..., i])
+        inside = (along > 0.0) & (along < length[..., i])
         across = x * cos[..., i] + y * sin[..., i]
         gap[..., i] = np.hypot(x - along * sin[..., i], y + along * cos[..., i])
         beside[..., i] = np.where(inside, across, 0.0)
-        x, y = x - length[i] * sin[..., i], y + length[i] * cos[..., i]
+        x, y = x - length[..., i] * sin[..., i], y + length[..., i] * cos[..., i]
     gap -= peg.radius + rope_radius
     hit: npt.NDArray[np.bool_] = np.asarray((gap < NEAR).any(axis=2))
     hit[:, 1:] |= (beside[:, 1:] * beside[:, :-1] < 0.0).any(axis=2)  # it has passed through between two samples

@@ -35,6 +35,8 @@ class Throw:
         Part of the motor's speed with which the last move is made.
     count : int
         Strokes that are made before the last move; the others are left out.
+    more : int
+        Strokes that are made after the strike on the target, if the throw is cut there.
     """
 
     side: int
@@ -44,6 +46,7 @@ class Throw:
     rest: float
     speed: float
     count: int
+    more: int = 0
 
     def angles(self, limits: MotorLimits) -> Array:
         """Arm angles (count + 2,) at the start and after each move, rad."""
@@ -77,9 +80,12 @@ class Throw:
         return float(rests.sum() + durations.sum())
 
     def cut(self, t: float, limits: MotorLimits) -> Throw:
-        """Return the throw without the strokes that start after time t, s; the last move waits until t at least."""
-        starts = self.starts(limits)[:-1]
-        shorter = replace(self, count=max(1, int((starts < t).sum())))
+        """Return the throw without the strokes that start after time t, s, but for `more`; the last move waits until t.
+
+        Thus what the arm does until t is the same, and the last move answers to what happens then.
+        """
+        begun = int((self.starts(limits)[:-1] < t).sum())
+        shorter = replace(self, count=min(max(1, begun) + self.more, self.count), more=0)
         ready = float(shorter.starts(limits)[-1]) - abs(self.rest)
         return replace(shorter, rest=abs(self.rest) + max(0.0, t - ready))
 

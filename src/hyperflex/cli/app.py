@@ -12,6 +12,7 @@ import typer
 
 from hyperflex import __version__
 from hyperflex.cli import interrupts, output
+from hyperflex.cli.cast import cast
 from hyperflex.cli.demo import demo
 from hyperflex.cli.identify import identify
 from hyperflex.cli.reproduce import reproduce
@@ -25,6 +26,7 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions
 for _command, _example in (
     (simulate, "simulate cast.toml -o cast.nc"),
     (identify, "identify swing.csv --rope guess.toml --free inertia,friction -o identified"),
+    (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (reproduce, "reproduce fig10 fig12 -o paper"),
     (demo, "demo -o demo-output"),
 ):
@@ -46,8 +48,8 @@ def hyperflex(
 ) -> None:
     """Robots that use a rope as an arm: simulate it, identify it, cast it.
 
-    Exit codes: 0 done, 1 a bug in hyperflex, 2 refused or failed with a message, 3 the fit did not converge, 130
-    interrupted.
+    Exit codes: 0 done, 1 a bug in hyperflex, 2 refused or failed with a message, 3 the fit did not converge, 4 no
+    cast that winds and holds was found, 130 interrupted.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
@@ -65,7 +67,7 @@ def run(arguments: Sequence[str]) -> int:
     -------
     int
         Exit code: 0 done, 1 a bug in hyperflex (or the reader of a pipe went away), 2 refused or failed with a message
-        on standard error, 3 the fit did not converge, 130 interrupted.
+        on standard error, 3 the fit did not converge, 4 no cast was found, 130 interrupted.
     """
     as_json = "--json" in arguments
     try:

@@ -19,7 +19,7 @@ def demo(
     out: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("demo-output"),
     json: output.Json = False,
 ) -> None:
-    """Identify a recorded rope, cast it and show the result.
+    """Identify a recorded rope, cast it, wind it round a target and show the result.
 
     The recording comes with the package and is simulated, with a finer chain than the one identified, and noise.
     """
@@ -35,6 +35,7 @@ def demo(
 
 def _figures(report: DemoReport) -> dict[str, Any]:
     """Return what the demo found, for JSON."""
+    from hyperflex.casting.tables import summary
     from hyperflex.report.demo import held_out_rms
 
     found = report.demo
@@ -60,6 +61,9 @@ def _figures(report: DemoReport) -> dict[str, Any]:
         "angle_noise_rad": found.angle_noise.mean(),
         "greatest_x_m": abs(found.cast.tip[:, 0]).max(),
         "greatest_x_of_the_rope_m": abs(found.reference.tip[:, 0]).max(),
+        "plan": summary(found.plan),
+        "hold_force_N": None if report.winding.held is None else report.winding.held.force,
+        "recorded_rope_winds": None if found.proof is None else found.proof.success,
     }
 
 
@@ -77,11 +81,17 @@ def _show(report: DemoReport) -> None:
             ("the same of the rope itself", f"{figures['greatest_x_of_the_rope_m']:.2f} m"),
         ],
     )
+    if report.winding.held is not None:
+        output.console().print(f"Hold force by a tug: {report.winding.held.force:.2f} N.", markup=False)
+    for _, sentence in report.winding.verdicts:
+        output.console().print(sentence, markup=False)
+    wound = {"wound_film": "the rope wound round a target, as a film", "motion": "its motion for the motor"}
     output.print_pairs(
         "Look at",
         [
             ("the whole story on one page", str(report.files["page"])),
-            ("the cast as a film", str(report.files["film"])),
+            *((words, str(report.files[kind])) for kind, words in wound.items() if kind in report.files),
+            ("the paper's cast as a film", str(report.files["film"])),
             ("one stroke as a stroboscope shows it", str(report.files["strobe"])),
             ("the identified rope, with its figures", str(report.files["rope"])),
         ],

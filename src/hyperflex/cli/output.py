@@ -19,7 +19,7 @@ from hyperflex.errors import InvalidInput
 if TYPE_CHECKING:
     from rich.console import Console
 
-FAILED, REFUSED, NOT_CONVERGED, INTERRUPTED = 1, 2, 3, 130  # exit codes
+FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, INTERRUPTED = 1, 2, 3, 4, 130  # exit codes
 _ADVICE = re.compile(  # an argument with its value, as errors advise it
     r"\b(?P<name>kind|columns|time_unit|time|unit|frame_rate|y_axis|scale|zero|sense|angles|wrapped|noise|arcs|origin|"
     r"window|train|loss|intervals|max_rate)=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|[\w.]+)"

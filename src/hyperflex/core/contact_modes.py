@@ -19,7 +19,8 @@ CLOSING = 1e-9  # m/s, at which an open contact closes, or one that slips turns
 SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
 TOGETHER = 12  # rounds in which all modes that break the law change; then the first alone
 ROUNDS = 40
-SETTLED = 1e-10  # relative change of the rates at which the centrifugal terms have settled
+SETTLED = 1e-10  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
+USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
 SETTLING = 4  # rounds in which they settle anew
 AGAIN = 4  # times that a solution starts the search anew
 SLIGHT = 1e-5  # m/s, residual velocity of a solution
@@ -146,12 +147,13 @@ def round_of(chain, found, impulses, motion, heavy, change):  # type: ignore[no-
 @kernel
 def search(chain, found, impulses, motion, h, heavy):  # type: ignore[no-untyped-def]
     """Find modes that obey the law for one M = `heavy`, kg; returns the rounds, negative if there are too many."""
+    settled = SETTLED * min(1.0, h / USUAL)
     for c in range(found.total[0]):
         impulses.closed[c] = 0
     for turn in range(ROUNDS):
         moved = centrifugal(chain, motion, h, chain.gx, chain.gy)
         broke = round_of(chain, found, impulses, motion, heavy, 2 if turn < TOGETHER else 1)
-        if broke == 0 and moved <= SETTLED:
+        if broke == 0 and moved <= settled:
             return turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
             motion.change[:] = 0.0

@@ -5,7 +5,7 @@ from hyperflex.model.obstacles import Obstacle
 from hyperflex.model.peg import Peg
 from hyperflex.model.refine import cuts, divided, refined
 from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, Rope
-from hyperflex.model.setup import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Setup
+from hyperflex.model.setup import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, PLAN, Setup
 from hyperflex.model.wall import Ground, Wall
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "FRICTION_MODELS",
     "GRAVITY",
     "METHODS",
+    "PLAN",
     "Arm",
     "Ground",
     "Obstacle",

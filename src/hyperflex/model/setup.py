@@ -22,6 +22,7 @@ from hyperflex.model.rope import Rope
 from hyperflex.motion import Motion, from_spec, hold, to_spec
 
 METHODS = ("extrapolation", "rk4")
+PLAN = "plan"  # table in which a planner keeps what a run does not need
 DEFAULT_TOL = 1e-5  # m
 DEFAULT_CONTACT_STEP = 2e-4  # s
 
@@ -204,7 +205,7 @@ class Setup:
     @classmethod
     def loads(cls, text: str, name: str = "the set-up", folder: Path | None = None) -> Setup:
         """Build a set-up from TOML text; `name` stands for it in messages, files named in it lie in `folder`."""
-        content = files.loads_toml(text, name)
+        content = {key: value for key, value in files.loads_toml(text, name).items() if key != PLAN}
         names = {f.name for f in fields(cls)} | {"walls", "grounds"}
         if set(content) - names or "rope" not in content:
             raise InvalidInput(f"{name} does not fit", got=sorted(content), allowed="rope; " + ", ".join(sorted(names)))

@@ -1,7 +1,7 @@
 """Arm motions: piecewise polynomials of time, each with the instants at which its acceleration jumps."""
 
 from hyperflex.motion.half_turns import strokes
-from hyperflex.motion.moves import moves
+from hyperflex.motion.lag import lagged
 from hyperflex.motion.piecewise import Motion
 from hyperflex.motion.profiles import (
     PATHS,
@@ -14,6 +14,7 @@ from hyperflex.motion.profiles import (
     swings,
     torque_profile,
 )
+from hyperflex.motion.sequence import moves
 from hyperflex.motion.tables import from_spec, read_motion, to_spec
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "Profile",
     "from_spec",
     "hold",
+    "lagged",
     "move",
     "moves",
     "moving_point",

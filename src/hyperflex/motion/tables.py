@@ -12,8 +12,8 @@ from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import profiles
 from hyperflex.motion.half_turns import strokes
-from hyperflex.motion.moves import moves
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
+from hyperflex.motion.sequence import moves
 
 
 def read_motion(path: str | Path) -> Motion:

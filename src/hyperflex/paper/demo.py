@@ -1,4 +1,4 @@
-"""The thin line from end to end: a recording in, an identified rope out, and its cast."""
+"""The thin line from end to end: a recording in, an identified rope out, its cast, a plan that winds it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyperflex.casting.outcome import Cast, verify
+from hyperflex.casting.plan import CastPlan, plan_cast
+from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
 from hyperflex.identification import Identification, identify
-from hyperflex.model import Rope
+from hyperflex.model import Peg, Rope
 from hyperflex.motion import swings
 from hyperflex.paper import twin
 from hyperflex.paper.casting import DURATION, T_MOVE, T_REST, casting_arm
@@ -21,6 +24,8 @@ Tell = Callable[[str], None]
 
 INTERVAL = 1.96  # standard deviations to each side of a 95 % interval
 SAMPLES_PER_SECOND = 200
+TARGET = Peg(x=0.62, y=-1.14, radius=0.05, mu=0.3)  # well within reach
+PATIENCE = 60.0  # s; a plan that stands, most often after some seconds, ends the search
 _UNITS = {"friction": "N m s/rad", "inertia": "kg m^2"}
 
 
@@ -78,6 +83,10 @@ class Demo:
         The identified rope, cast by the paper's motion.
     reference : Trajectory
         The rope that made the recording, cast likewise.
+    plan : CastPlan
+        How the identified rope is wound round a target.
+    proof : Cast or None
+        The same throw by the rope that made the recording; None where there is no throw.
     """
 
     recording: Recording
@@ -86,10 +95,12 @@ class Demo:
     angle_noise: Array
     cast: Trajectory
     reference: Trajectory
+    plan: CastPlan
+    proof: Cast | None
 
 
 def run_demo(tell: Tell = lambda _: None) -> Demo:
-    """Identify the bundled recording's rope and cast it.
+    """Identify the bundled recording's rope, cast it, and plan how to wind it round a target.
 
     Parameters
     ----------
@@ -125,7 +136,8 @@ def run_demo(tell: Tell = lambda _: None) -> Demo:
     tell("casting the identified rope")
     noise = recording.angles().noise
     scale = np.full(recording.n_links, np.nan) if noise is None else np.median(noise, axis=0)
-    return Demo(recording, found, parameters, scale, _cast(found.rope), _cast(twin.fine_rope()))
+    casts = _cast(found.rope), _cast(twin.fine_rope())
+    return Demo(recording, found, parameters, scale, *casts, *_wind(found.rope, tell))
 
 
 def _cast(rope: Rope) -> Trajectory:
@@ -133,3 +145,15 @@ def _cast(rope: Rope) -> Trajectory:
     motion = swings(T_MOVE, T_REST["success"])
     t = np.linspace(0.0, DURATION, round(DURATION * SAMPLES_PER_SECOND) + 1)
     return simulate(rope, motion, arm=casting_arm(), duration=DURATION, t_eval=t)
+
+
+def _wind(rope: Rope, tell: Tell) -> tuple[CastPlan, Cast | None]:
+    """Plan with the identified rope, and throw the one that made the recording likewise."""
+    tell("planning how to wind it round a target")
+    plan = plan_cast(rope, casting_arm(), TARGET, patience=PATIENCE)
+    if plan.interrupted:
+        raise KeyboardInterrupt
+    if plan.motion is None:
+        return plan, None
+    tell("throwing the rope that made the recording")
+    return plan, verify(Thrower(twin.fine_rope(), casting_arm(), plan.thrower.limits), TARGET, plan.motion)

@@ -13,19 +13,21 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.report.between import shapes
+from hyperflex.report.between import pegs_of, shapes
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from PIL import Image
 
 Progress = Callable[[int, int], None]
+Note = Callable[[float], str]
 Colour = tuple[int, int, int]
 
 _NIGHT, _PALE, _WHITE = (12, 19, 34), (170, 182, 200), (255, 255, 255)
-_ROPE, _TRAIL, _GRID = (242, 212, 121), (79, 195, 192), (28, 38, 58)
+_ROPE, _TRAIL, _GRID, _PEG = (242, 212, 121), (79, 195, 192), (28, 38, 58), (214, 92, 70)
 _FINE = 2  # drawn this much larger, then shrunk: smooth edges
 _GHOSTS = 5
+_LINE = 18  # pixels from one line of words to the next
 _TRAIL_POINTS = 80
 
 
@@ -55,6 +57,7 @@ def animate(
     width: int = 640,
     trail: float = 0.8,
     title: str = "",
+    note: Note | None = None,
     progress: Progress | None = None,
 ) -> None:
     """Write an animated GIF of a run, whole or not at all.
@@ -77,6 +80,8 @@ def animate(
         How long the tip's path stays visible, s.
     title : str
         Written in the upper left corner, above the time.
+    note : callable, optional
+        Called with the simulated time, s; what it returns, one line or more, is written below the time.
     progress : callable, optional
         Called with (frames done, frames in all).
 
@@ -99,8 +104,10 @@ def animate(
     if not run.t[0] <= first < last <= run.t[-1]:
         raise InvalidInput("span is not in the run", got=[first, last], allowed=f"{run.t[0]:g} to {run.t[-1]:g} s")
     times = np.arange(first, last + 0.5 * pace, pace)
+    room = 0 if note is None else _LINE * (note(float(times[-1])).count("\n") + 2)
     content = _gif(
-        _frames(run, times, _view(run, checks.count("width", width, least=64)), trail, title, progress), frame_rate
+        _frames(run, times, _view(run, checks.count("width", width, least=64), room), trail, (title, note), progress),
+        frame_rate,
     )
     with files.atomic(path, "wb") as file:
         file.write(content)
@@ -119,20 +126,22 @@ def _gif(frames: Iterator[Image.Image], frame_rate: int) -> bytes:
     return buffer.getvalue()
 
 
-def _view(run: Trajectory, width: int) -> _View:
-    """Fit everything that the rope and the arm reach into the canvas."""
-    points = run.joints.reshape(-1, 2)
+def _view(run: Trajectory, width: int, room: int) -> _View:
+    """Fit everything that the rope and the arm reach into the canvas, below `room` pixels for words."""
+    around = [(peg.x + s * peg.radius, peg.y + s * peg.radius) for peg in pegs_of(run) for s in (-1.0, 1.0)]
+    points = np.concatenate([run.joints.reshape(-1, 2), np.reshape(around, (-1, 2))])
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.06 * float((high - low).max())
     low, high = low - margin, high + margin
     high[1] += margin
     scale = _FINE * width / (high[0] - low[0])
-    height = round((high[1] - low[1]) * scale / _FINE / 2) * 2
-    return _View(_FINE * width, _FINE * height, (float(-low[0] * scale), float(high[1] * scale)), float(scale))
+    height = room + round((high[1] - low[1]) * scale / _FINE / 2) * 2
+    origin = (float(-low[0] * scale), float(high[1] * scale) + _FINE * room)
+    return _View(_FINE * width, _FINE * height, origin, float(scale))
 
 
 def _frames(
-    run: Trajectory, times: Array, view: _View, trail: float, title: str, progress: Progress | None
+    run: Trajectory, times: Array, view: _View, trail: float, words: tuple[str, Note | None], progress: Progress | None
 ) -> Iterator[Image.Image]:
     from PIL import Image, ImageDraw, ImageFont
 
@@ -143,8 +152,10 @@ def _frames(
         draw = ImageDraw.Draw(image)
         _draw_scene(draw, run, time, view, trail, step)
         corner = 14 * _FINE
+        title, note = words
+        text = f"t = {time:5.2f} s" if note is None else f"t = {time:5.2f} s\n{note(float(time))}"
         draw.text((corner, corner), title, fill=_WHITE, font=fonts[0])
-        draw.text((corner, corner + 20 * _FINE), f"t = {time:5.2f} s", fill=_PALE, font=fonts[1])
+        draw.multiline_text((corner, corner + 20 * _FINE), text, fill=_PALE, font=fonts[1], spacing=4 * _FINE)
         yield image.resize((view.width // _FINE, view.height // _FINE), Image.Resampling.BOX)
         if progress is not None:
             progress(number + 1, times.size)
@@ -157,6 +168,9 @@ def _draw_scene(draw: Any, run: Trajectory, time: float, view: _View, trail: flo
     origin = view.pixels(np.zeros((1, 2)))[0]
     draw.line([(0, origin[1]), (view.width, origin[1])], fill=_GRID, width=_FINE)
     draw.line([(origin[0], 0), (origin[0], view.height)], fill=_GRID, width=_FINE)
+    for peg in pegs_of(run):
+        centre = view.pixels(np.array([[peg.x, peg.y]]))[0]
+        _dot(draw, centre, max(peg.radius * view.scale, 2 * _FINE), _PEG)
     for k in range(_GHOSTS):
         draw.line(view.pixels(drawn.joints[k]), fill=_blend(_ROPE, 0.40 * (k + 1) / (_GHOSTS + 1)), width=_FINE)
     past = np.linspace(max(time - trail, start), time, _TRAIL_POINTS)
@@ -183,4 +197,4 @@ def _blend(colour: Colour, part: float) -> Colour:
 
 
 _SHADES = 16
-_PALETTE = [_blend(c, k / (_SHADES - 1)) for c in (_ROPE, _TRAIL, _WHITE, _PALE, _GRID) for k in range(_SHADES)]
+_PALETTE = [_blend(c, k / (_SHADES - 1)) for c in (_ROPE, _TRAIL, _WHITE, _PALE, _GRID, _PEG) for k in range(_SHADES)]

@@ -1,4 +1,4 @@
-"""Shapes of the rope between the samples of a run, for pictures that need other instants than were stored."""
+"""What pictures draw: shapes of the rope between the samples of a run, and the pegs beside it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.model import Peg
 from hyperflex.trajectory import Trajectory
 
 
@@ -36,6 +37,11 @@ def shapes(run: Trajectory, times: Array) -> Shapes:
         return Shapes(joints, base)
     angle = _between(run.t, run.arm_angle, run.arm_rate, times)
     return Shapes(joints, base - run.setup.arm.length * np.stack([np.sin(angle), -np.cos(angle)], axis=-1))
+
+
+def pegs_of(run: Trajectory) -> list[Peg]:
+    """Return the round pegs that a run was simulated with."""
+    return [one for one in run.setup.pegs if isinstance(one, Peg)]
 
 
 def _between(t: Array, value: Array, rate: Array, times: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The demo's folder: figures, a film, NetCDF, the identified rope and a page that shows it all."""
+"""The demo's folder: figures, film, NetCDF, the identified rope, a planned cast and a page that shows it all."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from hyperflex.paper.casting import T_MOVE, T_REST, casting_arm
 from hyperflex.paper.claims import WINDOW
 from hyperflex.paper.demo import INTERVAL, Demo, run_demo
 from hyperflex.report.animation import animate
+from hyperflex.report.demo_winding import WindingPart, write_winding
 from hyperflex.report.folder import whole_folder
 from hyperflex.report.identified import casts_figure, parameters_figure, prediction_figure
 from hyperflex.report.page import Picture, Section, write_page
@@ -27,7 +28,7 @@ _FILM_RATE = 20  # frames a second
 _LEAD = (
     "From a recording to an identified rope to its cast. The recording was made by simulating a rope of {fine} links "
     "and looking at it with a noisy camera; a chain of {coarse} links is identified from it, with uncertainties, and "
-    "cast. Nothing here was measured on a real rope."
+    "cast; in the end it is wound round a target. Nothing here was measured on a real rope."
 )
 _SHADED = "Shaded: held out. There the state is fitted on half a second, and the next second is predicted without data."
 
@@ -46,12 +47,15 @@ class DemoReport:
         Identified values, intervals and mapped truth.
     reaches : TextTable
         Reach of the tip in each 2 s.
+    winding : WindingPart
+        What became of the planned cast.
     """
 
     files: dict[str, Path]
     demo: Demo
     parameters: TextTable
     reaches: TextTable
+    winding: WindingPart
 
 
 def write_demo(directory: str | Path, tell: Tell = lambda _: None) -> DemoReport:
@@ -76,11 +80,15 @@ def write_demo(directory: str | Path, tell: Tell = lambda _: None) -> DemoReport
     with whole_folder(directory) as stage:
         demo = run_demo(tell)
         parameters, reaches = _parameters_table(demo), _reaches_table(demo)
-        written = _write(stage, demo, parameters, reaches, tell)
-    return DemoReport({kind: Path(directory) / name for kind, name in written.items()}, demo, parameters, reaches)
+        winding = write_winding(stage, demo, tell)
+        written = _write(stage, demo, parameters, reaches, winding, tell)
+    found = {kind: Path(directory) / name for kind, name in written.items()}
+    return DemoReport(found, demo, parameters, reaches, winding)
 
 
-def _write(folder: Path, demo: Demo, parameters: TextTable, reaches: TextTable, tell: Tell) -> dict[str, str]:
+def _write(
+    folder: Path, demo: Demo, parameters: TextTable, reaches: TextTable, winding: WindingPart, tell: Tell
+) -> dict[str, str]:
     """Write everything to `folder`; return the names of the files by what they are."""
     tell("drawing")
     pictures = _pictures(demo)
@@ -103,9 +111,10 @@ def _write(folder: Path, demo: Demo, parameters: TextTable, reaches: TextTable, 
     demo.cast.to_netcdf(written["cast"])
     demo.identification.to_toml(written["rope"])
     demo.identification.to_json(written["identification"])
-    files.write_text(written["summary"], _summary(demo, parameters, reaches))
-    _write_page(written["page"], demo, pictures, written["film"].read_bytes(), parameters, reaches)
-    return names
+    files.write_text(written["summary"], _summary(demo, parameters, reaches, winding))
+    film = written["film"].read_bytes()
+    _write_page(written["page"], demo, pictures, film, parameters, reaches, winding.section)
+    return names | winding.files
 
 
 def _pictures(demo: Demo) -> dict[str, bytes]:
@@ -172,7 +181,7 @@ def _notes(demo: Demo) -> tuple[str, ...]:
     return mapped, " ".join((intervals, *demo.identification.verdict)), recording
 
 
-def _summary(demo: Demo, parameters: TextTable, reaches: TextTable) -> str:
+def _summary(demo: Demo, parameters: TextTable, reaches: TextTable, winding: WindingPart) -> str:
     errors = (
         f"Prediction error on the held-out part, 1 s ahead: {1e3 * held_out_rms(demo):.1f} mrad, "
         f"of which the camera's noise alone is {1e3 * float(demo.angle_noise.mean()):.1f} mrad."
@@ -183,7 +192,10 @@ def _summary(demo: Demo, parameters: TextTable, reaches: TextTable) -> str:
         "\n".join(f"- {note}" for note in _notes(demo)),
         errors,
         "## Greatest |x| of the tip in each 2 s of the cast, m",
-        markdown(reaches),
+        markdown(reaches).rstrip(),
+        f"## {winding.section.title}",
+        *winding.section.text,
+        "\n".join(f"- {sentence}" for _, sentence in winding.verdicts) + "\n",
     ]
     return "\n\n".join(parts)
 
@@ -208,7 +220,13 @@ def _in_short(demo: Demo) -> Section:
 
 
 def _write_page(
-    path: Path, demo: Demo, pictures: dict[str, bytes], film: bytes, parameters: TextTable, reaches: TextTable
+    path: Path,
+    demo: Demo,
+    pictures: dict[str, bytes],
+    film: bytes,
+    parameters: TextTable,
+    reaches: TextTable,
+    winding: Section,
 ) -> None:
     shown = (
         Picture(film, "The identified rope, cast from rest by the paper's motion; simulated."),
@@ -217,8 +235,9 @@ def _write_page(
     )
     sections = [
         _in_short(demo),
+        winding,
         Section(
-            "The cast",
+            "The paper's cast",
             pictures=shown,
             table=reaches,
             notes=("The table gives the greatest |x| of the tip in each 2 s, m.",),

@@ -9,14 +9,15 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.report.between import Shapes, shapes
+from hyperflex.model import Peg
+from hyperflex.report.between import Shapes, pegs_of, shapes
 from hyperflex.report.style import look, new_figure
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NIGHT, PALE = "#0c1322", "#aab6c8"
+NIGHT, PALE, PEG = "#0c1322", "#aab6c8", "#d65c46"
 _COLOURS = ("#27406b", "#2f7fb5", "#4fc3c0", "#f2d479", "#ff8a4c")  # first instant to last
 _TRAIL_POINTS = 800
 
@@ -62,15 +63,18 @@ def strobe(
     drawn = shapes(run, np.linspace(first, last, count))
     trail = shapes(run, np.linspace(first, last, _TRAIL_POINTS)).joints[:, -1]
     with look():
-        return _draw(drawn, trail, run.setup.arm is not None, title, width)
+        return _draw(drawn, trail, pegs_of(run), run.setup.arm is not None, title, width)
 
 
-def _draw(drawn: Shapes, trail: Array, with_arm: bool, title: str, width: float) -> Figure:
+def _draw(drawn: Shapes, trail: Array, pegs: list[Peg], with_arm: bool, title: str, width: float) -> Figure:
     from matplotlib.collections import LineCollection
     from matplotlib.colors import LinearSegmentedColormap
 
     ropes = drawn.joints
-    low, high = _frame(np.concatenate([ropes.reshape(-1, 2), trail, drawn.pivots]))
+    around = np.reshape(
+        [(peg.x + s * peg.radius, peg.y + s * peg.radius) for peg in pegs for s in (-1.0, 1.0)], (-1, 2)
+    )
+    low, high = _frame(np.concatenate([ropes.reshape(-1, 2), trail, drawn.pivots, around]))
     figure = new_figure(width, width * (high[1] - low[1]) / (high[0] - low[0]), layout=None)
     figure.set_facecolor(NIGHT)
     axis: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -86,6 +90,8 @@ def _draw(drawn: Shapes, trail: Array, with_arm: bool, title: str, width: float)
     shades = dusk(np.linspace(0.0, 1.0, len(steps)))
     axis.add_collection(LineCollection(steps, colors=shades, linewidths=0.7, alpha=0.55))
     axis.scatter(*ropes[:, -1].T, s=7.0, c=colours, zorder=3, lw=0)
+    for peg in pegs:
+        _draw_peg(axis, peg)
     _draw_arm(axis, drawn, with_arm)
     _draw_scale(axis, low, high)
     axis.text(0.018, 0.965, title, transform=axis.transAxes, color="white", fontsize=11, va="top", fontweight="bold")
@@ -109,6 +115,12 @@ def _draw_arm(axis: Any, drawn: Shapes, with_arm: bool) -> None:
     axis.add_collection(LineCollection(list(np.stack([pivots, tips], axis=1)), colors=PALE, linewidths=1.0, alpha=0.12))
     axis.plot(*np.stack([pivots[-1], tips[-1]], axis=1), color="white", lw=2.6, zorder=5, solid_capstyle="round")
     axis.plot(*pivots[-1], "o", color="white", ms=5.5, mec=NIGHT, mew=1.2, zorder=6)
+
+
+def _draw_peg(axis: Any, peg: Peg) -> None:
+    from matplotlib.patches import Circle
+
+    axis.add_patch(Circle((peg.x, peg.y), peg.radius, facecolor=PEG, edgecolor="white", lw=0.8, zorder=4))
 
 
 def _draw_scale(axis: Any, low: Array, high: Array) -> None:

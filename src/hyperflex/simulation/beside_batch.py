@@ -50,7 +50,8 @@ class Members:
     @property
     def count(self) -> int:
         """Number of members."""
-        return max(len(self.ropes), len(self.motions), len(self.pegs))
+        starts = [len(v) for v in (self.q0, self.qd0) if v is not None and v.ndim == 2]
+        return max(len(self.ropes), len(self.motions), len(self.pegs), *starts)
 
     def setup(self, m: int) -> Setup:
         """Return the set-up of member m."""

@@ -16,9 +16,9 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.core import contact_run as core
 from hyperflex.core import status
-from hyperflex.core.chain import Chain
+from hyperflex.core.chain import Chain, energies
 from hyperflex.core.contact_step import Kept
-from hyperflex.core.drive import Drive
+from hyperflex.core.drive import Drive, base_state, segment
 from hyperflex.core.progress import INDEX, MARK, T
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refined
 from hyperflex.simulation.inside import check_outside
@@ -31,7 +31,7 @@ FLIGHT_TOL = 1e-3  # of the tolerance: with all of it a flight would gain and lo
 CLEAR = 0.03  # m, gap at which a rope that was in contact has left
 # Energy that may come from nowhere at the usual tolerance, in parts of the energy at stake for each second; and where
 # joint friction is so low that the rope's own motion, and not contact, sets the steps
-APPEARING, APPEARING_FREE, LOW_FRICTION = 5e-7, 3e-5, 1e-4  # 1/s, 1/s, N m s/rad
+APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/rad
 STEP = "contact_step"
 KEPT = ("contact_normal", "contact_tangent", "contact_mode")  # in a state's checkpoint
 
@@ -135,12 +135,14 @@ class Beside:
     def _energy(self) -> float:
         """Energy at stake, J: what the rope has, could gain by falling, or be given by a force or a torque."""
         run = self.run
-        chain, n = run.chain, run.chain.length.size
+        chain, n, base = run.chain, run.chain.length.size, np.empty(9)
+        base_state(run.drive, segment(run.drive, run.time), run.time, base)
+        y = run.progress.y
+        kinetic, _ = energies(chain, y[:n], y[n : 2 * n], (*base[7:9], *base[5:7], base[4], base[3]))
         lever = chain.length.sum()
         mass = chain.mass.sum() + chain.tip_mass
-        _, speed = core.clearance(*self.system, run.time, run.progress.y)
         torque = float(np.abs(run.drive.coef[:, 3]).max()) if n else 0.0
-        return float(mass * (np.hypot(chain.gx, chain.gy) * lever + speed**2) + np.hypot(*self.pull) * lever + torque)
+        return float(kinetic + mass * np.hypot(chain.gx, chain.gy) * lever + np.hypot(*self.pull) * lever + torque)
 
     def _facts(self) -> dict[str, float]:
         clock = self.course.clock

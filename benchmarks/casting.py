@@ -1,0 +1,222 @@
+"""Casting a rope round random targets: wound and held, in runs that no planner saw.
+
+python -m benchmarks.casting                     the paper's cable and arm, 60 targets in reach; an hour or so
+python -m benchmarks.casting --rope weighted     the same with 20 g at the tip
+python -m benchmarks.casting --count 5 --out -   a look; nothing is written
+python -m benchmarks.casting --outside           targets called out of reach, each searched ten times as long
+
+For each target: a plan of ours (60 s at most), the paper's motion (half turns with rests of 0.53 s) and its timing
+rule (half turns as the tip passes below the shaft), both until the rope strikes the target; the arm ends its half turn
+and rests. Each is run with links 2.5 times as many, half the step and a fifth of the tolerance: wound if the rope makes
+1.25 turns from the arm's tip to its end, held if it slips by less than 5 mm in 2 s after that. A slow pull at the arm's
+end then tells what it bears. All simulated. Rows are kept in casting.jsonl: the same command goes on where it stopped.
+
+Anyone can take part: the ropes, the arm, the motor's limits and the targets are in ``thrower`` and ``targets``, which
+need nothing but numpy's generator; the judge is ``hyperflex.casting.verify`` on ``thrower(rope, 125)``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmarks import machine
+
+import hyperflex as hf
+from hyperflex import files, winding
+from hyperflex.casting import Cast, MotorLimits, Thrower, plan_cast, reach, verify
+from hyperflex.casting.strikes import look
+from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.motion import Motion
+from hyperflex.paper import T_REST, casting_arm
+
+RESULTS = Path(__file__).parent / "results"
+LINKS, FINE_LINKS, STEP, TOL = 50, 125, 2.5e-4, 2e-5
+TIP = {"nominal": 0.0, "weighted": 0.02}  # kg
+PATIENCE, TENFOLD = 60.0, 10.0  # s
+LEAST, GREATEST, MU = 0.02, 0.05, 0.3  # m, m
+GOAL = {"nominal": 0.85, "weighted": 0.90}
+HALF_TURN = 0.73  # s
+
+
+def thrower(rope: str, links: int = LINKS) -> Thrower:
+    """The paper's cable, perhaps with a weight, on its arm; friction per length is the same for any number of links."""
+    cable = hf.Rope.uniform(2.0, 0.125, links, 0.0025, friction=5e-4 * links / LINKS, tip_mass=TIP[rope])
+    return Thrower(cable, casting_arm(), MotorLimits())
+
+
+def target(number: int) -> hf.Peg:
+    """A target anywhere about the arm, uniform in area up to the length of rope and arm."""
+    random = np.random.default_rng([7, number])
+    far, angle = 2.105 * math.sqrt(random.uniform()), random.uniform(-math.pi, math.pi)
+    return hf.Peg(far * math.sin(angle), -far * math.cos(angle), float(random.uniform(LEAST, GREATEST)), MU)
+
+
+def targets(rope: str, count: int, within: bool = True) -> list[int]:
+    """Numbers of the first targets that are in reach, or that are not though geometry allows them."""
+    known, found, number = thrower(rope), [], 0
+    while len(found) < count:
+        told = reach(known, target(number))
+        if told.within if within else not (told.within or told.impossible):
+            found.append(number)
+        number += 1
+    return found
+
+
+def main() -> None:
+    """Plan, judge, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rope", choices=sorted(TIP), default="nominal")
+    parser.add_argument("--count", type=int, default=60, help="targets (60)")
+    parser.add_argument("--patience", type=float, default=PATIENCE, help="s of planning a target (60)")
+    parser.add_argument("--outside", action="store_true", help="targets called out of reach, ten times the patience")
+    parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
+    options = parser.parse_args()
+    about = machine.describe()
+    kind = f"{options.rope}{' outside' if options.outside else ''}"
+    patience = options.patience * (TENFOLD if options.outside else 1.0)
+    numbers = targets(options.rope, options.count, within=not options.outside)
+    log = None if options.out == "-" else Path(options.out) / "casting.jsonl"
+    known = read(log, kind, patience)
+    rows = [known[number] for number in numbers if number in known]
+    for row in done(options.rope, [n for n in numbers if n not in known], patience, ours_alone=options.outside):
+        rows.append(row)
+        print(line(row), flush=True)
+        if log is not None:
+            with log.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"kind": kind, "patience": patience, "kernels": SOURCE_HASH, **row}) + "\n")
+    page = f"# Casting: {kind}\n\n{text(rows, options.rope)}\n{machine.sentence(about)}\n"
+    print(page)
+    if log is not None:
+        name = f"casting-{kind.replace(' ', '-')}"
+        files.write_text(log.with_name(f"{name}.json"), json.dumps({"machine": about, "rows": rows}, indent=1) + "\n")
+        files.write_text(log.with_name(f"{name}.md"), page)
+
+
+def read(log: Path | None, kind: str, patience: float) -> dict[int, dict[str, Any]]:
+    """Rows of the same kind by number."""
+    if log is None or not log.exists():
+        return {}
+    rows = [json.loads(text) for text in log.read_text(encoding="utf-8").splitlines() if text.endswith("}")]
+    return {row["number"]: row for row in rows if (row["kind"], row["patience"]) == (kind, patience)}
+
+
+def done(rope: str, numbers: list[int], patience: float, ours_alone: bool) -> Iterator[dict[str, Any]]:
+    """A row for each target."""
+    for number in numbers:
+        peg = target(number)
+        plan = plan_cast(thrower(rope).rope, casting_arm(), peg, patience=patience, regardless=True, seed=number)
+        row = {
+            "number": number,
+            "x": peg.x,
+            "y": peg.y,
+            "radius": peg.radius,
+            "room": plan.reach.room,
+            "energy": plan.reach.energy,
+            "seconds": plan.seconds,
+            "runs": plan.runs,
+            "planned": plan.success,
+            "reason": plan.reason,
+            "ours": judged(rope, peg, plan.motion),
+        }
+        if not ours_alone:
+            row["paper's rests"] = judged(rope, peg, until_strike(rope, peg, swinging()))
+            row["paper's timing"] = judged(rope, peg, until_strike(rope, peg, timed(rope)))
+        yield row
+
+
+def judged(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
+    """What becomes of a motion in a finer run, and what the wound rope bears."""
+    if motion is None:
+        return {"success": False, "reason": "nothing to do"}
+    fine = thrower(rope, FINE_LINKS)
+    cast = verify(fine, peg, motion, tol=TOL, contact_step=STEP)
+    row = {
+        "success": cast.success,
+        "wound": cast.wound,
+        "turns": short(cast.turns),
+        "slipped": short(cast.slipped),
+        "strike": short(cast.strike),
+        "torque": short(cast.torque),
+        "reason": cast.reason,
+    }
+    return row | (bears(fine, peg, cast) if cast.success else {})
+
+
+def bears(fine: Thrower, peg: hf.Peg, cast: Cast) -> dict[str, Any]:
+    """Pull that a wound rope holds, N, and the weight of its tail times e^(mu theta), N."""
+    if cast.run is None:
+        return {}
+    pulled, wound = winding.tug(cast.run, peg), winding.wound(cast.run, peg)
+    limit = float(wound.after[-1] * math.exp(peg.mu * abs(wound.arc[-1])))
+    return {"hold": short(pulled.hold), "let go": pulled.slipped, "tail times e^(mu theta)": short(limit)}
+
+
+def swinging() -> Motion:
+    """The paper's casting motion."""
+    return hf.swings(t_move=HALF_TURN, t_rest=T_REST["success"])
+
+
+def timed(rope: str) -> Motion:
+    """The paper's timing rule on the true state, each half turn as the tip passes below the shaft."""
+    from hyperflex.control import Caster, CrossingRule, TrueState, swing
+
+    model, known = Caster(thrower(rope).rope, casting_arm(), HALF_TURN), thrower(rope)
+    return swing(TrueState(known.rope, known.arm), CrossingRule(model, 0.0), model, duration=known.time).motion
+
+
+def until_strike(rope: str, peg: hf.Peg, motion: Motion) -> Motion | None:
+    """A motion that ends with the half turn in which the rope strikes; None if it does not strike."""
+    struck = float(look(thrower(rope), peg, [motion]).t[0])
+    if math.isnan(struck):
+        return None
+    begins = [t for t in motion.switches(0.0, struck) if abs(float(motion.rate([t])[0])) < 1e-9]
+    begin = begins[-1] if begins else 0.0
+    stop = begin + HALF_TURN if abs(float(motion.rate([struck])[0])) > 1e-9 else struck
+    return motion.then(hf.hold(float(motion.angle([stop])[0])), stop)
+
+
+def short(value: float) -> float | None:
+    return float(f"{value:.4g}") if math.isfinite(value) else None
+
+
+def line(row: dict[str, Any]) -> str:
+    ours = row["ours"]
+    return (
+        f"{row['number']:4d} ({row['x']:+.2f}, {row['y']:+.2f}) r {row['radius']:.3f} planned {row['planned']!s:5} in "
+        f"{row['seconds']:.0f} s, judged {ours['success']!s:5} {ours.get('turns')} {ours['reason'] or row['reason']}"
+    )
+
+
+def text(rows: list[dict[str, Any]], rope: str) -> str:
+    """Results as Markdown."""
+    ways = [name for name in ("ours", "paper's rests", "paper's timing") if rows and name in rows[0]]
+    lines = ["| way | wound and held | of |", "|---|---|---|"]
+    lines += [f"| {way} | {sum(row[way]['success'] for row in rows)} | {len(rows)} |" for way in ways]
+    seconds = np.array([row["seconds"] for row in rows])
+    lines += ["", f"Planning: median {np.median(seconds):.0f} s, at most {seconds.max():.0f} s a target."]
+    lines += [f"Goal: {GOAL[rope]:.0%} wound and held. Plans that fail say so: {told(rows)}.", ""]
+    head = ("number", "x", "y", "radius", "room", "energy", "planned", "s", "judged", "turns", "hold", "tail e^(mu th)")
+    lines += ["| " + " | ".join(head) + " | why not |", "|" + "---|" * (len(head) + 1)]
+    for row in rows:
+        ours = row["ours"]
+        cells = [row["number"], *(f"{row[k]:.3f}" for k in ("x", "y", "radius", "room", "energy"))]
+        cells += [row["planned"], f"{row['seconds']:.0f}", ours["success"], ours.get("turns")]
+        cells += [ours.get("hold", ""), ours.get("tail times e^(mu theta)", ""), ours["reason"] or row["reason"]]
+        lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def told(rows: list[dict[str, Any]]) -> str:
+    """How often plan and judge agree."""
+    agree = sum(row["planned"] == row["ours"]["success"] for row in rows)
+    return f"plan and judge agree on {agree} of {len(rows)}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,216 @@
+"""A planned throw in closed loop: at each rest the rope is looked at and what is left of the throw planned anew."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.casting import flights
+from hyperflex.casting.flights import Flights
+from hyperflex.casting.matching import Goal, match
+from hyperflex.casting.outcome import WOUND
+from hyperflex.casting.robust import worth
+from hyperflex.casting.throw import SLOWEST, Throw
+from hyperflex.casting.thrower import Thrower
+from hyperflex.casting.uncertainty import Draw, Uncertainty
+from hyperflex.checks import Array
+from hyperflex.control import RopeState, StateSource, TrueState
+from hyperflex.model import Arm, Peg
+from hyperflex.motion import Motion
+
+WORLDS = 3  # in which what is left is tried, beside the one expected
+THINKING = 0.1  # s, that a decision may take: nothing changes sooner after a look
+LIKELY = 0.2  # part of the worlds; with fewer wins before the last stroke or move, a throw is given up
+BETTER = 0.05  # worth by which another way must beat the planned one
+LATEST = 2  # moves at the end before which a throw may be given up
+
+
+@dataclass(frozen=True)
+class Look:
+    """What was seen and decided at one rest.
+
+    Attributes
+    ----------
+    move : int
+        Which move comes next.
+    t : float
+        When the rope was looked at, s.
+    left : float
+        Time until that move, as planned until then, s.
+    before, after : float
+        Part of the tried worlds in which the throw would win, as planned until then and as decided.
+    decided : str
+        "kept", "changed" or "aborted".
+    seconds : float
+        Time that the decision took, s; it may be more than `left`.
+    """
+
+    move: int
+    t: float
+    left: float
+    before: float
+    after: float
+    decided: str
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What a closed loop made of a plan.
+
+    Attributes
+    ----------
+    throw : Throw
+        What was asked of the motor in the end.
+    motion : Motion
+        The same as a motion.
+    looks : tuple of Look
+    aborted : bool
+        The throw was given up, and the arm went slowly to hanging.
+    """
+
+    throw: Throw
+    motion: Motion
+    looks: tuple[Look, ...]
+    aborted: bool
+
+
+class DrawnWorld:
+    """A drawn world as a StateSource: the true state of its rope under what its motor makes of the asked motion.
+
+    Parameters
+    ----------
+    draw : Draw
+    arm : Arm
+    """
+
+    def __init__(self, draw: Draw, arm: Arm) -> None:
+        self.draw, self._true = draw, TrueState(draw.rope, arm)
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        """Return the simulated state at `t`, s, when `motion`, made of moves, is asked for."""
+        return self._true.state(t, self.draw.executed(motion))
+
+
+def follow(
+    thrower: Thrower,
+    peg: Peg,
+    throw: Throw,
+    source: StateSource,
+    *,
+    uncertainty: Uncertainty | None = None,
+    thinking: float = THINKING,
+    likely: float = LIKELY,
+    seed: int = 0,
+    threads: int | None = None,
+) -> Followed:
+    """Follow a planned throw; at each rest before the strike, plan what is left anew from the state that is seen.
+
+    Parameters
+    ----------
+    thrower : Thrower
+    peg : Peg
+    throw : Throw
+        The plan.
+    source : StateSource
+        Tells the rope's state; with as many links as the thrower's rope.
+    uncertainty : Uncertainty, optional
+        Of rope and peg, from which the worlds are drawn in which ways on are tried; by default realistic.
+    thinking : float
+        Time that a decision may take, s: a move that is due sooner is not changed.
+    likely : float
+        Part of the tried worlds that must be won before the last stroke and the last move; else the throw is given up.
+    seed : int
+    threads : int, optional
+
+    Returns
+    -------
+    Followed
+        The decisions are made from the states seen alone; contact before the last look is not noticed.
+
+    Notes
+    -----
+    A plan that wins in all the tried worlds is kept. Else another way on is sought in free flights, for the state in
+    which the plan was to strike (:func:`matching.match`), and taken if it wins more often beside the peg. Simulated time stands still while a decision is made:
+    `thinking` is kept by what may change, and :attr:`Look.seconds` says what it really took.
+    """
+    pause = checks.number("thinking", thinking, sign="nonnegative", unit="s")
+    known = uncertainty or Uncertainty()
+    worlds = known.draws(WORLDS, thrower, peg, seed=[checks.count("seed", seed, least=0), 1])
+    goal = Goal.of(thrower, peg, throw)
+    loop = _Loop(thrower, peg, throw, worlds, threads)
+    looks: list[Look] = []
+    while goal is not None and loop.move <= loop.throw.count:
+        starts, now = loop.throw.starts(thrower.limits), loop.rested()
+        if now >= goal.t + loop.late:
+            break
+        begin = time.monotonic()
+        state = source.state(now, loop.throw.motion(thrower.limits))
+        before, after, decided = loop.decide(goal, state, pause, likely)
+        left = float(starts[loop.move]) - now
+        looks.append(Look(loop.move, now, left, before, after, decided, time.monotonic() - begin))
+        if decided == "aborted":
+            return Followed(loop.throw, loop.throw.motion(thrower.limits), tuple(looks), True)
+        loop.move += 1
+    return Followed(loop.throw, loop.throw.motion(thrower.limits), tuple(looks), False)
+
+
+def swing_down(throw: Throw, made: int) -> Throw:
+    """Return a throw that has made `made` moves and then takes the arm slowly to hanging."""
+    return replace(throw, count=made, end=0.0, rest=0.0, speed=SLOWEST)
+
+
+class _Loop:
+    """The throw as it is planned by now, and the next move."""
+
+    def __init__(self, thrower: Thrower, peg: Peg, throw: Throw, worlds: Sequence[Draw], threads: int | None) -> None:
+        self.thrower, self.peg, self.throw, self.threads = thrower, peg, throw, threads
+        self.worlds, self.move, self.late = worlds, 1, 0.0
+
+    def rested(self) -> float:
+        """When the arm comes to rest before the next move, s."""
+        rests = np.append(self.throw.rests[: self.throw.count], self.throw.rest)
+        return float(self.throw.starts(self.thrower.limits)[self.move] - abs(rests[self.move]))
+
+    def decide(self, goal: Goal, state: RopeState, pause: float, likely: float) -> tuple[float, float, str]:
+        """Decide what is left; returns chances before and after, and the decision in a word."""
+        ways = [self.throw]
+        chance, value = self.chances(ways, state)
+        if self.move < self.throw.count and chance[0] < 1.0:
+            others = match(self.thrower, goal, self.throw, self.move, state, pause, threads=self.threads)
+            if others:
+                more = self.chances(others, state)
+                ways += others
+                chance, value = np.append(chance, more[0]), np.append(value, more[1])
+        best = int(np.argmax(value))
+        best = best if value[best] > value[0] + BETTER else 0
+        if chance[best] < likely and self.move > self.throw.count - LATEST:
+            self.throw = swing_down(self.throw, self.move)
+            return float(chance[0]), float(chance[best]), "aborted"
+        changed = ways[best] is not self.throw
+        old = self.throw.starts(self.thrower.limits)[-1]
+        self.throw = ways[best]
+        self.late += float(self.throw.starts(self.thrower.limits)[-1] - old)
+        return float(chance[0]), float(chance[best]), "changed" if changed else "kept"
+
+    def chances(self, ways: Sequence[Throw], state: RopeState) -> tuple[Array, Array]:
+        """Return the part of the worlds in which each way wins, and its mean worth (W,)."""
+        ropes = [self.thrower.rope, *(world.rope for world in self.worlds)]
+        pegs = [self.peg, *(world.peg for world in self.worlds)]
+        motions = [way.motion(self.thrower.limits).shifted(-state.t) for way in ways]
+        count = len(ways) * len(ropes)
+        batch = Flights(
+            ropes * len(ways),
+            pegs * len(ways),
+            [motion for motion in motions for _ in ropes],
+            np.broadcast_to(state.q, (count, state.q.size)),
+            np.broadcast_to(state.qd, (count, state.qd.size)),
+            state.t,
+        )
+        found = flights.ends(batch, self.thrower.arm, self.thrower.time, threads=self.threads)
+        shape = (len(ways), len(ropes))
+        return (found.turns >= WOUND).reshape(shape).mean(axis=1), worth(found).reshape(shape).mean(axis=1)

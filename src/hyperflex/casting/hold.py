@@ -1,0 +1,64 @@
+"""What a wound rope holds: measured by a tug, beside what Capstan's rule gives for its tail."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex import winding
+from hyperflex.errors import SimulationError
+from hyperflex.model import Peg
+from hyperflex.trajectory import Trajectory
+from hyperflex.winding import Tug
+
+
+@dataclass(frozen=True, eq=False)
+class Holding:
+    """A wound rope that is pulled at.
+
+    Attributes
+    ----------
+    tug : Tug
+        The simulated pull from where the run ended.
+    tail : float
+        Weight of what hangs beyond the peg, N.
+    angle : float
+        About the peg from the first to the last link that lies on it, rad, >= 0.
+    mu : float
+        Friction between rope and peg.
+    """
+
+    tug: Tug
+    tail: float
+    angle: float
+    mu: float
+
+    @property
+    def force(self) -> float:
+        """Pull that the rope bore before it had slipped, N; a lower bound where it did not slip."""
+        return self.tug.hold
+
+    @property
+    def rule(self) -> float:
+        """Capstan's rule for a rope without weight on the peg: the tail's weight times e^(mu angle), N."""
+        return float(self.tail * np.exp(self.mu * self.angle))
+
+
+def holding(run: Trajectory, peg: Peg) -> Holding | None:
+    """Tug at the rope from where a run ended; None where it is not on the peg or the pull cannot be simulated.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Simulated with this peg.
+    peg : Peg
+    """
+    wound = winding.wound(run, peg)
+    if not np.isfinite(wound.tail[-1]):
+        return None
+    try:
+        pulled = winding.tug(run, peg)
+    except SimulationError:
+        return None
+    return Holding(tug=pulled, tail=float(wound.tail[-1]), angle=abs(float(wound.arc[-1])), mu=peg.mu)

@@ -1,0 +1,180 @@
+"""The robust part of a search: throws that win in most of the worlds that may be met, not only in the one expected."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hyperflex.casting import flights
+from hyperflex.casting.genes import Genes
+from hyperflex.casting.landing import Landings
+from hyperflex.casting.outcome import WOUND
+from hyperflex.casting.search import Landing
+from hyperflex.casting.throw import Throw
+from hyperflex.casting.thrower import Thrower
+from hyperflex.casting.uncertainty import Draw, Uncertainty
+from hyperflex.checks import Array
+from hyperflex.model import Peg
+
+POOL, HEATS = 16, (4, 4, 8)  # throws that are raced, and the worlds of each heat; the better half goes on
+MEMBERS, WORLDS = 8, 6  # of a generation of the refinement
+JUDGED = 16  # worlds in which a challenger meets the champion
+NARROW = 0.1  # spread of the refinement, in parts of the nominal search's first one
+SHADE = 0.2  # what a good score counts beside a win
+BEST = 3.0  # score from which on more does not count
+ALIKE = 0.02  # points that differ by less are one
+RACE, REFINE = 9001, 9002  # streams of random numbers
+
+
+@dataclass(eq=False)
+class Runner:
+    """A throw that is raced, and what it came to in each world until now."""
+
+    landing: Landing
+    wins: list[bool] = field(default_factory=list)
+    worth: list[float] = field(default_factory=list)
+
+    @property
+    def mean(self) -> float:
+        """Mean worth; wins count one."""
+        return float(np.mean(self.worth)) if self.worth else -1.0
+
+
+class Hardening:
+    """A race of the throws that a nominal search found, then CMA-ES about the best, all in common worlds.
+
+    Parameters
+    ----------
+    thrower : Thrower
+    peg : Peg
+    genes : dict of int to Genes
+        Of each side, as the nominal search has them.
+    uncertainty : Uncertainty
+    seed : int
+    threads : int, optional
+
+    Notes
+    -----
+    All throws of a heat or a generation meet the same worlds, so that luck does not choose among them. Each generation
+    has fresh worlds, since what is fitted to a fixed few does not hold in others; a generation's best replaces the
+    champion only if it beats it in JUDGED worlds that both have met.
+    """
+
+    def __init__(
+        self,
+        thrower: Thrower,
+        peg: Peg,
+        genes: dict[int, Genes],
+        uncertainty: Uncertainty,
+        *,
+        seed: int = 0,
+        threads: int | None = None,
+    ) -> None:
+        self.thrower, self.peg, self.genes, self.uncertainty = thrower, peg, genes, uncertainty
+        self.seed, self.threads = seed, threads
+        self.worlds = uncertainty.draws(max(sum(HEATS), JUDGED), thrower, peg, seed=[RACE, seed])
+        self.order: list[Runner] = []  # best first
+        self.runs = self.generations = 0
+        self._evolution: Any = None
+
+    @property
+    def champion(self) -> Runner:
+        """The best until now."""
+        return self.order[0]
+
+    def go(self, found: Sequence[Landing], until: float, report: Callable[[], None] | None = None) -> None:
+        """Race `found` and refine until the monotonic clock shows `until`, s, or the champion wins every time."""
+        self.race(found)
+        while self.order and time.monotonic() < until and not self.sure():
+            self.refine()
+            if report is not None:
+                report()
+
+    def sure(self) -> bool:
+        """Whether the champion has won in all the worlds that it has met."""
+        return len(self.champion.wins) >= JUDGED and all(self.champion.wins)
+
+    def race(self, found: Sequence[Landing]) -> None:
+        """Let throws run in heats; the better half of each goes on."""
+        runners = [Runner(landing) for landing in _apart(found)]
+        met = 0
+        for worlds in HEATS:
+            self.meet(runners, self.worlds[met : met + worlds])
+            met += worlds
+            runners.sort(key=lambda one: -one.mean)
+            self.order = runners + self.order
+            runners = runners[: max(1, len(runners) // 2)]
+        self.order = [*runners, *(one for one in dict.fromkeys(self.order) if one not in runners)]
+
+    def refine(self) -> None:
+        """One generation about the champion, in fresh worlds; its best may take the champion's place."""
+        side = self.champion.landing.side
+        if self._evolution is None:
+            self._evolution = _evolution(self.champion.landing.x, self.genes[side], self.seed)
+        points = self._evolution.ask()
+        fresh = self.uncertainty.draws(WORLDS, self.thrower, self.peg, seed=[REFINE, self.seed, self.generations])
+        runners = [Runner(one) for one in self.landings(side, [np.asarray(x) for x in points])]
+        self.meet(runners, fresh)
+        self._evolution.tell(points, [-one.mean for one in runners])
+        self.generations += 1
+        best = max(runners, key=lambda one: one.mean)
+        challenger = Runner(best.landing)
+        missing = len(self.champion.wins)
+        self.meet([challenger], self.worlds[:JUDGED])
+        if missing < JUDGED:
+            self.meet([self.champion], self.worlds[missing:JUDGED])
+        if challenger.mean > float(np.mean(self.champion.worth[:JUDGED])):
+            self.order.insert(0, challenger)
+
+    def landings(self, side: int, points: list[Array]) -> list[Landing]:
+        """Return points as throws that are cut where they should strike."""
+        throws = [self.genes[side].throw(x) for x in points]
+        times = flights.strike(self.thrower, self.peg, throws, threads=self.threads)
+        self.runs += len(points)
+        cut = [
+            throw if np.isnan(t) else throw.cut(float(t), self.thrower.limits)
+            for throw, t in zip(throws, times, strict=True)
+        ]
+        return [Landing(0.0, 0.0, side, x, throw) for x, throw in zip(points, cut, strict=True)]
+
+    def meet(self, runners: Sequence[Runner], worlds: Sequence[Draw]) -> None:
+        """Let each runner meet each world."""
+        pairs: list[tuple[Throw, Draw]] = [(one.landing.throw, world) for one in runners for world in worlds]
+        found = flights.ends(
+            flights.from_rest(self.thrower, pairs), self.thrower.arm, self.thrower.time, threads=self.threads
+        )
+        self.runs += 2 * len(pairs)
+        won = (found.turns >= WOUND).reshape(len(runners), -1)
+        values = worth(found).reshape(won.shape)
+        for one, wins, worths in zip(runners, won, values, strict=True):
+            one.wins += wins.tolist()
+            one.worth += worths.tolist()
+
+
+def worth(found: Landings) -> Array:
+    """Return what landings (M,) are worth: a win one, and a little for a better score."""
+    return np.asarray((found.turns >= WOUND) + SHADE * np.clip(found.score / BEST, -1.0, 1.0))
+
+
+def _apart(found: Sequence[Landing]) -> list[Landing]:
+    """Return the best throws that differ, those first that wind."""
+    chosen: list[Landing] = []
+    for one in sorted(found, key=lambda one: (one.turns < WOUND, -one.score)):
+        if all(one.side != other.side or np.abs(one.x - other.x).max() > ALIKE for other in chosen):
+            chosen.append(one)
+        if len(chosen) == POOL:
+            break
+    return chosen
+
+
+def _evolution(centre: Array, genes: Genes, seed: int) -> Any:
+    import cma
+
+    draws = np.random.default_rng([REFINE, seed])
+    options = {"popsize": MEMBERS, "verbose": -9, "seed": np.nan, "CMA_stds": genes.spreads()}
+    options["randn"] = lambda *shape: draws.standard_normal(shape)
+    return cma.CMAEvolutionStrategy(centre, NARROW, options)

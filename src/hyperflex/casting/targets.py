@@ -1,0 +1,154 @@
+"""Whether a target can be wound at all: length left, energy and hold, told before any search.
+
+A rope that swings as far as the target lets it is taken as a rigid rod, and its tail beyond the target as another. The
+constants are those that sort the targets of ``benchmarks/casting`` best; see there how well they do.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.casting.outcome import WOUND
+from hyperflex.casting.thrower import Thrower
+from hyperflex.control import swing_period
+from hyperflex.model import Peg
+
+MARGIN = 0.05  # turns beyond WOUND that a plan aims at, since the tail still swings
+HANGING = 0.3  # turns' worth of tail that hangs from the target in the end, at least
+GAIN = 2.2  # by which one stroke widens a swing, in units of the arm tip's way over the length of an equal pendulum
+WIDEST = 1.7  # rad, to which a rope can be swung: not far beyond level, where it goes slack
+ENERGY = 0.2  # of what lifts the tail over the target: with less than this at the strike no throw was found that winds
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What can be said of a target before a search.
+
+    Attributes
+    ----------
+    room : float
+        Length of the rope beyond the target, in turns about it.
+    needed : float
+        Turns that a wound rope makes at least, and its hanging end: `room` must be more.
+    energy : float
+        Energy of the tail at the strike, over what lifts its centre of mass over the target; at least ENERGY.
+    hold : float
+        Greatest pull that the wound rope can bear, N: weight of the hanging end times e^(mu theta).
+    impossible : bool
+        Whether geometry alone forbids it; a search would find nothing.
+    reason : str
+        Why the target is out of reach; empty if it is in reach.
+    """
+
+    room: float
+    needed: float
+    energy: float
+    hold: float
+    impossible: bool
+    reason: str
+
+    @property
+    def within(self) -> bool:
+        """Whether the target is in reach."""
+        return not self.reason
+
+
+def reach(thrower: Thrower, peg: Peg, *, hold: float = 0.0) -> Reach:
+    """Tell whether a target is in reach of a thrower.
+
+    Parameters
+    ----------
+    thrower : Thrower
+    peg : Peg
+    hold : float
+        Pull that the wound rope should bear, N.
+
+    Notes
+    -----
+    Turns are quantised: the end of a wound rope hangs, so the turns from the arm to it are a whole number and what the
+    direction of the target fixes. The swing is limited on the target's side by the target itself, on the other side
+    by that and what one stroke adds.
+    """
+    asked = checks.number("hold", hold, sign="nonnegative", unit="N")
+    rope, arm = thrower.rope, thrower.arm
+    x, y = peg.x - arm.pivot[0], peg.y - arm.pivot[1]
+    down = np.array(rope.gravity) / math.hypot(*rope.gravity)
+    far = math.hypot(x, y)
+    aside = math.atan2(abs(x * down[1] - y * down[0]), x * down[0] + y * down[1])  # from straight down
+    axis = peg.radius + rope.radius
+    room = (rope.total_length - far + axis) / (2.0 * math.pi * axis)
+    turns = _turns(aside)
+    needed = turns + HANGING
+    energy = _energy(thrower, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
+    bears = _hold(thrower, peg, room, turns)
+    impossible, reason = _verdict(thrower, far, axis, room, needed)
+    if not reason and energy < ENERGY:
+        slow = _gain(thrower) < 0.5 * _gain(thrower, fast=True)
+        why = "the motor is too slow to swing the rope up" if slow else "too little energy"
+        reason = f"out of reach: {why}: at the strike {energy:.2f} of what lifts the tail over it, {ENERGY:g} needed"
+    if not reason and bears < asked:
+        reason = f"out of reach: wound it bears {bears:.3g} N at most, {asked:g} N asked"
+    return Reach(room, needed, energy, bears, impossible, reason)
+
+
+def _verdict(thrower: Thrower, far: float, axis: float, room: float, needed: float) -> tuple[bool, str]:
+    """Whether geometry alone forbids the target, and what is wrong with it."""
+    short = far - axis - thrower.rope.total_length - thrower.arm.length
+    if short > 0.0:
+        return True, f"out of reach: the rope ends {short:.2f} m short of the target"
+    if far - axis <= thrower.arm.length:
+        return True, "inside the arm's circle: the arm would strike the target"
+    if room < needed:
+        return (
+            False,
+            f"out of reach: rope for {max(room, 0.0):.2f} turns is left beyond the target, {needed:.2f} needed",
+        )
+    return False, ""
+
+
+def _turns(aside: float) -> float:
+    """Fewest turns that are enough, of those that a rope can end with; struck from below."""
+    first = 0.5 - aside / (2.0 * math.pi)
+    return first + math.ceil(WOUND + MARGIN - first)
+
+
+def _gain(thrower: Thrower, *, fast: bool = False) -> float:
+    """Angle by which one stroke widens a swing, rad; `fast`: if the motor were as fast as one likes."""
+    period, (least, greatest) = swing_period(thrower.rope), thrower.limits.angles
+    pendulum = math.hypot(*thrower.rope.gravity) * (period / (2.0 * math.pi)) ** 2
+    stroke = min(math.pi, greatest - least)
+    gain = GAIN * 2.0 * thrower.arm.length * math.sin(0.5 * stroke) / pendulum
+    time = float(thrower.limits.fastest([stroke])[0][0])
+    return gain if fast else gain * min(1.0, 0.5 * period / time)
+
+
+def _energy(thrower: Thrower, far: float, aside: float, axis: float) -> float:
+    """Energy of the tail at the strike over what lifts it, for rods; below 0 where the swing does not get there."""
+    rope, gain = thrower.rope, _gain(thrower)
+    near = aside - math.asin(min(1.0, axis / far))
+    strokes = thrower.time / (0.5 * swing_period(rope))
+    wide = min(near + gain, gain * strokes, WIDEST)
+    mass = np.append(rope.mass, rope.tip_mass)
+    along = np.append(np.cumsum(rope.length) - rope.length + rope.com, rope.total_length)
+    tail = np.where(along > far, mass, 0.0)
+    share = (tail * along**2).sum() / (mass * along**2).sum()
+    drop = (mass * along).sum() * (math.cos(aside) - math.cos(wide))
+    lift = (tail * (along - far)).sum() * (1.0 + math.cos(aside))
+    return float(share * drop / max(lift, 1e-12))
+
+
+def _hold(thrower: Thrower, peg: Peg, room: float, turns: float) -> float:
+    """Greatest pull that a wound rope bears, N, over the turns that it has room for."""
+    rope = thrower.rope
+    weight = math.hypot(*rope.gravity)
+    per_turn = rope.total_mass / rope.total_length * 2.0 * math.pi * (peg.radius + rope.radius)
+    best = 0.0
+    while turns < room:
+        hanging = per_turn * (room - turns) + rope.tip_mass
+        best = max(best, hanging * weight * math.exp(min(peg.mu * 2.0 * math.pi * turns, 700.0)))
+        turns += 1.0
+    return best

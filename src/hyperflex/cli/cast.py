@@ -1,0 +1,135 @@
+"""``hyperflex cast``: a rope, an arm and a target in, a throw that winds and holds out."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hyperflex.cli import output
+from hyperflex.errors import FileProblem
+
+if TYPE_CHECKING:
+    from hyperflex.casting import CastPlan
+    from hyperflex.casting.hold import Holding
+
+
+def cast(
+    rope: Annotated[Path, typer.Option(help="TOML file with the rope, such as identify writes.")],
+    target: Annotated[
+        tuple[float, float], typer.Option(help="Centre of the peg from the motor's shaft, x and y (up), m.")
+    ],
+    radius: Annotated[float, typer.Option(help="Of the peg, m.")],
+    out: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if need be.")],
+    mu: Annotated[float, typer.Option(help="Friction between rope and peg.")] = 0.3,
+    arm_length: Annotated[float, typer.Option(help="Of the arm that the motor turns, m.")] = 0.105,
+    speed: Annotated[
+        float | None, typer.Option(help="Greatest speed of the motor, rad/s. [default: 8.61, the paper's]")
+    ] = None,
+    acceleration: Annotated[
+        float | None, typer.Option(help="Greatest acceleration, rad/s^2. [default: 23.6, the paper's]")
+    ] = None,
+    torque: Annotated[float | None, typer.Option(help="Greatest torque, N m. [default: not looked at]")] = None,
+    hold: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
+    rate: Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz.")] = 200.0,
+    patience: Annotated[float, typer.Option(help="Time to search, s; a plan that stands ends it.")] = 60.0,
+    seed: Annotated[int, typer.Option(help="Of the search.")] = 0,
+    json: output.Json = False,
+) -> None:
+    """Plan how the arm casts its rope round a peg, winds it and holds.
+
+    The plan is verified in simulation, on the rope as given and with links of half the length. Writes a page, pictures,
+    a film, the motion for the motor (CSV), the verified run (NetCDF) and a set-up that simulate runs.
+
+    Ctrl-C ends the search; the best so far is written, and said to be that.
+
+    The exit code is 4 if no cast that winds and holds was found; the best throw is written all the same, with the
+    reason.
+    """
+    from hyperflex.casting import MotorLimits, plan_cast
+    from hyperflex.checks import number
+    from hyperflex.model import Arm, Peg, Rope
+    from hyperflex.report.cast import write_cast
+
+    if out.exists() and not out.is_dir():
+        raise FileProblem(f"{out} is a file, not a folder. Give another name with -o.")
+    rate = number("--rate", rate, sign="positive", unit="Hz")
+    arm_length = number("--arm-length", arm_length, sign="positive", unit="m")
+    given: dict[str, Any] = {"speed": speed, "acceleration": acceleration, "torque": torque}
+    limits = MotorLimits(**{name: value for name, value in given.items() if value is not None})
+    plan = plan_cast(
+        Rope.from_toml(rope),
+        Arm(length=arm_length),
+        Peg(*target, radius, mu),
+        limits,
+        hold=hold,
+        patience=patience,
+        seed=seed,
+        progress=output.watched(json),
+    )
+    with output.spinner(json) as tell:
+        files, held = write_cast(out, plan, rate=rate, tell=tell)
+    result = _figures(plan, held, files)
+    code = 0 if plan.success else output.NO_PLAN
+    if plan.interrupted:
+        words = f"Interrupted; the best so far is in {out}. {_verdict(plan)}"
+        if not json:
+            _show(plan, held, files)
+        code = output.interrupted(words, result, as_json=json)
+    elif json:
+        output.print_json(result)
+    else:
+        _show(plan, held, files)
+    if code:
+        raise typer.Exit(code)
+
+
+def _figures(plan: CastPlan, held: Holding | None, files: dict[str, Path]) -> dict[str, Any]:
+    """Return the plan for JSON."""
+    from hyperflex.casting.tables import summary
+
+    peg = plan.peg
+    told = summary(plan)
+    told |= {"target": {"x_m": peg.x, "y_m": peg.y, "radius_m": peg.radius, "mu": peg.mu}, "files": files}
+    if held is not None:
+        told["hold"] = {
+            "force_N": held.force,
+            "slipped": held.tug.slipped,
+            "tail_weight_N": held.tail,
+            "contact_rad": held.angle,
+            "tail_weight_times_exp_N": held.rule,
+        }
+    return told
+
+
+def _verdict(plan: CastPlan) -> str:
+    from hyperflex.report.cast_words import verdict
+
+    return verdict(plan)
+
+
+def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path]) -> None:
+    """Print what was planned and what to look at."""
+    from hyperflex.report.cast_words import swings_words, target_words
+
+    pairs = [("target", target_words(plan.peg))]
+    if plan.throw is not None:
+        pairs.append(("the arm makes", f"{swings_words(plan)} and a last move"))
+    if plan.cast is not None and math.isfinite(plan.cast.strike):
+        pairs.append(("strikes", f"{plan.cast.strike:.2f} s after the start"))
+        pairs.append(("turns in the end", f"{abs(plan.cast.turns):.2f}"))
+    if held is not None:
+        pairs.append(("hold force", f"{'' if held.tug.slipped else 'at least '}{held.force:.2f} N, by a tug"))
+        pairs.append(("tail weight times e^(mu angle)", f"{held.rule:.2f} N"))
+    output.print_pairs("Cast (simulated)", pairs)
+    output.console().print(_verdict(plan), markup=False)
+    words = {
+        "page": "the whole story on one page",
+        "film": "the cast as a film",
+        "motion": "the motion for the motor",
+        "plan": "the set-up, for simulate",
+        "run": "the verified run",
+    }
+    output.print_pairs("Written", [(told, str(files[kind])) for kind, told in words.items() if kind in files])

@@ -1,0 +1,151 @@
+"""The interface of a motor that carries an arm, and a simulated servo with the faults of a real one."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.motion import Motion, sampled
+
+STEP = 2.5e-4  # s, of the simulated servo
+STEPS_A_LAG = 16.0  # at least, in its lag
+SAMPLE_TIME = 2e-3  # s, between samples of what it has done
+
+
+class Motor(Protocol):
+    """Whatever turns an arm: a simulated servo, later a real one."""
+
+    def set_motion(self, motion: Motion, at: float) -> None:
+        """Ask for a motion from a time on.
+
+        Parameters
+        ----------
+        motion : Motion
+            Arm angle over the time since the start of the cast, s; what it says of earlier times does not matter.
+        at : float
+            When it is asked for, s; never earlier than any time that was asked for or read before.
+        """
+
+    def angle(self, t: float) -> float:
+        """Return what the encoder shows at a time `t` (s, never earlier than one read before), rad."""
+
+
+class SimulatedMotor:
+    """A simulated servo: it follows late, within a torque, what reaches it after a delay; its encoder has steps.
+
+    Parameters
+    ----------
+    angle : float
+        Where it stands at t = 0, at rest, rad.
+    lag : float
+        By how much it runs late at constant speed, s; it is a critically damped oscillator of second order.
+    latency : float
+        From :meth:`set_motion` to the first effect, s.
+    counts : int
+        Steps of the encoder in a turn.
+    torque : float
+        Greatest torque, N m; inf if it has enough.
+    inertia : float
+        Of arm and rotor about the shaft, kg m^2: what the torque is for. The rope's pull is not in it.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite or has the wrong sign, or times go back.
+
+    Notes
+    -----
+    Simulated, and not compared with any real servo. With w = 2 / lag, angle y and asked angle u (the last one that has
+    come through): inertia y'' = torque, cut at its limit, of inertia (w^2 (u - y) - 2 w y').
+
+    Examples
+    --------
+    >>> from hyperflex.motion import move
+    >>> motor = SimulatedMotor(angle=0.0, lag=0.02, counts=4096)
+    >>> motor.set_motion(move(0.0, 1.0, duration=0.5), at=0.0)
+    >>> round(motor.angle(0.25), 2), round(motor.angle(1.0), 2)
+    (0.42, 1.0)
+    """
+
+    def __init__(
+        self,
+        angle: float = 0.0,
+        *,
+        lag: float = 0.01,
+        latency: float = 0.0,
+        counts: int = 4096,
+        torque: float = math.inf,
+        inertia: float = 1e-3,
+    ) -> None:
+        self.lag = checks.number("lag", lag, sign="positive", unit="s")
+        self.latency = checks.number("latency", latency, sign="nonnegative", unit="s")
+        self.counts = checks.count("counts", counts)
+        self.torque = checks.number("torque", torque, sign="positive", unit="N m", infinite=True)
+        self.inertia = checks.number("inertia", inertia, sign="positive", unit="kg m^2")
+        start = checks.number("angle", angle, unit="rad")
+        self._asked: list[tuple[float, Motion]] = []
+        self._start = start
+        self._now = 0.0  # until when others know of it
+        self._t, self._y, self._v = 0.0, start, 0.0  # how far it has been simulated
+        self._seen: list[tuple[float, float]] = [(0.0, start)]
+
+    def set_motion(self, motion: Motion, at: float) -> None:
+        """Ask for a motion from a time `at` (s) on, after the latency; see :class:`Motor`."""
+        when = self._later("at", at)
+        if not isinstance(motion, Motion):
+            raise InvalidInput("motion is not a Motion", got=motion, allowed="hyperflex.motion.Motion")
+        self._now = when
+        self._asked.append((when + self.latency, motion))
+
+    def angle(self, t: float) -> float:
+        """Return what the encoder shows at a time `t` (s), rad: the angle down to whole steps."""
+        step = 2.0 * math.pi / self.counts
+        return step * math.floor(self.true_angle(t) / step)
+
+    def true_angle(self, t: float) -> float:
+        """Return where the simulated arm really is at a time `t` (s, never earlier than one read before), rad."""
+        self._now = self._later("t", t)
+        self._run(self._now)
+        return self._y + self._v * (self._now - self._t)
+
+    def motion(self) -> Motion:
+        """Return what the simulated arm has really done until now, as a motion that a rope can be simulated with."""
+        times, angles = np.array(self._seen).T
+        if times.size < 2:
+            raise InvalidInput("motor has not moved in time yet", got=self._now, allowed="a later time read first")
+        return sampled(times, angles)
+
+    def _later(self, name: str, value: float) -> float:
+        time = checks.number(name, value, sign="nonnegative", unit="s")
+        if time < self._now:
+            raise InvalidInput("time goes back", got=time, allowed=f"at least {self._now:g} s")
+        return time
+
+    def _run(self, until: float) -> None:
+        """Take the servo's steps that end by `until`, s; semi-implicit Euler."""
+        step = min(STEP, self.lag / STEPS_A_LAG)
+        count = math.floor((until - self._t) / step + 1e-9)
+        if count < 1:
+            return
+        times: Array = self._t + step * np.arange(1.0, count + 1.0)
+        wanted = self._wanted(times - step)  # of each step's beginning: so it is late by the lag, and no step more
+        w, most = 2.0 / self.lag, self.torque / self.inertia
+        y, v = self._y, self._v
+        for t, u in zip(times.tolist(), wanted.tolist(), strict=True):
+            v += step * min(most, max(-most, w**2 * (u - y) - 2.0 * w * v))
+            y += step * v
+            if t >= self._seen[-1][0] + SAMPLE_TIME:
+                self._seen.append((t, y))
+        self._t, self._y, self._v = float(times[-1]), y, v
+
+    def _wanted(self, t: Array) -> Array:
+        """Angle (T,) asked for at times t (T,), rad: by the last motion that has come through by then."""
+        wanted = np.full(t.size, self._start)
+        for since, motion in self._asked:
+            wanted = np.where(t >= since, motion.angle(t), wanted)
+        return wanted

@@ -1,0 +1,157 @@
+"""A planned cast in words: target, swings, strike, turns, hold, what it asks of the motor, or why it fails."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hyperflex.casting import CastPlan
+from hyperflex.casting.hold import Holding
+from hyperflex.casting.outcome import SLIP, WATCH, WOUND
+from hyperflex.model import Peg
+from hyperflex.report.cast_figures import way
+from hyperflex.report.tables import TextTable
+
+LEAD = (
+    "A rope that hangs from a motor-driven arm is thrown round a peg, shall wind and hold. Planned and verified by "
+    "simulation; nothing here was measured."
+)
+Tiles = tuple[tuple[str, str], ...]
+
+
+def target_words(peg: Peg) -> str:
+    """Return where the target is and how large."""
+    return f"x = {peg.x:.3g} m, y = {peg.y:.3g} m, radius {1e3 * peg.radius:.3g} mm"
+
+
+def swings_words(plan: CastPlan) -> str:
+    """Return how many swings the arm makes."""
+    count = 0 if plan.throw is None else plan.throw.count
+    return f"{count} swing{'' if count == 1 else 's'}"
+
+
+def verdict(plan: CastPlan) -> str:
+    """Return in a sentence whether the cast stands."""
+    if plan.success and plan.cast is not None:
+        return f"The rope winds {abs(plan.cast.turns):.2f} turns round the target and holds, in simulation."
+    return f"No cast that winds and holds was found: {plan.reason}."
+
+
+def tiles(plan: CastPlan, held: Holding | None) -> Tiles:
+    """Return the key figures."""
+    peg = plan.peg
+    place = f"target, a round peg: radius; centre at x = {peg.x:.3g} m, y = {peg.y:.3g} m from the motor's shaft"
+    shown = [(f"{1e3 * peg.radius:.3g} mm", place)]
+    if plan.throw is not None:
+        shown.append((swings_words(plan), "of the arm to and fro, then one last move"))
+    if plan.cast is not None and plan.cast.run is not None:
+        strike = f"{plan.cast.strike:.2f} s" if math.isfinite(plan.cast.strike) else "never"
+        shown.append((strike, "after the start the rope strikes the target"))
+        shown.append((f"{abs(plan.cast.turns):.2f} turns", f"in the end, {way(plan)}; {WOUND:g} are asked"))
+    if held is not None:
+        least = "" if held.tug.slipped else "at least "
+        shown.append((f"{least}{held.force:.2f} N", "hold force: the tug that the wound rope bears before it slips"))
+    return tuple(shown)
+
+
+def story(plan: CastPlan, held: Holding | None) -> tuple[str, ...]:
+    """Return what happens, in order."""
+    if plan.throw is None:
+        return ()
+    limits, cast = plan.thrower.limits, plan.cast
+    starts, stop = plan.throw.starts(limits), plan.throw.stops(limits)
+    times = ", ".join(f"{start:.2f}" for start in starts[:-1])
+    begin = np.degrees(plan.throw.angles(limits)[0])
+    told = [f"Target: a round peg, {target_words(plan.peg)}."]
+    told.append(
+        f"The rope hangs at rest from the arm at {begin:.0f} degrees (0 hangs down). The arm makes "
+        f"{swings_words(plan)}, begun at {times} s, and a last move at {starts[-1]:.2f} s; it stands still from "
+        f"{stop:.2f} s on."
+    )
+    if cast is not None and cast.run is not None:
+        told.append(_outcome(plan))
+    if held is not None:
+        told.append(_hold(held))
+    return tuple(told)
+
+
+def _outcome(plan: CastPlan) -> str:
+    cast = plan.cast
+    if cast is None or not math.isfinite(cast.strike):
+        return "The rope does not touch the target."
+    if not math.isfinite(cast.slipped):
+        return f"The rope strikes the target at {cast.strike:.2f} s and does not stay on it."
+    return (
+        f"The rope strikes the target at {cast.strike:.2f} s, winds {way(plan)}, and lies round it with "
+        f"{abs(cast.turns):.2f} turns (from the arm's tip to the rope's end). In the last {WATCH:g} s it slips by "
+        f"{1e3 * cast.slipped:.2g} mm; {1e3 * SLIP:g} mm are allowed."
+    )
+
+
+def _hold(held: Holding) -> str:
+    bore = (
+        f"the rope bore {held.force:.2f} N and then slipped"
+        if held.tug.slipped
+        else f"the rope bore {held.force:.2f} N and had not slipped when the pull ended, so it holds more"
+    )
+    return (
+        f"Hold force: pulled slowly away from the target, {bore}. For comparison, the tail that hangs beyond the "
+        f"target weighs {held.tail:.3f} N; times e^(mu angle), with mu = {held.mu:g} and {held.angle:.1f} rad of "
+        f"contact, that is {held.rule:.2f} N. This rule leaves out the weight of the rope on the target and "
+        "of the rope between target and arm, which the pull bears as well."
+    )
+
+
+def motor_table(plan: CastPlan) -> TextTable:
+    """Return what the cast asks of the motor beside what it can do."""
+    limits, run = plan.thrower.limits, plan.cast.run if plan.cast is not None else None
+    motion = plan.motion
+    if motion is None:
+        return TextTable(("motor", "asked", "limit"), ())
+    t = np.linspace(0.0, float(motion.breaks[-1]), 4001)
+    torque = "not known" if run is None else f"{np.abs(run.motor_torque).max():.3g} N m"
+    most = f"{limits.torque:.3g} N m" if math.isfinite(limits.torque) else "none given"
+    rows = (
+        ("greatest speed", f"{np.abs(motion.rate(t)).max():.3g} rad/s", f"{limits.speed:.3g} rad/s"),
+        (
+            "greatest acceleration",
+            f"{np.abs(motion.acceleration(t)).max():.3g} rad/s²",
+            f"{limits.acceleration:.3g} rad/s²",
+        ),
+        ("greatest torque for the rope", torque, most),
+    )
+    return TextTable(("motor", "asked", "limit"), rows)
+
+
+def checks_table(plan: CastPlan) -> TextTable:
+    """Return what the verified runs say, with the links and with links of half the length."""
+    rows = []
+    for name, cast in (("as planned", plan.cast), ("links of half the length", plan.finer)):
+        if cast is None:
+            rows.append((name, "not run", "", "", "", ""))
+            continue
+        links = "" if cast.run is None else str(cast.run.q.shape[1])
+        slip = f"{1e3 * cast.slipped:.2g} mm" if math.isfinite(cast.slipped) else "not on the target"
+        strike = f"{cast.strike:.2f} s" if math.isfinite(cast.strike) else "never"
+        rows.append((name, links, strike, f"{abs(cast.turns):.2f}", slip, "yes" if cast.success else "no"))
+    return TextTable(("run", "links", "strikes", "turns", "slips", "winds and holds"), tuple(rows))
+
+
+def search_words(plan: CastPlan) -> str:
+    """Return how the plan was found."""
+    ended = ", interrupted before its end" if plan.interrupted else ""
+    return f"The search took {plan.seconds:.0f} s and {plan.runs} simulated runs{ended}."
+
+
+def setup_words(plan: CastPlan) -> tuple[str, ...]:
+    """Return rope, arm and target as they were given."""
+    rope, arm, peg = plan.thrower.rope, plan.thrower.arm, plan.peg
+    name = f" ({rope.name})" if rope.name else ""
+    tip = f", tip weight {1e3 * rope.tip_mass:.3g} g" if rope.tip_mass else ""
+    words = (
+        f"Rope{name}: {rope.total_length:.4g} m, {1e3 * rope.total_mass:.4g} g, radius {1e3 * rope.radius:.3g} mm, "
+        f"{rope.n_links} links{tip}; links near the target are cut shorter for the verified runs. Arm: "
+        f"{1e3 * arm.length:.4g} mm. Target: a round peg at {target_words(peg)}, friction mu = {peg.mu:g}."
+    )
+    return (words,)

@@ -1,0 +1,33 @@
+"""What a wound rope holds: the tail's weight, Capstan's rule, and the tug beside them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyperflex import winding
+from hyperflex.casting.hold import holding
+from tests.casting.known import CABLE, PEG, planned
+
+
+def test_the_tail_is_what_hangs_below_the_peg():
+    run = planned().cast.run
+    tail = winding.wound(run, PEG).tail
+    # Quiet at the end: the tension towards the tip is the tail's weight, but for its last slow swinging (1 %).
+    assert winding.wound(run, PEG).after[-1] == pytest.approx(tail[-1], rel=0.01)
+    length = tail[-1] / 9.81 / CABLE.total_mass * CABLE.total_length
+    assert np.linalg.norm(run.tip[-1] - [PEG.x, PEG.y]) == pytest.approx(length, abs=0.08)  # peg and a link
+    assert np.isnan(tail[0])
+
+
+def test_a_tug_bears_at_least_what_the_rule_gives():
+    held = holding(planned().cast.run, PEG)
+    assert held.angle / (2.0 * np.pi) == pytest.approx(abs(planned().cast.turns), abs=0.7)  # both tangents are off it
+    assert held.rule == pytest.approx(held.tail * np.exp(0.3 * held.angle), rel=1e-12)
+    # The rope on the peg has weight as well, and a tug turns the tangent: more than the rule, within a factor of 3.
+    assert held.rule < held.force < 3.0 * held.rule
+    assert held.tug.slipped
+
+
+def test_a_rope_off_the_peg_holds_nothing():
+    assert holding(planned(winds=False).cast.run, PEG) is None

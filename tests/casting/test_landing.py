@@ -1,0 +1,79 @@
+"""How runs beside a peg are judged, from turns made up for the purpose and from a throw that is known to wind."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.casting import MotorLimits, Throw, Thrower, verify
+from hyperflex.casting.landing import ENOUGH, LAST, LATE, PASSING, judge, land
+from hyperflex.casting.strikes import fly
+
+CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+THROWER = Thrower(CABLE, hf.Arm(length=0.105), MotorLimits())
+PEG = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04, 0.3)
+WINDS = Throw(
+    side=-1,
+    strokes=np.array([3.0662, 3.1416, 2.5988, 3.1416, 3.1416, 3.1416]),
+    rests=np.array([0.4817, 0.5317, 0.3877, 0.8342, 0.5736, 0.3592]),
+    end=-0.5 * np.pi,
+    rest=0.2625,
+    speed=1.0,
+    count=6,
+)  # found by a search
+
+
+def test_turns_count_if_they_stay() -> None:
+    t = np.arange(0.0, 4.0, 0.01)
+    stays = np.minimum(t, 2.3)
+    undone = np.where(t < 3.9, -2.0 * np.ones_like(t), -0.2)
+    failed = np.where(t < 1.0, 1.0, np.nan)
+    many = 9.0 * np.ones_like(t)
+    found = judge(t, np.stack([stays, undone, failed, many]), np.full(4, t[-1]), np.array([0.0, 1.0, 0.0, 0.0]))
+    assert found.turns == pytest.approx([2.3, 0.2, 0.0, 9.0])
+    assert found.score == pytest.approx(
+        [2.3 + PASSING * 2.3, 0.2 + PASSING * 2.0 - LATE, -1.0, ENOUGH + PASSING * ENOUGH]
+    )
+
+
+def test_each_run_is_judged_over_its_own_span() -> None:
+    t = np.arange(0.0, 4.0, 0.01)
+    later = np.where(t < 2.0, 1.5, 0.0)  # undone after 2 s: beyond the first one's span
+    found = judge(t, np.stack([later, later]), np.array([1.9, t[-1]]), np.zeros(2))
+    assert found.turns == pytest.approx([1.5, 0.0])
+    assert LAST < 1.9
+
+
+def test_a_run_from_the_strike_on_ends_as_the_whole_run_does() -> None:
+    strike = fly(THROWER, PEG, [WINDS])
+    found = land(THROWER, PEG, [WINDS], (strike.t, strike.q, strike.qd))
+    whole = verify(THROWER, PEG, WINDS.motion(THROWER.limits))
+    assert whole.success, whole.reason
+    assert whole.turns < 0.0  # clockwise: struck from the right
+    # 50 links and a step of 1 ms against the refined rope; turns are quantised, the hanging tail swings
+    assert found.turns[0] == pytest.approx(-whole.turns, abs=0.1)
+    assert whole.slipped < 5e-3
+    assert whole.strike == pytest.approx(strike.t[0], abs=0.05)
+
+
+def test_without_friction_it_does_not_hold() -> None:
+    smooth = hf.Peg(PEG.x, PEG.y, PEG.radius, 0.0)
+    whole = verify(THROWER, smooth, WINDS.motion(THROWER.limits))
+    assert not whole.success
+    assert whole.reason
+
+
+def test_a_motor_that_is_too_weak_is_told() -> None:
+    weak = Thrower(CABLE, THROWER.arm, MotorLimits(torque=0.05))
+    whole = verify(weak, PEG, WINDS.motion(weak.limits))
+    assert whole.wound
+    assert whole.held
+    assert not whole.success
+    assert "N m of a motor that gives 0.05" in whole.reason
+
+
+def test_a_rope_that_misses_is_told() -> None:
+    whole = verify(THROWER, hf.Peg(1.5, 1.2, 0.03), hf.moves([-1.5, -1.4], [0.0], [0.2]), watch=0.2)
+    assert whole.reason == "the rope does not touch the peg"
+    assert np.isnan(whole.strike)

@@ -1,0 +1,106 @@
+"""Plans: found, refused, interrupted, the same with the same seed."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex import winding
+from hyperflex.casting import plan as planning
+from hyperflex.casting.search import Search
+from hyperflex.errors import InvalidInput
+
+CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+ARM = hf.Arm(length=0.105)
+EASY = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04, 0.3)
+
+
+@pytest.mark.slow
+def test_a_target_in_reach_is_wound_and_held() -> None:
+    """And by an independent run: half the step, and links that the planner did not know."""
+    found = hf.plan_cast(CABLE, ARM, EASY, patience=300.0)  # as long as it takes on a busy machine
+    assert found.success, found.reason
+    assert found.motion is not None
+    fine = hf.Rope.uniform(length=2.0, mass=0.125, n_links=125, radius=0.0025, friction=5e-4 * 2.5)
+    stop = float(found.motion.breaks[-1])
+    run = hf.simulate(fine, found.motion, arm=ARM, duration=stop + 3.0, pegs=[EASY], contact_step=5e-4)
+    turns = np.abs(winding.turns(run, EASY)[run.t > stop + 1.0])
+    assert turns.min() >= 1.25
+    t = np.linspace(0.0, stop, 5000)
+    limits = found.thrower.limits
+    assert np.abs(found.motion.rate(t)).max() <= limits.speed * (1 + 1e-9)
+    assert np.abs(found.motion.acceleration(t)).max() <= limits.acceleration * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("target", "told"),
+    [
+        (hf.Peg(2.5, 0.0, 0.03), "short of the target"),
+        (hf.Peg(0.02, 0.05, 0.02), "inside the arm's circle"),
+        (hf.Peg(0.0, -0.9, 0.03), "too little energy"),
+    ],
+)
+def test_out_of_reach_is_said_before_searching(target: hf.Peg, told: str) -> None:
+    found = hf.plan_cast(CABLE, ARM, target)
+    assert not found.success
+    assert told in found.reason
+    assert (found.runs, found.motion, found.cast) == (0, None, None)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"target": hf.Ground(0.0, -1.0)}, "target is not a peg"),
+        ({"patience": 0.0}, "patience"),
+        ({"patience": np.nan}, "patience"),
+        ({"hold": -1.0}, "hold"),
+        ({"time_limit": -1.0}, "time"),
+        ({"seed": -1}, "seed"),
+        ({"limits": "fast"}, "limits"),
+        ({"rope": CABLE.replace(gravity=(0.0, 0.0))}, "no weight"),
+    ],
+)
+def test_bad_input_is_refused(change: dict[str, object], told: str) -> None:
+    given: dict[str, object] = {"rope": CABLE, "arm": ARM, "target": EASY, "patience": 0.01} | change
+    with pytest.raises(InvalidInput, match=told):
+        hf.plan_cast(given.pop("rope"), given.pop("arm"), given.pop("target"), **given)  # type: ignore[arg-type]
+
+
+def test_a_search_that_finds_nothing_says_so() -> None:
+    found = hf.plan_cast(CABLE, ARM, hf.Peg(0.0, -0.9, 0.03), patience=0.5, regardless=True, time_limit=1.0)
+    assert not found.success
+    assert found.reason
+    assert found.runs > 0
+
+
+def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    landed = planning.Landing(2.0, 2.0, 1, np.zeros(3), "a throw")  # type: ignore[arg-type]
+
+    def swing(self: Search) -> float:
+        if self.landings:
+            raise KeyboardInterrupt
+        self.landings.append(landed)
+        return 1.0
+
+    def check(self: planning._Work, found: planning.Landing) -> None:
+        cast = SimpleNamespace(success=False, turns=2.0, reason="it slips")
+        self.best = (found.throw, cast, None)  # type: ignore[assignment]
+        self.checked.append(found)
+
+    monkeypatch.setattr(Search, "swing", swing)
+    monkeypatch.setattr(Search, "try_ends", lambda self: None)
+    monkeypatch.setattr(planning._Work, "check", check)
+    found = hf.plan_cast(CABLE, ARM, EASY)
+    assert found.interrupted
+    assert found.throw == "a throw"
+    assert found.reason == "it slips"
+
+
+def test_the_same_seed_searches_alike() -> None:
+    searches = [Search(planning.Thrower(CABLE, ARM, hf.MotorLimits()), EASY, seed) for seed in (4, 4, 5)]
+    scores = [search.swing() for search in searches]
+    assert scores[0] == scores[1] != scores[2]
+    assert np.array_equal(searches[0].swings[0].x, searches[1].swings[0].x)

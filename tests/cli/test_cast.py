@@ -1,0 +1,136 @@
+"""``hyperflex cast``: what it plans, what it writes, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+import hyperflex as hf
+from hyperflex import casting
+from tests.casting.known import CABLE, planned
+
+NAMES = {"report.html", "cast.gif", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "cast.nc"}
+
+
+@pytest.fixture
+def rope_file(tmp_path):
+    CABLE.to_toml(tmp_path / "rope.toml")
+    return tmp_path / "rope.toml"
+
+
+@pytest.fixture
+def ready(monkeypatch):
+    """Let the command find a plan done; returns what it was asked with."""
+    asked = {}
+
+    def plan(name, **changes):
+        def give(rope, arm, target, limits, **options):
+            asked.update(rope=rope, arm=arm, target=target, limits=limits, **options)
+            return dataclasses.replace(planned(winds=name == "winds"), **changes)
+
+        monkeypatch.setattr(casting, "plan_cast", give)
+        return asked
+
+    return plan
+
+
+def arguments(rope, out, *more, target=("-0.83", "-1.07"), radius="0.04"):
+    return ("cast", "--rope", rope, "--target", *target, "--radius", radius, "-o", out, *more)
+
+
+def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
+    asked = ready("winds")
+    options = ("--mu", "0.4", "--arm-length", "0.2", "--speed", "5", "--torque", "2", "--patience", "7", "--seed", "3")
+    code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out", *options))
+    assert code == 0
+    assert asked["rope"] == CABLE
+    assert (asked["target"], asked["arm"]) == (hf.Peg(-0.83, -1.07, 0.04, 0.4), hf.Arm(length=0.2))
+    assert asked["limits"] == hf.MotorLimits(speed=5.0, torque=2.0)
+    assert (asked["patience"], asked["seed"]) == (7.0, 3)
+    assert told["success"]
+    assert (told["source"], told["reason"]) == ("simulated", "")
+    assert told["strokes"] == 6
+    assert told["cast"]["turns"] == planned().cast.turns
+    assert told["hold"]["force_N"] > told["hold"]["tail_weight_times_exp_N"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
+    assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["arm_stops_s"], abs=5e-3)
+
+
+def test_a_plan_that_fails_has_a_code_of_its_own(hyperflex, rope_file, ready, tmp_path):
+    ready("misses")
+    code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out"))
+    assert code == 4
+    assert "does not touch the peg" in " ".join(out.split())
+    assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES - {"tug.png"}
+
+
+def test_ctrl_c_leaves_the_best_so_far(hyperflex, hyperflex_json, rope_file, ready, tmp_path):
+    ready("misses", interrupted=True, throw=None, cast=None, reason="interrupted before any throw was verified")
+    code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out"))
+    assert code == 130
+    assert "interrupted before any throw" in err
+    ready("misses", interrupted=True)
+    code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
+    assert (code, told["error"], told["interrupted"]) == (130, "interrupted", True)
+    assert "the best so far" in told["message"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES - {"tug.png"}
+
+
+@pytest.mark.parametrize(
+    ("target", "words"), [(("2.5", "0"), "out of reach"), (("0.05", "0"), "arm"), (("0", "0"), "arm")]
+)
+def test_a_target_that_cannot_be_wound_is_told_at_once(hyperflex, rope_file, tmp_path, target, words):
+    code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", target=target))
+    assert code == 4
+    assert words in out
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["report.html"]
+    assert words in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("changes", "more", "words"),
+    [
+        ({"target": ("nan", "0")}, (), "peg x is not finite"),
+        ({"target": ("0", "inf")}, (), "peg y is not finite"),
+        ({"radius": "0"}, (), "peg radius"),
+        ({"radius": "nan"}, (), "peg radius"),
+        ({}, ("--mu", "-1"), "peg mu"),
+        ({}, ("--speed", "0"), "motor speed"),
+        ({}, ("--acceleration", "0"), "motor acceleration"),
+        ({}, ("--torque", "0"), "motor torque"),
+        ({}, ("--arm-length", "0"), "--arm-length"),
+        ({}, ("--patience", "0"), "patience"),
+        ({}, ("--rate", "0"), "--rate"),
+        ({}, ("--hold", "-1"), "hold"),
+        ({}, ("--seed", "-1"), "seed"),
+        ({"target": ("0.5",)}, (), "--target"),
+    ],
+)
+def test_bad_input_is_refused(hyperflex, rope_file, tmp_path, changes, more, words):
+    code, out, err = hyperflex(*arguments(rope_file, tmp_path / "out", *more, **changes))
+    assert (code, out) == (2, "")
+    assert words in err
+    assert [path.name for path in tmp_path.iterdir()] == ["rope.toml"]
+
+
+def test_a_rope_of_one_link_is_refused(hyperflex, tmp_path):
+    hf.Rope.uniform(length=2.0, mass=0.1, n_links=1, radius=0.002).to_toml(tmp_path / "one.toml")
+    code, _, err = hyperflex(*arguments(tmp_path / "one.toml", tmp_path / "out"))
+    assert code == 2
+    assert "too few links" in err
+
+
+def test_a_rope_with_dry_friction_is_refused(hyperflex, tmp_path):
+    CABLE.replace(dry_friction=1e-4).to_toml(tmp_path / "dry.toml")
+    code, _, err = hyperflex(*arguments(tmp_path / "dry.toml", tmp_path / "out", "--patience", "5"))
+    assert code == 2
+    assert "dry friction" in err
+
+
+def test_a_file_in_the_way_is_told_before_the_search(hyperflex, rope_file, tmp_path):
+    (tmp_path / "out").write_text("mine")
+    code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out"))
+    assert code == 2
+    assert "not a folder" in err
+    assert (tmp_path / "out").read_text() == "mine"
