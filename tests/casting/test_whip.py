@@ -53,13 +53,13 @@ def test_what_a_peak_costs() -> None:
     fair = costs(Mark(*place, direction=0.0), found)[0]
     assert fair < 0.01
     for worse in (
-        Mark(*(place + [0.3, 0.4]), direction=0.0),
+        Mark(place[0] + 0.3, place[1] + 0.4, direction=0.0),
         Mark(*place, direction=1.0),
         Mark(*place, direction=-1.0),
         Mark(*place, direction=0.0, speed=7.0),
     ):
         assert costs(worse, found)[0] > fair + 0.15
-    assert costs(Mark(*(place + [0.3, 0.4]), direction=0.0), found)[0] == pytest.approx(fair + 0.5)
+    assert costs(Mark(place[0] + 0.3, place[1] + 0.4, direction=0.0), found)[0] == pytest.approx(fair + 0.5)
 
 
 def test_variations_of_strokes() -> None:

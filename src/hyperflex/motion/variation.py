@@ -10,7 +10,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.core.drive import ANGLE
 from hyperflex.errors import InvalidInput
-from hyperflex.motion.moves import BANG_BANG, move_rows
+from hyperflex.motion.sequence import BANG_BANG, move_rows
 from hyperflex.motion.piecewise import Motion
 from hyperflex.motion.profiles import move_pieces, moving_point, sampled, swing_pieces, torque_profile
 
