@@ -27,8 +27,9 @@ from benchmarks import machine
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.casting import MotorLimits, Strokes, Thrower, plan_whip, reach_whip, whip_map
+from hyperflex.casting.blow import impact
 from hyperflex.casting.lash import Mark
-from hyperflex.casting.whip_strike import impact, lash
+from hyperflex.casting.whip_strike import lash
 from hyperflex.control import swing_period
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.identification import identify

@@ -9,9 +9,9 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.casting import MotorLimits, Strokes, Thrower, WhipMap, plan_whip, reach_whip, whip_map
+from hyperflex.casting.blow import BLOW, RADIUS, impact
 from hyperflex.casting.lash import Mark, costs, peaks
 from hyperflex.casting.whip_aim import look
-from hyperflex.casting.whip_strike import BLOW, RADIUS, impact
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import Motion
 
@@ -144,8 +144,9 @@ def test_impact_is_what_turns_the_rope() -> None:
     mark = Mark(*peak.place[k], direction=float(np.arctan2(peak.velocity[k, 1], peak.velocity[k, 0])))
     blow = impact(thrower, mark, motion, peak.t[k])
     assert blow.t == pytest.approx(peak.t[k], abs=0.02)
-    assert 1 <= blow.links <= 2
+    assert blow.link == ROPE.n_links - 1
     assert blow.energy > 0.0
+    assert blow.along > 0.9 * blow.impulse  # the peg takes up what comes along the asked direction
     x, y = mark.point + (RADIUS + rope.radius) * np.array([np.cos(mark.direction), np.sin(mark.direction)])
     t = np.array([0.0, *np.arange(blow.t - 0.002, blow.t + BLOW, 1e-3)])
     run = hf.simulate(rope, motion, arm=ARM, duration=float(t[-1]), t_eval=t, pegs=[hf.Peg(x, y, RADIUS)], refine=False)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
+    from hyperflex.casting.blow import Impact
     from hyperflex.casting.chance import Success, success
     from hyperflex.casting.following import DrawnWorld, Followed, Look, follow
     from hyperflex.casting.hold import Holding
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from hyperflex.casting.uncertainty import Draw, Uncertainty
     from hyperflex.casting.whip import WhipPlan, WhipReach, plan_whip, reach_whip
     from hyperflex.casting.whip_search import WhipMap, whip_map
-    from hyperflex.casting.whip_strike import Impact, Lash
+    from hyperflex.casting.whip_strike import Lash
 
 _HOMES = {
     "Cast": "outcome",
@@ -31,7 +32,7 @@ _HOMES = {
     "DrawnWorld": "following",
     "Followed": "following",
     "Holding": "hold",
-    "Impact": "whip_strike",
+    "Impact": "blow",
     "Lash": "whip_strike",
     "Look": "following",
     "Mark": "lash",

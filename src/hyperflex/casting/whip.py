@@ -11,13 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
+from hyperflex.casting.blow import RADIUS, Impact, impact
 from hyperflex.casting.lash import Mark
 from hyperflex.casting.limits import MotorLimits
 from hyperflex.casting.strokes import Strokes
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.whip_aim import Aim, aimed
 from hyperflex.casting.whip_search import WhipMap, WhipSearch, whip_map
-from hyperflex.casting.whip_strike import RADIUS, Impact, Lash, impact, lash
+from hyperflex.casting.whip_strike import Lash, lash
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, divided

@@ -10,9 +10,9 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.core.drive import ANGLE
 from hyperflex.errors import InvalidInput
-from hyperflex.motion.sequence import BANG_BANG, move_rows
 from hyperflex.motion.piecewise import Motion
 from hyperflex.motion.profiles import move_pieces, moving_point, sampled, swing_pieces, torque_profile
+from hyperflex.motion.sequence import BANG_BANG, move_rows
 
 Pieces = tuple[list[complex], list[list[complex]]]
 _TINY = 1e-40  # of a complex step: no difference is formed, so nothing is lost
