@@ -31,17 +31,18 @@ def swing(side: int = 1) -> Strokes:
 
 
 def test_a_peak_is_found_between_samples() -> None:
-    """Along a line with speed 4 + cos(3 (t - 1)): the peak is at t = 1, 17 degrees above the x axis."""
+    """Round a circle of 1 m with speed 4 + cos(3 (t - 1)): the peak is at t = 1."""
     t = np.arange(0.013, 2.0, 0.02)
-    way = np.array([np.cos(0.3), np.sin(0.3)])
-    tip = (4.0 * t + np.sin(3.0 * (t - 1.0)) / 3.0)[:, None] * way
-    velocity = (4.0 + np.cos(3.0 * (t - 1.0)))[:, None] * way
+    angle, rate = 4.0 * t + np.sin(3.0 * (t - 1.0)) / 3.0, 4.0 + np.cos(3.0 * (t - 1.0))
+    tip = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    velocity = rate[:, None] * np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
     found = peaks(t, tip[None], velocity[None])
     assert found.t.size == 1
     assert found.t[0] == pytest.approx(1.0, abs=1e-4)  # the parabola's error is of the fourth order in the step
-    np.testing.assert_allclose(found.place[0], 4.0 * way, atol=5e-4)
-    assert found.speed[0] == found.before[0] == pytest.approx(5.0, abs=1e-5)
-    np.testing.assert_allclose(found.velocity[0], 5.0 * way, atol=1e-4)
+    # 5 m/s times that, and the third order of a way of 7 ms: 5e-6 m; without the acceleration it were 6e-4 m
+    np.testing.assert_allclose(found.place[0], [np.cos(4.0), np.sin(4.0)], atol=2e-4)
+    assert found.speed[0] == found.before[0] == pytest.approx(5.0, abs=1e-4)
+    np.testing.assert_allclose(found.velocity[0], [-5.0 * np.sin(4.0), 5.0 * np.cos(4.0)], atol=5e-3)
 
 
 def test_what_a_peak_costs() -> None:
