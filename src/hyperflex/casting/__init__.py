@@ -1,4 +1,4 @@
-"""Casting: throw a rope round a target, wind it and hold."""
+"""Casting: throw a rope round a target, wind it and hold; whip: bring its tip fast through a point."""
 
 from __future__ import annotations
 
@@ -7,38 +7,54 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
+    from hyperflex.casting.blow import Impact
     from hyperflex.casting.chance import Success, success
     from hyperflex.casting.following import DrawnWorld, Followed, Look, follow
     from hyperflex.casting.hold import Holding
+    from hyperflex.casting.lash import Mark
     from hyperflex.casting.limits import MotorLimits
     from hyperflex.casting.outcome import Cast, verify
     from hyperflex.casting.plan import CastPlan, plan_cast
+    from hyperflex.casting.strokes import Strokes
     from hyperflex.casting.tables import read_plan
     from hyperflex.casting.targets import Reach, reach
     from hyperflex.casting.throw import Throw
     from hyperflex.casting.thrower import Thrower
     from hyperflex.casting.uncertainty import Draw, Uncertainty
+    from hyperflex.casting.whip import WhipPlan, WhipReach, plan_whip, reach_whip
+    from hyperflex.casting.whip_search import WhipMap, whip_map
+    from hyperflex.casting.whip_strike import Lash
 
 _HOMES = {
     "Cast": "outcome",
     "CastPlan": "plan",
-    "Holding": "hold",
     "Draw": "uncertainty",
     "DrawnWorld": "following",
     "Followed": "following",
+    "Holding": "hold",
+    "Impact": "blow",
+    "Lash": "whip_strike",
     "Look": "following",
+    "Mark": "lash",
     "MotorLimits": "limits",
     "Reach": "targets",
+    "Strokes": "strokes",
     "Success": "chance",
     "Throw": "throw",
     "Thrower": "thrower",
     "Uncertainty": "uncertainty",
+    "WhipMap": "whip_search",
+    "WhipPlan": "whip",
+    "WhipReach": "whip",
     "follow": "following",
     "plan_cast": "plan",
-    "read_plan": "tables",
+    "plan_whip": "whip",
     "reach": "targets",
+    "reach_whip": "whip",
+    "read_plan": "tables",
     "success": "chance",
     "verify": "outcome",
+    "whip_map": "whip_search",
 }
 
 __all__ = [
@@ -48,19 +64,29 @@ __all__ = [
     "DrawnWorld",
     "Followed",
     "Holding",
+    "Impact",
+    "Lash",
     "Look",
+    "Mark",
     "MotorLimits",
     "Reach",
+    "Strokes",
     "Success",
     "Throw",
     "Thrower",
     "Uncertainty",
+    "WhipMap",
+    "WhipPlan",
+    "WhipReach",
     "follow",
     "plan_cast",
+    "plan_whip",
     "reach",
+    "reach_whip",
     "read_plan",
     "success",
     "verify",
+    "whip_map",
 ]
 
 __getattr__ = loader(__name__, _HOMES)

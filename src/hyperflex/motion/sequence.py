@@ -11,7 +11,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 from hyperflex.motion.profiles import move_pieces
 
-_SLIGHT = 1e-6  # a way at full speed that takes less of a move's time is none
+BANG_BANG = 0.5 - 1e-6  # ramp beyond which no way at full speed is left
 
 
 def moves(angles: npt.ArrayLike, rests: npt.ArrayLike, durations: npt.ArrayLike, ramps: npt.ArrayLike = 0.5) -> Motion:
@@ -54,18 +54,28 @@ def moves(angles: npt.ArrayLike, rests: npt.ArrayLike, durations: npt.ArrayLike,
     ramp = checks.array("ramps", np.broadcast_to(np.asarray(ramps, dtype=np.float64), (count,)), (count,))
     if (ramp <= 0.0).any() or (ramp > 0.5).any():
         raise InvalidInput("ramps leave their range", got=ramp.tolist(), allowed="above 0 and at most 0.5")
-    breaks, rows = [0.0], []
-    for k in range(count):
-        if rest[k] > 0.0:
-            rows.append([way[k]])
-            breaks.append(breaks[-1] + rest[k])
-        profile = "bang-bang" if ramp[k] > 0.5 - _SLIGHT else "ramp"
-        parts, pieces = move_pieces(way[k], way[k + 1], time[k], profile, ramp[k])
-        rows += pieces
-        breaks += (breaks[-1] + np.cumsum(parts)).tolist()
+    parts, rows = move_rows(way.tolist(), rest.tolist(), time.tolist(), ramp.tolist())
+    breaks = np.concatenate([[0.0], np.cumsum(parts)])
     coef = np.zeros((len(rows), CHANNELS, POWERS))
     for piece, row in zip(coef, rows, strict=True):
         piece[ANGLE, : len(row)] = row
     spec = {"kind": "moves", "angles": way.tolist(), "rests": rest.tolist(), "durations": time.tolist()}
     spec["ramps"] = ramp.tolist()
-    return Motion(np.array(breaks), coef, np.ones(len(breaks), dtype=np.bool_), -1, spec)
+    return Motion(breaks, coef, np.ones(breaks.size, dtype=np.bool_), -1, spec)
+
+
+def move_rows(
+    angles: list[float], rests: list[float], durations: list[float], ramps: list[float]
+) -> tuple[list[float], list[list[float]]]:
+    """Durations and coefficients of the pieces of :func:`moves`; takes complex numbers too."""
+    parts: list[float] = []
+    rows: list[list[float]] = []
+    for start, end, rest, time, ramp in zip(angles[:-1], angles[1:], rests, durations, ramps, strict=True):
+        if rest != 0.0:
+            parts.append(rest)
+            rows.append([start])
+        profile = "bang-bang" if np.real(ramp) > BANG_BANG else "ramp"
+        pieces = move_pieces(start, end, time, profile, ramp)
+        parts += pieces[0]
+        rows += pieces[1]
+    return parts, rows

@@ -12,6 +12,7 @@ from hyperflex.core.drive import ANGLE
 from hyperflex.errors import InvalidInput
 from hyperflex.motion.piecewise import Motion
 from hyperflex.motion.profiles import move_pieces, moving_point, sampled, swing_pieces, torque_profile
+from hyperflex.motion.sequence import BANG_BANG, move_rows
 
 Pieces = tuple[list[complex], list[list[complex]]]
 _TINY = 1e-40  # of a complex step: no difference is formed, so nothing is lost
@@ -27,6 +28,10 @@ _FORMULAS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
     "move": (move_pieces, ("start", "end", "duration", "ramp")),
     "swings": (swing_pieces, ("t_move", "t_rest", "ramp")),
 }
+# kind: (its pieces from lists of numbers, the lists, each of whose numbers may vary)
+_LISTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
+    "moves": (move_rows, ("angles", "rests", "durations", "ramps"))
+}
 # motions that depend linearly on their samples
 _SAMPLES: dict[str, tuple[Callable[..., Motion], tuple[str, ...]]] = {
     "sampled": (sampled, ("angle",)),
@@ -41,6 +46,8 @@ def parameters(motion: Motion) -> list[str]:
     names = ["delay"]
     if kind in _FORMULAS:
         names += _FORMULAS[kind][1]
+    if kind in _LISTS:
+        names += [f"{name}[{i}]" for name in _LISTS[kind][1] for i in range(len(motion.spec[name]))]
     if kind in _SAMPLES:
         names += [f"{name}[{i}]" for name in _SAMPLES[kind][1] for i in range(len(motion.spec["t"]))]
     return names
@@ -72,11 +79,15 @@ def variation(motion: Motion, name: str) -> tuple[Array, Array]:
     kind = motion.spec["kind"]
     if kind in _SAMPLES:
         return _of_sample(motion, kind, name)
-    formula, _ = _FORMULAS[kind]
+    formula, _ = _FORMULAS.get(kind) or _LISTS[kind]
     values = {key: value for key, value in motion.spec.items() if key not in ("kind", "delay")}
-    if values[name] == 0.0 and name == "t_rest":
-        raise InvalidInput("swings without a rest cannot vary it", got=0.0, allowed="t_rest > 0, in s")
-    durations, rows = formula(**{**values, name: values[name] + 1j * _TINY})
+    if kind in _LISTS:
+        values = _turned(values, name)
+    else:
+        if values[name] == 0.0 and name == "t_rest":
+            raise InvalidInput("swings without a rest cannot vary it", got=0.0, allowed="t_rest > 0, in s")
+        values[name] += 1j * _TINY
+    durations, rows = formula(**values)
     breaks = np.concatenate([[0.0], np.cumsum(np.imag(durations))]) / _TINY
     coef = np.zeros_like(motion.coef)
     for piece, row in zip(coef, rows, strict=True):
@@ -92,3 +103,15 @@ def _of_sample(motion: Motion, kind: str, name: str) -> tuple[Array, Array]:
     samples = {key: np.zeros(len(t)) for key in channels}
     samples[channel][int(index)] = 1.0
     return np.zeros_like(motion.breaks), np.array(maker(t, **samples).coef)
+
+
+def _turned(values: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return lists of numbers, one of which, as ``rests[2]``, goes a tiny step along the imaginary axis."""
+    key, _, index = name.rstrip("]").partition("[")
+    changed = list(values[key])
+    if (key == "rests" and changed[int(index)] == 0.0) or (key == "ramps" and changed[int(index)] > BANG_BANG):
+        raise InvalidInput(
+            f"{name} cannot vary where it is", got=changed[int(index)], allowed="a rest > 0, a ramp < 0.5"
+        )
+    changed[int(index)] += 1j * _TINY
+    return {**values, key: changed}
