@@ -163,6 +163,69 @@ def too_fast(chain, pegs, desk):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def allowance(bounds, h):  # type: ignore[no-untyped-def]
+    """Energy that may appear from nowhere in a step, J."""
+    return bounds.rate * max(h, SLIGHT) + ROUNDING
+
+
+@kernel
+def choose(chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wanted, struck, had):  # type: ignore[no-untyped-def]
+    """Try a step, and shorter ones, until one will do; it is left on the desk.
+
+    Parameters
+    ----------
+    chain, drive, part, pegs, pull, bounds, course, desk : as for :func:`run` and :func:`attempt`
+    nothing : Kept, with nothing in it
+    h, wanted : s, first step to try, and the one that the run would take next
+    struck : bool, an impact was made already at this instant
+    had : J, energy before the step, NaN if it is not known
+
+    Returns
+    -------
+    h, wanted : s
+    least : m, smallest gap
+    touch : s, until a link touches
+    rounds : int, of the search; negative if it failed
+    surplus, has : J, energy from nowhere, and energy after the step
+    good : bool, False where the shortest step had to be taken as it was
+    """
+    y, clock, t = course.y, course.clock, course.clock[T]
+    shortest = min(SHORTEST * bounds.step, h)
+    push, anew, back, stale = True, False, False, np.inf
+    while True:
+        begin = nothing if anew else course.kept
+        least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, begin, desk, push, 0.0)
+        touch = desk.touch[0]
+        if touch == 0.0 and not struck:
+            impact(chain, drive, part, pegs, pull, course, desk, nothing)
+            struck, had = True, math.nan
+            continue
+        if touch > 0.0 and touch < 0.999 * h:
+            h = max(touch, BRIEF)
+            shortest = min(shortest, h)
+            continue
+        allowed = allowance(bounds, h)
+        if push and desk.account[CONTACT] < -GENEROUS * allowed:
+            push = False
+            continue
+        longest = too_fast(chain, pegs, desk)
+        if math.isnan(had):
+            had = energy(chain, y, desk.base[0])
+        has = energy(chain, desk.out, desk.base[2])
+        surplus = has - had + desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
+        good = -LOSS * allowed <= surplus <= allowed and rounds > 0 and h <= longest
+        good = good and (least > -DEEPER or -least <= clock[DEEPEST])
+        if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
+            return h, wanted, least, touch, rounds, surplus, has, good
+        if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
+            anew, back, stale = not anew, anew, surplus
+            continue
+        h = max(0.5 * h, shortest)
+        wanted, push = h, True
+        clock[REJECTED] += 1.0
+
+
+@kernel
 def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
     """Run until ``bounds.stop`` or until the budget is spent.
 
@@ -176,7 +239,7 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
     -------
     int : OK, RUNNING (call again), LEFT (no link is near a peg), or why it failed
     """
-    y, clock, kept = course.y, course.clock, course.kept
+    clock, kept = course.clock, course.kept
     n, m = chain.length.size, pegs.x.size
     desk = new_desk(n, m)
     nothing = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
@@ -195,39 +258,9 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
         end = min(part.end, bounds.stop)
         wanted = min(clock[STEP], bounds.step)
         h = fitted(wanted, end - t)
-        shortest = min(SHORTEST * bounds.step, h)
-        push, anew, back, stale = True, False, False, np.inf
-        while True:
-            begin = nothing if anew else kept
-            least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, begin, desk, push, 0.0)
-            touch = desk.touch[0]
-            if touch == 0.0 and not struck:
-                impact(chain, drive, part, pegs, pull, course, desk, nothing)
-                struck, had = True, math.nan
-                continue
-            if touch > 0.0 and touch < 0.999 * h:
-                h = max(touch, BRIEF)
-                shortest = min(shortest, h)
-                continue
-            allowed = bounds.rate * max(h, SLIGHT) + ROUNDING
-            if push and desk.account[CONTACT] < -GENEROUS * allowed:
-                push = False
-                continue
-            longest = too_fast(chain, pegs, desk)
-            if math.isnan(had):
-                had = energy(chain, y, desk.base[0])
-            has = energy(chain, desk.out, desk.base[2])
-            surplus = has - had + desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
-            good = -LOSS * allowed <= surplus <= allowed and rounds > 0 and h <= longest
-            good = good and (least > -DEEPER or -least <= clock[DEEPEST])
-            if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
-                break
-            if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
-                anew, back, stale = not anew, anew, surplus
-                continue
-            h = max(0.5 * h, shortest)
-            wanted, push = h, True
-            clock[REJECTED] += 1.0
+        h, wanted, least, touch, rounds, surplus, has, good = choose(
+            chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wanted, struck, had
+        )
         if not (abs(surplus) < np.inf):
             if kept.mode.any():  # begin anew, from nothing
                 forget(kept)
@@ -241,7 +274,7 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
         commit(course, desk, h, rounds, least)
         clock[DUE] = 1.0 if touch <= 1.001 * h else 0.0
         clock[T] = end if h >= end - t else t + h
-        clock[STEP] = wanted * GROWTH if abs(surplus) < EASY * allowed else wanted
+        clock[STEP] = wanted * GROWTH if abs(surplus) < EASY * allowance(bounds, h) else wanted
         if least > bounds.clear and clock[T] < bounds.stop:
             return status.LEFT
     return status.RUNNING if clock[T] < bounds.stop else status.OK
