@@ -171,7 +171,7 @@ def plan_cast(
     >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
     >>> far = hf.plan_cast(cable, hf.Arm(length=0.105), hf.Peg(2.5, 0.0, 0.03))
     >>> far.success, far.reason
-    (False, 'out of reach: the rope ends 0.43 m short of the target')
+    (False, 'out of reach: the rope ends 0.36 m short of the target')
     """
     begin = time.monotonic()
     if not isinstance(target, Peg):

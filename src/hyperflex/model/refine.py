@@ -54,7 +54,7 @@ def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, rat
     >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
     >>> fine = hf.refined(cable, [hf.Peg(x=1.0, y=-0.5, radius=0.03)])
     >>> fine.n_links, bool(fine.length.min() <= 0.3 * 0.0325)
-    (163, True)
+    (142, True)
     """
     return _divided(rope, cuts(rope, pegs, arm=arm, ratio=ratio))
 

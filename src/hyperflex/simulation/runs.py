@@ -14,7 +14,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.drive import TORQUE
-from hyperflex.core.until import NEVER
+from hyperflex.core.until import NEVER, Until
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion, hold
@@ -186,11 +186,7 @@ def simulate(
     t = output_times(t_eval, begin, begin + length)
     skip = int(t[0] > begin)  # the energy account starts where the run does, whether or not that is asked for
     chain = setup.chain()
-    if until is not None and not isinstance(until, Event):
-        raise InvalidInput("until is not an event", got=until, allowed="tip_crosses(...), tip_speed_peak(...), ...")
-    if setup.pegs and (until is not None or control is not None):
-        raise InvalidInput("events and torque callbacks are not there yet beside pegs", fix="Leave out until or pegs")
-    bounds = limits(setup, chain, begin + length, until=NEVER if until is None else until.packed(setup))
+    bounds = limits(setup, chain, begin + length, until=_ending(until, setup, control))
     run = prepare(chain, setup.drive(), setup.start(), np.append(begin, t) if skip else t, bounds)
     if state is not None:
         resume(run, state, setup)
@@ -251,6 +247,15 @@ def angles(
         raise failure(code, run)
     n = chain.length.size
     return run.y[:, :n], run.y[:, n : 2 * n]
+
+
+def _ending(until: Event | None, setup: Setup, control: Control | None) -> Until:
+    """Return what may end the run, as kernels take it."""
+    if until is not None and not isinstance(until, Event):
+        raise InvalidInput("until is not an event", got=until, allowed="tip_crosses(...), tip_speed_peak(...), ...")
+    if setup.pegs and (until is not None or control is not None):
+        raise InvalidInput("events and torque callbacks are not there yet beside pegs", fix="Leave out until or pegs")
+    return NEVER if until is None else until.packed(setup)
 
 
 def _nothing_beside_setup(values: dict[str, Any], *changed: dict[str, bool]) -> None:
