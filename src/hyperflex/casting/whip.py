@@ -162,7 +162,8 @@ def plan_whip(
     patience = checks.number("patience", patience, sign="positive", unit="s")
     seed = checks.count("seed", seed, least=0)
     if known is None:
-        time_limit = PERIODS * swing_period(rope) if time_limit is None else time_limit
+        usual = PERIODS * swing_period(rope)
+        time_limit = usual if time_limit is None else checks.number("time_limit", time_limit, sign="positive", unit="s")
         known = whip_map(Thrower(rope, arm, limits or MotorLimits(), time_limit), threads=threads)
     elif known.thrower.rope is not rope or known.thrower.arm != arm or limits not in (None, known.thrower.limits):
         raise InvalidInput(
