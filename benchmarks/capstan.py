@@ -1,4 +1,4 @@
-"""The capstan: at which pull does a wound rope slip? Beside exp(mu theta), and beside MuJoCo's best setting.
+"""The capstan: at which pull does a wound rope slip? Beside exp(mu theta).
 
 python -m benchmarks.capstan              the whole table; results in benchmarks/results/capstan.json
 python -m benchmarks.capstan --quick      one case of each
@@ -8,7 +8,9 @@ A rope without weight goes round a peg of 20 mm, 1 N at its tip. The pull at its
 of convergence with links of other lengths as well.
 
 MuJoCo's rope is the same chain of capsules on a cylinder, pyramidal or elliptic friction cones, with the pull of 1 N
-at its tip as an external force and a ramp at the other end.
+at its tip as an external force and a ramp at the other end. As it creeps at any pull, slip is 1 mm in 1 s there, from
+some pull on; its creep is the mean between 0.6 and 0.75 of the limit. Only with --peers: this model of it slips at any
+pull, which others do not, so it is not to be trusted yet.
 """
 
 from __future__ import annotations
@@ -89,7 +91,7 @@ def mujoco_model(cable: hf.Rope, peg: hf.Peg, swept: float, cone: str, impratio:
     for i in range(cable.n_links):
         size, mass, inertia = (float(getattr(cable, name)[i]) for name in ("length", "mass", "inertia"))
         bodies += (
-            f'<body pos="0 0 {-drop!r}" euler="0 {-(q[i] - before)!r} 0"><joint type="hinge" axis="0 -1 0" '
+            f'<body pos="0 0 {-drop!r}" euler="0 {-(float(q[i]) - before)!r} 0"><joint type="hinge" axis="0 -1 0" '
             f'damping="{float(cable.friction[i])!r}"/><inertial pos="0 0 {-0.5 * size!r}" mass="{mass!r}" '
             f'diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>'
             f'<geom type="capsule" fromto="0 0 0 0 0 {-size!r}" size="{ROPE!r}" contype="1" conaffinity="2" {solid}/>'
@@ -115,23 +117,23 @@ def mujoco_onset(mu: float, turns: float, cone: str, impratio: float, step: floa
     data = mujoco.MjData(compiled)
     last, site = compiled.nbody - 1, compiled.site("tip").id
     pull = np.array([math.sin(swept), 0.0, -math.cos(swept)])
-    start, began, at, creeping = None, 0.0, math.nan, math.nan
     steps = round(ramp / step)
+    parts = np.interp(np.arange(steps) * step, [0.0, 0.1 * ramp, ramp], [0.5, 0.5, 1.3])
+    way = np.zeros(steps)
     for k in range(steps):
-        t = k * step
-        part = float(np.interp(t, [0.0, 0.1 * ramp, ramp], [0.5, 0.5, 1.3]))
         data.qfrc_applied[:] = 0.0
         mujoco.mj_applyFT(compiled, data, pull, np.zeros(3), data.site_xpos[site], last, data.qfrc_applied)
-        data.qfrc_applied[0] += limit * part
+        data.qfrc_applied[0] += limit * parts[k]
         mujoco.mj_step(compiled, data)
-        way = -float(data.site_xpos[site] @ pull)
-        if t >= 0.1 * ramp and start is None:
-            start, began = way, t
-        if start is not None and part <= 0.75:
-            creeping = 1e3 * (way - start) / max(t - began, step)
-        if start is not None and way - start > SLIP and math.isnan(at):
-            at = part
+        way[k] = -float(data.site_xpos[site] @ pull)
+        if way[k] - way[0] > 0.1:  # it is gone
+            way = way[: k + 1]
             break
+    window = round(1.0 / step)
+    slow = np.flatnonzero(way[window:] - way[:-window] <= SLIP)  # windows of a second in which it does not slip
+    at = float(parts[slow[-1] + 1]) if slow.size else math.nan
+    calm = np.flatnonzero((parts[: way.size] > 0.6) & (parts[: way.size] < 0.75))
+    creeping = 1e3 * (way[calm[-1]] - way[calm[0]]) / ((calm.size - 1) * step) if calm.size > window else math.nan
     return {
         "mu": mu,
         "turns": turns,
@@ -139,7 +141,7 @@ def mujoco_onset(mu: float, turns: float, cone: str, impratio: float, step: floa
         "impratio": impratio,
         "step": step,
         "onset over exp(mu theta)": at,
-        "creep below three quarters of the limit, mm/s": creeping,
+        "creep below three quarters of the limit, mm/s": float(creeping),
         "us a step": 1e6 * (time.perf_counter() - begin) / (k + 1),
     }
 
@@ -175,7 +177,7 @@ def page(found: dict[str, Any]) -> str:
             "|---|---|---|",
             *finer,
             "",
-            "MuJoCo, the same chain, half a turn at mu = 0.3:" if peer else "MuJoCo was not installed.",
+            "MuJoCo, the same chain, half a turn at mu = 0.3:" if peer else "No peer was measured.",
             "",
             *(
                 ["| cone | impratio | step, s | onset / exp(mu theta) | creep below 0.75 of the limit, mm/s |"]
@@ -205,7 +207,7 @@ def order(rows: list[dict[str, Any]]) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--no-peers", action="store_true")
+    parser.add_argument("--peers", action="store_true", help="MuJoCo as well, whose model here is not checked yet")
     parser.add_argument("--out", default=str(RESULTS / "capstan.json"), metavar="FILE", help="- writes nothing")
     options = parser.parse_args()
     cases = CASES[4:5] if options.quick else CASES
@@ -220,12 +222,12 @@ def main() -> int:
         add("creep", creep(mu, turns))
     for ratio in RATIOS[2:3] if options.quick else RATIOS:
         add("convergence", onset(0.3, 1.0, ratio))
-    if not options.no_peers and importlib.util.find_spec("mujoco"):
+    if options.peers and importlib.util.find_spec("mujoco"):
         settings = [("elliptic", 100.0, 2e-4)] if options.quick else [
             ("pyramidal", 1.0, 1e-3), ("elliptic", 1.0, 1e-3), ("elliptic", 100.0, 1e-3), ("elliptic", 100.0, 2e-4),
         ]  # fmt: skip
         for setting in settings:
-            add("MuJoCo", mujoco_onset(0.3, 0.5, *setting, ramp=4.0))
+            add("MuJoCo", mujoco_onset(0.3, 0.5, *setting, ramp=8.0))
     if options.out != "-":
         files.write_text(options.out, json.dumps(found, indent=1) + "\n")
         files.write_text(str(Path(options.out).with_suffix(".md")), page(found))

@@ -1,6 +1,7 @@
 """Random ropes of every kind: does each run keep its tolerance, or end in an error that names the reason?
 
 python -m benchmarks.robustness --workers 2          2,000 ropes, an hour or two; results in benchmarks/results/
+python -m benchmarks.robustness --patience 900       those that were too slow for less once more
 python -m benchmarks.robustness --count 100 --out -  a look; nothing is written
 python -m benchmarks.robustness --only-index 42      one of them again, in words
 
@@ -37,11 +38,13 @@ from tests.reference.judging import USUAL, OutOfPatience, drift, judge
 from tests.reference.random_ropes import Case, draw, draw_stuck
 
 RESULTS = Path(__file__).parent / "results"
-PATIENCE = 120.0  # s of processor time for a run and its tighter ones
+PATIENCE = 120.0  # s of processor time for a run and its tighter ones by default
 ALLOWED_FAILURES, MOST = 0.01, 0.99  # parts of all: errors, and errors within USUAL tol growth
 ALLOWED_DRIFT = 1e-6  # rad in 10 s, of a joint whose dry friction bears more than it must
 STICKING = 10  # one rope that should stick for so many others
 SLOWEST = 8
+SLOW = OutOfPatience.status
+Task = tuple[str, int, int, float]  # "rope" or "stuck", seed, number, patience
 ORDINARY = "at most 100 links, eta / (m l^2) within two decades of the paper's"
 PROMISE = """\
 A run has **met** its tolerance if, inside the horizon, it stays within `3 tol (1 + t / 20 ms) growth` of a run with
@@ -56,6 +59,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--first", type=int, default=0, help="number of the first one (0)")
     parser.add_argument("--workers", type=int, default=1, help="processes (1)")
     parser.add_argument("--seed", type=int, default=1, help="of all draws (1)")
+    parser.add_argument("--patience", type=float, default=PATIENCE, help="s of processor time for a rope (120)")
     parser.add_argument("--only-index", type=int, metavar="INDEX", help="run this rope alone and show all about it")
     parser.add_argument("--out", default=str(RESULTS), metavar="FOLDER", help="for JSON and Markdown; - writes nothing")
     return parser.parse_args()
@@ -65,7 +69,9 @@ def main() -> int:
     options = parse()
     if options.only_index is not None:
         be_ready()
-        sys.stdout.write(json.dumps(plain(examine((options.seed, options.only_index))), indent=1) + "\n")
+        sys.stdout.write(
+            json.dumps(plain(examine(options.seed, options.only_index, options.patience)), indent=1) + "\n"
+        )
         return 0
     about = machine.describe()
     numbers = range(options.first, options.first + options.count)
@@ -83,9 +89,9 @@ def main() -> int:
 def sweep(options: argparse.Namespace, numbers: range) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of the ropes and of the stuck ones that are there, known or new; Ctrl-C keeps what is done."""
     log, unkept = Path(options.out) / "robustness.jsonl", options.out == "-"
-    known = {} if unkept else read(log, options.seed)
+    known = {} if unkept else read(log, options.seed, options.patience)
     jobs = [(what, number) for number in numbers for what in kinds(number) if (what, number) not in known]
-    tasks = [(what, options.seed, number) for what, number in jobs]
+    tasks = [(what, options.seed, number, options.patience) for what, number in jobs]
     if not unkept:
         log.parent.mkdir(parents=True, exist_ok=True)
     with (
@@ -108,7 +114,7 @@ def kinds(number: int) -> list[str]:
     return ["rope", "stuck"] if number % STICKING == 0 else ["rope"]
 
 
-def done(tasks: list[tuple[str, int, int]], workers: int) -> Iterator[dict[str, Any]]:
+def done(tasks: list[Task], workers: int) -> Iterator[dict[str, Any]]:
     """Rows as they come, from this process or from several."""
     if workers == 1:
         be_ready()
@@ -118,10 +124,10 @@ def done(tasks: list[tuple[str, int, int]], workers: int) -> Iterator[dict[str, 
         yield from pool.imap_unordered(work, tasks)
 
 
-def work(task: tuple[str, int, int]) -> dict[str, Any]:
-    what, seed, number = task
-    row = examine((seed, number)) if what == "rope" else stay(draw_stuck(seed, number))
-    return {"what": what, **plain(row)}
+def work(task: Task) -> dict[str, Any]:
+    what, seed, number, patience = task
+    row = examine(seed, number, patience) if what == "rope" else stay(draw_stuck(seed, number), patience)
+    return {"what": what, "patience": patience, **plain(row)}
 
 
 def be_ready() -> None:
@@ -132,13 +138,15 @@ def be_ready() -> None:
         hf.simulate(rope, duration=0.01)
 
 
-def read(log: Path, seed: int) -> dict[tuple[str, int], dict[str, Any]]:
-    """Rows of an earlier sweep with the same seed and the same kernels."""
+def read(log: Path, seed: int, patience: float) -> dict[tuple[str, int], dict[str, Any]]:
+    """Rows of an earlier sweep with the same seed and kernels, but for those that more patience may help."""
     if not log.exists():
         return {}
     lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
     same = [row for row in lines if row.pop("seed") == seed and row.pop("kernels") == SOURCE_HASH]
-    return {(row["what"], row["number"]): row for row in same}
+    latest = {(row["what"], row["number"]): row for row in same}
+    hasty = [key for key, row in latest.items() if row.get("reason") == SLOW and row.get("patience", 0.0) < patience]
+    return {key: row for key, row in latest.items() if key not in hasty}
 
 
 def write(log: TextIO | None, row: dict[str, Any], seed: int) -> None:
@@ -152,10 +160,10 @@ def table(rows: list[dict[str, Any]]) -> dict[str, list[Any]]:
     return {name: [row.get(name) for row in rows] for name in dict.fromkeys(name for row in rows for name in row)}
 
 
-def stay(case: Case) -> dict[str, Any]:
+def stay(case: Case, patience: float) -> dict[str, Any]:
     """Whether a rope that should stick does."""
     try:
-        signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE)
+        signal.setitimer(signal.ITIMER_VIRTUAL, patience)
         turned = drift(case.setup)
     except (SimulationError, OutOfPatience) as error:
         return {"number": case.number, "links": case.kind["links"], "outcome": "failed", "reason": error.status}
@@ -180,10 +188,10 @@ def _out_of_patience(*_: Any) -> None:
     raise OutOfPatience
 
 
-def examine(case_of: tuple[int, int]) -> dict[str, Any]:
-    """Judge the case of a seed and a number within PATIENCE."""
-    case = draw(*case_of)
-    signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE)
+def examine(seed: int, number: int, patience: float) -> dict[str, Any]:
+    """Judge the case of a seed and a number with so much patience, s."""
+    case = draw(seed, number)
+    signal.setitimer(signal.ITIMER_VIRTUAL, patience)
     try:
         verdict = judge(case.setup, case.number)
     finally:

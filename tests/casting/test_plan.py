@@ -9,7 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import winding
-from hyperflex.casting import plan as planning
+from hyperflex.casting import Thrower, course, plan
 from hyperflex.casting.search import Search
 from hyperflex.errors import InvalidInput
 
@@ -77,7 +77,7 @@ def test_a_search_that_finds_nothing_says_so() -> None:
 
 
 def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) -> None:
-    landed = planning.Landing(2.0, 2.0, 1, np.zeros(3), "a throw")  # type: ignore[arg-type]
+    landed = course.Landing(2.0, 2.0, 1, np.zeros(3), "a throw")  # type: ignore[arg-type]
 
     def swing(self: Search) -> float:
         if self.landings:
@@ -85,14 +85,14 @@ def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) ->
         self.landings.append(landed)
         return 1.0
 
-    def check(self: planning._Work, found: planning.Landing) -> None:
+    def check(self: course.Course, found: course.Landing) -> None:
         cast = SimpleNamespace(success=False, turns=2.0, reason="it slips")
         self.best = (found.throw, cast, None)  # type: ignore[assignment]
         self.checked.append(found)
 
     monkeypatch.setattr(Search, "swing", swing)
     monkeypatch.setattr(Search, "try_ends", lambda self: None)
-    monkeypatch.setattr(planning._Work, "check", check)
+    monkeypatch.setattr(course.Course, "check", check)
     found = hf.plan_cast(CABLE, ARM, EASY)
     assert found.interrupted
     assert found.throw == "a throw"
@@ -100,7 +100,64 @@ def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_the_same_seed_searches_alike() -> None:
-    searches = [Search(planning.Thrower(CABLE, ARM, hf.MotorLimits()), EASY, seed) for seed in (4, 4, 5)]
+    searches = [Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY, seed) for seed in (4, 4, 5)]
     scores = [search.swing() for search in searches]
     assert scores[0] == scores[1] != scores[2]
     assert np.array_equal(searches[0].swings[0].x, searches[1].swings[0].x)
+
+
+def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_success_stated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The course of things alone: what is raced, verified and stated is made up."""
+    landed = [course.Landing(3.0 - k, 2.0, 1, np.full(3, float(k)), f"throw {k}") for k in range(3)]  # type: ignore[arg-type]
+    seen: dict[str, object] = {}
+
+    def go(self: course.Course, report: object) -> None:
+        self.search.landings += landed
+        self.check(landed[0])
+
+    def check(self: course.Course, found: course.Landing) -> None:
+        good = found.throw != "throw 2"
+        cast = SimpleNamespace(success=good, turns=2.0, reason="" if good else "it slips")
+        self.best = (found.throw, cast, cast if good else None)  # type: ignore[assignment]
+
+    def harden(self: course.Hardening, found: list, until: float, report: object) -> None:
+        seen["raced"] = list(found)
+        self.order = [SimpleNamespace(landing=landed[k]) for k in (2, 1, 0)]  # type: ignore[misc]
+
+    def success(thrower: object, peg: object, throw: object, *_: object, **__: object) -> hf.casting.Success:
+        seen["stated"] = throw
+        return hf.casting.Success(30, 40)
+
+    monkeypatch.setattr(course.Course, "go", go)
+    monkeypatch.setattr(course.Course, "check", check)
+    monkeypatch.setattr(course.Hardening, "go", harden)
+    monkeypatch.setattr(plan, "success", success)
+    found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=hf.casting.Uncertainty())
+    assert seen == {"raced": landed, "stated": "throw 1"}  # the most robust one that stands when it is verified
+    assert (found.throw, found.reason, found.stated) == ("throw 1", "", hf.casting.Success(30, 40))
+    nominal = hf.plan_cast(CABLE, ARM, EASY)
+    assert (nominal.throw, nominal.stated) == ("throw 0", None)
+
+
+def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_then(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    landed = course.Landing(1.0, 2.0, 1, np.zeros(3), "nominal")  # type: ignore[arg-type]
+
+    def go(self: course.Course, report: object) -> None:
+        self.best = ("nominal", SimpleNamespace(success=True, turns=2.0, reason=""), None)  # type: ignore[assignment]
+
+    def check(self: course.Course, found: course.Landing) -> None:
+        raise KeyboardInterrupt
+
+    def harden(self: course.Hardening, *_: object) -> None:
+        self.order = [SimpleNamespace(landing=landed)]  # type: ignore[list-item]
+
+    monkeypatch.setattr(course.Course, "go", go)
+    monkeypatch.setattr(course.Course, "check", check)
+    monkeypatch.setattr(course.Hardening, "go", harden)
+    found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=hf.casting.Uncertainty())
+    assert found.interrupted
+    assert (found.throw, found.stated) == ("nominal", None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from tests.casting.test_landing import PEG, THROWER, WINDS
 
 def landing(end: float, score: float = 1.0, turns: float = 2.0) -> Landing:
     """A throw told from others by the end of its last move, and by its point."""
-    return Landing(score, turns, -1, np.full(9, end), replace(WINDS, end=end))
+    return Landing(score, turns, -1, np.full(10, end), replace(WINDS, end=end))
 
 
 @pytest.fixture
@@ -70,7 +71,7 @@ def test_a_refinement_takes_the_place_only_if_it_is_better(made_up: list[int]) -
     for _ in range(12):
         work.refine()
         means.append(float(np.mean(work.champion.worth[:JUDGED])))
-    assert all(b >= a for a, b in zip(means[:-1], means[1:], strict=True))
+    assert all(b >= a for a, b in pairwise(means))
     assert work.champion.landing.throw.end > start.throw.end
     assert sum(work.champion.wins) > sum(next(one for one in work.order if one.landing is start).wins)
 

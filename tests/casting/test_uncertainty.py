@@ -110,9 +110,9 @@ def test_ropes_are_drawn_from_a_fits_covariance() -> None:
     draws = known.draws(1500, THROWER, PEG)
     x = np.array([[d.rope.friction[0], d.rope.stiffness[0]] for d in draws])
     np.testing.assert_allclose(np.cov(x.T), covariance, rtol=0.15)  # 4 sd of a covariance from 1500 draws
+    other = replace(THROWER, rope=hf.Rope.uniform(length=1.0, mass=0.1, n_links=5))
     with pytest.raises(InvalidInput, match="of another rope"):
-        other = hf.Rope.uniform(length=1.0, mass=0.1, n_links=5)
-        known.draws(1, replace(THROWER, rope=other), PEG)
+        known.draws(1, other, PEG)
     with pytest.raises(InvalidInput, match="rests on"):
         Uncertainty.of(SimpleNamespace(rope=ROPE))  # type: ignore[arg-type]
 

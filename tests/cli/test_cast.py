@@ -7,7 +7,9 @@ import dataclasses
 import pytest
 
 import hyperflex as hf
-from hyperflex import casting
+from hyperflex import casting, files
+from hyperflex.casting.chance import Success
+from hyperflex.casting.uncertainty import Uncertainty
 from tests.casting.known import CABLE, planned
 
 NAMES = {"report.html", "cast.gif", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "cast.nc"}
@@ -47,7 +49,7 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     assert asked["rope"] == CABLE
     assert (asked["target"], asked["arm"]) == (hf.Peg(-0.83, -1.07, 0.04, 0.4), hf.Arm(length=0.2))
     assert asked["limits"] == hf.MotorLimits(speed=5.0, torque=2.0)
-    assert (asked["patience"], asked["seed"]) == (7.0, 3)
+    assert (asked["patience"], asked["seed"], asked["uncertainty"]) == (7.0, 3, None)
     assert told["success"]
     assert (told["source"], told["reason"]) == ("simulated", "")
     assert told["strokes"] == 6
@@ -55,6 +57,15 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     assert told["hold"]["force_N"] > told["hold"]["tail_weight_times_exp_N"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
     assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["arm_stops_s"], abs=5e-3)
+
+
+def test_a_robust_plan_says_how_often_it_wins(hyperflex, rope_file, ready, tmp_path):
+    asked = ready("misses", stated=Success(30, 40))
+    _, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", "--robust"))
+    assert isinstance(asked["uncertainty"], Uncertainty)
+    assert str(Success(30, 40)) in " ".join(out.split())
+    assert str(Success(30, 40)) in (tmp_path / "out" / "report.html").read_text()
+    assert files.read_toml(tmp_path / "out" / "cast.toml")["plan"]["outcome"]["stated"]["wins"] == 30
 
 
 def test_a_plan_that_fails_has_a_code_of_its_own(hyperflex, rope_file, ready, tmp_path):

@@ -80,3 +80,13 @@ def test_another_number_of_links_is_refused():
     finer = hf.Rope.uniform(length=1.0, mass=0.1, n_links=7, radius=0.003)
     with pytest.raises(InvalidInput, match="links"):
         camera(rope=finer).state(1.0, MOTION)
+
+
+def test_times_that_do_not_add_up_to_the_last_digit_are_no_error():
+    """Runs between such times end a rounding before the time that was asked for."""
+    pairs = np.random.default_rng(0).uniform([0.1, 1.1], [0.3, 1.3], (400, 2))
+    first, then = next((a, b) for a, b in pairs.tolist() if a + (b - a) < b)
+    source = TrueState(ROPE, ARM)
+    assert [source.state(t, MOTION).t for t in (first, then)] == [first, then]
+    eye = camera(delay=then - first, rate=1.0 / first)  # its frame is taken at `first`, and carried to `then`
+    assert eye.state(then, MOTION).t == then

@@ -44,10 +44,10 @@ def timing(setup: Setup, tight: Setup, truth: Trajectory, promised: Real, horizo
     Parameters
     ----------
     setup, tight : Setup
-        Of the run and of the tighter one.
+        Of the run and of the tighter one, which may be shorter.
     truth : Trajectory
-        The tighter one without event, (T,) samples.
-    promised : (T,) m, what the run may err in the place of any joint
+        The tighter one without event.
+    promised : (T,) m, what the run may err in the place of any joint, at its samples up to the horizon
     horizon : s
     number : int
     """
@@ -72,7 +72,7 @@ def timing(setup: Setup, tight: Setup, truth: Trajectory, promised: Real, horizo
         "phase reached": lambda: phase_spread(tight, true.event[1], phase),
         "angle reached": lambda: 2.0 / (setup.rope.length[link] * abs(true.qd[-1, link])),  # of two joints
     }[name]()
-    allowed = LOCATED + float(np.interp(true.event[1], truth.t, promised) * spread)
+    allowed = LOCATED + float(np.interp(true.event[1], truth.t[: promised.size], promised) * spread)
     if allowed > BLUNT:
         return NONE
     error = abs(found.event[1] - true.event[1]) if found.event else math.inf

@@ -9,6 +9,8 @@ one in the rates, each as large as `tol` allows. Were all errors to point the sa
 which is the promise that a run is held to, for as long as the right side, and the distance of the nudged runs, are
 small beside the rope (:data:`SMALL`): that is the horizon. A run that is further off is silently wrong. K = 3, since
 the error of one step was seen to be up to 2.6 times its estimate, and since two random nudges miss what grows fastest.
+The runs that a run is compared with need not last longer than that: they are a :data:`SHORTEST` part of it at first,
+and twice as long each time, until the horizon lies in them.
 A run of the same rope that ends at an event has to end in time (``event_times``).
 Most errors do not add up like that: :data:`USUAL` counts those that stay below ``USUAL tol max(1, growth)`` for good.
 """
@@ -36,6 +38,7 @@ SHARE = 0.02  # s, as in hyperflex.core.rollout
 SMALL = 0.02  # of the rope's length
 TIGHTER = 100.0
 SAMPLES = 101
+SHORTEST = 1 / 16  # of the duration
 EFFORT = 3e6  # links times steps that a Runge-Kutta run may cost
 
 
@@ -80,36 +83,50 @@ def judge(setup: Setup, seed: int = 0) -> Verdict:
 
 def _checked(setup: Setup, run: Trajectory, t: Real, seconds: float, seed: int) -> Verdict:
     """Judge a run that ended well; raises where the runs that it is compared with do not."""
-    tight = replace(setup, tol=setup.tol / TIGHTER)
-    truth = simulate(tight, t_eval=t)
-    nudged = [simulate(replace(tight, **nudge), t_eval=t) for nudge in nudges(setup, np.random.default_rng(seed))]
-    apart = np.max([distance(one, truth) for one in nudged], axis=0)
-    growth = np.maximum(1.0, growth_along_the_way(apart, setup.tol))
-    promised = K * setup.tol * growth * (1.0 + t / SHARE)
-    small = SMALL * setup.rope.total_length
-    inside = np.logical_and.accumulate((apart < small) & (promised < small))
-    inside[0] = True
-    error = distance(run, truth)
-    check = runge_kutta(setup, t)
-    own = np.full(t.size, np.inf) if check is None else distance(*check)
-    checked = bool((own <= promised)[inside].all())
+    tight, truth, growth, promised = _horizon(setup, t, seed)
+    kept = promised.size
+    error = distance(run, truth)[:kept]
+    check = runge_kutta(replace(setup, duration=tight.duration), t[:kept])
+    own = np.full(kept, np.inf) if check is None else distance(*check)
+    checked = bool((own <= promised).all())
     if check is not None and checked:  # of the fourth order: half the step leaves a sixteenth; allow a quarter
         error = np.maximum(error, distance(run, check[0]) - 0.25 * own)
-    event = timing(setup, tight, truth, promised, float(t[inside][-1]), seed)
-    good, in_time = (error <= promised)[inside].all(), not event.promise > 1.0
+    event = timing(setup, tight, truth, promised, float(t[kept - 1]), seed)
+    good, in_time = (error <= promised).all(), not event.promise > 1.0
     return Verdict(
         "met" if good and in_time else "wrong",
         "" if in_time else "time of the event",
-        float((error / promised)[inside].max()),
-        float((error / (setup.tol * growth))[inside].max()),
-        float(error[inside].max()),
-        float(growth[inside].max()),
-        float(t[inside][-1]),
+        float((error / promised).max()),
+        float((error / (setup.tol * growth)).max()),
+        float(error.max()),
+        float(growth.max()),
+        float(t[kept - 1]),
         checked,
         float(np.abs(run.energy_error).max() / max(run.kinetic_energy.max(), 1e-300)),
         *event,
         seconds,
     )
+
+
+def _horizon(setup: Setup, t: Real, seed: int) -> tuple[Setup, Trajectory, Real, Real]:
+    """The tighter set-up as far as it is run, its run, and growth and promise (T,) up to the horizon."""
+    small = SMALL * setup.rope.total_length
+    part = SHORTEST
+    while True:
+        upto = t[: 1 + round(part * (t.size - 1))]
+        tight = replace(setup, tol=setup.tol / TIGHTER, duration=float(upto[-1]))
+        truth = simulate(tight, t_eval=upto)
+        beside = nudges(setup, np.random.default_rng(seed))
+        nudged = [simulate(replace(tight, **nudge), t_eval=upto) for nudge in beside]
+        apart = np.max([distance(one, truth) for one in nudged], axis=0)
+        growth = np.maximum(1.0, growth_along_the_way(apart, setup.tol))
+        promised = K * setup.tol * growth * (1.0 + upto / SHARE)
+        inside = np.logical_and.accumulate((apart < small) & (promised < small))
+        inside[0] = True
+        if part == 1.0 or not inside[-1]:
+            kept = int(inside.sum())
+            return tight, truth, growth[:kept], promised[:kept]
+        part = min(1.0, 2.0 * part)
 
 
 def _unjudged(outcome: str, reason: str, seconds: float) -> Verdict:
@@ -125,8 +142,9 @@ def drift(setup: Setup) -> float:
 
 
 def distance(run: Trajectory, other: Trajectory) -> Real:
-    """Largest distance (T,) of any joint in one run from the same joint in the other, m."""
-    return np.asarray(np.linalg.norm(run.joints - other.joints, axis=2).max(axis=1))
+    """Largest distance (T,) of any joint in one run from the same joint in the other, m, as long as both last."""
+    last = min(run.t.size, other.t.size)
+    return np.asarray(np.linalg.norm(run.joints[:last] - other.joints[:last], axis=2).max(axis=1))
 
 
 def nudges(setup: Setup, rng: np.random.Generator) -> list[dict[str, Real]]:

@@ -26,7 +26,7 @@ WORLDS = 3  # in which what is left is tried, beside the one expected
 THINKING = 0.1  # s, that a decision may take: nothing changes sooner after a look
 LIKELY = 0.2  # part of the worlds; with fewer wins before the last stroke or move, a throw is given up
 BETTER = 0.05  # worth by which another way must beat the planned one
-LATEST = 2  # moves at the end before which a throw may be given up
+LATEST = 1  # before the last of the moves that start before the strike, a throw may be given up, and later
 
 
 @dataclass(frozen=True)
@@ -135,8 +135,9 @@ def follow(
     Notes
     -----
     A plan that wins in all the tried worlds is kept. Else another way on is sought in free flights, for the state in
-    which the plan was to strike (:func:`matching.match`), and taken if it wins more often beside the peg. Simulated time stands still while a decision is made:
-    `thinking` is kept by what may change, and :attr:`Look.seconds` says what it really took.
+    which the plan was to strike (:func:`matching.match`), and taken if it wins more often beside the peg. Simulated
+    time stands still while a decision is made: `thinking` is kept by what may change, and :attr:`Look.seconds` says
+    what it really took.
     """
     pause = checks.number("thinking", thinking, sign="nonnegative", unit="s")
     known = uncertainty or Uncertainty()
@@ -188,7 +189,8 @@ class _Loop:
                 chance, value = np.append(chance, more[0]), np.append(value, more[1])
         best = int(np.argmax(value))
         best = best if value[best] > value[0] + BETTER else 0
-        if chance[best] < likely and self.move > self.throw.count - LATEST:
+        begun = int((self.throw.starts(self.thrower.limits) < goal.t + self.late).sum())
+        if chance[best] < likely and self.move >= begun - LATEST:
             self.throw = swing_down(self.throw, self.move)
             return float(chance[0]), float(chance[best]), "aborted"
         changed = ways[best] is not self.throw

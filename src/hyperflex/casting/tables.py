@@ -124,6 +124,9 @@ def summary(plan: CastPlan) -> dict[str, Any]:
         starts = plan.throw.starts(limits)
         told |= {"strokes": plan.throw.count, "starts_s": starts[:-1], "last_move_s": float(starts[-1])}
         told |= {"arm_stops_s": plan.throw.stops(limits)}
+    if plan.stated is not None:
+        stated = plan.stated
+        told["stated"] = {"wins": stated.wins, "draws": stated.draws, "interval_95": list(stated.interval)}
     for name, cast in (("cast", plan.cast), ("finer", plan.finer)):
         if cast is not None:
             told[name] = _outcome(cast)

@@ -33,6 +33,14 @@ def cast(
     ] = None,
     torque: Annotated[float | None, typer.Option(help="Greatest torque, N m. [default: not looked at]")] = None,
     hold: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
+    robust: Annotated[
+        bool,
+        typer.Option(
+            "--robust",
+            help="Plan for what is not known exactly (rope, friction, motor, as a usual identification leaves it), and "
+            "say how often the throw wins then.",
+        ),
+    ] = False,
     rate: Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz.")] = 200.0,
     patience: Annotated[float, typer.Option(help="Time to search, s; a plan that stands ends it.")] = 60.0,
     seed: Annotated[int, typer.Option(help="Of the search.")] = 0,
@@ -49,6 +57,7 @@ def cast(
     reason.
     """
     from hyperflex.casting import MotorLimits, plan_cast
+    from hyperflex.casting.uncertainty import Uncertainty
     from hyperflex.checks import number
     from hyperflex.model import Arm, Peg, Rope
     from hyperflex.report.cast import write_cast
@@ -65,6 +74,7 @@ def cast(
         Peg(*target, radius, mu),
         limits,
         hold=hold,
+        uncertainty=Uncertainty() if robust else None,
         patience=patience,
         seed=seed,
         progress=output.watched(json),
@@ -123,6 +133,8 @@ def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path]) -> None:
     if held is not None:
         pairs.append(("hold force", f"{'' if held.tug.slipped else 'at least '}{held.force:.2f} N, by a tug"))
         pairs.append(("tail weight times e^(mu angle)", f"{held.rule:.2f} N"))
+    if plan.stated is not None:
+        pairs.append(("wins in uncertain worlds", str(plan.stated)))
     output.print_pairs("Cast (simulated)", pairs)
     output.console().print(_verdict(plan), markup=False)
     words = {

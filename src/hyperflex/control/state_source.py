@@ -84,7 +84,8 @@ class TrueState:
         if ahead > 0.0:
             # From angles and rates alone: the same state whether or not the motion has been changed since.
             start = State(self._last.t, self._last.q, self._last.qd)
-            run = simulate(self.rope, motion, arm=self.arm, duration=ahead, state=start, t_eval=[time], tol=self.tol)
+            end = self._last.t + ahead  # `time` but for rounding: where the run ends
+            run = simulate(self.rope, motion, arm=self.arm, duration=ahead, state=start, t_eval=[end], tol=self.tol)
             self._last = State(time, run.q[-1], run.qd[-1])
         return RopeState(time, self._last.q, self._last.qd)
 
@@ -154,7 +155,8 @@ class SimulatedCamera:
         if t <= seen.t:
             return RopeState(t, seen.q, seen.qd, self._frame_covariance() if self.with_covariance else None)
         start = State(seen.t, seen.q, seen.qd)
-        run = simulate(self.rope, motion, arm=self.arm, duration=t - seen.t, state=start, t_eval=[t])
+        ahead = t - seen.t
+        run = simulate(self.rope, motion, arm=self.arm, duration=ahead, state=start, t_eval=[seen.t + ahead])
         covariance = self._carried(seen, t, motion) if self.with_covariance else None
         return RopeState(t, run.q[-1], run.qd[-1], covariance)
 

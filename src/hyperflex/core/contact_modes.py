@@ -147,7 +147,7 @@ def round_of(chain, found, impulses, motion, heavy, change):  # type: ignore[no-
 @kernel
 def search(chain, found, impulses, motion, h, heavy):  # type: ignore[no-untyped-def]
     """Find modes that obey the law for one M = `heavy`, kg; returns the rounds, negative if there are too many."""
-    settled = SETTLED * min(1.0, h / USUAL)
+    settled = SETTLED * max(0.1, min(1.0, h / USUAL))
     for c in range(found.total[0]):
         impulses.closed[c] = 0
     for turn in range(ROUNDS):

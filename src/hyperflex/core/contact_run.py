@@ -33,6 +33,7 @@ EASY = 0.2  # part of the energy allowed, below which steps grow
 LOSS = 10.0  # how many times more energy may vanish than appear
 SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a step
 GENEROUS = 100.0  # how many times more energy than may appear contacts may give a rope that they push out
+SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step however short: rounding of large forces
 DEEPER = 5e-5  # m, penetration at which a step is tried again at half its length
 
 # T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
@@ -208,7 +209,7 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
                 h = max(touch, BRIEF)
                 shortest = min(shortest, h)
                 continue
-            allowed = bounds.rate * h + 1e-15
+            allowed = bounds.rate * max(h, SLIGHT) + ROUNDING
             if push and desk.account[CONTACT] < -GENEROUS * allowed:
                 push = False
                 continue

@@ -73,6 +73,11 @@ def story(plan: CastPlan, held: Holding | None) -> tuple[str, ...]:
         told.append(_outcome(plan))
     if held is not None:
         told.append(_hold(held))
+    if plan.stated is not None:
+        told.append(
+            f"How sure: in simulated worlds drawn afresh (rope, friction and motor as little known as was said), the "
+            f"throw wins {plan.stated}."
+        )
     return tuple(told)
 
 

@@ -1,0 +1,146 @@
+"""The course of a plan: rounds of swings, then of throws beside the peg; what looks good is verified."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from hyperflex.casting.outcome import WOUND, Cast, verify
+from hyperflex.casting.robust import Hardening
+from hyperflex.casting.search import Landing, Search
+from hyperflex.casting.throw import Throw
+from hyperflex.casting.uncertainty import Uncertainty
+from hyperflex.model import divided
+
+GENERATIONS = 5  # of free swings in a round
+SETTLED, ROUNDS = 1.03, 2  # a round that gains less than this factor is idle; so many idle ones, and the peg is next
+SWINGING = 0.5  # part of the patience after which the search goes on beside the peg in any case
+RESTART = 12  # generations beside the peg from one place
+ALIKE = 0.05  # points that differ by less are one
+FINER = 2  # pieces of each link in the second verification
+NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
+TRIES = 3  # throws verified at most between two generations
+
+
+class Course:
+    """Rounds of a search until a plan stands or patience ends.
+
+    Parameters
+    ----------
+    search : Search
+    begin : float
+        When it began, on the monotonic clock, s.
+    patience : float
+        Of the search in the world that is expected, s.
+    """
+
+    def __init__(self, search: Search, begin: float, patience: float) -> None:
+        self.search, self.begin, self.patience = search, begin, patience
+        thrower = search.thrower
+        self.finer = replace(thrower, rope=divided(thrower.rope, FINER), time=thrower.time)
+        self.checked: list[Landing] = []
+        self.best: tuple[Throw | None, Cast | None, Cast | None] = (None, None, None)
+
+    @property
+    def spent(self) -> float:
+        """Time since it began, s."""
+        return time.monotonic() - self.begin
+
+    def go(self, report: Callable[[float], None] | None) -> None:
+        """Search until a plan stands or patience ends."""
+        score, idle, close = 0.0, 0, 0
+        while not self.search.runs or (self.spent < self.patience and not self.done()):
+            beside = self.search.landings and (idle >= ROUNDS or self.spent > SWINGING * self.patience)
+            if beside and close % RESTART:
+                self.search.refine()
+                close += 1
+            else:
+                before, score = score, self.swing()
+                idle = idle + 1 if score < SETTLED * before + 0.01 else 0
+                self.search.restart()
+                close = 1
+            self.look()
+            if report is not None:
+                report(min(self.spent, self.patience))
+        self.settle()
+
+    def swing(self) -> float:
+        """A round of free swings, the best of which are tried beside the peg."""
+        score = 0.0
+        for _ in range(GENERATIONS):
+            score = max(score, self.search.swing())
+            if self.spent > self.patience:
+                break
+        if self.search.swings:
+            self.search.try_ends()
+        return score
+
+    def done(self) -> bool:
+        """Whether a plan stands."""
+        return self.best[1] is not None and not why_not(self.best[1], self.best[2], False)
+
+    def look(self) -> None:
+        """Verify the best throws that were not verified yet."""
+        for _ in range(TRIES):
+            found = next((one for one in self.search.landings if one.turns >= WOUND and self.fresh(one)), None)
+            if found is None or self.done():
+                return
+            self.check(found)
+
+    def settle(self) -> None:
+        """Verify the best throw of all where none that winds was found."""
+        if self.best[0] is None and self.search.landings:
+            self.check(self.search.landings[0])
+
+    def harden(self, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
+        """Look for the throw that wins in most worlds, for what patience is left, and verify the best ones."""
+        search, until = self.search, self.begin + self.patience / NOMINAL
+        work = Hardening(
+            search.thrower, search.peg, search.genes, uncertainty, seed=search.seed, threads=search.threads
+        )
+        work.go(search.landings, until, None if report is None else lambda: report(self.spent))
+        search.runs += work.runs
+        before, first = self.best, None
+        try:
+            for found in work.order[:TRIES]:
+                self.best = (None, None, None)
+                self.check(found.landing)
+                first = first or self.best
+                if self.done():
+                    return
+        except KeyboardInterrupt:
+            self.best = first or before
+            raise
+        self.best = first or before
+
+    def fresh(self, one: Landing) -> bool:
+        """Whether nothing like it was verified yet."""
+        return all(one.side != old.side or np.abs(one.x - old.x).max() > ALIKE for old in self.checked)
+
+    def check(self, found: Landing) -> None:
+        """Verify a throw and keep it if it is better than the best until now."""
+        search = self.search
+        self.checked.append(found)
+        cast = verify(search.thrower, search.peg, found.throw.motion(search.thrower.limits))
+        finer = verify(self.finer, search.peg, found.throw.motion(search.thrower.limits)) if cast.success else None
+        rank = [_rank(one) for one in (cast, finer)]
+        if self.best[0] is None or rank > [_rank(one) for one in self.best[1:]]:
+            self.best = (found.throw, cast, finer)
+
+
+def _rank(cast: Cast | None) -> tuple[bool, float]:
+    return (False, 0.0) if cast is None else (cast.success, abs(cast.turns))
+
+
+def why_not(cast: Cast | None, finer: Cast | None, interrupted: bool) -> str:
+    """Say why a cast fails, "" if it does not."""
+    if cast is None:
+        return "interrupted before any throw was verified" if interrupted else "too little energy: no throw strikes it"
+    if cast.reason:
+        return cast.reason
+    if finer is None:
+        return "interrupted before it was verified with finer links"
+    return f"with links of half the length {finer.reason}" if finer.reason else ""
