@@ -232,6 +232,10 @@ def page(found: dict[str, Any]) -> str:
             f"{1e3 * middle['impulse']:.1f} mN s ({1e3 * middle['along']:.1f} in the asked direction) in 50 ms, and "
             f"lose {1e3 * middle['energy']:.0f} mJ to the blow."
         )
+    kernels = {
+        kind: sorted({row["kernels"] for row in found["rows"] if row["kind"] == kind}) for kind in found["summary"]
+    }
+    lines.append("\nKernels: " + "; ".join(f"{kind} {', '.join(hashes)}" for kind, hashes in kernels.items()) + ".")
     where = machine.sentence(found["machine"])
     return "\n".join(["# Whips", "", text, "", *lines, "", where, "", "Again: `python -m benchmarks.whip`", ""])
 
