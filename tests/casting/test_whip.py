@@ -178,6 +178,12 @@ def test_speed_of_zero_is_refused(known: WhipMap) -> None:
         plan_whip(ROPE, ARM, [0.3, -0.9], [1.0, 0.0], least_speed=0.0, known=known)
 
 
+def test_a_map_of_another_rope_is_refused(known: WhipMap) -> None:
+    for rope, limits in ((ROPE.replace(mass=0.01), None), (ROPE, MotorLimits(speed=1.0))):
+        with pytest.raises(InvalidInput, match="another rope"):
+            plan_whip(rope, ARM, [0.3, -0.9], [1.0, 0.0], limits, known=known)
+
+
 def test_out_of_reach(known: WhipMap) -> None:
     far = plan_whip(ROPE, ARM, [1.5, 0.0], [0.0, 1.0], known=known)
     assert not far.success

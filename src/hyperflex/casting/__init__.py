@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from hyperflex.casting.throw import Throw
     from hyperflex.casting.thrower import Thrower
     from hyperflex.casting.uncertainty import Draw, Uncertainty
-    from hyperflex.casting.whip import WhipPlan, WhipReach, plan_whip, reach_whip
+    from hyperflex.casting.whip import WhipPlan, plan_whip
+    from hyperflex.casting.whip_reach import WhipReach, reach_whip
     from hyperflex.casting.whip_search import WhipMap, whip_map
     from hyperflex.casting.whip_strike import Lash
 
@@ -45,12 +46,12 @@ _HOMES = {
     "Uncertainty": "uncertainty",
     "WhipMap": "whip_search",
     "WhipPlan": "whip",
-    "WhipReach": "whip",
+    "WhipReach": "whip_reach",
     "follow": "following",
     "plan_cast": "plan",
     "plan_whip": "whip",
     "reach": "targets",
-    "reach_whip": "whip",
+    "reach_whip": "whip_reach",
     "read_plan": "tables",
     "success": "chance",
     "verify": "outcome",

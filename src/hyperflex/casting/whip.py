@@ -17,6 +17,7 @@ from hyperflex.casting.limits import MotorLimits
 from hyperflex.casting.strokes import Strokes
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.whip_aim import Aim, aimed
+from hyperflex.casting.whip_reach import WhipReach, reach_whip
 from hyperflex.casting.whip_search import WhipMap, WhipSearch, whip_map
 from hyperflex.casting.whip_strike import Lash, lash
 from hyperflex.control import swing_period
@@ -26,36 +27,11 @@ from hyperflex.motion import Motion
 from hyperflex.simulation.rollouts import progress_bar
 
 PATIENCE, PERIODS = 30.0, 3.0  # s; swing periods within which the tip strikes by default
-NEAR = 0.12  # m, cost of the nearest peak of the map up to which a target is in reach
 TRIED = 8  # peaks of the map that are aimed as they are
 READY, GENERATIONS = 0.06, 16  # m, cost from which on a swing is aimed; of a search before it
 PLANS = 3  # whips that meet the target, of which the least uncertain one is taken
 MEETS = 1e-3  # m
 FINER = 2  # pieces of each link in the second verification
-
-
-@dataclass(frozen=True)
-class WhipReach:
-    """What could be said of a target before searching.
-
-    Attributes
-    ----------
-    distance : float
-        From the arm's pivot, m.
-    cost : float
-        Of the nearest peak of the map, m: how far it is away, and more where its speed or direction are not as asked.
-    reason : str
-        Why the target is out of reach; empty if it is not.
-    """
-
-    distance: float
-    cost: float
-    reason: str
-
-    @property
-    def within(self) -> bool:
-        """Whether the target is in reach."""
-        return not self.reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,37 +99,6 @@ class WhipPlan:
         return impact(self.thrower, self.mark, motion, self.lash.t, radius=radius, mu=mu)
 
 
-def reach_whip(known: WhipMap, mark: Mark) -> WhipReach:
-    """Tell whether a target is in reach: close enough to where the tip's speed peaks in the swings of a map.
-
-    Parameters
-    ----------
-    known : WhipMap
-        Of the thrower.
-    mark : Mark
-    """
-    thrower = known.thrower
-    distance = math.hypot(mark.x - thrower.arm.pivot[0], mark.y - thrower.arm.pivot[1])
-    short = distance - thrower.rope.total_length - thrower.arm.length
-    if short > 0.0:
-        return WhipReach(distance, math.inf, f"out of reach: the rope ends {short:.2f} m short of the target")
-    near = known.nearest(mark)
-    cost = near[0].cost if near else math.inf
-    if cost <= NEAR:
-        return WhipReach(distance, cost, "")
-    fast = [float(s) for s, p in zip(known.peaks.speed, known.peaks.place, strict=True) if _close(p, mark)]
-    why = (
-        f"out of reach: the tip is not that fast so near to it, {max(fast):.1f} m/s at most, or not in that direction"
-        if fast
-        else "out of reach: the tip's speed has no peak so near to it"
-    )
-    return WhipReach(distance, cost, why)
-
-
-def _close(place: npt.NDArray[np.float64], mark: Mark) -> bool:
-    return float(np.hypot(*(place - mark.point))) < NEAR
-
-
 def plan_whip(
     rope: Rope,
     arm: Arm,
@@ -216,12 +161,15 @@ def plan_whip(
     mark = Mark.at(point, direction, least_speed, within)
     patience = checks.number("patience", patience, sign="positive", unit="s")
     seed = checks.count("seed", seed, least=0)
-    thrower = (
-        known.thrower
-        if known is not None
-        else Thrower(rope, arm, MotorLimits() if limits is None else limits, time_limit or PERIODS * swing_period(rope))
-    )
-    known = whip_map(thrower, threads=threads) if known is None else known
+    if known is None:
+        usual = PERIODS * swing_period(rope)
+        time_limit = usual if time_limit is None else checks.number("time_limit", time_limit, sign="positive", unit="s")
+        known = whip_map(Thrower(rope, arm, limits or MotorLimits(), time_limit), threads=threads)
+    elif known.thrower.rope is not rope or known.thrower.arm != arm or limits not in (None, known.thrower.limits):
+        raise InvalidInput(
+            "map was made for another rope, arm or motor", fix="Make one: whip_map(Thrower(rope, arm, limits))"
+        )
+    thrower = known.thrower
     told = reach_whip(known, mark)
     if not math.isfinite(told.cost) or not (told.within or regardless):
         return WhipPlan(thrower, mark, told, None, None, None, math.nan, told.reason, 0, time.monotonic() - begin)
