@@ -86,7 +86,7 @@ def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) ->
         return 1.0
 
     def check(self: course.Course, found: course.Landing) -> None:
-        cast = SimpleNamespace(success=False, turns=2.0, reason="it slips")
+        cast = SimpleNamespace(success=False, turns=2.0, slipped=9e-3, reason="it slips")
         self.best = (found.throw, cast, None)  # type: ignore[assignment]
         self.checked.append(found)
 
@@ -119,7 +119,7 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
 
     def check(self: course.Course, found: course.Landing) -> None:
         good = found.throw != "throw 2"
-        cast = SimpleNamespace(success=good, turns=2.0, reason="" if good else "it slips")
+        cast = SimpleNamespace(success=good, turns=2.0, slipped=1e-3, reason="" if good else "it slips")
         self.best = (found.throw, cast, cast if good else None)  # type: ignore[assignment]
 
     def harden(self: course.Hardening, found: list, until: float, report: object) -> None:
@@ -147,7 +147,7 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     landed = course.Landing(1.0, 2.0, 1, np.zeros(3), "nominal")  # type: ignore[arg-type]
 
     def go(self: course.Course, report: object) -> None:
-        self.best = ("nominal", SimpleNamespace(success=True, turns=2.0, reason=""), None)  # type: ignore[assignment]
+        self.best = ("nominal", SimpleNamespace(success=True, turns=2.0, slipped=1e-3, reason=""), None)  # type: ignore[assignment]
 
     def check(self: course.Course, found: course.Landing) -> None:
         raise KeyboardInterrupt
@@ -161,3 +161,13 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=hf.casting.Uncertainty())
     assert found.interrupted
     assert (found.throw, found.stated) == ("nominal", None)
+
+
+@pytest.mark.parametrize(("slipped", "enough"), [(1e-3, True), (4e-3, False), (np.nan, False)])
+def test_the_search_goes_on_while_the_best_nearly_slips(slipped: float, enough: bool) -> None:
+    work = course.Course(Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY), 0.0, 1.0)
+    firm = SimpleNamespace(success=True, slipped=1e-4)
+    work.best = ("a throw", firm, SimpleNamespace(success=True, slipped=slipped))  # type: ignore[assignment]
+    assert work.done() is enough
+    work.best = ("a throw", firm, None)  # type: ignore[assignment]
+    assert not work.done()

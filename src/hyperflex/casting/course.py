@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hyperflex.casting.outcome import WOUND, Cast, verify
+from hyperflex.casting.outcome import SLIP, WOUND, Cast, verify
 from hyperflex.casting.robust import Hardening
 from hyperflex.casting.search import Landing, Search
 from hyperflex.casting.throw import Throw
@@ -23,6 +23,7 @@ ALIKE = 0.05  # points that differ by less are one
 FINER = 2  # pieces of each link in the second verification
 NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
 TRIES = 3  # throws verified at most between two generations
+STEADY = 0.4  # part of the slip allowed, beyond which a throw that holds is kept, but a better one sought
 
 
 class Course:
@@ -79,8 +80,8 @@ class Course:
         return score
 
     def done(self) -> bool:
-        """Whether a plan stands."""
-        return self.best[1] is not None and not why_not(self.best[1], self.best[2], False)
+        """Whether a plan stands, with something in hand."""
+        return all(one is not None and one.success and steady(one) for one in self.best[1:])
 
     def look(self) -> None:
         """Verify the best throws that were not verified yet."""
@@ -131,8 +132,13 @@ class Course:
             self.best = (found.throw, cast, finer)
 
 
-def _rank(cast: Cast | None) -> tuple[bool, float]:
-    return (False, 0.0) if cast is None else (cast.success, abs(cast.turns))
+def steady(cast: Cast) -> bool:
+    """Whether a rope that holds is far from slipping as much as is allowed."""
+    return cast.slipped <= STEADY * SLIP
+
+
+def _rank(cast: Cast | None) -> tuple[bool, bool, float]:
+    return (False, False, 0.0) if cast is None else (cast.success, steady(cast), abs(cast.turns))
 
 
 def why_not(cast: Cast | None, finer: Cast | None, interrupted: bool) -> str:
