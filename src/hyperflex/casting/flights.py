@@ -108,7 +108,7 @@ def struck(flights: Flights, arm: Arm, time: float, *, threads: int | None = Non
     stop = max(float(motion.breaks[-1]) for motion in flights.motions)
     span = max(time - flights.since, stop + AFTER, DECIDED)
     t, q, qd = fly(flights, arm, span, threads=threads)
-    base = np.stack([arm_tip(arm, motion, t) for motion in flights.motions])
+    base = np.stack([strikes.arm_tip(arm, motion, t) for motion in flights.motions])
     lengths = np.stack([rope.length for rope in flights.ropes])[:, None]
     good = np.isfinite(q).all(axis=(1, 2))
     at, gap = np.zeros(len(flights), dtype=np.int64), np.zeros(len(flights))
@@ -147,15 +147,3 @@ def strike(thrower: Thrower, peg: Peg, throws: Sequence[Throw], *, threads: int 
     count = len(throws)
     batch = Flights([thrower.rope] * count, [peg] * count, motions, q, np.zeros_like(q))
     return struck(batch, thrower.arm, thrower.time, threads=threads)[0]
-
-
-def arm_tip(arm: Arm, motion: Motion, t: Array) -> Array:
-    """Place of the rope's first joint (T, 2) at times t (T,), m."""
-    angle = motion.angle(t)
-    return np.asarray(np.stack([np.sin(angle), -np.cos(angle)], axis=-1) * arm.length + np.array(arm.pivot))
-
-
-def arm_tip_velocity(arm: Arm, motion: Motion, t: Array) -> Array:
-    """Velocity of the rope's first joint (T, 2) at times t (T,), m/s."""
-    angle, rate = motion.angle(t), motion.rate(t)
-    return np.asarray(np.stack([np.cos(angle), np.sin(angle)], axis=-1) * (arm.length * rate)[:, None])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hyperflex.casting import flights
+from hyperflex.casting import flights, strikes
 from hyperflex.casting.flights import Flights
 from hyperflex.casting.throw import LEAST_STROKE, Throw
 from hyperflex.casting.thrower import Thrower
@@ -47,7 +47,7 @@ class Goal:
         t, q, qd, _ = flights.struck(one, thrower.arm, thrower.time)
         if not np.isfinite(t[0]):
             return None
-        base = flights.arm_tip(thrower.arm, motion, t), flights.arm_tip_velocity(thrower.arm, motion, t)
+        base = strikes.arm_tip(thrower.arm, motion, t), strikes.arm_tip_velocity(thrower.arm, motion, t)
         return cls(float(t[0]), features(thrower.rope, q, qd, *base)[0])
 
 
@@ -169,8 +169,8 @@ class _Match:
                     thrower.rope,
                     q[m, near],
                     qd[m, near],
-                    flights.arm_tip(thrower.arm, motion, t[near]),
-                    flights.arm_tip_velocity(thrower.arm, motion, t[near]),
+                    strikes.arm_tip(thrower.arm, motion, t[near]),
+                    strikes.arm_tip_velocity(thrower.arm, motion, t[near]),
                 )
                 for m, motion in enumerate(motions)
             ]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex.casting import flights
+from hyperflex.casting.evolution import evolution
 from hyperflex.casting.genes import Genes
 from hyperflex.casting.landing import Landings
 from hyperflex.casting.outcome import WOUND
@@ -114,7 +115,9 @@ class Hardening:
         """One generation about the champion, in fresh worlds; its best may take the champion's place."""
         side = self.champion.landing.side
         if self._evolution is None:
-            self._evolution = _evolution(self.champion.landing.x, self.genes[side], self.seed)
+            random = np.random.default_rng([REFINE, self.seed])
+            spreads = self.genes[side].spreads()
+            self._evolution = evolution(self.champion.landing.x, NARROW, spreads, MEMBERS, random)
         points = self._evolution.ask()
         fresh = self.uncertainty.draws(WORLDS, self.thrower, self.peg, seed=[REFINE, self.seed, self.generations])
         runners = [Runner(one) for one in self.landings(side, [np.asarray(x) for x in points])]
@@ -169,12 +172,3 @@ def _apart(found: Sequence[Landing]) -> list[Landing]:
         if len(chosen) == POOL:
             break
     return chosen
-
-
-def _evolution(centre: Array, genes: Genes, seed: int) -> Any:
-    import cma
-
-    draws = np.random.default_rng([REFINE, seed])
-    options = {"popsize": MEMBERS, "verbose": -9, "seed": np.nan, "CMA_stds": genes.spreads()}
-    options["randn"] = lambda *shape: draws.standard_normal(shape)
-    return cma.CMAEvolutionStrategy(centre, NARROW, options)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperflex.casting import landing, strikes
+from hyperflex.casting.evolution import evolution
 from hyperflex.casting.genes import LAST, Genes
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
@@ -43,7 +44,7 @@ class Landing(NamedTuple):
 
 @dataclass(eq=False)
 class Search:
-    """A search by CMA-ES (Hansen 2016, arXiv:1604.00772), first on free swings, then beside the peg.
+    """A search by CMA-ES, first on free swings, then beside the peg.
 
     Parameters
     ----------
@@ -69,25 +70,16 @@ class Search:
         self._close: tuple[int, Any] | None = None
 
     def _evolution(self, centre: Array, size: float, members: int, genes: Genes) -> Any:
-        import cma
-
-        options = {
-            "popsize": members,
-            "verbose": -9,
-            "CMA_stds": genes.spreads(),
-            "seed": np.nan,  # numpy's global generator is left alone
-            "randn": lambda *shape: self._random.standard_normal(shape),
-        }
-        return cma.CMAEvolutionStrategy(centre, size, options)
+        return evolution(centre, size, genes.spreads(), members, self._random)
 
     def swing(self) -> float:
         """One generation of free swings from each side; returns the best score so far."""
-        for side, evolution in self._free.items():
-            points = evolution.ask()
+        for side, strategy in self._free.items():
+            points = strategy.ask()
             found = strikes.fly(
                 self.thrower, self.peg, [self.genes[side].throw(x) for x in points], threads=self.threads
             )
-            evolution.tell(points, list(-found.score))
+            strategy.tell(points, list(-found.score))
             self.runs += len(points)
             for k in np.argsort(-found.score)[:KEPT]:
                 if found.score[k] > 0.0:
@@ -121,9 +113,9 @@ class Search:
         if self._close is None:
             best = self.landings[0]
             self._close = best.side, self._evolution(best.x, NARROW, LANDING_MEMBERS, self.genes[best.side])
-        side, evolution = self._close
-        points = evolution.ask()
-        evolution.tell(points, list(-self.land(side, points)))
+        side, strategy = self._close
+        points = strategy.ask()
+        strategy.tell(points, list(-self.land(side, points)))
 
     def restart(self) -> None:
         """Let the next :meth:`refine` begin from the best throw of then."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
-from hyperflex.model import Peg
+from hyperflex.model import Arm, Peg
 from hyperflex.motion import Motion
 from hyperflex.simulation import simulate_batch
 
@@ -61,7 +61,7 @@ def fly(thrower: Thrower, peg: Peg, throws: Sequence[Throw], *, threads: int | N
 
 def look(thrower: Thrower, peg: Peg, motions: Sequence[Motion], *, threads: int | None = None) -> Strikes:
     """Find the first strikes on a peg of a rope that swings freely under each motion, from rest at t = 0."""
-    rope, radius = thrower.rope, thrower.arm.length
+    rope = thrower.rope
     count = round(thrower.time / SAMPLE_TIME)
     t: Array = SAMPLE_TIME * np.arange(1.0, count + 1.0)
     batch = simulate_batch(
@@ -74,9 +74,8 @@ def look(thrower: Thrower, peg: Peg, motions: Sequence[Motion], *, threads: int 
         keep=("q", "qd"),
         threads=threads,
     )
-    angle, rate = (np.stack([sample(motion, t, k) for motion in motions]) for k in (0, 1))
-    base = radius * np.stack([np.sin(angle), -np.cos(angle)], axis=-1) + np.array(thrower.arm.pivot)
-    base_velocity = radius * rate[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    base = np.stack([arm_tip(thrower.arm, motion, t) for motion in motions])
+    base_velocity = np.stack([arm_tip_velocity(thrower.arm, motion, t) for motion in motions])
     at, link, least = first(np.nan_to_num(batch.q), base, rope.length, peg, rope.radius)
     struck = (at > 0) & np.isfinite(batch.q).all(axis=(1, 2))
     rows, at = np.arange(len(motions)), np.where(struck, at, 1)
@@ -99,9 +98,16 @@ def look(thrower: Thrower, peg: Peg, motions: Sequence[Motion], *, threads: int 
     )
 
 
-def sample(motion: Motion, t: Array, derivative: int) -> Array:
-    """Arm angle (0) or rate (1) of a motion at times t (T,)."""
-    return motion.angle(t) if derivative == 0 else motion.rate(t)
+def arm_tip(arm: Arm, motion: Motion, t: Array) -> Array:
+    """Place of the rope's first joint (T, 2) at times t (T,), m."""
+    angle = motion.angle(t)
+    return np.asarray(np.stack([np.sin(angle), -np.cos(angle)], axis=-1) * arm.length + np.array(arm.pivot))
+
+
+def arm_tip_velocity(arm: Arm, motion: Motion, t: Array) -> Array:
+    """Velocity of the rope's first joint (T, 2) at times t (T,), m/s."""
+    angle, rate = motion.angle(t), motion.rate(t)
+    return np.asarray(np.stack([np.cos(angle), np.sin(angle)], axis=-1) * (arm.length * rate)[:, None])
 
 
 def first(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) -> tuple[Array, Array, Array]:

@@ -1,7 +1,8 @@
 """Whether a target can be wound at all: length left, energy and hold, told before any search.
 
 A rope that swings as far as the target lets it is taken as a rigid rod, and its tail beyond the target as another. The
-constants are those that sort the targets of ``benchmarks/casting`` best; see there how well they do.
+constants were chosen by hand on some twenty targets that a search had tried; ``benchmarks/casting --outside`` looks for
+targets that they call out of reach wrongly.
 """
 
 from __future__ import annotations

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from hyperflex.casting.evolution import evolution
 from hyperflex.casting.lash import NEVER, SAMPLE_TIME, Mark, Peaks, cheapest, costs, peaks, swung
 from hyperflex.casting.strokes import Strokes
 from hyperflex.casting.thrower import Thrower
@@ -77,7 +78,7 @@ def whip_map(thrower: Thrower, swings: int = SWINGS, threads: int | None = None)
 
 
 class WhipSearch:
-    """CMA-ES (Hansen 2016, arXiv:1604.00772) on the strokes of a swing, about one that nearly meets a target.
+    """CMA-ES on the strokes of a swing, about one that nearly meets a target.
 
     Parameters
     ----------
@@ -90,15 +91,13 @@ class WhipSearch:
     """
 
     def __init__(self, thrower: Thrower, mark: Mark, begin: Found, seed: int = 0, threads: int | None = None) -> None:
-        import cma
-
         self.thrower, self.mark, self.threads = thrower, mark, threads
         self.found, self.runs, self._side = begin, 0, begin.strokes.side
         k = begin.strokes.ends.size
         self._scale = np.repeat([np.pi, swing_period(thrower.rope)], k)
         spread = np.repeat([SPREAD_ENDS, SPREAD_RESTS], k)
-        options = {"popsize": MEMBERS, "verbose": -9, "seed": seed + 1, "CMA_stds": spread}
-        self._evolution: Any = cma.CMAEvolutionStrategy(begin.strokes.numbers / self._scale, NARROW, options)
+        random = np.random.default_rng([SEED, seed])
+        self._evolution = evolution(begin.strokes.numbers / self._scale, NARROW, spread, MEMBERS, random)
 
     def step(self) -> float:
         """One generation; returns the least cost so far, m."""
