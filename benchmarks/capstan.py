@@ -199,6 +199,8 @@ def order(rows: list[dict[str, Any]]) -> str:
     """The observed order of convergence, between the onsets of three halvings of the links, in words."""
     onsets = [row["onset over exp(mu theta)"] for row in rows]
     steps = np.diff(onsets)
+    if len(onsets) < 3 or not steps.all():
+        return ""
     if len({float(np.sign(step)) for step in steps}) > 1:
         return "They do not come from one side, so no order of convergence can be read off."
     return f"Observed order: {', '.join(f'{np.log2(a / b):.1f}' for a, b in itertools.pairwise(steps))}."

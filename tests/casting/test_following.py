@@ -51,8 +51,8 @@ def test_a_throw_that_was_late_by_one_rest_is_led_back() -> None:
 
 def miss(throw: Throw, goal: Goal) -> float:
     """Distance from the goal's features, by whole flights from rest, at the best time about the goal's."""
-    from hyperflex.casting.strikes import arm_tip, arm_tip_velocity
     from hyperflex.casting.matching import features
+    from hyperflex.casting.strikes import arm_tip, arm_tip_velocity
     from hyperflex.simulation import simulate
 
     motion = throw.motion(LIMITS)
