@@ -150,30 +150,42 @@ def tension(run: Trajectory) -> Array:
     return np.asarray(np.hypot(force[..., 0], force[..., 1]))
 
 
-def slip(run: Trajectory, peg: Peg) -> Array:
-    """Return how far the rope has slipped on a peg since the start of a run (T,), m; positive towards the tip.
+def slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array:
+    """Return how far the rope has slipped on a peg since a time (T,), m; positive towards the tip.
 
     Parameters
     ----------
     run : Trajectory
-        Simulated with this peg, sampled often enough for a link to be on the peg at two samples.
+        Simulated with this peg.
     peg : Peg
+    since : float, optional
+        From when on, s; by default the start of the run.
+
+    Returns
+    -------
+    (T,) float64
+        NaN before `since`, and everywhere if the rope does not lie on the peg then; infinite where no link that lay
+        on the peg then still does.
 
     Notes
     -----
-    The tip-most of the links that lie on the peg at two successive samples tells. A link that rolls does not slip: as
-    its contact goes along the link by ds, it goes round the peg by ds / R. Where no link does, nothing is added.
+    Of the links that lie on the peg then and now, the one that has moved least tells: a rope that does not stretch is
+    held as long as one of them is, though a loose tail may still fall and slide on the peg. A link that rolls does not
+    slip: as its contact goes along the link by ds, it goes round the peg by ds / R.
     """
-    place, away, gap = _closest(run, peg)
-    along = np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
-    sense = np.sign(away[..., 0] * along[..., 1] - away[..., 1] * along[..., 0])
-    turned = np.diff(np.arctan2(away[..., 1], away[..., 0]), axis=0)
-    turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
-    way = sense[:-1] * (peg.radius + run.setup.rope.radius) * turned - np.diff(place, axis=0)
-    both = (gap[:-1] < TOUCH) & (gap[1:] < TOUCH)
-    last = both.shape[1] - 1 - both[:, ::-1].argmax(axis=1)
-    moved = np.where(both.any(axis=1), way[np.arange(last.size), last], 0.0)
-    return np.concatenate([[0.0], np.cumsum(moved)])
+    begin = 0 if since is None else int(np.searchsorted(run.t, checks.number("since", since, unit="s") - 1e-12))
+    if begin >= run.t.size:
+        raise InvalidInput("since is after the end of the run", got=since, allowed=f"at most {run.t[-1]:g} s")
+    place, away, gap = (values[begin:] for values in _closest(run, peg))
+    along = np.stack([np.sin(run.q[begin]), -np.cos(run.q[begin])], axis=-1)
+    sense = np.sign(away[0, :, 0] * along[:, 1] - away[0, :, 1] * along[:, 0])
+    angle = np.unwrap(np.arctan2(away[..., 1], away[..., 0]), axis=0)
+    way = sense * (peg.radius + run.setup.rope.radius) * (angle - angle[0]) - (place - place[0])
+    held = (gap[:1] < TOUCH) & (gap < TOUCH)
+    least = np.where(held, np.abs(way), np.inf).argmin(axis=1)
+    rows = np.arange(least.size)
+    moved = np.where(held[rows, least], way[rows, least], np.inf if held[0].any() else np.nan)
+    return np.concatenate([np.full(begin, np.nan), moved])
 
 
 def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.05, allowed: float = 5e-3) -> Tug:

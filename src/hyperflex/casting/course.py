@@ -24,6 +24,8 @@ FINER = 2  # pieces of each link in the second verification
 NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
 TRIES = 3  # throws verified at most between two generations
 STEADY = 0.4  # part of the slip allowed, beyond which a throw that holds is kept, but a better one sought
+GRIP = 1.0  # part of what the rope can bear, of which the same is true
+ALIKE_TURNS = 0.5  # by which the turns of both verifications may differ: beyond, one of them winds once more
 
 
 class Course:
@@ -81,7 +83,7 @@ class Course:
 
     def done(self) -> bool:
         """Whether a plan stands, with something in hand."""
-        return all(one is not None and one.success and steady(one) for one in self.best[1:])
+        return _rank(*self.best[1:])[:3] == (True, True, True)
 
     def look(self) -> None:
         """Verify the best throws that were not verified yet."""
@@ -127,18 +129,21 @@ class Course:
         self.checked.append(found)
         cast = verify(search.thrower, search.peg, found.throw.motion(search.thrower.limits))
         finer = verify(self.finer, search.peg, found.throw.motion(search.thrower.limits)) if cast.success else None
-        rank = [_rank(one) for one in (cast, finer)]
-        if self.best[0] is None or rank > [_rank(one) for one in self.best[1:]]:
+        if self.best[0] is None or _rank(cast, finer) > _rank(*self.best[1:]):
             self.best = (found.throw, cast, finer)
 
 
 def steady(cast: Cast) -> bool:
-    """Whether a rope that holds is far from slipping as much as is allowed."""
-    return cast.slipped <= STEADY * SLIP
+    """Whether a rope that holds is far from slipping."""
+    return cast.slipped <= STEADY * SLIP and cast.grip <= GRIP
 
 
-def _rank(cast: Cast | None) -> tuple[bool, bool, float]:
-    return (False, False, 0.0) if cast is None else (cast.success, steady(cast), abs(cast.turns))
+def _rank(cast: Cast | None, finer: Cast | None) -> tuple[bool, bool, bool, float]:
+    """Success in both verifications, as many turns in both, something in hand; then the turns."""
+    if cast is None or finer is None:
+        return False, False, False, 0.0 if cast is None else abs(cast.turns)
+    alike = abs(cast.turns - finer.turns) < ALIKE_TURNS
+    return cast.success and finer.success, alike, steady(cast) and steady(finer), min(abs(cast.turns), abs(finer.turns))
 
 
 def why_not(cast: Cast | None, finer: Cast | None, interrupted: bool) -> str:

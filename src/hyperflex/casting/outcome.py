@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex import winding
 from hyperflex.casting.thrower import Thrower
@@ -14,13 +15,14 @@ from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
+from hyperflex.winding import Winding
 
 WOUND = 1.25  # turns, from the arm's tip to the rope's end
 SETTLING = 1.0  # s after the last move before the watch begins
 WATCH = 2.0  # s, for which the rope must hold
 SLIP = 5e-3  # m, by which it may slip meanwhile
 SAMPLE_TIME = 0.01  # s
-QUIET_TURNS = 0.02  # by which turns may change while the rope holds, beside the tail's swinging
+CALM = 0.1  # s, over which forces are means where a grip is judged: single steps jerk
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +36,10 @@ class Cast:
     turns : float
         Signed turns from the arm's tip to the rope's end at the end of the run, positive counterclockwise.
     slipped : float
-        Greatest way of the rope on the peg in the watch, m; NaN where it is not on the peg.
+        Greatest way of the rope on the peg in the watch, m; NaN or infinite where it is not, or has left it.
+    grip : float
+        Greatest pull of the arm's side in the watch over what Capstan's rule lets the rope bear: below 1 with
+        something in hand. NaN where the rope is not on the peg.
     strike : float
         When the rope first touches the peg, s; NaN if it does not.
     torque : float
@@ -49,6 +54,7 @@ class Cast:
     held: bool
     turns: float
     slipped: float
+    grip: float
     strike: float
     torque: float
     reason: str
@@ -99,7 +105,7 @@ def verify(
             t_eval=t,
         )
     except SimulationError as error:
-        return Cast(False, False, 0.0, np.nan, np.nan, np.nan, f"the simulation failed ({error.status})", None)
+        return Cast(False, False, 0.0, np.nan, np.nan, np.nan, np.nan, f"the simulation failed ({error.status})", None)
     return judge(thrower, peg, run, stop)
 
 
@@ -109,9 +115,9 @@ def judge(thrower: Thrower, peg: Peg, run: Trajectory, stop: float) -> Cast:
     watched = run.t >= stop + SETTLING
     turns = wound.turns[watched]
     sense = np.sign(turns[-1])
-    way = winding.slip(run, peg)[watched]
-    on = bool(np.isfinite(wound.before[watched]).all())
-    slipped = float(np.abs(way - way[0]).max()) if on else float("nan")
+    way = winding.slip(run, peg, since=stop + SETTLING)[watched]
+    on = bool(np.isfinite(way).all())
+    slipped, grip = float(np.abs(way).max()), gripped(wound, watched, peg) if on else float("nan")
     enough = bool((sense * turns >= WOUND).all())
     held = on and slipped < SLIP
     touched = np.isfinite(wound.before)
@@ -127,4 +133,14 @@ def judge(thrower: Thrower, peg: Peg, run: Trajectory, stop: float) -> Cast:
     elif torque > thrower.limits.torque:
         reason = f"it asks {torque:.3g} N m of a motor that gives {thrower.limits.torque:.3g}"
     strike = float(run.t[touched.argmax()]) if touched.any() else float("nan")
-    return Cast(enough, held, float(turns[-1]), slipped, strike, torque, reason, run)
+    return Cast(enough, held, float(turns[-1]), slipped, grip, strike, torque, reason, run)
+
+
+def gripped(wound: Winding, watched: npt.NDArray[np.bool_], peg: Peg) -> float:
+    """Return the greatest part of what it can bear that a wound rope is pulled with, means over CALM."""
+    count = max(1, round(CALM / SAMPLE_TIME))
+    before, after = (
+        np.convolve(force[watched], np.full(count, 1.0 / count), mode="valid") for force in (wound.before, wound.after)
+    )
+    arc = np.abs(wound.arc[watched]).min()
+    return float((before / np.maximum(after * np.exp(peg.mu * arc), 1e-12)).max())

@@ -35,6 +35,7 @@ SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a s
 GENEROUS = 100.0  # how many times more energy than may appear contacts may give a rope that they push out
 SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step however short: rounding of large forces
 DEEPER = 5e-5  # m, penetration at which a step is tried again at half its length
+SINKING = 1.02  # times the greatest depth until then, which a step may have: what sinks slowly sinks at any step
 
 # T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
 # found that obey the law. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest
@@ -214,7 +215,7 @@ def choose(chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wan
         has = energy(chain, desk.out, desk.base[2])
         surplus = has - had + desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
         good = -LOSS * allowed <= surplus <= allowed and rounds > 0 and h <= longest
-        good = good and (least > -DEEPER or -least <= clock[DEEPEST])
+        good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
             return h, wanted, least, touch, rounds, surplus, has, good
         if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
