@@ -187,3 +187,32 @@ def test_a_link_that_rolls_does_not_slip() -> None:
     slid = replace(run, q=angle[:, None], base=axis * normal - 0.5 * along)
     # The same place of the rod stays on the peg while the contact goes round it: it slides by as much.
     np.testing.assert_allclose(np.abs(slip(slid, peg)), axis * (angle - angle[0]), rtol=0, atol=1e-12)
+
+
+def placed(run: hf.Trajectory, q: np.ndarray, base: np.ndarray) -> hf.Trajectory:
+    """A wound rope as it is at the end of a run, then in other places (k, n) and (k, 2), in the last of them for good."""
+    rows = np.minimum(np.arange(run.t.size), len(q))
+    return replace(run, q=np.stack([run.q[-1], *q])[rows], base=np.stack([run.base[-1], *base])[rows])
+
+
+def test_a_rope_is_held_as_long_as_one_of_its_links_is() -> None:
+    run = wound_up()
+    peg, q, base = run.setup.pegs[0], run.q[-1], run.base[-1]
+    # A loose tail that falls away and slides is no slip of the rope: the rest of it stays where it is.
+    loose = q.copy()
+    loose[40:] += np.linspace(0.0, 1.0, 20)
+    np.testing.assert_allclose(slip(placed(run, loose[None], base[None]), peg), 0.0, rtol=0, atol=1e-15)
+    # All of it turned about the peg has slipped by the way round; in the watch as well as from the start.
+    angle = 0.4
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    turned = placed(run, np.stack([loose, q + angle]), np.stack([base, turn @ base]))
+    np.testing.assert_allclose(np.abs(slip(turned, peg)[:3]), [0.0, 0.0, 0.0225 * angle], rtol=0, atol=1e-12)
+    late = slip(turned, peg, since=float(turned.t[1]))
+    assert np.isnan(late[0])
+    np.testing.assert_allclose(np.abs(late[1:3]), [0.0, 0.0225 * angle], rtol=0, atol=1e-12)
+    # A rope that has left the peg holds nothing; one that was not on it cannot slip.
+    away = placed(run, q[None], base[None] + 1.0)
+    np.testing.assert_array_equal(slip(away, peg)[:2], [0.0, np.inf])
+    assert np.isnan(slip(replace(away, base=away.base + 1.0), peg)).all()
+    with pytest.raises(InvalidInput, match="since is after the end"):
+        slip(run, peg, since=99.0)
