@@ -164,3 +164,16 @@ def test_the_callback_sees_the_state_and_its_torque_can_be_replayed() -> None:
     # The same torques from a table: steps may differ where the run ends each period, so the tolerance sets this.
     np.testing.assert_allclose(again.tip, run.tip, rtol=0, atol=1e-4)
     np.testing.assert_allclose(again.motor_torque[:-1], run.motor_torque[:-1], rtol=0, atol=0)
+
+
+def test_a_run_that_takes_too_long_is_ended() -> None:
+    rope = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    still = {"duration": 1e4, "q0": np.full(50, 1.0), "t_eval": np.linspace(0.0, 1e4, 101)}
+    with pytest.raises(SimulationError, match="out of patience") as caught:
+        hf.simulate(rope, patience=0.05, **still)
+    assert 0.0 < caught.value.time < 1e4
+    part = hf.simulate(rope, patience=0.05, throw=False, **still)
+    assert part.status == "out of patience"
+    assert 0.0 < part.state.t < 1e4
+    with pytest.raises(InvalidInput, match="patience has the wrong sign"):
+        hf.simulate(rope, patience=0.0, **still)

@@ -22,6 +22,7 @@ RESTART = 12  # generations beside the peg from one place
 ALIKE = 0.05  # points that differ by less are one
 FINER = 2  # pieces of each link in the second verification
 NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
+LONGEST, LEAST_LONG = 0.15, 5.0  # part of the patience, and time by the clock, s, that a verification may take
 TRIES = 3  # throws verified at most between two generations
 STEADY = 0.4  # part of the slip allowed, beyond which a throw that holds is kept, but a better one sought
 GRIP = 1.0  # part of what the rope can bear, of which the same is true
@@ -89,7 +90,7 @@ class Course:
         """Verify the best throws that were not verified yet."""
         for _ in range(TRIES):
             found = next((one for one in self.search.landings if one.turns >= WOUND and self.fresh(one)), None)
-            if found is None or self.done():
+            if found is None or self.done() or (self.spent > self.patience and self.best[0] is not None):
                 return
             self.check(found)
 
@@ -125,10 +126,11 @@ class Course:
 
     def check(self, found: Landing) -> None:
         """Verify a throw and keep it if it is better than the best until now."""
-        search = self.search
         self.checked.append(found)
-        cast = verify(search.thrower, search.peg, found.throw.motion(search.thrower.limits))
-        finer = verify(self.finer, search.peg, found.throw.motion(search.thrower.limits)) if cast.success else None
+        search, longest = self.search, max(LONGEST * self.patience, LEAST_LONG)
+        motion = found.throw.motion(search.thrower.limits)
+        cast = verify(search.thrower, search.peg, motion, patience=longest)
+        finer = verify(self.finer, search.peg, motion, patience=longest) if cast.success else None
         if self.best[0] is None or _rank(cast, finer) > _rank(*self.best[1:]):
             self.best = (found.throw, cast, finer)
 

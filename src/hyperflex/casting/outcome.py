@@ -74,6 +74,7 @@ def verify(
     tol: float = DEFAULT_TOL,
     contact_step: float = DEFAULT_CONTACT_STEP,
     watch: float = WATCH,
+    patience: float | None = None,
 ) -> Cast:
     """Run a motion from rest beside a peg on the refined rope and see whether it winds and holds.
 
@@ -88,6 +89,8 @@ def verify(
     watch : float
         How long the rope must hold after the arm has stopped, s. The watch begins SETTLING later if the rope still
         winds; a rope that has unwound by then has not held.
+    patience : float, optional
+        Time by the clock that the run may take, s; one that takes more has failed.
     """
     stop = float(motion.breaks[-1])
     duration = stop + SETTLING + watch
@@ -103,6 +106,7 @@ def verify(
             tol=tol,
             contact_step=contact_step,
             t_eval=t,
+            patience=patience,
         )
     except SimulationError as error:
         return Cast(False, False, 0.0, np.nan, np.nan, np.nan, np.nan, f"the simulation failed ({error.status})", None)

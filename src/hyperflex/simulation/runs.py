@@ -21,6 +21,8 @@ from hyperflex.motion import Motion, hold
 from hyperflex.simulation.contact import beside, finer
 from hyperflex.simulation.events import Event
 from hyperflex.simulation.outcome import conclude, failure
+from hyperflex.simulation.patience import NAME as TOO_SLOW
+from hyperflex.simulation.patience import OutOfPatience, impatient, too_slow
 from hyperflex.simulation.rollouts import (
     Control,
     Rollout,
@@ -62,6 +64,7 @@ def simulate(
     tip_force: npt.ArrayLike = (0.0, 0.0),
     refine: bool = True,
     throw: bool = True,
+    patience: float | None = None,
     progress: bool = False,
 ) -> Trajectory:
     """Simulate a rope on a moving arm, on a torque-driven arm, or hanging from a point.
@@ -69,8 +72,8 @@ def simulate(
     Parameters
     ----------
     rope : Rope or Setup
-        The rope; or a whole set-up, and then only `duration`, `t_eval`, `state`, `until`, `throw` and `progress` may be
-        given beside it.
+        The rope; or a whole set-up, and then only `duration`, `t_eval`, `state`, `until`, `throw`, `patience` and
+        `progress` may be given beside it.
     motion : Motion, optional
         Prescribed motion of the arm, or of the point that the rope hangs from (``moving_point``).
     arm : Arm, optional
@@ -119,6 +122,9 @@ def simulate(
     throw : bool
         False returns the part that holds, with its ``status`` and ``message``, where True raises. Ctrl-C then ends the
         run with the status "interrupted".
+    patience : float, optional
+        Time by the clock, s, after which the run ends as a failure ("out of patience"). It is looked at every some
+        thousand steps, but for torque callbacks. By default a run takes as long as it takes.
     progress : bool
         Show a progress bar on standard error.
 
@@ -195,13 +201,18 @@ def simulate(
         if control is not None and control_rate is not None:
             code, setup = _controlled(run, setup, control, control_rate)
         else:
-            with progress_bar(begin, begin + length, progress) as report:
+            with progress_bar(begin, begin + length, progress) as bar:
+                report = impatient(bar, patience)
                 code = beside(run, setup, state).finish(report) if setup.pegs else finish(run, report)
         name = status.NAMES[code]
     except KeyboardInterrupt:
         if throw:
             raise
         code, name = status.RUNNING, INTERRUPTED
+    except OutOfPatience:
+        if throw:
+            raise too_slow(run.time, patience) from None
+        code, name = status.RUNNING, TOO_SLOW
     event = None
     if code == status.REACHED and until is not None:
         code, event = status.OK, (until.name, run.time)
