@@ -190,7 +190,7 @@ def test_a_link_that_rolls_does_not_slip() -> None:
 
 
 def placed(run: hf.Trajectory, q: np.ndarray, base: np.ndarray) -> hf.Trajectory:
-    """A wound rope as it is at the end of a run, then in other places (k, n) and (k, 2), in the last of them for good."""
+    """A wound rope as it is at the end of a run, then in other places (k, n) and (k, 2), there for good."""
     rows = np.minimum(np.arange(run.t.size), len(q))
     return replace(run, q=np.stack([run.q[-1], *q])[rows], base=np.stack([run.base[-1], *base])[rows])
 

@@ -1,0 +1,44 @@
+"""A run's time by the clock, and what ends it when that is over."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from hyperflex import checks
+from hyperflex.errors import SimulationError
+
+NAME = "out of patience"  # status of a run that took too long
+
+
+class OutOfPatience(Exception):
+    """Raised within a run when its time is over; never leaves the library."""
+
+
+def impatient(report: Callable[[float], None] | None, seconds: float | None) -> Callable[[float], None] | None:
+    """Return what a run reports to: `report`, if any, until `seconds` have passed by the clock; OutOfPatience then.
+
+    Parameters
+    ----------
+    report : callable, optional
+        Hears of the simulated time.
+    seconds : float, optional
+        None waits for ever.
+    """
+    if seconds is None:
+        return report
+    until = time.monotonic() + checks.number("patience", seconds, sign="positive", unit="s")
+
+    def heard(t: float) -> None:
+        if report is not None:
+            report(t)
+        if time.monotonic() > until:
+            raise OutOfPatience
+
+    return heard
+
+
+def too_slow(t: float, seconds: float | None) -> SimulationError:
+    """Return the error of a run that had come to `t`, s, when its `seconds` were over."""
+    message = f"stopped at t = {t:.6g} s ({NAME}): {seconds:g} s by the clock were allowed. Allow more, or loosen tol."
+    return SimulationError(message, status=NAME, time=t)
