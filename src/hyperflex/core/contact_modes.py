@@ -14,7 +14,9 @@ from hyperflex.core.jit import kernel
 
 OPEN, STICK, AHEAD, BACK = range(4)  # the last two: the rope slips along the tangent, or against it
 STIFF = 1e3  # M in masses of the whole rope
-LADDER = (0.1, 1.0, 1.0, 1.0, 10.0, 100.0, 1000.0)  # and where that is too stiff to find modes, one after the other
+SOFTER, GROW, STIFFEST = 0.1, 10.0, 1e6  # where that is too stiff to find modes, and where too soft for small residuals
+TRIES = 16  # searches, of which each starts from the last that found modes
+LEAST = 1.4  # growth of M; where none is found for less, the search ends
 CLOSING = 1e-9  # m/s, at which an open contact closes, or one that slips turns
 SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
 TOGETHER = 12  # rounds in which all modes that break the law change; then the first alone
@@ -22,9 +24,10 @@ ROUNDS = 40
 SETTLED = 1e-10  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
 USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
 SETTLING = 4  # rounds in which they settle anew
-AGAIN = 4  # times that a solution starts the search anew
+AGAIN = 4  # times that a solution with a slight residual starts the search anew
 SLIGHT = 1e-5  # m/s, residual velocity of a solution
 GIFT = 1e-6  # W, power of the residual velocities, above which they are made smaller
+INSTANT = 1e-6  # s, an impact may give as much as a step of this length
 
 
 @kernel
@@ -202,9 +205,9 @@ def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 
     Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
-    always, and each solution starts the search for a stiffer one; likewise where the residual (P - P0) / M is not
-    slight yet. The last solution that was found holds: its impulses obey Coulomb's law, its velocities up to the
-    residual.
+    always, and each solution starts the search for a stiffer one, half as far on where that fails; so it goes until the
+    residual (P - P0) / M is slight. The last solution that was found holds: its impulses obey Coulomb's law, its
+    velocities up to the residual.
 
     Parameters
     ----------
@@ -218,26 +221,27 @@ def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-
     """
     store(found, impulses)
     heavy, last, residual, given = STIFF * whole, 0.0, math.inf, math.inf
-    rounds = search(chain, found, impulses, motion, h, heavy)
-    total = abs(rounds)
-    if rounds < 0:
-        restore(found, impulses)
-        for k in range(len(LADDER)):
-            heavy = LADDER[k] * whole
-            rounds = search(chain, found, impulses, motion, h, heavy)
-            total += abs(rounds)
-            if rounds < 0:
-                break
-            (residual, given), last = proceed(found, impulses, heavy), heavy
-    else:
-        (residual, given), last = proceed(found, impulses, heavy), heavy
-    for _ in range(AGAIN):
-        if rounds < 0 or (residual <= SLIGHT and given <= GIFT * h):
-            break
+    total, again, rounds = 0, AGAIN, 0
+    for turn in range(TRIES):
         rounds = search(chain, found, impulses, motion, h, heavy)
         total += abs(rounds)
-        if rounds > 0:
-            residual, given = proceed(found, impulses, heavy)
+        if rounds < 0:
+            restore(found, impulses)
+            if last == 0.0:
+                heavy = SOFTER * (whole if turn == 0 else heavy)
+                continue
+            if heavy < LEAST * last:
+                break
+            heavy = math.sqrt(heavy * last)
+            continue
+        (residual, given), last = proceed(found, impulses, heavy), heavy
+        if residual > SLIGHT:
+            heavy = min(GROW * heavy, STIFFEST * whole)
+            continue
+        again -= 1
+        if given <= GIFT * max(h, INSTANT) or again < 0:
+            break
+        heavy = max(heavy, min(GROW * heavy, STIFF * whole))
     if rounds < 0:
         restore(found, impulses)
         for c in range(found.total[0]):

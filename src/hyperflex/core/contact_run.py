@@ -3,14 +3,30 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from hyperflex.core import status
-from hyperflex.core.chain import Array, sines
+from hyperflex.core.chain import sines
+from hyperflex.core.contact_course import (
+    APPEARED,
+    DEEPEST,
+    DUE,
+    FORCED,
+    IMPACTS,
+    INDEX,
+    LOST,
+    MOMENT,
+    REJECTED,
+    STEP,
+    TAKEN,
+    UNSOLVED,
+    T,
+    allowance,
+)
 from hyperflex.core.contact_gaps import find, joints, new_contacts, speeds
 from hyperflex.core.contact_modes import OPEN
+from hyperflex.core.contact_output import write
 from hyperflex.core.contact_step import (
     CONTACT,
     FRICTION,
@@ -27,80 +43,13 @@ from hyperflex.core.stepsize import fitted
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
-MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they would be mostly rounding
 GROWTH = 1.5
 EASY = 0.2  # part of the energy allowed, below which steps grow
 LOSS = 10.0  # how many times more energy may vanish than appear
 SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a step
 GENEROUS = 100.0  # how many times more energy than may appear contacts may give a rope that they push out
-SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step however short: rounding of large forces
 DEEPER = 5e-5  # m, penetration at which a step is tried again at half its length
 SINKING = 1.02  # times the greatest depth until then, which a step may have: what sinks slowly sinks at any step
-
-# T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
-# found that obey the law. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest
-# penetration, m. FORCED: steps taken though their energy rose by more than is allowed. APPEARED: energy that came from
-# nowhere, J. DUE: 1.0 where a link touches and an impact is due.
-T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST, DEEPEST, FORCED, APPEARED, DUE, CLOCK = range(13)
-
-
-class Bounds(NamedTuple):
-    """What bounds a run beside pegs."""
-
-    stop: float  # s
-    step: float  # s, longest step
-    rate: float  # W, at which energy may appear from nowhere
-    clear: float  # m, smallest gap at which the rope has left the pegs
-    budget: int  # steps of one call
-
-
-class Course(NamedTuple):
-    """Where a run is; all arrays are changed in place."""
-
-    y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
-    clock: Array  # (CLOCK,)
-    kept: Kept
-
-
-@kernel
-def write(desk, course, h, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
-    """Write the outputs within the step to ``desk.out``: angles by the cubic through both ends, the rest straight."""
-    y, clock, motion = course.y, course.clock, desk.motion
-    n = motion.w.size
-    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= clock[T] + h:
-        k = int(clock[INDEX])
-        x = (t_out[k] - clock[T]) / h
-        for i in range(n):
-            q0, w0, q1, w1 = y[i], h * y[n + i], desk.out[i], h * desk.out[n + i]
-            bend = 2.0 * (q0 - q1) + w0 + w1
-            y_out[k, i] = q0 + x * (w0 + x * ((q1 - q0 - w0) - bend + x * bend))
-            y_out[k, n + i] = y[n + i] + x * motion.change[i]
-        y_out[k, 2 * n] = y[2 * n] + x * desk.account[WORK]
-        y_out[k, 2 * n + 1] = y[2 * n + 1] + x * (desk.account[FRICTION] + desk.account[CONTACT])
-        see(desk, h, seen_out[k])
-        seen_out[k, 3 * n + 3] = clock[LOST] + x * desk.account[CONTACT]
-        clock[INDEX] += 1
-
-
-@kernel
-def see(desk, h, out):  # type: ignore[no-untyped-def]
-    """Means over a step, to ``out`` (3 n + 4,), whose last entry is left out.
-
-    Accelerations, rad/s^2; forces of the pegs on the links, first x, then y, N; force on the rope at its first joint,
-    x and y, N, and torque through that joint, N m.
-    """
-    found, impulses, motion = desk.found, desk.impulses, desk.motion
-    n = motion.w.size
-    for i in range(n):
-        out[i] = motion.change[i] / h
-        out[n + i] = out[2 * n + i] = 0.0
-    for k in range(3):
-        out[3 * n + k] = motion.load[k] / h
-    for c in range(found.total[0]):
-        if impulses.mode[c] != OPEN:
-            i, nx, ny = found.link[c], found.nx[c], found.ny[c]
-            out[n + i] += (impulses.normal[c] * nx - impulses.tangent[c] * ny) / h
-            out[2 * n + i] += (impulses.normal[c] * ny + impulses.tangent[c] * nx) / h
 
 
 @kernel
@@ -140,9 +89,9 @@ def impact(chain, drive, part, pegs, pull, course, desk, nothing):  # type: igno
     Newton's restitution with friction may give energy; where it does, nothing bounces.
     """
     t, y = course.clock[T], course.y
-    least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, True, 1.0)
+    least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, True, 1.0, True)
     if pegs.bounce.any() and desk.account[CONTACT] < 0.0:
-        least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, True, 0.0)
+        least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, True, 0.0, True)
     commit(course, desk, 0.0, rounds, least)
     course.clock[IMPACTS] += 1.0
     course.clock[DUE] = 0.0
@@ -161,12 +110,6 @@ def too_fast(chain, pegs, desk):  # type: ignore[no-untyped-def]
     for p in range(pegs.reach.size):
         smallest = min(smallest, pegs.reach[p])
     return SAFE * smallest / fastest if fastest > 0.0 else np.inf
-
-
-@kernel
-def allowance(bounds, h):  # type: ignore[no-untyped-def]
-    """Energy that may appear from nowhere in a step, J."""
-    return bounds.rate * max(h, SLIGHT) + ROUNDING
 
 
 @kernel
@@ -195,13 +138,13 @@ def choose(chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wan
     push, anew, back, stale = True, False, False, np.inf
     while True:
         begin = nothing if anew else course.kept
-        least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, begin, desk, push, 0.0)
+        least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, begin, desk, push, 0.0, struck)
         touch = desk.touch[0]
-        if touch == 0.0 and not struck:
+        if touch == 0.0:
             impact(chain, drive, part, pegs, pull, course, desk, nothing)
             struck, had = True, math.nan
             continue
-        if touch > 0.0 and touch < 0.999 * h:
+        if touch < 0.999 * h:
             h = max(touch, BRIEF)
             shortest = min(shortest, h)
             continue
@@ -242,7 +185,7 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
     """
     clock, kept = course.clock, course.kept
     n, m = chain.length.size, pegs.x.size
-    desk = new_desk(n, m)
+    desk, aside = new_desk(n, m), new_desk(n, m)
     nothing = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
     part = segment(drive, clock[T])
     had = math.nan  # energy before the step, where it is known
@@ -270,8 +213,11 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
         if not good:
             clock[FORCED] += 1.0
         clock[APPEARED] += surplus
+        if clock[INDEX] < t_out.size:
+            account = desk.account
+            had = has - surplus + account[FRICTION] + account[CONTACT] - account[WORK]
+            write(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, had, t_out, y_out, seen_out)
         had = has
-        write(desk, course, h, t_out, y_out, seen_out)
         commit(course, desk, h, rounds, least)
         clock[DUE] = 1.0 if touch <= 1.001 * h else 0.0
         clock[T] = end if h >= end - t else t + h

@@ -110,12 +110,13 @@ def rates_at(found, motion, c):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def watch(chain, pegs, kept, desk, h, push, bounce):  # type: ignore[no-untyped-def]
+def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
 
     A gap may be closed, not more. Where a link turns about the peg, its gap changes by a term of second order, which is
     allowed for as the rates before the step predict it. Without `push` no contact moves the rope, so that none can give
-    it energy. `bounce` is the part of the restitution that takes place in an impact.
+    it energy. `bounce` is the part of the restitution that takes place in an impact. Where an impact was made already
+    (`struck`), a link that touches is held by the step, however it moves: only links further away may be left free.
     """
     found, impulses, motion = desk.found, desk.impulses, desk.motion
     n = motion.w.size
@@ -147,9 +148,9 @@ def watch(chain, pegs, kept, desk, h, push, bounce):  # type: ignore[no-untyped-
         i, p = found.link[c], found.peg[c]
         closing, sliding = rates_at(found, motion, c)
         impulses.lean[c] = 0.0
-        if closing < -FAST:
+        away = found.gap[c] - 0.5 * h * closing  # at the beginning of the step
+        if closing < -FAST and (away > TOUCH or not struck):
             impulses.target[c] = FREE
-            away = found.gap[c] - 0.5 * h * closing  # at the beginning of the step
             desk.touch[0] = min(desk.touch[0], 0.0 if away <= TOUCH else -away / closing)
             continue
         s, gap, nx, ny = nearest(chain, pegs, desk.ahead_trig, desk.ahead, i, p)
@@ -193,7 +194,7 @@ def keep(kept, found, impulses, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce):  # type: ignore[no-untyped-def]
+def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Take a step from y (2 n or more,) at time t to ``desk.out``; h = 0.0: an impact, in which nothing else acts.
 
     Parameters
@@ -203,6 +204,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce): 
     kept, desk : Kept (not changed), Desk
     push : bool, whether contacts may push the rope out of a peg
     bounce : float, part of the restitution that takes place in an impact
+    struck : bool, an impact was made already at time t
 
     Returns
     -------
@@ -229,7 +231,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce): 
     motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
     motion.base[2] = base[2, 3] - base[0, 3]
     motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
-    least = watch(chain, pegs, kept, desk, h, push, bounce)
+    least = watch(chain, pegs, kept, desk, h, push, bounce, struck)
     recall(kept, desk.found, desk.impulses, h)
     rounds = solve(chain, desk.found, desk.impulses, motion, h, whole)
     for i in range(n):

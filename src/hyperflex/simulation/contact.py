@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
+from hyperflex.core import contact_course as at
 from hyperflex.core import contact_run as core
 from hyperflex.core import status
 from hyperflex.core.chain import Chain, energies
@@ -59,13 +60,13 @@ class Beside:
         self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), contacts)
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
         kept = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
-        clock = np.zeros(core.CLOCK)
-        clock[core.STEP], clock[core.DUE] = self.longest, 1.0
+        clock = np.zeros(at.CLOCK)
+        clock[at.STEP], clock[at.DUE] = self.longest, 1.0
         if all(name in saved and np.shape(saved[name]) == (n, m) for name in KEPT):
             for name, array in zip(KEPT, kept, strict=True):
                 array[:] = saved[name]
-            clock[core.STEP], clock[core.DUE] = min(float(saved[STEP]), self.longest), 0.0
-        self.course = core.Course(run.progress.y, clock, kept)
+            clock[at.STEP], clock[at.DUE] = min(float(saved[STEP]), self.longest), 0.0
+        self.course = at.Course(run.progress.y, clock, kept)
         self.flights, self.flown = 0, 0.0
         run.seen = np.full((run.t.size, 3 * n + 4), np.nan)
 
@@ -81,7 +82,7 @@ class Beside:
         self.run.progress.clock[MARK] = -np.inf  # where the run stands is where it goes on from
         self.run.facts = self._facts()
         names = zip(KEPT, self.course.kept, strict=True)
-        self.run.kept = {STEP: float(self.course.clock[core.STEP]), **{name: array.copy() for name, array in names}}
+        self.run.kept = {STEP: float(self.course.clock[at.STEP]), **{name: array.copy() for name, array in names}}
         return code
 
     def _fly(self) -> int:
@@ -120,15 +121,15 @@ class Beside:
         scale = self._energy()
         friction = float(run.chain.viscous.max())
         rate = self.looser * scale * (APPEARING if friction >= LOW_FRICTION else APPEARING_FREE)
-        course.clock[core.T], course.clock[core.INDEX] = clock[T], clock[INDEX]
+        course.clock[at.T], course.clock[at.INDEX] = clock[T], clock[INDEX]
         always = bool(self.pull.any())  # free flight knows no force on the tip
         forced = run.time < least
         stop = min(run.limits.stop, least) if forced else run.limits.stop
         clear = np.inf if always or forced else CLEAR
-        bounds = core.Bounds(stop, self.longest, rate, clear, BUDGET)
+        bounds = at.Bounds(stop, self.longest, rate, clear, BUDGET)
         code = int(core.run(*self.system, self.pull, bounds, course, run.t, run.y, run.seen))
-        index = course.clock[core.INDEX]
-        clock[:MARK] = starting_clock(float(course.clock[core.T]))
+        index = course.clock[at.INDEX]
+        clock[:MARK] = starting_clock(float(course.clock[at.T]))
         clock[INDEX], clock[MARK] = index, -np.inf
         return status.RUNNING if code == status.OK and run.time < run.limits.stop else code
 
@@ -147,11 +148,11 @@ class Beside:
     def _facts(self) -> dict[str, float]:
         clock = self.course.clock
         return {
-            "contact_steps": float(clock[core.TAKEN]),
-            "contact_unsolved": float(clock[core.UNSOLVED]),
-            "contact_impacts": float(clock[core.IMPACTS]),
-            "contact_deepest": float(clock[core.DEEPEST]),
-            "energy_appeared": float(clock[core.APPEARED]),
+            "contact_steps": float(clock[at.TAKEN]),
+            "contact_unsolved": float(clock[at.UNSOLVED]),
+            "contact_impacts": float(clock[at.IMPACTS]),
+            "contact_deepest": float(clock[at.DEEPEST]),
+            "energy_appeared": float(clock[at.APPEARED]),
             "free_flights": float(self.flights),
             "free_time": self.flown,
         }

@@ -53,7 +53,7 @@ class Rollout:
     y : (T, 2 n + 2) float64
         States at those times: angles, rates, work, dissipation; rows are filled as the run goes on.
     seen : (T, 3 n + 4) float64, optional
-        Beside pegs: what ``contact_run.write`` saw at each time; NaN in free flight.
+        Beside pegs: what ``contact_output.write`` saw at each time; NaN in free flight.
     facts, kept : dict
         Beside pegs: what the trajectory tells about contacts, and what a run that goes on needs of them.
     """
