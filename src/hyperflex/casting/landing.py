@@ -22,6 +22,7 @@ SAMPLE_TIME = 0.02  # s
 SETTLE = 2.5  # s, watched after strike and stop
 FIRST, HOPE = 0.9, 0.75  # s after the stop when a run is looked at, and turns without which it ends there
 TOGETHER = 0.5  # s by which the stops of runs in one batch differ at most
+PATIENCE = 1.0  # s of processor time for a run; most take a twentieth of it
 LAST, LAST_LOST = 0.8, 0.3  # s at the end, over which the rope must stay wound; the same of runs without hope
 ENOUGH = 3.0  # turns beyond which more do not count
 PASSING = 0.25  # what a turn counts that is undone again
@@ -140,6 +141,7 @@ class _Runs:
             refine=False,
             pegs=[[peg] for peg in self.pegs],
             keep=("turns", "q", "qd"),
+            patience=PATIENCE,
             threads=threads,
         )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,10 +10,11 @@ import numpy as np
 from hyperflex.casting import landing, strikes
 from hyperflex.casting.evolution import evolution
 from hyperflex.casting.genes import LAST, Genes
+from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
-from hyperflex.model import Peg
+from hyperflex.model import Peg, divided
 
 MEMBERS, LANDING_MEMBERS = 32, 16  # of a generation of free swings, and of one beside the peg
 KEPT = 4  # of a generation's swings that may be tried beside the peg
@@ -21,6 +22,8 @@ APART = 0.1  # strokes or rests by which two swings differ if they are to be tri
 TRIED = 4  # swings of a round that are tried beside the peg
 # What is tried after a strike: strokes still made, then the last move, in half turns, after a rest in periods
 MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
+PIECES = 2  # of each link, in the runs that what winds is tried in as well
+UNLIKE, PRICE = 0.5, 1.0  # turns by which both may differ; beyond, one winds once more, and that costs so many turns
 NARROW = 0.25  # spread of a search beside the peg, in parts of the first one's
 
 
@@ -33,7 +36,7 @@ class Swing(NamedTuple):
 
 
 class Landing(NamedTuple):
-    """A throw that was run beside the peg, its score and the turns that stay."""
+    """A throw that was run beside the peg, its score and the turns that stay: the lesser of two, if it winds."""
 
     score: float
     turns: float
@@ -68,6 +71,7 @@ class Search:
         self._free = {side: self._evolution(g.centre(), 1.0, MEMBERS, g) for side, g in self.genes.items()}
         self._tried: list[Swing] = []
         self._close: tuple[int, Any] | None = None
+        self._finer = replace(self.thrower, rope=divided(self.thrower.rope, PIECES))
 
     def _evolution(self, centre: Array, size: float, members: int, genes: Genes) -> Any:
         return evolution(centre, size, genes.spreads(), members, self._random)
@@ -132,9 +136,30 @@ class Search:
             cut = [throws[k].cut(float(found.t[k]), self.thrower.limits) for k in struck]
             state = found.t[struck], found.q[struck], found.qd[struck]
             ended = landing.land(self.thrower, self.peg, cut, state, threads=self.threads)
+            self.doubt(cut, ended)
             score[struck] = ended.score
             for k, throw, value, turns in zip(struck, cut, ended.score, ended.turns, strict=True):
                 self.landings.append(Landing(float(value), float(turns), side, np.asarray(points[k]), throw))
             self.landings.sort(key=lambda one: -one.score)
         score[~np.isfinite(found.t)] = np.minimum(score[~np.isfinite(found.t)], 0.0)
         return score
+
+    def doubt(self, throws: list[Throw], found: landing.Landings) -> None:
+        """Try throws that wind with finer links too: what the length of the links decides is not to be trusted.
+
+        `found` has the lesser score and the lesser turns of both afterwards.
+        """
+        winds = np.flatnonzero(found.turns >= WOUND)
+        again = [throws[k] for k in winds]
+        if again:
+            strike = strikes.fly(self._finer, self.peg, again, threads=self.threads)
+            hit = np.flatnonzero(np.isfinite(strike.t))
+            score, turns = np.minimum(strike.score, 0.0), np.zeros(len(again))
+            if hit.size:
+                state = strike.t[hit], strike.q[hit], strike.qd[hit]
+                ended = landing.land(self._finer, self.peg, [again[k] for k in hit], state, threads=self.threads)
+                score[hit], turns[hit] = ended.score, ended.turns
+            self.runs += 2 * len(again)
+            unlike = np.abs(turns - found.turns[winds]) > UNLIKE
+            found.score[winds] = np.minimum(score, found.score[winds]) - PRICE * unlike
+            found.turns[winds] = np.minimum(turns, found.turns[winds])

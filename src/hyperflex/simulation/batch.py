@@ -127,6 +127,7 @@ def simulate_batch(
     pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]] = (),
     contact_step: float = DEFAULT_CONTACT_STEP,
     refine: bool = True,
+    patience: float | None = None,
     threads: int | None = None,
     progress: bool = False,
 ) -> Batch:
@@ -154,6 +155,8 @@ def simulate_batch(
         :func:`hyperflex.simulate` runs it and with the same result.
     contact_step, refine
         As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
+    patience : float, optional
+        Processor time, s, after which a member beside pegs has failed ("out of patience"); by default it may take any.
     threads : int, optional
         By default one a processor. Results do not depend on it.
     progress : bool
@@ -185,10 +188,12 @@ def simulate_batch(
         if step is not None:
             raise InvalidInput("step is not there beside pegs", got=step, fix="Give contact_step or tol")
         others = {"duration": duration, "tol": tol, "contact_step": contact_step}
-        beside = beside_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, others=others)
+        beside = beside_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, patience=patience, others=others)
         t = _outputs(t_eval, beside.setup(0).duration)
         values, names, reached = run_members(beside, t, keep, workers, progress)
         return Batch(t, values, tuple(names), reached)
+    if patience is not None:
+        raise InvalidInput("patience is for members beside pegs, and there are none", got=patience)
     if TURNS in keep:
         raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
     rows = [rows_of(name, value) for name, value in (("q0", q0), ("qd0", qd0))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from hyperflex.motion import Motion
 from hyperflex.simulation.contact import beside, finer
 from hyperflex.simulation.inside import check_outside
 from hyperflex.simulation.outcome import conclude
+from hyperflex.simulation.patience import NAME as TOO_SLOW
+from hyperflex.simulation.patience import OutOfPatience, impatient
 from hyperflex.simulation.rollouts import limits, prepare, progress_bar
 from hyperflex.trajectory import Trajectory, swept
 
@@ -45,6 +48,7 @@ class Members:
     qd0: Array | None
     arm: Arm | None
     refine: bool
+    patience: float | None  # s of processor time for each
     others: dict[str, Any]  # of Setup
 
     @property
@@ -133,7 +137,7 @@ def run_members(
     names, reached = [INTERRUPTED] * len(setups), np.zeros(len(setups))
 
     def one(m: int) -> None:
-        run = _run(setups[m], t)
+        run = _run(setups[m], t, members.patience)
         for name, target in values.items():
             found = _kept(run, name)
             whole: tuple[slice, ...] = tuple(slice(0, size) for size in found.shape)
@@ -153,13 +157,17 @@ def run_members(
     return values, names, reached
 
 
-def _run(setup: Setup, t: Array) -> Trajectory:
+def _run(setup: Setup, t: Array, patience: float | None) -> Trajectory:
     """Run one member with outputs at t (T,), s; the trajectory holds what holds."""
     chain = setup.chain()
     bounds = limits(setup, chain, setup.duration)
     rollout = prepare(chain, setup.drive(), setup.start(), np.append(0.0, t), bounds)
-    code = beside(rollout, setup, None).finish()
-    return conclude(rollout, setup, code, status.NAMES[code], throw=False, skip=1)
+    try:
+        code = beside(rollout, setup, None).finish(impatient(None, patience, time.thread_time))
+        name = status.NAMES[code]
+    except OutOfPatience:
+        code, name = status.RUNNING, TOO_SLOW
+    return conclude(rollout, setup, code, name, throw=False, skip=1)
 
 
 def _round(setup: Setup) -> list[Peg]:

@@ -23,7 +23,7 @@ from hyperflex.core.drive import Drive, base_state, segment
 from hyperflex.core.progress import INDEX, MARK, T
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refined
 from hyperflex.simulation.inside import check_outside
-from hyperflex.simulation.rollouts import BUDGET, Rollout, starting_clock
+from hyperflex.simulation.rollouts import Rollout, starting_clock
 from hyperflex.trajectory import State
 
 SHORTEST_FLIGHT = 0.01  # s; for less the hand-over does not pay
@@ -33,6 +33,7 @@ CLEAR = 0.03  # m, gap at which a rope that was in contact has left
 # Energy that may come from nowhere at the usual tolerance, in parts of the energy at stake for each second; and where
 # joint friction is so low that the rope's own motion, and not contact, sets the steps
 APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/rad
+BUDGET = 250  # steps between two looks at progress and Ctrl-C; some take milliseconds
 STEP = "contact_step"
 KEPT = ("contact_normal", "contact_tangent", "contact_mode")  # in a state's checkpoint
 

@@ -15,8 +15,10 @@ class OutOfPatience(Exception):
     """Raised within a run when its time is over; never leaves the library."""
 
 
-def impatient(report: Callable[[float], None] | None, seconds: float | None) -> Callable[[float], None] | None:
-    """Return what a run reports to: `report`, if any, until `seconds` have passed by the clock; OutOfPatience then.
+def impatient(
+    report: Callable[[float], None] | None, seconds: float | None, clock: Callable[[], float] = time.monotonic
+) -> Callable[[float], None] | None:
+    """Return what a run reports to: `report`, if any, until `seconds` have passed by a clock; OutOfPatience then.
 
     Parameters
     ----------
@@ -24,15 +26,17 @@ def impatient(report: Callable[[float], None] | None, seconds: float | None) -> 
         Hears of the simulated time.
     seconds : float, optional
         None waits for ever.
+    clock : callable
+        Tells the time, s.
     """
     if seconds is None:
         return report
-    until = time.monotonic() + checks.number("patience", seconds, sign="positive", unit="s")
+    until = clock() + checks.number("patience", seconds, sign="positive", unit="s")
 
     def heard(t: float) -> None:
         if report is not None:
             report(t)
-        if time.monotonic() > until:
+        if clock() > until:
             raise OutOfPatience
 
     return heard
