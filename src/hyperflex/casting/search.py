@@ -36,7 +36,7 @@ class Swing(NamedTuple):
 
 
 class Landing(NamedTuple):
-    """A throw that was run beside the peg, its score and the turns that stay: the lesser of two, if it winds."""
+    """A throw that was run beside the peg, its score and the turns that stay."""
 
     score: float
     turns: float
@@ -136,7 +136,6 @@ class Search:
             cut = [throws[k].cut(float(found.t[k]), self.thrower.limits) for k in struck]
             state = found.t[struck], found.q[struck], found.qd[struck]
             ended = landing.land(self.thrower, self.peg, cut, state, threads=self.threads)
-            self.doubt(cut, ended)
             score[struck] = ended.score
             for k, throw, value, turns in zip(struck, cut, ended.score, ended.turns, strict=True):
                 self.landings.append(Landing(float(value), float(turns), side, np.asarray(points[k]), throw))
@@ -144,22 +143,23 @@ class Search:
         score[~np.isfinite(found.t)] = np.minimum(score[~np.isfinite(found.t)], 0.0)
         return score
 
-    def doubt(self, throws: list[Throw], found: landing.Landings) -> None:
+    def doubt(self, found: list[Landing]) -> list[Landing]:
         """Try throws that wind with finer links too: what the length of the links decides is not to be trusted.
 
-        `found` has the lesser score and the lesser turns of both afterwards.
+        Returns those that still wind, with the lesser score and turns of both, the best first.
         """
-        winds = np.flatnonzero(found.turns >= WOUND)
-        again = [throws[k] for k in winds]
-        if again:
-            strike = strikes.fly(self._finer, self.peg, again, threads=self.threads)
-            hit = np.flatnonzero(np.isfinite(strike.t))
-            score, turns = np.minimum(strike.score, 0.0), np.zeros(len(again))
-            if hit.size:
-                state = strike.t[hit], strike.q[hit], strike.qd[hit]
-                ended = landing.land(self._finer, self.peg, [again[k] for k in hit], state, threads=self.threads)
-                score[hit], turns[hit] = ended.score, ended.turns
-            self.runs += 2 * len(again)
-            unlike = np.abs(turns - found.turns[winds]) > UNLIKE
-            found.score[winds] = np.minimum(score, found.score[winds]) - PRICE * unlike
-            found.turns[winds] = np.minimum(turns, found.turns[winds])
+        if not found:
+            return []
+        strike = strikes.fly(self._finer, self.peg, [one.throw for one in found], threads=self.threads)
+        hit = np.flatnonzero(np.isfinite(strike.t))
+        self.runs += 2 * len(found)
+        if not hit.size:
+            return []
+        state = strike.t[hit], strike.q[hit], strike.qd[hit]
+        ended = landing.land(self._finer, self.peg, [found[k].throw for k in hit], state, threads=self.threads)
+        stand = []
+        for k, score, turns in zip(hit, ended.score, ended.turns, strict=True):
+            one, price = found[k], PRICE * float(abs(turns - found[k].turns) > UNLIKE)
+            if turns >= WOUND:
+                stand.append(one._replace(score=min(one.score, score) - price, turns=min(one.turns, turns)))
+        return sorted(stand, key=lambda one: -one.score)
