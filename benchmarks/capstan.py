@@ -42,8 +42,8 @@ RATIOS = (1.2, 0.6, 0.3, 0.15, 0.075)  # links in radii of the axis, for the ord
 POSITIONS = 6
 RATE = 1e-4  # m/s, of slip, where the order of convergence is looked for
 SLOW = 0.0075  # 1/s, growth of the pull over the limit there
-NARROW, WIDE = (0.97, 1.03), (0.86, 1.06)  # of the limit, between which it grows; links above ROUGH need the second
-ROUGH = 0.8  # radii of the axis
+NARROW, WIDE = (0.97, 1.03), (0.86, 1.06)  # of the limit, between which it grows; the second with links above LONG
+LONG, ROUGH = 0.5, 0.8  # radii of the axis; links above ROUGH are left out of the order
 
 
 def onset(mu: float, turns: float, ratio: float) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def creep(mu: float, turns: float) -> dict[str, Any]:
 def sharp(mu: float, swept: float, ratio: float) -> tuple[float, hf.Rope]:
     """Pull over exp(mu theta) at which the rope slips faster than RATE, and the rope."""
     cable, peg = rope(swept / (2.0 * math.pi), mu, ratio)
-    low, high = WIDE if ratio > ROUGH else NARROW
+    low, high = WIDE if ratio > LONG else NARROW
     times = np.array([0.0, 0.5, 1.0, 1.0 + (high - low) / SLOW])
     ratios = np.array([0.7, low, low, high])
     run = hf.simulate(capstan(cable, peg, swept, times, math.exp(mu * swept) * ratios))
