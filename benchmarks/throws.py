@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import time
 from pathlib import Path
@@ -27,11 +26,10 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.errors import SimulationError
+from tests.reference.random_throws import draw
 
 RESULTS = Path(__file__).parent / "results"
-LINKS, LENGTH, MASS, RADIUS = 50, 2.0, 0.125, 0.0025
 DURATION = 2.0  # s
-ROOM = 0.03  # m, least distance from the pegs at the start
 ALLOWED = {"rubbed": 1e-5, "free": 1e-3}  # J
 HEAD = (
     "| joint friction, N m s/rad | throws | touch a peg | worst rise, J | limit, J | given, J | deepest, mm "
@@ -40,38 +38,12 @@ HEAD = (
 PENETRATION, UNSOLVED = 2e-4, 0.005  # m; part of the steps of a throw
 
 
-def draw(index: int) -> tuple[str, hf.Rope, dict[str, Any]]:
-    """A cable and how it is thrown: pegs, angles and rates at the start."""
-    rng = np.random.default_rng([1, index])
-    kind = "rubbed" if index % 2 == 0 else "free"
-    if kind == "rubbed":
-        friction = 10.0 ** rng.uniform(-4.0, math.log10(5e-3))
-    else:
-        friction = float(rng.choice([0.0, 10.0 ** rng.uniform(-6.0, -4.0)]))
-    tip = float(rng.choice([0.0, 0.02]))
-    rope = hf.Rope.uniform(LENGTH, MASS, LINKS, RADIUS, friction=friction, tip_mass=tip)
-    mu, count = rng.uniform(0.0, 1.0), rng.integers(1, 4)
-    angle, far, radius = rng.uniform(-1.5, 1.5, count), rng.uniform(0.3, 1.6, count), rng.uniform(0.02, 0.05, count)
-    pegs = [
-        hf.Peg(float(d * np.sin(a)), float(-d * np.cos(a)), float(r), float(mu))
-        for a, d, r in zip(angle, far, radius, strict=True)
-    ]
-    along = np.linspace(0.0, 1.0, LINKS)
-    while True:
-        q0 = rng.uniform(-2.8, 2.8) + rng.normal() * along
-        joints = np.cumsum(rope.length[:, None] * np.stack([np.sin(q0), -np.cos(q0)], axis=1), axis=0)
-        if all(np.hypot(*(joints - [p.x, p.y]).T).min() > p.radius + RADIUS + ROOM for p in pegs):
-            break
-    qd0 = rng.normal(0.0, 3.0) + rng.normal(0.0, 5.0) * along
-    return kind, rope, {"pegs": pegs, "q0": q0, "qd0": qd0, "duration": DURATION}
-
-
 def rise(values: np.ndarray) -> float:
     return float((values - np.minimum.accumulate(values)).max())
 
 
 def throw(index: int, fine: bool) -> dict[str, Any]:
-    kind, rope, how = draw(index)
+    kind, rope, how = draw(index, DURATION)
     begin = time.perf_counter()
     found: dict[str, Any] = {"index": index, "kind": kind, "friction": float(rope.friction[0]), "mu": how["pegs"][0].mu}
     try:
