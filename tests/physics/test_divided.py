@@ -73,9 +73,14 @@ def test_a_slow_swing_of_a_cut_rope_decays_as_that_of_a_hanging_chain() -> None:
     assert 2.0 * four - twice == pytest.approx(1.0, abs=0.004)
 
 
-def test_the_hinge_keeps_its_friction_and_a_single_link_bends_like_it() -> None:
-    fine = divided(UNEVEN, 3)
+def test_the_hinge_keeps_its_friction_and_the_first_link_bends_as_the_rope_beyond() -> None:
+    fine = divided(UNEVEN, 5)
     assert (fine.friction[0], fine.stiffness[0]) == (7e-4, 2e-3)
+    # per length that of the second joint, which stands for 0.08 m; pieces of 0.02 m
+    np.testing.assert_allclose(fine.friction[1:5], 3e-4 * 0.08 / 0.02, rtol=1e-12)
+
+
+def test_a_single_link_bends_like_its_hinge() -> None:
     rod = hf.Rope(length=[0.4], mass=[0.1], friction=3e-4)
     np.testing.assert_allclose(divided(rod, 4).friction, [3e-4, 12e-4, 12e-4, 12e-4], rtol=1e-12)
 
