@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -98,19 +99,20 @@ def summary(plan: WhipPlan) -> dict[str, Any]:
         told["doubt_m"] = plan.doubt
     for name, seen in (("lash", plan.lash), ("finer", plan.finer)):
         if seen is not None:
-            told[name] = _outcome(seen)
+            told[name] = _outcome(seen, plan.mark)
     return told
 
 
-def _outcome(seen: Lash) -> dict[str, Any]:
-    return {
+def _outcome(seen: Lash, mark: Mark) -> dict[str, Any]:
+    told = {
         "t_s": seen.t,
         "x_m": float(seen.place[0]),
         "y_m": float(seen.place[1]),
         "miss_m": seen.miss,
         "speed_m_s": seen.speed,
-        "off_rad": seen.off,
+        "direction_rad": math.atan2(seen.velocity[1], seen.velocity[0]),
         "fastest_before_m_s": seen.before,
         "links": seen.run.q.shape[1],
         "reason": seen.reason,
     }
+    return told if mark.anyhow else told | {"off_rad": seen.off}

@@ -13,7 +13,7 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.report.between import pegs_of, shapes
+from hyperflex.report.between import pegs_of, shapes, widened
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -154,6 +154,7 @@ def _view(run: Trajectory, targets: Array, width: int, room: int) -> _View:
     margin = 0.06 * float((high - low).max())
     low, high = low - margin, high + margin
     high[1] += margin
+    low, high = widened(low, high)
     scale = _FINE * width / (high[0] - low[0])
     height = room + round((high[1] - low[1]) * scale / _FINE / 2) * 2
     origin = (float(-low[0] * scale), float(high[1] * scale) + _FINE * room)

@@ -10,7 +10,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg
-from hyperflex.report.between import Shapes, pegs_of, shapes
+from hyperflex.report.between import Shapes, pegs_of, shapes, widened
 from hyperflex.report.style import look, new_figure
 from hyperflex.trajectory import Trajectory
 
@@ -109,7 +109,7 @@ def _frame(points: Array) -> tuple[Array, Array]:
     """Return lower left and upper right corner, m, with a margin."""
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.06 * (high - low).max()
-    return low - margin, high + np.array([margin, 1.5 * margin])
+    return widened(low - margin, high + np.array([margin, 1.5 * margin]))
 
 
 def _draw_arm(axis: Any, drawn: Shapes, with_arm: bool) -> None:

@@ -41,7 +41,7 @@ def passing_figure(plan: WhipPlan) -> Figure:
     way = 1e3 * (shapes(run, times).joints[:, -1] - mark.point)
     speed = np.interp(times, run.t, np.hypot(*run.tip_velocity.T))
     with look():
-        figure = new_figure(6.6, 5.4)
+        figure = new_figure(8.6, 5.6)
         axis: Any = figure.subplots()
         _draw_way(figure, axis, way, speed)
         size = 0.55e3 * half

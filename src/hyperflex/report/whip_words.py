@@ -50,7 +50,7 @@ def verdict(plan: WhipPlan) -> str:
 def tiles(plan: WhipPlan, blow: Impact | None) -> Tiles:
     """Return the key figures."""
     mark, seen = plan.mark, plan.lash
-    shown = [(f"{mark.x:.3g} m, {mark.y:.3g} m", "target: x and y (up) from the motor's shaft")]
+    shown = [(f"{mark.x:.3g}, {mark.y:.3g} m", "target: x and y (up) from the motor's shaft")]
     if plan.strokes is not None:
         shown.append((strokes_words(plan), "of the arm to and fro"))
     if seen is not None:
@@ -84,7 +84,8 @@ def story(plan: WhipPlan, blow: Impact | None) -> tuple[str, ...]:
     if math.isfinite(plan.doubt):
         told.append(
             f"How sure: the place of the peak has a standard deviation of {1e3 * plan.doubt:.0f} mm if friction is "
-            f"known to {100 * FRICTION:g} %, length to {100 * LENGTH:g} % and each rest of the arm to {1e3 * TIMING:g} ms."
+            f"known to {100 * FRICTION:g} %, length to {100 * LENGTH:g} % and each rest of the arm to "
+            f"{1e3 * TIMING:g} ms."
         )
     return tuple(told)
 
