@@ -24,7 +24,7 @@ from hyperflex.paper.pumping import BEST, LONGEST, WANTED, arrival, caster, clos
 
 PATHS = ("under", "over")
 CONSTANTS = np.round(np.arange(0.30, 0.70, 0.002), 3)  # s; outside none is among the best
-LEADS = (0.0, 0.1, 0.2, 0.3)  # s
+LEADS = (-0.35, -0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3)  # s; the paper has no negative ones
 ROPES = 8  # true ropes seen by the simulated camera
 
 
@@ -51,7 +51,7 @@ def measure(path: Any, search: bool, ropes: int) -> dict[str, Any]:
     best = int(np.argmin(times))
     rope, arm, model = cable(), casting_arm(), caster(path)
     own = float(constant_arrivals(path, np.array([T_REST["success"]]))[0])
-    row: dict[str, Any] = {"0.53 s": own, "constant": float(CONSTANTS[best]), "best constant": float(times[best])}
+    row: dict[str, Any] = {f"{T_REST['success']:g} s": own, "constant": float(CONSTANTS[best]), "best constant": float(times[best])}
     for lead in LEADS:
         swung = swing(TrueState(rope, arm), CrossingRule(model, lead), model, duration=LONGEST)
         row[f"t_b = {lead:.1f} s"] = known(arrival(swung.motion))
