@@ -83,7 +83,7 @@ def film_note(plan: WhipPlan) -> Callable[[float], str]:
         begun = 0 if starts is None else int((starts <= t).sum())
         arm = f"stroke {begun} of {words.strokes_words(plan)}" if begun else f"{words.strokes_words(plan)} to come"
         mark = plan.mark
-        lines = [f"target: x = {mark.x:.3g} m, y = {mark.y:.3g} m, {mark.speed:g} m/s or more", f"arm: {arm}"]
+        lines = [f"target: x = {mark.x:.3g} m, y = {mark.y:.3g} m, {mark.speed:.3g} m/s or more", f"arm: {arm}"]
         if t < seen.t:
             lines.append("")
         elif plan.success:

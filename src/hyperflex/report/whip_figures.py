@@ -72,7 +72,7 @@ def course_figure(plan: WhipPlan) -> Figure:
         _number_strokes(arm, plan)
         speed.plot(run.t, np.hypot(*run.tip_velocity.T), color=GREEN)
         speed.axhline(mark.speed, color=GREY, ls="--", lw=1.0)
-        speed.text(run.t[0], mark.speed, f" {mark.speed:g} m/s are asked", va="bottom", fontsize=8.0, color="#5a6472")
+        speed.text(run.t[0], mark.speed, f" {mark.speed:.3g} m/s are asked", va="bottom", fontsize=8.0, color="#5a6472")
         speed.set(ylabel="speed, m/s", title="Speed of the tip")
         words = f"peak at {seen.t:.2f} s: {seen.speed:.1f} m/s "
         speed.text(

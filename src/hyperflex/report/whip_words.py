@@ -21,7 +21,7 @@ Tiles = tuple[tuple[str, str], ...]
 
 def target_words(mark: Mark) -> str:
     """Return where the target is and what is asked there."""
-    return f"x = {mark.x:.3g} m, y = {mark.y:.3g} m, {direction_words(mark)}, at {mark.speed:g} m/s or more"
+    return f"x = {mark.x:.3g} m, y = {mark.y:.3g} m, {direction_words(mark)}, at {mark.speed:.3g} m/s or more"
 
 
 def direction_words(mark: Mark) -> str:
@@ -54,12 +54,12 @@ def tiles(plan: WhipPlan, blow: Impact | None) -> Tiles:
     if plan.strokes is not None:
         shown.append((strokes_words(plan), "of the arm to and fro"))
     if seen is not None:
-        shown.append((f"{seen.speed:.1f} m/s", f"speed of the tip at its peak; {mark.speed:g} are asked"))
+        shown.append((f"{seen.speed:.1f} m/s", f"speed of the tip at its peak; {mark.speed:.3g} are asked"))
         shown.append((f"{1e3 * seen.miss:.2g} mm", "miss: from the target to the tip at its peak"))
         if not mark.anyhow:
             allowed = f"{np.degrees(mark.within):.3g}"
             shown.append((f"{np.degrees(seen.off):.1f} degrees", f"off the direction asked; {allowed} allowed"))
-        shown.append((f"{seen.t:.2f} s", "after the start the tip passes the target"))
+        shown.append((f"{seen.t:.2f} s", "after the start the tip's speed peaks"))
     if blow is not None and math.isfinite(blow.t):
         shown.append((f"{1e3 * blow.impulse:.1f} mN s", f"blow on a small peg of {1e3 * RADIUS:g} mm at the target"))
     return tuple(shown)
