@@ -4,12 +4,14 @@ python -m benchmarks.whip                 results in benchmarks/results/whip.jso
                                           it was (whip.jsonl)
 python -m benchmarks.whip --nominal       nominal plans alone
 python -m benchmarks.whip --impacts       the blows of the nominal plans as well, on a peg of 10 mm at the target
+python -m benchmarks.whip --beyond        targets that are called out of reach as well, planned all the same
 python -m benchmarks.whip --only 7        one of them again
 python -m benchmarks.whip --targets       draws the targets anew
 
 Miss: distance of the tip from the target at its peak speed, which must be 5 m/s or more, at most 20 degrees from the
 asked direction. The goals: a median of at most 5 mm nominal, and of 30 mm on the identified rope. The peak is the
-greatest within 0.15 s of the planned time. All simulated.
+greatest within 0.15 s of the planned time. On an identified rope the true motor starts each stroke a little early or
+late and follows with a lag that the plan does not know. All simulated.
 """
 
 from __future__ import annotations
@@ -18,6 +20,9 @@ import argparse
 import dataclasses
 import json
 import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +31,16 @@ from benchmarks import machine
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.casting import MotorLimits, Strokes, Thrower, plan_whip, reach_whip, whip_map
+from hyperflex.casting import MotorLimits, Strokes, Thrower, WhipMap, plan_whip, reach_whip, whip_map
 from hyperflex.casting.blow import impact
 from hyperflex.casting.lash import Mark
+from hyperflex.casting.whip_reach import NEAR, WhipReach
 from hyperflex.casting.whip_strike import lash
 from hyperflex.control import swing_period
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.identification import identify
 from hyperflex.model import divided
+from hyperflex.motion import lagged
 
 RESULTS = Path(__file__).parent / "results"
 TARGETS = Path(__file__).parent / "whip-targets.json"
@@ -46,10 +53,20 @@ HEAD = (
     "| planned on | targets | fast and directed as asked | median miss, mm | others as missed, mm | quartiles, mm "
     "| goal, mm; median time, s |"
 )
-GOALS = {"nominal": 5.0, "identified": 30.0, "identified, same links": 30.0}  # mm, medians
-PIECES = {"identified": 2, "identified, same links": 1}  # of each link of the true rope
+GOALS = {"nominal": 5.0, "identified": 30.0, "identified, same links": 30.0, "identified, no tape": 30.0}  # mm, medians
+PIECES = {"identified": 2, "identified, same links": 1, "identified, no tape": 2}  # of each link of the true rope
+NAMES = {
+    "nominal": "the rope itself",
+    "identified": "the identified rope, links of the true one half as long",
+    "identified, same links": "the identified rope",
+    "identified, no tape": "the first identified one, its length fitted too",
+}
+FEWER = {"identified, no tape": 15}  # of the targets: a fit of the length takes its time
+BEYOND = 30  # targets out of reach that are tried all the same
+BANDS = (NEAR, 0.2, 0.3, 0.5, np.inf)  # m, of their cost
 SPREAD = {"length": 0.01, "mass": 0.02, "friction": 0.2}  # standard deviations of a true rope, relative
-TIMING = 2e-3  # s, standard deviation of each rest of the motor
+TIMING, LAG = 2e-3, 0.010  # s: standard deviation of each rest of the motor; time constant of its first-order lag
+TAPE = 5e-4  # relative standard deviation of a length that a tape tells
 RATE, SECONDS, NOISE, MARKERS = 60.0, 3.0, 2e-3, 10  # Hz, s, m: the recording
 
 
@@ -62,16 +79,18 @@ def targets() -> list[Mark]:
     return [Mark(speed=SPEED, within=WITHIN, **row) for row in json.loads(TARGETS.read_text())]
 
 
-def draw() -> list[dict[str, float]]:
-    """Points and directions drawn evenly over all that the rope could touch; those in reach are kept."""
-    rng, known, found = np.random.default_rng(2), whip_map(thrower(CABLE)), []
-    far = CABLE.total_length + ARM.length
-    while len(found) < COUNT:
+def drawn(seed: int, known: WhipMap) -> Iterator[tuple[dict[str, float], WhipReach]]:
+    """Points and directions drawn evenly over all that the rope could touch, and whether they are in reach."""
+    rng, far = np.random.default_rng(seed), CABLE.total_length + ARM.length
+    while True:
         r, a, direction = far * np.sqrt(rng.uniform()), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
         row = {"x": round(r * np.cos(a), 4), "y": round(r * np.sin(a), 4), "direction": round(direction, 4)}
-        if reach_whip(known, Mark(speed=SPEED, within=WITHIN, **row)).within:
-            found.append(row)
-    return found
+        yield row, reach_whip(known, Mark(speed=SPEED, within=WITHIN, **row))
+
+
+def draw() -> list[dict[str, float]]:
+    """Targets in reach."""
+    return list(islice((row for row, told in drawn(2, whip_map(thrower(CABLE))) if told.within), COUNT))
 
 
 def true_rope(index: int, pieces: int) -> hf.Rope:
@@ -99,22 +118,34 @@ def recorded(true: hf.Rope, index: int) -> tuple[hf.Recording, Any]:
     return hf.Recording(t, places.reshape(t.size, -1), kind="markers", noise=NOISE), joints
 
 
-def identified(true: hf.Rope, index: int) -> tuple[hf.Rope, dict[str, float]]:
-    """The cable with the length that a tape measures, and friction as one recording tells it."""
+def identified(true: hf.Rope, index: int, tape: bool) -> tuple[hf.Rope, dict[str, Any]]:
+    """The cable as one recording tells it: its friction, and its length unless a tape has measured that.
+
+    Markers are glued on at known parts of the rope.
+    """
     recording, joints = recorded(true, index)
-    arcs = np.cumsum(true.length)[joints - 1]  # of the markers, as glued on: their places on the rope are known
-    scale = true.total_length / CABLE.total_length * (1.0 + 5e-4 * np.random.default_rng([7, index]).standard_normal())
-    guess = CABLE.replace(length=scale * CABLE.length, com=scale * CABLE.com, inertia=scale**2 * CABLE.inertia)
-    begin = time.perf_counter()
-    arcs = np.minimum(arcs, guess.total_length)
-    found = identify(recording, guess, ["friction:factor"], arcs=arcs, window=np.inf, train=np.inf, intervals=None)
+    parts = np.cumsum(true.length)[joints - 1] / true.total_length
+    measured = true.total_length * (1.0 + TAPE * np.random.default_rng([7, index]).standard_normal())
+    rope = lengthened(CABLE, measured / CABLE.total_length if tape else 1.0)
+    begin, status = time.perf_counter(), ""
+    # A link's centre and a marker's place do not grow with its length in a fit: a second one starts where they have.
+    for free in [["friction:factor"]] if tape else 2 * [["friction:factor", "length:factor"]]:
+        arcs = np.minimum(parts * rope.total_length, rope.total_length)
+        found = identify(recording, rope, free, arcs=arcs, window=np.inf, train=np.inf, intervals=None)
+        grown = found.rope.total_length / rope.total_length
+        rope, status = lengthened(rope, grown).replace(friction=found.rope.friction), found.status
     told = {
-        "length": found.rope.total_length / true.total_length,
-        "friction": found.rope.friction[0] / found.rope.mass[0] / (CABLE.friction[0] / CABLE.mass[0]),
-        "status": found.status,
+        "length": rope.total_length / true.total_length,
+        "friction": rope.friction[0] / rope.total_mass / (true.friction[0] / true.total_mass),
+        "status": status,
         "identify seconds": time.perf_counter() - begin,
     }
-    return found.rope, told
+    return rope, told
+
+
+def lengthened(rope: hf.Rope, factor: float) -> hf.Rope:
+    """The rope with all its lengths times a factor."""
+    return rope.replace(length=factor * rope.length, com=factor * rope.com, inertia=factor**2 * rope.inertia)
 
 
 def moved_late(strokes: Strokes, index: int) -> Strokes:
@@ -123,9 +154,9 @@ def moved_late(strokes: Strokes, index: int) -> Strokes:
     return Strokes(strokes.side, strokes.ends, strokes.rests + late)
 
 
-def nominal(index: int, mark: Mark, known: Any) -> dict[str, Any]:
+def nominal(index: int, mark: Mark, known: WhipMap, **options: Any) -> dict[str, Any]:
     """Plan on the cable itself; the miss is that of a run at a tight tolerance."""
-    plan = plan_whip(known.thrower.rope, ARM, mark.point, way(mark), known=known, patience=PATIENCE, seed=index)
+    plan = plan_whip(CABLE, ARM, mark.point, way(mark), known=known, patience=PATIENCE, seed=index, **options)
     row: dict[str, Any] = {"success": plan.success, "reason": plan.reason, "cost": plan.reach.cost}
     row |= {"runs": plan.runs, "seconds": plan.seconds, "doubt": 1e3 * plan.doubt}
     if plan.lash is not None:
@@ -138,6 +169,18 @@ def nominal(index: int, mark: Mark, known: Any) -> dict[str, Any]:
     return row
 
 
+def beyond(known: WhipMap) -> Iterator[tuple[dict[str, float], Mark, int]]:
+    """The first BEYOND targets drawn that are called out of reach but near a peak of the map of some cost, planned for
+    all the same; and how many were drawn until then."""
+    count = 0
+    for number, (row, told) in enumerate(drawn(3, known), start=1):
+        if not told.within and np.isfinite(told.cost):
+            yield row, Mark(speed=SPEED, within=WITHIN, **row), number
+            count += 1
+            if count == BEYOND:
+                return
+
+
 def blow(row: dict[str, Any], mark: Mark) -> dict[str, Any]:
     """Impact of a nominal whip on a small peg at the target."""
     if row.get("miss") is None:
@@ -147,19 +190,20 @@ def blow(row: dict[str, Any], mark: Mark) -> dict[str, Any]:
     return {"touched": bool(np.isfinite(found.t)), **dataclasses.asdict(found)}
 
 
-def on_identified(index: int, mark: Mark, pieces: int) -> dict[str, Any]:
-    """Plan on an identified rope, throw the true one with a motor that is not quite in time."""
-    true = true_rope(index, pieces)
-    rope, row = identified(true, index)
+def on_identified(index: int, mark: Mark, kind: str) -> dict[str, Any]:
+    """Plan on an identified rope, throw the true one with a motor that is not quite in time and lags."""
+    true = true_rope(index, PIECES[kind])
+    rope, row = identified(true, index, tape=kind != "identified, no tape")
     plan = plan_whip(
         rope, ARM, mark.point, way(mark), known=whip_map(thrower(rope)), patience=PATIENCE, seed=index, regardless=True
     )
     row |= {"success": plan.success, "reason": plan.reason, "doubt": 1e3 * plan.doubt, "seconds": plan.seconds}
     if plan.strokes is None or plan.lash is None:
         return row
-    for name, strokes in (("", plan.strokes), (" in time", plan.strokes)):
-        made = moved_late(strokes, index) if not name else strokes
-        seen = lash(thrower(true), mark, made.motion(MotorLimits()), plan.lash.t)
+    exact = plan.strokes.motion(MotorLimits())
+    late = moved_late(plan.strokes, index).motion(MotorLimits())
+    for name, motion in (("", lagged(late, LAG)), (" without lag", late), (" in time", exact)):
+        seen = lash(thrower(true), mark, motion, plan.lash.t)
         row[f"miss{name}"] = None if seen is None else 1e3 * seen.miss
         row[f"speed{name}"] = None if seen is None else seen.speed
         row[f"off{name}"] = None if seen is None else float(np.degrees(seen.off))
@@ -204,13 +248,8 @@ def page(found: dict[str, Any]) -> str:
     """The results as Markdown."""
     lines = [HEAD, "|---" * 7 + "|"]
     for kind, r in found["summary"].items():
-        name = {
-            "nominal": "the rope itself",
-            "identified": "the identified rope, links of the true one half as long",
-            "identified, same links": "the identified rope",
-        }[kind]
         lines.append(
-            f"| {name} | {r['targets']} | {r['fast and directed']} | {r['median of all']} | "
+            f"| {NAMES[kind]} | {r['targets']} | {r['fast and directed']} | {r['median of all']} | "
             f"{r['median, others as infinity']} | {r['quartiles'][0]}, {r['quartiles'][1]} | {r['goal']:g}; "
             f"{r['seconds']:.0f} |"
         )
@@ -219,11 +258,13 @@ def page(found: dict[str, Any]) -> str:
         f"in reach kept; at least {SPEED:g} m/s, at most {np.degrees(WITHIN):.0f} degrees off. {PATIENCE:g} s of "
         f"searching a target. Identified: length 1 %, mass 2 %, friction 20 % off (standard deviations); "
         f"free swing of {SECONDS:g} s, {MARKERS} markers at {RATE:g} Hz with {1e3 * NOISE:g} mm of "
-        f"noise; friction is fitted, length is told by a tape (0.05 %), mass is not known better. The motor's rests "
-        f"are {1e3 * TIMING:g} ms off. A delay of the whole motion shifts the peak in time alone, so it is left out. "
-        f"Targets that the rope drawn cannot reach count as missed. Links of the true rope half as long stand for a "
-        f"model that is not quite right: its joint at the arm damps twice as much. All simulated."
+        f"noise at known parts of the rope; friction is fitted, length is told by a tape ({100 * TAPE:g} %) or fitted "
+        f"too, mass is not known better. The motor's rests are {1e3 * TIMING:g} ms off, and it follows with a "
+        f"first-order lag of {1e3 * LAG:g} ms that the plan does not know. Targets that the rope drawn cannot reach "
+        f"count as missed. Links of the true rope half as long stand for a model that is not quite right. "
+        f"All simulated."
     )
+    lines += [*identified_words(found["rows"]), *beyond_words(found["rows"])]
     blows = [row for row in found["rows"] if row["kind"] == "impact" and row["touched"]]
     if blows:
         middle = {name: float(np.median([row[name] for row in blows])) for name in ("impulse", "along", "energy")}
@@ -240,6 +281,47 @@ def page(found: dict[str, Any]) -> str:
     return "\n".join(["# Whips", "", text, "", *lines, "", where, "", "Again: `python -m benchmarks.whip`", ""])
 
 
+def identified_words(rows: list[dict[str, Any]]) -> list[str]:
+    """What lag and timing do, and how well length and friction are known."""
+    lines = []
+    for kind in PIECES:
+        those = [row for row in rows if row["kind"] == kind]
+        if those:
+            without, exact = (middle(those, f"miss{name}") for name in (" without lag", " in time"))
+            long, stiff = (np.array([row[name] for row in those]) - 1.0 for name in ("length", "friction"))
+            lines.append(
+                f"\n{NAMES[kind].capitalize()}: median miss without the lag {without:.1f} mm, with rests in time too "
+                f"{exact:.1f} mm. Length {100 * np.sqrt((long**2).mean()):.3f} % off (root mean square), friction of "
+                f"mass {100 * stiff.mean():+.1f} % on average, {100 * stiff.std():.1f} % standard deviation."
+            )
+    return lines
+
+
+def middle(rows: list[dict[str, Any]], name: str) -> float:
+    """Median of a number that is infinite where there is none."""
+    return float(np.median([np.inf if row.get(name) is None else row[name] for row in rows]))
+
+
+def beyond_words(rows: list[dict[str, Any]]) -> list[str]:
+    """How many of the targets that are called out of reach are met all the same, by their cost."""
+    those = [row for row in rows if row["kind"] == "beyond"]
+    if not those:
+        return []
+    told = []
+    for low, high in pairwise(BANDS):
+        some = [row["success"] for row in those if low < row["cost"] <= high]
+        if some:
+            told.append(f"{sum(some)} of {len(some)} at {low:g} to {high:g} m")
+    met = sum(row["success"] for row in those)
+    words = (
+        f"\nOut of reach is called what is farther than {NEAR:g} m (direction and speed that are not as asked count as "
+        f"distance) from every peak of the map. Of {max(row['drawn'] for row in those)} more targets drawn so, "
+        f"{len(those)} near some peak were called that. Planned for all the same (`regardless=True`, {PATIENCE:g} s "
+        f"each), {met} of them are met within 1 mm, as fast and directed as asked: {', '.join(told)}."
+    )
+    return [words]
+
+
 def done(path: Path) -> list[dict[str, Any]]:
     """Rows that an interrupted benchmark has finished."""
     if not path.exists():
@@ -247,10 +329,30 @@ def done(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text().splitlines() if line.endswith("}")]
 
 
-def measure(index: int, kind: str, mark: Mark, known: Any) -> dict[str, Any]:
-    """One row."""
-    row = nominal(index, mark, known) if kind == "nominal" else on_identified(index, mark, PIECES[kind])
-    return {"index": index, "kind": kind, "kernels": SOURCE_HASH, **row}
+def measure(index: int, kind: str, mark: Mark, known: WhipMap) -> dict[str, Any]:
+    """What becomes of a target."""
+    return nominal(index, mark, known) if kind == "nominal" else on_identified(index, mark, kind)
+
+
+def jobs(
+    options: argparse.Namespace, known: WhipMap, rows: list[dict[str, Any]]
+) -> Iterator[tuple[str, int, Callable[[], dict[str, Any]]]]:
+    """What is to be measured, and how; `rows` are those that there are until then."""
+    marks = targets()
+    for kind in ["nominal"] if options.nominal else list(GOALS):
+        for index, mark in enumerate(marks[: FEWER.get(kind, COUNT)]):
+            yield kind, index, partial(measure, index, kind, mark, known)
+    if options.impacts:
+        for row in [row for row in rows if row["kind"] == "nominal"]:
+            yield "impact", row["index"], partial(blow, row, marks[row["index"]])
+    if options.beyond:
+        for index, (place, mark, count) in enumerate(beyond(known)):
+            yield "beyond", index, partial(refused, index, place, mark, count, known)
+
+
+def refused(index: int, place: dict[str, float], mark: Mark, count: int, known: WhipMap) -> dict[str, Any]:
+    """Plan for a target that is called out of reach."""
+    return {**place, "drawn": count, **nominal(index, mark, known, regardless=True)}
 
 
 def main() -> None:
@@ -258,6 +360,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--nominal", action="store_true", help="nominal plans alone")
     parser.add_argument("--impacts", action="store_true", help="blows of the nominal plans as well")
+    parser.add_argument("--beyond", action="store_true", help="targets that are called out of reach as well")
     parser.add_argument("--only", type=int, metavar="INDEX", help="this target alone; nothing is written")
     parser.add_argument("--targets", action="store_true", help="draw the targets anew")
     parser.add_argument("--out", default=str(RESULTS / "whip.json"), metavar="FILE")
@@ -267,28 +370,23 @@ def main() -> None:
         return
     marks, about = targets(), machine.describe()
     known = whip_map(thrower(CABLE))
-    kinds = ["nominal"] if options.nominal else list(GOALS)
     if options.only is not None:
-        for kind in kinds:
+        for kind in ["nominal"] if options.nominal else list(GOALS):
             print(json.dumps(measure(options.only, kind, marks[options.only], known), indent=1))
         return
     notes = Path(options.out).with_suffix(".jsonl")
     rows = done(notes)
     finished = {(row["kind"], row["index"]) for row in rows}
-    for kind in kinds:
-        for index, mark in enumerate(marks):
-            if (kind, index) in finished:
-                continue
-            rows.append(measure(index, kind, mark, known))
-            print(json.dumps(rows[-1]), flush=True)
-            with notes.open("a") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
-    plans = {row["index"]: row for row in rows if row["kind"] == "nominal"}
-    for index, row in plans.items():
-        if options.impacts and ("impact", index) not in finished:
-            rows.append({"index": index, "kind": "impact", "kernels": SOURCE_HASH, **blow(row, marks[index])})
-            with notes.open("a") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
+
+    def add(kind: str, index: int, row: dict[str, Any]) -> None:
+        rows.append({"index": index, "kind": kind, "kernels": SOURCE_HASH, **row})
+        print(json.dumps(rows[-1]), flush=True)
+        with notes.open("a") as file:
+            file.write(json.dumps(rows[-1]) + "\n")
+
+    for kind, index, work in jobs(options, known, rows):
+        if (kind, index) not in finished:
+            add(kind, index, work())
     about["load after"] = machine.load()
     found = {"machine": about, "summary": summary(rows), "rows": rows}
     files.write_text(options.out, json.dumps(found, indent=1) + "\n")

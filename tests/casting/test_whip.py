@@ -184,6 +184,18 @@ def test_a_map_of_another_rope_is_refused(known: WhipMap) -> None:
             plan_whip(rope, ARM, [0.3, -0.9], [1.0, 0.0], limits, known=known)
 
 
+def test_any_direction_costs_nothing(known: WhipMap) -> None:
+    """Without a direction the cost of the cheapest peak is that of the best of many directions, or less."""
+    point, speed = known.peaks.place[np.argmax(known.peaks.speed)] + [0.03, -0.02], 2.0
+    free = known.nearest(Mark.anyway(point, speed))[0].cost
+    asked = [known.nearest(Mark(*point, direction=a, speed=speed))[0].cost for a in np.arange(-np.pi, np.pi, 0.2)]
+    # 0.2 rad apart and 0.21 rad free of cost: one of them is within it, and asks for nothing then
+    assert free == pytest.approx(min(asked), abs=1e-12)
+    plan = plan_whip(ROPE, ARM, point, least_speed=speed, known=known, patience=10.0)
+    assert plan.success, plan.reason
+    assert plan.mark.anyhow
+
+
 def test_out_of_reach(known: WhipMap) -> None:
     far = plan_whip(ROPE, ARM, [1.5, 0.0], [0.0, 1.0], known=known)
     assert not far.success

@@ -34,7 +34,7 @@ def test_a_crossing_is_where_the_tip_passes_the_shaft():
     assert abs(still.tip[-1, 0]) < 1e-4  # two runs at the default tolerance
 
 
-@pytest.mark.parametrize("lead", [0.0, 0.05])
+@pytest.mark.parametrize("lead", [0.0, 0.05, -0.05, -0.25])
 def test_the_papers_rule_starts_that_long_before_the_crossing(lead):
     swung = swing(TrueState(ROPE, ARM), CrossingRule(CASTER, lead), CASTER, duration=3.0)
     for k in range(1, swung.starts.size):
@@ -44,7 +44,7 @@ def test_the_papers_rule_starts_that_long_before_the_crossing(lead):
             CASTER.motion(swung.starts[:k]),
             arm=ARM,
             duration=came + 2.0,
-            until=hf.tip_crosses((0.0, 0.0), (1.0, 0.0), sense=0, after=came + 1e-6),
+            until=hf.tip_crosses((0.0, 0.0), (1.0, 0.0), sense=0, after=came + min(lead, 0.0) + 1e-6),
         )
         # Default tolerances on both sides: some 1e-5 m at some 1 m/s, grown over 3 s.
         assert swung.starts[k] == pytest.approx(max(came, resting.event[1] - lead), abs=1e-3)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from hyperflex.casting.whip_reach import WhipReach, reach_whip
     from hyperflex.casting.whip_search import WhipMap, whip_map
     from hyperflex.casting.whip_strike import Lash
+    from hyperflex.casting.whip_tables import read_whip
 
 _HOMES = {
     "Cast": "outcome",
@@ -53,6 +54,7 @@ _HOMES = {
     "reach": "targets",
     "reach_whip": "whip_reach",
     "read_plan": "tables",
+    "read_whip": "whip_tables",
     "success": "chance",
     "verify": "outcome",
     "whip_map": "whip_search",
@@ -85,6 +87,7 @@ __all__ = [
     "reach",
     "reach_whip",
     "read_plan",
+    "read_whip",
     "success",
     "verify",
     "whip_map",

@@ -36,7 +36,7 @@ class Mark:
     speed : float
         Least speed, m/s, > 0.
     within : float
-        Greatest angle between velocity and direction, rad, > 0 and at most pi.
+        Greatest angle between velocity and direction, rad, > 0 and at most pi; pi: any direction will do.
 
     Raises
     ------
@@ -67,6 +67,20 @@ class Mark:
         if not np.hypot(*way) > 0.0:
             raise InvalidInput("direction is zero", got=way.tolist(), allowed="a vector with a length")
         return cls(float(x), float(y), float(np.arctan2(way[1], way[0])), speed, within)
+
+    @classmethod
+    def anyway(cls, point: npt.ArrayLike, speed: float) -> Mark:
+        """Return a mark at a point (2,), m, that may be passed in any direction."""
+        return cls.at(point, (1.0, 0.0), speed, float(np.pi))
+
+    @property
+    def anyhow(self) -> bool:
+        """Whether any direction will do."""
+        return self.within == np.pi
+
+    def allowed(self, part: float) -> float:
+        """Return `part` of the angle that is allowed, rad; all of it where any direction will do."""
+        return self.within if self.anyhow else part * self.within
 
     @property
     def point(self) -> Array:
@@ -171,7 +185,7 @@ def costs(mark: Mark, found: Peaks) -> Array:
     """
     return np.asarray(
         np.hypot(*(found.place - mark.point).T)
-        + ANGLE_COST * np.maximum(np.abs(mark.off(found.velocity)) - SPARE_ANGLE * mark.within, 0.0)
+        + ANGLE_COST * np.maximum(np.abs(mark.off(found.velocity)) - mark.allowed(SPARE_ANGLE), 0.0)
         + SPEED_COST * np.maximum(1.0 - found.speed / (SPARE_SPEED * mark.speed), 0.0)
         + EARLIER_COST * (1.0 - found.speed / np.maximum(found.before, 1e-9))
         + TIME_COST * found.t

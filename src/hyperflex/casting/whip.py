@@ -6,11 +6,13 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
+from hyperflex.casting import tables, whip_tables
 from hyperflex.casting.blow import RADIUS, Impact, impact
 from hyperflex.casting.lash import Mark
 from hyperflex.casting.limits import MotorLimits
@@ -22,6 +24,7 @@ from hyperflex.casting.whip_search import WhipMap, WhipSearch, whip_map
 from hyperflex.casting.whip_strike import Lash, lash
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
+from hyperflex.files import PathLike
 from hyperflex.model import Arm, Rope, divided
 from hyperflex.motion import Motion
 from hyperflex.simulation.rollouts import progress_bar
@@ -96,14 +99,49 @@ class WhipPlan:
         motion = self.motion
         if motion is None or self.lash is None:
             raise InvalidInput("a plan without strokes strikes nothing", got=self.reason, allowed="a plan with strokes")
-        return impact(self.thrower, self.mark, motion, self.lash.t, radius=radius, mu=mu)
+        mark = self.mark
+        if mark.anyhow:
+            mark = replace(mark, direction=float(np.arctan2(*self.lash.velocity[::-1])))
+        return impact(self.thrower, mark, motion, self.lash.t, radius=radius, mu=mu)
+
+    def to_csv(self, path: PathLike, *, rate: float = tables.RATE) -> None:
+        """Write what the arm does at a motor's rate to a CSV file that :func:`hyperflex.read_motion` reads.
+
+        Parameters
+        ----------
+        path : path-like
+            Where to write, whole or not at all.
+        rate : float
+            Rows a second, Hz.
+        """
+        tables.write_motion(path, whip_tables.motion_of(self), rate)
+
+    def to_netcdf(self, path: str | Path) -> None:
+        """Write the verified run to NetCDF.
+
+        Parameters
+        ----------
+        path : path-like
+            Where to write, whole or not at all.
+        """
+        whip_tables.lash_of(self).run.to_netcdf(path)
+
+    def to_toml(self, path: PathLike) -> None:
+        """Write set-up, limits and outcome to TOML: ``hyperflex simulate`` runs it, ``casting.read_whip`` reads it.
+
+        Parameters
+        ----------
+        path : path-like
+            Where to write, whole or not at all.
+        """
+        whip_tables.write_whip(path, self)
 
 
 def plan_whip(
     rope: Rope,
     arm: Arm,
     point: npt.ArrayLike,
-    direction: npt.ArrayLike,
+    direction: npt.ArrayLike | None = None,
     limits: MotorLimits | None = None,
     *,
     least_speed: float = 5.0,
@@ -124,14 +162,14 @@ def plan_whip(
         The rope hangs at rest from the arm, which points to one side.
     point : (2,) array_like
         Where the tip shall be at the peak, m.
-    direction : (2,) array_like
-        In which it shall move there: a vector of any length but 0.
+    direction : (2,) array_like, optional
+        In which it shall move there: a vector of any length but 0. By default any direction will do.
     limits : MotorLimits, optional
         Of the motor; by default the paper's.
     least_speed : float
         Of the tip, m/s.
     within : float
-        Greatest angle between the tip's velocity and the direction, rad.
+        Greatest angle between the tip's velocity and the direction, rad; does not matter where none is given.
     time_limit : float, optional
         Within which the tip must be there, s; by default three periods of the rope's swing.
     patience : float
@@ -158,7 +196,7 @@ def plan_whip(
         If an argument is not what it should be.
     """
     begin = time.monotonic()
-    mark = Mark.at(point, direction, least_speed, within)
+    mark = Mark.at(point, direction, least_speed, within) if direction is not None else Mark.anyway(point, least_speed)
     patience = checks.number("patience", patience, sign="positive", unit="s")
     seed = checks.count("seed", seed, least=0)
     if known is None:

@@ -113,7 +113,7 @@ def asked(mark: Mark, aim: Aim) -> tuple[Array, Array]:
     speed, length = aim.speed, float(np.hypot(*mark.point))
     wrong, by = [*(aim.place - mark.point)], [*aim.by_place]
     off = float(mark.off(aim.velocity))
-    beyond = off - float(np.clip(off, -KEEP_ANGLE * mark.within, KEEP_ANGLE * mark.within))
+    beyond = off - float(np.clip(off, -mark.allowed(KEEP_ANGLE), mark.allowed(KEEP_ANGLE)))
     vx, vy = aim.velocity
     if beyond != 0.0:
         wrong.append(length * beyond)

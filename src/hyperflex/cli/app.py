@@ -17,6 +17,7 @@ from hyperflex.cli.demo import demo
 from hyperflex.cli.identify import identify
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
+from hyperflex.cli.whip import whip
 from hyperflex.errors import HyperflexError
 
 # the common base of what the parser raises: BadParameter <- UsageError <- ClickException
@@ -27,6 +28,7 @@ for _command, _example in (
     (simulate, "simulate cast.toml -o cast.nc"),
     (identify, "identify swing.csv --rope guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
+    (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 10 -o whipped"),
     (reproduce, "reproduce fig10 fig12 -o paper"),
     (demo, "demo -o demo-output"),
 ):
@@ -49,7 +51,7 @@ def hyperflex(
     """Robots that use a rope as an arm: simulate it, identify it, cast it.
 
     Exit codes: 0 done, 1 a bug in hyperflex, 2 refused or failed with a message, 3 the fit did not converge, 4 no
-    cast that winds and holds was found, 130 interrupted.
+    cast that winds and holds, or whip that meets its target, was found, 130 interrupted.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
@@ -67,7 +69,7 @@ def run(arguments: Sequence[str]) -> int:
     -------
     int
         Exit code: 0 done, 1 a bug in hyperflex (or the reader of a pipe went away), 2 refused or failed with a message
-        on standard error, 3 the fit did not converge, 4 no cast was found, 130 interrupted.
+        on standard error, 3 the fit did not converge, 4 no cast or whip was found, 130 interrupted.
     """
     as_json = "--json" in arguments
     try:

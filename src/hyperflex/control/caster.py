@@ -93,14 +93,29 @@ class Caster:
         within : float, optional
             How far to look ahead, s; one period if not given.
         """
+        ahead = self.period if within is None else within
+        return self.crossing(now, self.motion([], made), after=now.t + SOON, until=now.t + ahead)
+
+    def crossing(self, now: RopeState, motion: Motion, *, after: float, until: float) -> float:
+        """Return when the tip first passes below or above the shaft in a span of time, s; inf if it does not.
+
+        Parameters
+        ----------
+        now : RopeState
+            Where the rope is.
+        motion : Motion
+            What the arm does from then on; times as those of `now`.
+        after, until : float
+            The span, s; it ends after `now`.
+        """
         run = simulate(
             self.rope,
-            self.motion([], made),
+            motion,
             arm=self.arm,
-            duration=self.period if within is None else within,
+            duration=until - now.t,
             state=State(now.t, now.q, now.qd),
             t_eval=[now.t],
-            until=tip_crosses((self.arm.pivot[0], 0.0), (1.0, 0.0), sense=0, after=now.t + SOON),
+            until=tip_crosses((self.arm.pivot[0], 0.0), (1.0, 0.0), sense=0, after=max(after, now.t + SOON)),
         )
         return math.inf if run.event is None else run.event[1]
 

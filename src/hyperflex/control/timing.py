@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
+import numpy as np
+
 from hyperflex import checks
 from hyperflex.control.caster import Caster
 from hyperflex.control.state_source import RopeState
@@ -33,20 +35,41 @@ class CrossingRule:
     caster : Caster
         The model that predicts.
     lead : float
-        t_b of the paper, s; negative: that long after the crossing (one that happens while the arm still moves is not
-        seen then).
+        t_b of the paper, s; negative: that long after the crossing.
 
     Notes
     -----
     Paper section IV.B and Fig. 13. What the paper leaves open is read like this: the crossing is the next one, in
-    either sense, after the arm has come to rest, and where it is nearer than `lead` the arm starts at once.
+    either sense, after the arm has come to rest, and where it is nearer than `lead` the arm starts at once. With a
+    negative `lead`, which the paper does not try, a crossing no longer ago than that counts too: it happens while the
+    arm still moves, and is predicted when that half turn is decided.
     """
 
     def __init__(self, caster: Caster, lead: float = 0.0) -> None:
         self.caster = caster
         self.lead = checks.number("lead", lead, unit="s")
+        self._passed = (0, math.inf)  # half turns made, and the crossing that the last of them brings, s
 
     def next_start(self, now: RopeState, made: int) -> float:
         """Return when the next half turn shall start, s; now, if the tip does not cross within a period."""
-        crossing = self.caster.next_crossing(now, made)
-        return now.t if math.isinf(crossing) else max(now.t, crossing - self.lead)
+        crossing = self._while_moving(now, made) if self.lead < 0.0 else math.inf
+        if math.isinf(crossing):
+            crossing = self.caster.next_crossing(now, made)
+        start = now.t if math.isinf(crossing) else max(now.t, crossing - self.lead)
+        if self.lead < 0.0:
+            self._passed = made + 1, self._passing(now, made, start)
+        return start
+
+    def _while_moving(self, now: RopeState, made: int) -> float:
+        """Return the crossing that the last half turn brought late enough to count, s; inf if there was none."""
+        count, crossing = self._passed
+        if made == 1:  # the first half turn is nobody's decision: at t = 0, from rest
+            rope = self.caster.rope
+            hanging = RopeState(0.0, np.full(rope.n_links, rope.hanging_angle), np.zeros(rope.n_links))
+            count, crossing = 1, self._passing(hanging, 0, 0.0)
+        return crossing if count == made and crossing >= now.t + self.lead else math.inf
+
+    def _passing(self, now: RopeState, made: int, start: float) -> float:
+        """Return when the tip passes in the last -`lead` seconds of a half turn that starts at `start`, s, or inf."""
+        end = start + self.caster.t_move
+        return self.caster.crossing(now, self.caster.motion([start], made), after=end + self.lead, until=end)

@@ -45,8 +45,11 @@ def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, rat
     -----
     A piece has its part of the mass, and an inertia that makes the whole link's the same when it is straight (for the
     default inertia: the cylinder's). Viscous friction and stiffness stand for a bending of the rope all along, so a
-    joint's is in inverse proportion to the length that it stands for, half of both its links. Dry friction, a torque
-    that any bend must overcome, is every joint's alike; a rest angle stays with its joint.
+    joint's is in inverse proportion to the length that it stands for, half of both its links; between old joints that
+    differ it goes straight from the one to the next. The first joint is a hinge: the rope turns in it as a whole, by
+    the same angle however finely it is cut, so it keeps its friction and stiffness, and the pieces of the first link
+    bend as the rope does at the second joint. Dry friction, a torque that any bend must overcome, is every joint's
+    alike; a rest angle stays with its joint.
 
     Examples
     --------
@@ -103,8 +106,8 @@ def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
         mass=mass,
         com=np.repeat(rope.com / pieces, pieces),
         inertia=np.repeat(_inertia(rope, pieces), pieces),
-        friction=_along(rope.friction, rope.length, length, pieces),
-        stiffness=_along(rope.stiffness, rope.length, length, pieces),
+        friction=_along(rope.friction, rope.length, pieces),
+        stiffness=_along(rope.stiffness, rope.length, pieces),
         dry_friction=np.repeat(rope.dry_friction, pieces),
         rest_angle=rest,
     )
@@ -134,11 +137,17 @@ def _inertia(rope: Rope, pieces: npt.NDArray[np.int64]) -> Array:
 
 
 def _share(length: Array) -> Array:
-    """Length of rope that each joint stands for (n,): half of both its links; the first joint has but one."""
+    """Length of rope that each joint stands for (n,): half of both its links; the first one's means nothing."""
     return np.asarray(0.5 * (np.append(length[0], length[:-1]) + length))
 
 
-def _along(value: Array, old: Array, new: Array, pieces: npt.NDArray[np.int64]) -> Array:
-    """Friction or stiffness of the new joints from that of the old ones: what is per length stays."""
-    bending = value * _share(old)
-    return np.asarray(np.repeat(bending, pieces) / _share(new))
+def _along(value: Array, length: Array, pieces: npt.NDArray[np.int64]) -> Array:
+    """Friction or stiffness of the new joints from that of the old ones: what is per length stays, and the hinge."""
+    bending = value * _share(length)
+    if bending.size > 1:
+        bending[0] = bending[1]
+    part = np.concatenate([np.arange(count) / count for count in pieces])
+    here, beyond = np.repeat(bending, pieces), np.repeat(np.append(bending[1:], bending[-1]), pieces)
+    new = (here + part * (beyond - here)) / _share(np.repeat(length / pieces, pieces))
+    new[0] = value[0]
+    return np.asarray(new)

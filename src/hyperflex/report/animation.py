@@ -13,7 +13,7 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.report.between import pegs_of, shapes
+from hyperflex.report.between import pegs_of, shapes, widened
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ _FINE = 2  # drawn this much larger, then shrunk: smooth edges
 _GHOSTS = 5
 _LINE = 18  # pixels from one line of words to the next
 _TRAIL_POINTS = 80
+_RING = 8 * _FINE  # radius of the ring round a point, pixels
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,16 @@ class _View:
         return list(zip(x.tolist(), y.tolist(), strict=True))
 
 
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """What every frame shows: a run, where it lies, how long the tip's path stays, s, and points (k, 2) to mark, m."""
+
+    run: Trajectory
+    view: _View
+    trail: float
+    targets: Array
+
+
 def animate(
     run: Trajectory,
     path: str | Path,
@@ -58,6 +69,7 @@ def animate(
     trail: float = 0.8,
     title: str = "",
     note: Note | None = None,
+    targets: Array | None = None,
     progress: Progress | None = None,
 ) -> None:
     """Write an animated GIF of a run, whole or not at all.
@@ -82,6 +94,8 @@ def animate(
         Written in the upper left corner, above the time.
     note : callable, optional
         Called with the simulated time, s; what it returns, one line or more, is written below the time.
+    targets : (k, 2) float64, optional
+        Points to mark with a ring, m.
     progress : callable, optional
         Called with (frames done, frames in all).
 
@@ -104,9 +118,15 @@ def animate(
     if not run.t[0] <= first < last <= run.t[-1]:
         raise InvalidInput("span is not in the run", got=[first, last], allowed=f"{run.t[0]:g} to {run.t[-1]:g} s")
     times = np.arange(first, last + 0.5 * pace, pace)
+    marked = np.zeros((0, 2)) if targets is None else targets
     room = 0 if note is None else _LINE * (note(float(times[-1])).count("\n") + 2)
     content = _gif(
-        _frames(run, times, _view(run, checks.count("width", width, least=64), room), trail, (title, note), progress),
+        _frames(
+            _Scene(run, _view(run, marked, checks.count("width", width, least=64), room), trail, marked),
+            times,
+            (title, note),
+            progress,
+        ),
         frame_rate,
     )
     with files.atomic(path, "wb") as file:
@@ -126,14 +146,15 @@ def _gif(frames: Iterator[Image.Image], frame_rate: int) -> bytes:
     return buffer.getvalue()
 
 
-def _view(run: Trajectory, width: int, room: int) -> _View:
+def _view(run: Trajectory, targets: Array, width: int, room: int) -> _View:
     """Fit everything that the rope and the arm reach into the canvas, below `room` pixels for words."""
     around = [(peg.x + s * peg.radius, peg.y + s * peg.radius) for peg in pegs_of(run) for s in (-1.0, 1.0)]
-    points = np.concatenate([run.joints.reshape(-1, 2), np.reshape(around, (-1, 2))])
+    points = np.concatenate([run.joints.reshape(-1, 2), np.reshape(around, (-1, 2)), targets])
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.06 * float((high - low).max())
     low, high = low - margin, high + margin
     high[1] += margin
+    low, high = widened(low, high)
     scale = _FINE * width / (high[0] - low[0])
     height = room + round((high[1] - low[1]) * scale / _FINE / 2) * 2
     origin = (float(-low[0] * scale), float(high[1] * scale) + _FINE * room)
@@ -141,16 +162,17 @@ def _view(run: Trajectory, width: int, room: int) -> _View:
 
 
 def _frames(
-    run: Trajectory, times: Array, view: _View, trail: float, words: tuple[str, Note | None], progress: Progress | None
+    scene: _Scene, times: Array, words: tuple[str, Note | None], progress: Progress | None
 ) -> Iterator[Image.Image]:
     from PIL import Image, ImageDraw, ImageFont
 
+    view = scene.view
     step = times[1] - times[0]
     fonts = (ImageFont.load_default(14 * _FINE), ImageFont.load_default(12 * _FINE))
     for number, time in enumerate(times):
         image = Image.new("RGB", (view.width, view.height), _NIGHT)
         draw = ImageDraw.Draw(image)
-        _draw_scene(draw, run, time, view, trail, step)
+        _draw_scene(draw, scene, time, step)
         corner = 14 * _FINE
         title, note = words
         text = f"t = {time:5.2f} s" if note is None else f"t = {time:5.2f} s\n{note(float(time))}"
@@ -161,7 +183,8 @@ def _frames(
             progress(number + 1, times.size)
 
 
-def _draw_scene(draw: Any, run: Trajectory, time: float, view: _View, trail: float, step: float) -> None:
+def _draw_scene(draw: Any, scene: _Scene, time: float, step: float) -> None:
+    run, view = scene.run, scene.view
     start = run.t[0]
     ghosts = np.maximum(time - step * np.arange(_GHOSTS, -1, -1), start)  # the last one is now
     drawn = shapes(run, ghosts)
@@ -173,13 +196,15 @@ def _draw_scene(draw: Any, run: Trajectory, time: float, view: _View, trail: flo
         _dot(draw, centre, max(peg.radius * view.scale, 2 * _FINE), _PEG)
     for k in range(_GHOSTS):
         draw.line(view.pixels(drawn.joints[k]), fill=_blend(_ROPE, 0.40 * (k + 1) / (_GHOSTS + 1)), width=_FINE)
-    past = np.linspace(max(time - trail, start), time, _TRAIL_POINTS)
+    past = np.linspace(max(time - scene.trail, start), time, _TRAIL_POINTS)
     path = view.pixels(shapes(run, past).joints[:, -1])
     for k in range(len(path) - 1):
         draw.line(path[k : k + 2], fill=_blend(_TRAIL, 0.15 + 0.75 * k / len(path)), width=2 * _FINE)
     rope = view.pixels(drawn.joints[-1])
     draw.line(rope, fill=_ROPE, width=3 * _FINE, joint="curve")
     _dot(draw, rope[-1], 4 * _FINE, _WHITE)
+    for x, y in view.pixels(scene.targets):
+        draw.ellipse([x - _RING, y - _RING, x + _RING, y + _RING], outline=_PEG, width=2 * _FINE)
     pivot = view.pixels(drawn.pivots[-1:])[0]
     draw.line([pivot, rope[0]], fill=_WHITE, width=5 * _FINE)
     _dot(draw, pivot, 5 * _FINE, _WHITE)

@@ -10,6 +10,8 @@ from hyperflex.checks import Array
 from hyperflex.model import Peg
 from hyperflex.trajectory import Trajectory
 
+TALLEST = 1.15  # height of a picture, in widths
+
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
@@ -37,6 +39,13 @@ def shapes(run: Trajectory, times: Array) -> Shapes:
         return Shapes(joints, base)
     angle = _between(run.t, run.arm_angle, run.arm_rate, times)
     return Shapes(joints, base - run.setup.arm.length * np.stack([np.sin(angle), -np.cos(angle)], axis=-1))
+
+
+def widened(low: Array, high: Array) -> tuple[Array, Array]:
+    """Return lower left and upper right corner (2,), m, of a view that is no taller than TALLEST times its width."""
+    across, up = high - low
+    side = np.array([0.5 * max(0.0, up / TALLEST - across), 0.0])
+    return low - side, high + side
 
 
 def pegs_of(run: Trajectory) -> list[Peg]:

@@ -11,6 +11,7 @@ from hyperflex.casting import CastPlan
 from hyperflex.casting.hold import Holding
 from hyperflex.casting.outcome import SETTLING, WOUND
 from hyperflex.casting.tables import run_of
+from hyperflex.checks import Array
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, look, new_figure
 
@@ -101,16 +102,29 @@ def _number_swings(axis: Any, plan: CastPlan) -> None:
         return
     starts, angles = plan.throw.starts(plan.thrower.limits), plan.throw.angles(plan.thrower.limits)
     ends = starts + plan.thrower.limits.fastest(np.diff(angles), 1.0)[0]
-    for k, start in enumerate(starts):
-        if k == plan.throw.count:
-            place, height = plan.throw.stops(plan.thrower.limits), np.degrees(angles[k + 1])
-            axis.annotate("last", (place, height), (4, 5), textcoords="offset points", fontsize=8.5, color=INK)
-            return
-        place, height = 0.5 * (start + ends[k]), np.degrees(0.5 * (angles[k] + angles[k + 1]))
-        axis.text(place, height, str(k + 1), fontsize=8.5, color=INK, ha="center", va="center", bbox=_PATCH)
+    count = plan.throw.count
+    number_moves(axis, starts[:count], ends[:count], angles[: count + 1])
+    if starts.size > count:
+        place, height = plan.throw.stops(plan.thrower.limits), np.degrees(angles[count + 1])
+        axis.annotate("last", (place, height), (4, 5), textcoords="offset points", fontsize=8.5, color=INK)
 
 
-_PATCH = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "edgecolor": "#b9c0c9", "linewidth": 0.7}
+def number_moves(axis: Any, starts: Array, ends: Array, angles: Array) -> None:
+    """Write the number of each move on a curve of the arm's angle.
+
+    Parameters
+    ----------
+    axis : Axes
+        In s and degrees.
+    starts, ends : (k,) float64
+        s.
+    angles : (k + 1,) float64
+        Between the moves, rad.
+    """
+    places, heights = 0.5 * (starts + ends), 0.5 * np.degrees(angles[:-1] + angles[1:])
+    patch = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "edgecolor": "#b9c0c9", "linewidth": 0.7}
+    for number, (place, height) in enumerate(zip(places, heights, strict=True), start=1):
+        axis.text(place, height, str(number), fontsize=8.5, color=INK, ha="center", va="center", bbox=patch)
 
 
 def _mark_times(axis: Any, plan: CastPlan) -> None:

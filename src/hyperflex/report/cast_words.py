@@ -6,12 +6,14 @@ import math
 
 import numpy as np
 
-from hyperflex.casting import CastPlan
+from hyperflex.casting import CastPlan, MotorLimits, Thrower, WhipPlan
 from hyperflex.casting.hold import Holding
 from hyperflex.casting.outcome import SLIP, WATCH, WOUND
 from hyperflex.model import Peg
+from hyperflex.motion import Motion
 from hyperflex.report.cast_figures import way
 from hyperflex.report.tables import TextTable
+from hyperflex.trajectory import Trajectory
 
 LEAD = (
     "A rope that hangs from a motor-driven arm is thrown round a peg, shall wind and hold. Planned and verified by "
@@ -110,8 +112,12 @@ def _hold(held: Holding) -> str:
 
 def motor_table(plan: CastPlan) -> TextTable:
     """Return what the cast asks of the motor beside what it can do."""
-    limits, run = plan.thrower.limits, plan.cast.run if plan.cast is not None else None
-    motion = plan.motion
+    run = plan.cast.run if plan.cast is not None else None
+    return asked_of_motor(plan.thrower.limits, plan.motion, run)
+
+
+def asked_of_motor(limits: MotorLimits, motion: Motion | None, run: Trajectory | None) -> TextTable:
+    """Return what a motion asks of the motor, and the rope in a run of it, beside what the motor can do."""
     if motion is None:
         return TextTable(("motor", "asked", "limit"), ())
     t = np.linspace(0.0, float(motion.breaks[-1]), 4001)
@@ -143,7 +149,7 @@ def checks_table(plan: CastPlan) -> TextTable:
     return TextTable(("run", "links", "strikes", "turns", "slips", "winds and holds"), tuple(rows))
 
 
-def search_words(plan: CastPlan) -> str:
+def search_words(plan: CastPlan | WhipPlan) -> str:
     """Return how the plan was found."""
     ended = ", interrupted before its end" if plan.interrupted else ""
     return f"The search took {plan.seconds:.0f} s and {plan.runs} simulated runs{ended}."
@@ -151,12 +157,25 @@ def search_words(plan: CastPlan) -> str:
 
 def setup_words(plan: CastPlan) -> tuple[str, ...]:
     """Return rope, arm and target as they were given."""
-    rope, arm, peg = plan.thrower.rope, plan.thrower.arm, plan.peg
-    name = f" ({rope.name})" if rope.name else ""
-    tip = f", tip weight {1e3 * rope.tip_mass:.3g} g" if rope.tip_mass else ""
+    peg = plan.peg
     words = (
-        f"Rope{name}: {rope.total_length:.4g} m, {1e3 * rope.total_mass:.4g} g, radius {1e3 * rope.radius:.3g} mm, "
-        f"{rope.n_links} links{tip}; links near the target are cut shorter for the verified runs. Arm: "
-        f"{1e3 * arm.length:.4g} mm. Target: a round peg at {target_words(peg)}, friction mu = {peg.mu:g}."
+        f"{rope_words(plan.thrower)}; links near the target are cut shorter for the verified runs. "
+        f"{arm_words(plan.thrower)} Target: a round peg at {target_words(peg)}, friction mu = {peg.mu:g}."
     )
     return (words,)
+
+
+def rope_words(thrower: Thrower) -> str:
+    """Return what the rope is, without a full stop."""
+    rope = thrower.rope
+    name = f" ({rope.name})" if rope.name else ""
+    tip = f", tip weight {1e3 * rope.tip_mass:.3g} g" if rope.tip_mass else ""
+    return (
+        f"Rope{name}: {rope.total_length:.4g} m, {1e3 * rope.total_mass:.4g} g, radius {1e3 * rope.radius:.3g} mm, "
+        f"{rope.n_links} links{tip}"
+    )
+
+
+def arm_words(thrower: Thrower) -> str:
+    """Return how long the arm is."""
+    return f"Arm: {1e3 * thrower.arm.length:.4g} mm."

@@ -10,7 +10,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg
-from hyperflex.report.between import Shapes, pegs_of, shapes
+from hyperflex.report.between import Shapes, pegs_of, shapes, widened
 from hyperflex.report.style import look, new_figure
 from hyperflex.trajectory import Trajectory
 
@@ -30,6 +30,7 @@ def strobe(
     count: int = 48,
     title: str = "",
     width: float = 9.0,
+    targets: Array | None = None,
 ) -> Figure:
     """Draw the rope at `count` instants of a run, early ones dark, late ones bright, with the path of the tip.
 
@@ -45,6 +46,8 @@ def strobe(
         Written in the upper left corner.
     width : float
         Width of the picture, inches; the height follows from the rope's reach.
+    targets : (k, 2) float64, optional
+        Points to mark with a ring, m.
 
     Returns
     -------
@@ -63,10 +66,13 @@ def strobe(
     drawn = shapes(run, np.linspace(first, last, count))
     trail = shapes(run, np.linspace(first, last, _TRAIL_POINTS)).joints[:, -1]
     with look():
-        return _draw(drawn, trail, pegs_of(run), run.setup.arm is not None, title, width)
+        marked = np.zeros((0, 2)) if targets is None else targets
+        return _draw(drawn, trail, pegs_of(run), marked, run.setup.arm is not None, title, width)
 
 
-def _draw(drawn: Shapes, trail: Array, pegs: list[Peg], with_arm: bool, title: str, width: float) -> Figure:
+def _draw(
+    drawn: Shapes, trail: Array, pegs: list[Peg], targets: Array, with_arm: bool, title: str, width: float
+) -> Figure:
     from matplotlib.collections import LineCollection
     from matplotlib.colors import LinearSegmentedColormap
 
@@ -74,7 +80,7 @@ def _draw(drawn: Shapes, trail: Array, pegs: list[Peg], with_arm: bool, title: s
     around = np.reshape(
         [(peg.x + s * peg.radius, peg.y + s * peg.radius) for peg in pegs for s in (-1.0, 1.0)], (-1, 2)
     )
-    low, high = _frame(np.concatenate([ropes.reshape(-1, 2), trail, drawn.pivots, around]))
+    low, high = _frame(np.concatenate([ropes.reshape(-1, 2), trail, drawn.pivots, around, targets]))
     figure = new_figure(width, width * (high[1] - low[1]) / (high[0] - low[0]), layout=None)
     figure.set_facecolor(NIGHT)
     axis: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
@@ -92,6 +98,7 @@ def _draw(drawn: Shapes, trail: Array, pegs: list[Peg], with_arm: bool, title: s
     axis.scatter(*ropes[:, -1].T, s=7.0, c=colours, zorder=3, lw=0)
     for peg in pegs:
         _draw_peg(axis, peg)
+    axis.plot(*targets.T, "o", ms=15.0, mfc="none", mec=PEG, mew=1.8, zorder=7)
     _draw_arm(axis, drawn, with_arm)
     _draw_scale(axis, low, high)
     axis.text(0.018, 0.965, title, transform=axis.transAxes, color="white", fontsize=11, va="top", fontweight="bold")
@@ -102,7 +109,7 @@ def _frame(points: Array) -> tuple[Array, Array]:
     """Return lower left and upper right corner, m, with a margin."""
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.06 * (high - low).max()
-    return low - margin, high + np.array([margin, 1.5 * margin])
+    return widened(low - margin, high + np.array([margin, 1.5 * margin]))
 
 
 def _draw_arm(axis: Any, drawn: Shapes, with_arm: bool) -> None:

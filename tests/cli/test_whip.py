@@ -1,0 +1,132 @@
+"""``hyperflex whip``: what it plans, what it writes, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex import casting
+from tests.casting.known_whip import ROPE, far_whip, planned_whip
+
+NAMES = {"report.html", "whip.gif", "peak.png", "passing.png", "course.png", "motion.csv", "whip.toml", "whip.nc"}
+
+
+@pytest.fixture
+def rope_file(tmp_path):
+    ROPE.to_toml(tmp_path / "rope.toml")
+    return tmp_path / "rope.toml"
+
+
+@pytest.fixture
+def ready(monkeypatch):
+    """Let the command find a plan done; returns what it was asked with."""
+    asked = {}
+
+    def plan(found, **changes):
+        def give(rope, arm, point, direction, limits, **options):
+            asked.update(rope=rope, arm=arm, point=point, direction=direction, limits=limits, **options)
+            return dataclasses.replace(found, **changes)
+
+        monkeypatch.setattr(casting, "plan_whip", give)
+        return asked
+
+    return plan
+
+
+def arguments(rope, out, *more, target=("0.3", "-0.9")):
+    return ("whip", "--rope", rope, "--target", *target, "-o", out, *more)
+
+
+def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
+    asked = ready(planned_whip())
+    options = ("--direction", "30", "--within", "15", "--tip-speed", "2", "--arm-length", "0.2", "--speed", "5")
+    code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out", *options, "--patience", "7", "--seed", "3"))
+    assert code == 0
+    assert (asked["rope"], asked["arm"], asked["point"]) == (ROPE, hf.Arm(length=0.2), (0.3, -0.9))
+    np.testing.assert_allclose(asked["direction"], [math.cos(math.pi / 6), 0.5], rtol=1e-12)
+    assert asked["limits"] == hf.MotorLimits(speed=5.0)
+    assert asked["within"] == pytest.approx(math.pi / 12)
+    assert (asked["least_speed"], asked["patience"], asked["seed"], asked["regardless"]) == (2.0, 7.0, 3, False)
+    assert told["success"]
+    assert (told["source"], told["reason"], told["strokes"]) == ("simulated", "", 3)
+    assert told["lash"]["miss_m"] == planned_whip().lash.miss
+    assert told["target"]["direction_rad"] == planned_whip().mark.direction
+    assert told["blow"]["impulse_Ns"] == planned_whip().impact().impulse
+    assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
+    assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["arm_stops_s"], abs=5e-3)
+
+
+def test_without_a_direction_any_will_do(hyperflex_json, rope_file, ready, tmp_path):
+    asked = ready(planned_whip(anyhow=True))
+    code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
+    assert code == 0
+    assert asked["direction"] is None
+    assert set(told["target"]) == {"x_m", "y_m", "speed_m_s"}
+    assert "off_rad" not in told["lash"]
+    assert "in any direction" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_plan_that_fails_has_a_code_of_its_own(hyperflex, rope_file, ready, tmp_path):
+    ready(planned_whip(meets=False))
+    code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out"))
+    assert code == 4
+    assert "misses the target by 30.0 mm" in " ".join(out.split())
+    assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
+
+
+def test_ctrl_c_leaves_the_best_so_far(hyperflex_json, rope_file, ready, tmp_path):
+    ready(planned_whip(meets=False), interrupted=True, lash=None, finer=None, reason="interrupted early")
+    code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
+    assert (code, told["error"], told["interrupted"]) == (130, "interrupted", True)
+    assert "the best so far" in told["message"]
+    assert "interrupted early" in told["message"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.html", "motion.csv", "whip.toml"}
+
+
+def test_a_target_out_of_reach_is_a_page_with_the_reason(hyperflex, rope_file, ready, tmp_path):
+    ready(far_whip())
+    code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out"))
+    assert code == 4
+    assert "out of reach: the rope ends 1.40 m short" in " ".join(out.split())
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["report.html"]
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (("--direction", "nan"), "--direction"),
+        (("--within", "0"), "--within"),
+        (("--within", "200"), "within is too large"),
+        (("--tip-speed", "0"), "--tip-speed"),
+        (("--arm-length", "0"), "--arm-length"),
+        (("--speed", "0"), "motor speed"),
+        (("--acceleration", "0"), "motor acceleration"),
+        (("--patience", "0"), "patience"),
+        (("--rate", "0"), "--rate"),
+        (("--seed", "-1"), "seed"),
+    ],
+)
+def test_bad_input_is_refused(hyperflex, rope_file, tmp_path, more, words):
+    direction = () if more[0] == "--direction" else ("--direction", "0")
+    code, out, err = hyperflex(*arguments(rope_file, tmp_path / "out", *direction, *more))
+    assert (code, out) == (2, "")
+    assert words in err
+    assert [path.name for path in tmp_path.iterdir()] == ["rope.toml"]
+
+
+def test_a_point_that_is_none_is_refused(hyperflex, rope_file, tmp_path):
+    code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out", target=("nan", "0")))
+    assert code == 2
+    assert "point" in err
+
+
+def test_a_file_in_the_way_is_told_before_the_search(hyperflex, rope_file, tmp_path):
+    (tmp_path / "out").write_text("mine")
+    code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out"))
+    assert code == 2
+    assert "not a folder" in err
+    assert (tmp_path / "out").read_text() == "mine"

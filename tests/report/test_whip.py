@@ -1,0 +1,109 @@
+"""Report of a planned whip: what a reader must find, in the film and on the page."""
+
+from __future__ import annotations
+
+import io
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from hyperflex.report.animation import animate
+from hyperflex.report.strobe import strobe
+from hyperflex.report.style import png
+from hyperflex.report.whip import film_note, write_whip
+from hyperflex.report.whip_figures import course_figure, passing_figure, peak_figure
+from tests.casting.known_whip import far_whip, planned_whip
+
+
+def words_of(path):
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]*>|src=\"data:[^\"]*\"", " ", path.read_text("utf-8")))
+
+
+def test_the_page_names_target_strokes_peak_and_blow(tmp_path):
+    plan = planned_whip()
+    files, blow = write_whip(tmp_path / "out", plan)
+    page = words_of(files["page"])
+    for told in (
+        "x = -0.244 m, y = -1.07 m",
+        "within 17.2 degrees of the direction 179 degrees",
+        "3 strokes",
+        "speed peaks at 1.29 m/s",
+        "0.5 mm from the target",
+        f"takes up {1e3 * blow.impulse:.1f} mN s",
+        "5.7 degrees",
+        "standard deviation of 4 mm",
+        "links of half the length",
+        f"{1e3 * plan.finer.miss:.2g} mm",
+        "8.61 rad/s",
+        "simulated",
+    ):
+        assert told in page, told
+
+
+def test_a_plan_without_strokes_is_a_page_with_the_reason(tmp_path):
+    files, blow = write_whip(tmp_path / "out", far_whip())
+    assert blow is None
+    assert list(files) == ["page"]
+    assert "out of reach: the rope ends" in words_of(files["page"])
+
+
+def test_the_film_tells_the_course():
+    plan = planned_whip()
+    note = film_note(plan)
+    assert "3 strokes to come" in note(0.01)
+    assert "stroke 1 of 3" in note(0.2)
+    assert "m/s or more" in note(0.0)
+    assert "met" not in note(1.5)
+    assert "met at 1.90 s: 1.3 m/s, 0.5 mm off" in note(1.95)
+    assert "FAILS: the tip misses" in film_note(planned_whip(meets=False))(1.95)
+
+
+def test_the_way_past_the_target_is_centred_on_it():
+    figure = passing_figure(planned_whip(meets=False))
+    axis = figure.axes[0]
+    target, tip = (line for line in axis.get_lines() if line.get_marker() == "o")
+    assert (target.get_xdata()[0], target.get_ydata()[0]) == (0.0, 0.0)
+    np.testing.assert_allclose([tip.get_xdata()[0], tip.get_ydata()[0]], [-18.0, -24.0], atol=1e-9)  # mm
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert any("30 mm off" in word for word in words)
+    assert any("direction asked" in word for word in words)
+    free = passing_figure(planned_whip(anyhow=True)).legends[0].get_texts()
+    assert not any("direction asked" in text.get_text() for text in free)
+
+
+def test_the_course_marks_the_peak_and_counts_the_strokes():
+    plan = planned_whip()
+    figure = course_figure(plan)
+    arm, speed = figure.axes[:2]
+    assert [text.get_text() for text in arm.texts] == ["1", "2", "3"]
+    assert any(line.get_xdata()[0] == plan.lash.t for line in speed.get_lines())
+    assert any("peak at 1.90 s" in text.get_text() for text in speed.texts)
+
+
+@pytest.mark.parametrize("meets", [True, False])
+def test_pictures(meets):
+    plan = planned_whip(meets)
+    for figure in (peak_figure(plan), passing_figure(plan), course_figure(plan)):
+        assert png(figure, dpi=40).startswith(b"\x89PNG")
+
+
+def test_a_ring_stands_round_the_target(tmp_path):
+    run = planned_whip().lash.run
+    far = np.array([[1.5, 0.5]])  # beyond all that the rope reaches: the view must grow
+    animate(run, tmp_path / "a.gif", end=0.1, frame_rate=10, width=300, targets=far)
+    frame = np.asarray(Image.open(io.BytesIO((tmp_path / "a.gif").read_bytes())).convert("RGB"))
+    rows, columns = np.nonzero((frame[..., 0] > 150) & (frame[..., 1] < 120))
+    assert 12 <= np.ptp(columns) + 1 <= 20  # a ring of 16 pixels
+    assert columns.min() > 200
+    assert rows.max() < 0.4 * frame.shape[0]
+    axis = strobe(run, start=0.5, end=1.0, count=4, targets=far).axes[0]
+    assert axis.get_xlim()[1] > 1.5
+
+
+def test_a_tall_picture_is_widened():
+    run = planned_whip().lash.run
+    figure = strobe(run, start=0.0, end=0.05, count=4)
+    width, height = figure.get_size_inches()
+    assert height == pytest.approx(1.15 * width)
