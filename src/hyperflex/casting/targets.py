@@ -103,12 +103,22 @@ def _verdict(thrower: Thrower, far: float, axis: float, room: float, needed: flo
         return True, f"out of reach: the rope ends {short:.2f} m short of the target"
     if far - axis <= thrower.arm.length:
         return True, "inside the arm's circle: the arm would strike the target"
+    most = _most(thrower, far, axis)
+    if most < WOUND:
+        return True, f"out of reach: with all of the rope round the target it makes {most:.2f} turns, {WOUND:g} asked"
     if room < needed:
         return (
             False,
             f"out of reach: rope for {max(room, 0.0):.2f} turns is left beyond the target, {needed:.2f} needed",
         )
     return False, ""
+
+
+def _most(thrower: Thrower, far: float, axis: float) -> float:
+    """Turns that no rope of this length can exceed: the arm points to the target, all that is left lies on it."""
+    near = far - thrower.arm.length
+    straight = math.sqrt(near**2 - axis**2)
+    return (math.acos(axis / near) + (thrower.rope.total_length - straight) / axis) / (2.0 * math.pi)
 
 
 def _turns(aside: float) -> float:
