@@ -118,6 +118,13 @@ def test_a_remedy_helps_and_less_of_it_does_not(
     assert not reach(*changed(*(numbers * (1.0 - sense * 0.02)))).within  # a factor is found to 1 %
 
 
+def test_a_faster_motor_makes_each_move_in_the_same_part_of_the_time() -> None:
+    told = next(found for text in remedies(SLOW, PEG) if (found := re.search(r"(\S+) rad/s and (\S+) rad", text)))
+    speed, acceleration = (float(text) for text in told.groups())
+    before, after = (MotorLimits(*pair).fastest([0.1, 3.0])[0] for pair in ((0.8, 8.0), (speed, acceleration)))
+    assert after / before == pytest.approx(0.8 / speed, rel=0.02)  # three digits are told
+
+
 def test_a_target_in_reach_needs_no_remedy() -> None:
     assert remedies(THROWER, PEG) == ()
 

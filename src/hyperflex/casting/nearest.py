@@ -78,7 +78,7 @@ def nearest(thrower: Thrower, peg: Peg, *, hold: float = 0.0, more: float = 0.0)
     """
 
     def good(place: Array) -> bool:
-        known = reach(thrower, _at(peg, place), hold=hold)
+        known = reach(thrower, _at(peg, place))
         return known.within and spare(known, hold) >= more
 
     unit = 10.0 ** math.floor(math.log10(1e-3 * thrower.rope.total_length))
