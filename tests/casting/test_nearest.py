@@ -6,6 +6,7 @@ import dataclasses
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -174,6 +175,33 @@ def test_where_no_place_stands_the_next_one_is_expected() -> None:
     assert (plan.nearest.plan, plan.nearest.tried) == (None, 3)
     assert plan.nearest.peg not in again.asked
     assert plan.nearest.away > max(distance(one, FAR) for one in again.asked)
+
+
+def test_no_place_is_planned_for_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(elsewhere, "SPARE", (0.0, 0.0, 0.0, 0.0))
+    again = Planner(good=0)
+    plan = elsewhere.found(failed(FAR), Search(THROWER, FAR), 0.0, 1.0, again)
+    assert len(again.asked) == 1
+    assert plan.nearest is None
+
+
+def test_a_throw_at_hand_counts_where_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Made up: no throw winds at the first place, one does not hold at the second, one stands at the third."""
+    places = [replace(PEG, x=PEG.x + 0.01 * k) for k in (1, 2, 3)]
+    beside = [SimpleNamespace(thrower=THROWER, peg=peg, landings=[]) for peg in places]
+    for one in beside[1:]:
+        one.landings.append(SimpleNamespace(turns=1.3))
+    monkeypatch.setattr(elsewhere, "around", lambda search: iter(beside))
+    monkeypatch.setattr(elsewhere, "Course", lambda search, *_: SimpleNamespace(search=search, look=lambda: None))
+    stands = replace(planned(), peg=places[2])
+    monkeypatch.setattr(
+        elsewhere, "come_to", lambda work, known: stands if work.search.peg == places[2] else failed(places[1])
+    )
+    plan = elsewhere.found(failed(PEG), Search(THROWER, PEG), 0.0, 10.0, Planner(good=0))
+    assert plan.nearest is not None
+    assert plan.nearest.plan is stands
+    assert plan.nearest.away == pytest.approx(0.03)
+    assert plan.nearest.tried == 0
 
 
 def test_an_interrupt_ends_the_search_for_a_place() -> None:
