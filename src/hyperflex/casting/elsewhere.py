@@ -56,7 +56,7 @@ def found(plan: CastPlan, search: Search, hold: float, patience: float, again: C
         Plans for another peg.
     """
     try:
-        near = _at_hand(plan, search, time.monotonic() + AT_HAND * patience)
+        near = _at_hand(plan, search, patience)
     except KeyboardInterrupt:
         return replace(plan, nearest=expected(plan, hold), interrupted=True)
     if near is not None:
@@ -77,13 +77,14 @@ def found(plan: CastPlan, search: Search, hold: float, patience: float, again: C
     return plan
 
 
-def _at_hand(plan: CastPlan, search: Search, until: float) -> Nearest | None:
+def _at_hand(plan: CastPlan, search: Search, patience: float) -> Nearest | None:
     """Return the nearest place round which a throw of the search winds and holds when it is verified."""
+    until = time.monotonic() + AT_HAND * patience
     for beside in around(search):
         if time.monotonic() > until:
             return None
         if beside.landings and beside.landings[0].turns >= WOUND:
-            work = Course(beside, time.monotonic(), 0.0)
+            work = Course(beside, time.monotonic(), patience)
             work.look()
             other = come_to(work, reach(beside.thrower, beside.peg))
             if other.success:
