@@ -91,9 +91,9 @@ def plan_cast(
     (False, 'out of reach: the rope ends 0.36 m short of the target')
     >>> near = far.nearest  # no more than expected: nothing was planned for it
     >>> round(near.peg.x, 1), round(near.away, 1), near.plan
-    (1.5, 1.0, None)
+    (1.6, 0.9, None)
     >>> far.remedies
-    ('a rope of 3 m',)
+    ('a rope of 2.92 m',)
     """
     if not isinstance(target, Peg):
         raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
