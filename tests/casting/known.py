@@ -8,9 +8,9 @@ import time
 import numpy as np
 
 import hyperflex as hf
+from hyperflex.casting.cast_plan import CastPlan
 from hyperflex.casting.course import why_not
 from hyperflex.casting.outcome import verify
-from hyperflex.casting.plan import CastPlan
 from hyperflex.casting.targets import reach
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower

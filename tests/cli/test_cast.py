@@ -9,6 +9,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import casting, files
 from hyperflex.casting.chance import Success
+from hyperflex.casting.nearest import Nearest
 from hyperflex.casting.uncertainty import Uncertainty
 from tests.casting.known import CABLE, planned
 
@@ -74,6 +75,33 @@ def test_a_plan_that_fails_has_a_code_of_its_own(hyperflex, rope_file, ready, tm
     assert code == 4
     assert "does not touch the peg" in " ".join(out.split())
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES - {"tug.png"}
+
+
+def test_a_target_out_of_reach_comes_with_the_nearest_one_and_with_remedies(
+    hyperflex, hyperflex_json, rope_file, tmp_path
+):
+    code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out", target=("2.5", "0")))
+    near = told["nearest"]
+    assert (code, near["planned"], near["tried_in_vain"]) == (4, False, 0)
+    assert near["away_m"] == pytest.approx(((near["x_m"] - 2.5) ** 2 + near["y_m"] ** 2) ** 0.5)
+    assert [text[:9] for text in told["remedies"]] == ["a rope of"]
+    _, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", target=("2.5", "0")))
+    page = (tmp_path / "out" / "report.html").read_text()
+    for words in (f"x = {near['x_m']:.4g} m", "not planned for", f"in reach with {told['remedies'][0]}"):
+        assert words in " ".join(out.split())
+        assert words in page
+
+
+def test_a_plan_for_the_nearest_target_is_written(hyperflex, rope_file, ready, tmp_path):
+    near = Nearest(planned().peg, 0.0712, planned(), 1)
+    asked = ready("misses", nearest=near)
+    code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", "--elsewhere"))
+    assert (code, asked["elsewhere"]) == (4, True)
+    assert "Nearest target that works: x = -0.8338 m, y = -1.074 m, 7.12 cm away" in " ".join(out.split())
+    assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES - {"tug.png"} | {"nearest.toml"}
+    assert casting.read_plan(tmp_path / "out" / "nearest.toml")[1] == planned().peg
+    outcome = files.read_toml(tmp_path / "out" / "cast.toml")["plan"]["outcome"]
+    assert (outcome["nearest"]["planned"], outcome["nearest"]["tried_in_vain"]) == (True, 1)
 
 
 def test_ctrl_c_leaves_the_best_so_far(hyperflex, hyperflex_json, rope_file, ready, tmp_path):

@@ -8,13 +8,15 @@ from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
     from hyperflex.casting.blow import Impact
+    from hyperflex.casting.cast_plan import CastPlan
     from hyperflex.casting.chance import Success, success
     from hyperflex.casting.following import DrawnWorld, Followed, Look, follow
     from hyperflex.casting.hold import Holding
     from hyperflex.casting.lash import Mark
     from hyperflex.casting.limits import MotorLimits
+    from hyperflex.casting.nearest import Nearest
     from hyperflex.casting.outcome import Cast, verify
-    from hyperflex.casting.plan import CastPlan, plan_cast
+    from hyperflex.casting.plan import plan_cast
     from hyperflex.casting.strokes import Strokes
     from hyperflex.casting.tables import read_plan
     from hyperflex.casting.targets import Reach, reach
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Cast": "outcome",
-    "CastPlan": "plan",
+    "CastPlan": "cast_plan",
     "Draw": "uncertainty",
     "DrawnWorld": "following",
     "Followed": "following",
@@ -39,6 +41,7 @@ _HOMES = {
     "Look": "following",
     "Mark": "lash",
     "MotorLimits": "limits",
+    "Nearest": "nearest",
     "Reach": "targets",
     "Strokes": "strokes",
     "Success": "chance",
@@ -72,6 +75,7 @@ __all__ = [
     "Look",
     "Mark",
     "MotorLimits",
+    "Nearest",
     "Reach",
     "Strokes",
     "Success",

@@ -4,112 +4,25 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import replace
+from functools import partial
 
 from hyperflex import checks
-from hyperflex.casting import tables
-from hyperflex.casting.chance import Success, success
-from hyperflex.casting.course import NOMINAL, Course, why_not
+from hyperflex.casting.cast_plan import CastPlan, come_to
+from hyperflex.casting.chance import success
+from hyperflex.casting.course import NOMINAL, Course
+from hyperflex.casting.elsewhere import expected, found
 from hyperflex.casting.limits import MotorLimits
-from hyperflex.casting.outcome import Cast
+from hyperflex.casting.remedies import remedies
 from hyperflex.casting.search import Search
 from hyperflex.casting.targets import Reach, reach
-from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.uncertainty import Uncertainty
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike
 from hyperflex.model import Arm, Peg, Rope, Setup
-from hyperflex.motion import Motion
 from hyperflex.simulation.rollouts import progress_bar
 
 PATIENCE = 60.0  # s of searching by default
-
-
-@dataclass(frozen=True, eq=False)
-class CastPlan:
-    """A planned cast, or why there is none.
-
-    Attributes
-    ----------
-    thrower : Thrower
-        Rope, arm and limits.
-    peg : Peg
-        The target.
-    reach : Reach
-        What could be said before searching.
-    throw : Throw or None
-        The best throw found; None where nothing strikes the peg.
-    cast : Cast or None
-        What became of it in a verified, simulated run.
-    finer : Cast or None
-        The same with links of half the length: what of it stands when the model is better.
-    reason : str
-        Why the plan fails; empty if it does not.
-    runs : int
-        Simulated runs of the search.
-    seconds : float
-        Time that it took, s.
-    interrupted : bool
-        Ctrl-C came; the plan is the best until then.
-    stated : Success or None
-        How often the throw winds in simulated worlds drawn afresh, where an uncertainty was given.
-    """
-
-    thrower: Thrower
-    peg: Peg
-    reach: Reach
-    throw: Throw | None
-    cast: Cast | None
-    finer: Cast | None
-    reason: str
-    runs: int
-    seconds: float
-    interrupted: bool = False
-    stated: Success | None = None
-
-    @property
-    def success(self) -> bool:
-        """Wound and held, in both verified runs."""
-        return not self.reason
-
-    @property
-    def motion(self) -> Motion | None:
-        """What the arm does, from rest at t = 0; None where there is no throw."""
-        return None if self.throw is None else self.throw.motion(self.thrower.limits)
-
-    def to_csv(self, path: PathLike, *, rate: float = tables.RATE) -> None:
-        """Write what the arm does at a motor's rate to a CSV file that :func:`hyperflex.read_motion` reads.
-
-        Parameters
-        ----------
-        path : path-like
-            Where to write, whole or not at all.
-        rate : float
-            Rows a second, Hz.
-        """
-        tables.write_motion(path, tables.motion_of(self), rate)
-
-    def to_netcdf(self, path: str | Path) -> None:
-        """Write the verified run to NetCDF.
-
-        Parameters
-        ----------
-        path : path-like
-            Where to write, whole or not at all.
-        """
-        tables.run_of(self).to_netcdf(path)
-
-    def to_toml(self, path: PathLike) -> None:
-        """Write set-up, limits and outcome to TOML: ``hyperflex simulate`` runs it, ``casting.read_plan`` reads it.
-
-        Parameters
-        ----------
-        path : path-like
-            Where to write, whole or not at all.
-        """
-        tables.write_plan(path, self)
 
 
 def plan_cast(
@@ -123,6 +36,7 @@ def plan_cast(
     uncertainty: Uncertainty | None = None,
     patience: float = PATIENCE,
     regardless: bool = False,
+    elsewhere: bool = False,
     seed: int = 0,
     threads: int | None = None,
     progress: bool = False,
@@ -148,6 +62,9 @@ def plan_cast(
         Time to search, s; a plan that stands ends it, one that wins in all worlds tried if they are uncertain.
     regardless : bool
         Search even for a target that is called out of reach.
+    elsewhere : bool
+        If the plan fails, plan for the nearest places until one stands: with throws at hand, then three times at most,
+        each with as much patience. Without, the nearest place is no more than expected, by the criterion of reach.
     seed : int
         Of the search: with the same seed, and patience enough, the same plan.
     threads : int, optional
@@ -172,18 +89,49 @@ def plan_cast(
     >>> far = hf.plan_cast(cable, hf.Arm(length=0.105), hf.Peg(2.5, 0.0, 0.03))
     >>> far.success, far.reason
     (False, 'out of reach: the rope ends 0.36 m short of the target')
+    >>> near = far.nearest  # no more than expected: nothing was planned for it
+    >>> round(near.peg.x, 1), round(near.away, 1), near.plan
+    (1.6, 0.9, None)
+    >>> far.remedies
+    ('a rope of 2.92 m',)
     """
-    begin = time.monotonic()
     if not isinstance(target, Peg):
         raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
     patience = checks.number("patience", patience, sign="positive", unit="s")
     thrower = Thrower(rope, arm, MotorLimits() if limits is None else limits, 0.0 if time_limit is None else time_limit)
     Setup(thrower.rope, arm=thrower.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
+    search = Search(thrower, target, checks.count("seed", seed, least=0), threads)
     known = reach(thrower, target, hold=hold)
     if known.impossible or not (known.within or regardless):
-        return CastPlan(thrower, target, known, None, None, None, known.reason, 0, time.monotonic() - begin)
-    nominal = patience if uncertainty is None else NOMINAL * patience
-    work = Course(Search(thrower, target, checks.count("seed", seed, least=0), threads), begin, nominal)
+        plan = CastPlan(thrower, target, known, None, None, None, known.reason, 0, 0.0)
+    else:
+        plan = _searched(search, known, uncertainty, patience, progress)
+    if plan.success:
+        return plan
+    plan = replace(plan, remedies=remedies(thrower, target, hold=hold))
+    if not elsewhere or plan.interrupted:
+        return replace(plan, nearest=expected(plan, hold))
+    again = partial(
+        plan_cast,
+        rope,
+        arm,
+        limits=limits,
+        time_limit=time_limit,
+        hold=hold,
+        uncertainty=uncertainty,
+        patience=patience,
+        seed=seed,
+        threads=threads,
+        progress=progress,
+    )
+    return found(plan, search, hold, patience, again)
+
+
+def _searched(
+    search: Search, known: Reach, uncertainty: Uncertainty | None, patience: float, progress: bool
+) -> CastPlan:
+    """Search for a throw, verify it, and state its success."""
+    work = Course(search, time.monotonic(), patience if uncertainty is None else NOMINAL * patience)
     interrupted = False
     with progress_bar(0.0, patience, progress, "planning") as report:
         try:
@@ -197,20 +145,7 @@ def plan_cast(
                 work.harden(uncertainty, report)
             except KeyboardInterrupt:
                 interrupted = True
-    throw, cast, finer = work.best
-    stated = None
+    throw, stated = work.best[0], None
     if uncertainty is not None and throw is not None and not interrupted:
-        stated = success(thrower, target, throw, uncertainty, seed=seed, threads=threads)
-    return CastPlan(
-        thrower,
-        target,
-        known,
-        throw,
-        cast,
-        finer,
-        why_not(cast, finer, interrupted),
-        work.search.runs,
-        time.monotonic() - begin,
-        interrupted,
-        stated,
-    )
+        stated = success(search.thrower, search.peg, throw, uncertainty, seed=search.seed, threads=search.threads)
+    return replace(come_to(work, known, interrupted), stated=stated)

@@ -18,8 +18,8 @@ from hyperflex.motion import Motion
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from hyperflex.casting.cast_plan import CastPlan
     from hyperflex.casting.outcome import Cast
-    from hyperflex.casting.plan import CastPlan
 
 RATE = 200.0  # Hz
 MOST_ROWS = 10_000_000
@@ -127,6 +127,12 @@ def summary(plan: CastPlan) -> dict[str, Any]:
     if plan.stated is not None:
         stated = plan.stated
         told["stated"] = {"wins": stated.wins, "draws": stated.draws, "interval_95": list(stated.interval)}
+    if plan.remedies:
+        told["remedies"] = list(plan.remedies)
+    if plan.nearest is not None:
+        near = plan.nearest
+        told["nearest"] = {"x_m": near.peg.x, "y_m": near.peg.y, "away_m": near.away, "planned": near.plan is not None}
+        told["nearest"] |= {"tried_in_vain": near.tried}
     for name, cast in (("cast", plan.cast), ("finer", plan.finer)):
         if cast is not None:
             told[name] = _outcome(cast)

@@ -41,6 +41,13 @@ def cast(
             "say how often the throw wins then.",
         ),
     ] = False,
+    elsewhere: Annotated[
+        bool,
+        typer.Option(
+            "--elsewhere",
+            help="If no cast is found, plan for the nearest targets until one works; takes up to five times as long.",
+        ),
+    ] = False,
     rate: Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz.")] = 200.0,
     patience: Annotated[float, typer.Option(help="Time to search, s; a plan that stands ends it.")] = 60.0,
     seed: Annotated[int, typer.Option(help="Of the search.")] = 0,
@@ -54,7 +61,7 @@ def cast(
     Ctrl-C ends the search; the best so far is written, and said to be that.
 
     The exit code is 4 if no cast that winds and holds was found; the best throw is written all the same, with the
-    reason.
+    reason and with the nearest target that should work.
     """
     from hyperflex.casting import MotorLimits, plan_cast
     from hyperflex.casting.uncertainty import Uncertainty
@@ -76,6 +83,7 @@ def cast(
         hold=hold,
         uncertainty=Uncertainty() if robust else None,
         patience=patience,
+        elsewhere=elsewhere,
         seed=seed,
         progress=output.watched(json),
     )
@@ -122,7 +130,7 @@ def _verdict(plan: CastPlan) -> str:
 
 def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path]) -> None:
     """Print what was planned and what to look at."""
-    from hyperflex.report.cast_words import swings_words, target_words
+    from hyperflex.report.cast_words import instead, swings_words, target_words
 
     pairs = [("target", target_words(plan.peg))]
     if plan.throw is not None:
@@ -136,12 +144,13 @@ def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path]) -> None:
     if plan.stated is not None:
         pairs.append(("wins in uncertain worlds", str(plan.stated)))
     output.print_pairs("Cast (simulated)", pairs)
-    output.console().print(_verdict(plan), markup=False)
+    output.console().print("\n".join((_verdict(plan), *instead(plan))), markup=False)
     words = {
         "page": "the whole story on one page",
         "film": "the cast as a film",
         "motion": "the motion for the motor",
         "plan": "the set-up, for simulate",
+        "nearest": "the nearest target's, for simulate",
         "run": "the verified run",
     }
     output.print_pairs("Written", [(told, str(files[kind])) for kind, told in words.items() if kind in files])

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyperflex.casting.cast_plan import CastPlan
 from hyperflex.casting.outcome import Cast, verify
-from hyperflex.casting.plan import CastPlan, plan_cast
+from hyperflex.casting.plan import plan_cast
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
 from hyperflex.identification import Identification, identify

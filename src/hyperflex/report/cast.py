@@ -49,7 +49,7 @@ def write_cast(
     Returns
     -------
     files : dict of str to Path
-        By what they are: "page", "film", "motion", "plan", "run", ...
+        By what they are: "page", "film", "motion", "plan", "run", "nearest" (the plan for the nearest target), ...
     held : Holding or None
         What the wound rope bore; None where it is not on the target.
 
@@ -65,6 +65,9 @@ def write_cast(
             names |= {"motion": "motion.csv", "plan": "cast.toml"}
             plan.to_csv(stage / "motion.csv", rate=rate)
             plan.to_toml(stage / "cast.toml")
+        if plan.nearest is not None and plan.nearest.plan is not None:
+            names["nearest"] = "nearest.toml"
+            plan.nearest.plan.to_toml(stage / "nearest.toml")
         if plan.cast is not None and plan.cast.run is not None:
             tell("tugging at the rope")
             held = holding(plan.cast.run, plan.peg) if plan.cast.wound else None
@@ -147,7 +150,8 @@ def shown_pictures(pictures: dict[str, bytes]) -> dict[str, Picture]:
 
 
 def _write_page(path: Path, plan: CastPlan, held: Holding | None, pictures: dict[str, bytes]) -> None:
-    told = words.tiles(plan, held), ((plan.success, words.verdict(plan)),), words.story(plan, held)
+    text = (*words.instead(plan), *words.story(plan, held))
+    told = words.tiles(plan, held), ((plan.success, words.verdict(plan)),), text
     sections = [Section("In short", tiles=told[0], marks=told[1], text=told[2])]
     shown = shown_pictures(pictures)
     if "film" in shown:

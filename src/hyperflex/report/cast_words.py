@@ -40,6 +40,29 @@ def verdict(plan: CastPlan) -> str:
     return f"No cast that winds and holds was found: {plan.reason}."
 
 
+def instead(plan: CastPlan) -> tuple[str, ...]:
+    """Return, for a plan that fails, where a target would do, and what would do for this one."""
+    if plan.success:
+        return ()
+    told, near = [], plan.nearest
+    if near is None:
+        told.append("No place was found where a target like this should be in reach.")
+    else:
+        where = f"x = {near.peg.x:.4g} m, y = {near.peg.y:.4g} m, {1e2 * near.away:.3g} cm away"
+        if near.plan is not None:
+            told.append(
+                f"Nearest target that works: {where}. A throw was planned for it that winds and holds, simulated."
+            )
+        else:
+            tried = (
+                f"nearer places planned for in vain: {near.tried}; this one not" if near.tried else "not planned for"
+            )
+            told.append(f"Nearest target that should be in reach: {where}; expected by a rule of thumb, {tried}.")
+    if plan.remedies:
+        told.append(f"By the same rule this target would be in reach with {' or '.join(plan.remedies)}.")
+    return tuple(told)
+
+
 def tiles(plan: CastPlan, held: Holding | None) -> Tiles:
     """Return the key figures."""
     peg = plan.peg

@@ -1,0 +1,153 @@
+"""What the criterion of reach is worth: random targets in reach and out of it, each searched for a throw all the same.
+
+python -m benchmarks.reach                       the paper's cable, 16 targets of each kind out of reach; an hour
+python -m benchmarks.reach --rope weighted       the same with 20 g at the tip
+python -m benchmarks.reach --count 4 --out -     a look; nothing is written
+
+Targets are those of ``benchmarks.casting`` from number 300 on, none of which that benchmark asks for. They are sorted
+by what the criterion says of them, and of each kind the first ones are planned for; a plan that stands (wound and held,
+also with links of half the length) makes a target windable. How many targets are of each kind is counted on 10,000, so
+that the part of windable targets that are called out of reach follows. A search's time is the processor's, on one
+thread, so that other programs do not matter. Rows are kept in reach.jsonl: the same command goes on where it stopped.
+All simulated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmarks import machine
+from benchmarks.casting import RESULTS, TIP, target, thrower
+
+from hyperflex import files
+from hyperflex.casting import Reach, plan_cast, reach
+from hyperflex.casting.targets import ENERGY
+from hyperflex.core.jit import SOURCE_HASH
+
+FIRST, COUNTED = 300, 10_000
+PATIENCE, COUNT = 45.0, 16  # s, targets of a kind
+DRAWS = 10_000  # of the interval of the part called out of reach
+IN, ROPE, SWING, HIGH, NEVER = (
+    "in reach",
+    "too little rope",
+    "too little energy",
+    "higher than it swings",
+    "impossible",
+)
+KINDS = (ROPE, SWING, IN, HIGH)  # that are searched
+
+
+def kind(told: Reach) -> str:
+    """What the criterion says, in a word; of two reasons the one that forbids more."""
+    if told.impossible:
+        return NEVER
+    if told.within:
+        return IN
+    if told.energy < 0.0:
+        return HIGH
+    return SWING if told.energy < ENERGY else ROPE
+
+
+def main() -> None:
+    """Plan, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rope", choices=sorted(TIP), default="nominal")
+    parser.add_argument("--count", type=int, default=COUNT, help=f"targets of each kind ({COUNT})")
+    parser.add_argument("--patience", type=float, default=PATIENCE, help=f"s of searching a target ({PATIENCE:g})")
+    parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
+    options = parser.parse_args()
+    time.monotonic = time.process_time  # a search's clock
+    about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "reach.jsonl"
+    kinds = {number: kind(reach(thrower(options.rope), target(number))) for number in range(FIRST, FIRST + COUNTED)}
+    known = read(log, options.rope, options.patience)
+    for number in wanted(kinds, options.count):
+        if number not in known:
+            known[number] = planned(options.rope, number, options.patience)
+            print(kinds[number], known[number], flush=True)
+            if log is not None:
+                with log.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"kernels": SOURCE_HASH, **known[number]}) + "\n")
+    page = f"# Reach: {options.rope}\n\n{text(kinds, known, options)}\n{machine.sentence(about)}\n"
+    print(page)
+    if log is not None:
+        files.write_text(log.with_name(f"reach-{options.rope}.md"), page)
+
+
+def wanted(kinds: dict[int, str], count: int) -> list[int]:
+    """The first numbers of each kind, by turns."""
+    each = [[number for number, told in kinds.items() if told == one][: _many(one, count)] for one in KINDS]
+    return [numbers[k] for k in range(count) for numbers in each if k < len(numbers)]
+
+
+def _many(one: str, count: int) -> int:
+    """Targets of a kind; fewer where the answer is nearly certain, or known from the benchmark itself."""
+    return math.ceil(count / {IN: 2, HIGH: 8}.get(one, 1))
+
+
+def read(log: Path | None, rope: str, patience: float) -> dict[int, dict[str, Any]]:
+    """Rows of the same search by number."""
+    if log is None or not log.exists():
+        return {}
+    rows = [json.loads(text) for text in log.read_text(encoding="utf-8").splitlines() if text.endswith("}")]
+    same = (rope, patience)
+    return {row["number"]: row for row in rows if (row["rope"], row["patience"]) == same}
+
+
+def planned(rope: str, number: int, patience: float) -> dict[str, Any]:
+    """A row: what a search finds for a target."""
+    who = thrower(rope)
+    plan = plan_cast(who.rope, who.arm, target(number), patience=patience, regardless=True, seed=number, threads=1)
+    return {
+        "rope": rope,
+        "number": number,
+        "patience": patience,
+        "success": plan.success,
+        "wound": plan.cast is not None and plan.cast.wound,
+        "turns": 0.0 if plan.cast is None else round(plan.cast.turns, 3),
+        "seconds": round(plan.seconds, 1),
+        "reason": plan.reason,
+    }
+
+
+def text(kinds: dict[int, str], rows: dict[int, dict[str, Any]], options: argparse.Namespace) -> str:
+    """Results as Markdown."""
+    shares = {one: sum(told == one for told in kinds.values()) / len(kinds) for one in (*KINDS, NEVER)}
+    lines = ["| called | of all targets | searched | windable | wound, at least once |", "|---|---|---|---|---|"]
+    counts = {}
+    for one in KINDS:
+        found = [row for number, row in rows.items() if kinds[number] == one]
+        counts[one] = (sum(row["success"] for row in found), len(found))
+        wound = sum(row["wound"] for row in found)
+        lines.append(f"| {one} | {shares[one]:.1%} | {len(found)} | {counts[one][0]} | {wound} |")
+    lines.append(f"| {NEVER} | {shares[NEVER]:.1%} | 0 | | |")
+    part, low, high = missed(shares, counts)
+    lines += ["", f"Of the targets that a search winds, {part:.1%} are called out of reach"]
+    lines[-1] += f" (95 % interval {low:.1%} to {high:.1%}); at most 10 % is asked."
+    lines += [f"A search is {options.patience:g} s of one processor at most; the benchmark's are 60 s of two.", ""]
+    lines += ["| number | called | room | needed | energy | success | turns | s | why not |", "|" + "---|" * 9]
+    for number, row in sorted(rows.items(), key=lambda pair: (KINDS.index(kinds[pair[0]]), pair[0])):
+        told = reach(thrower(options.rope), target(number))
+        cells = [number, kinds[number], f"{told.room:.2f}", f"{told.needed:.2f}", f"{told.energy:.2f}"]
+        cells += [row["success"], row["turns"], f"{row['seconds']:.0f}", row["reason"]]
+        lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def missed(shares: dict[str, float], counts: dict[str, tuple[int, int]]) -> tuple[float, float, float]:
+    """Part of the windable targets that are called out of reach, and a 95 % interval (Jeffreys, kind by kind)."""
+    random = np.random.default_rng(0)
+    drawn = {k: shares[k] * random.beta(won + 0.5, of - won + 0.5, DRAWS) for k, (won, of) in counts.items()}
+    part = 1.0 - drawn[IN] / sum(drawn.values())
+    expected = {k: shares[k] * won / max(of, 1) for k, (won, of) in counts.items()}
+    found = sum(expected.values())
+    return 1.0 - expected[IN] / found if found else np.nan, *(float(v) for v in np.quantile(part, (0.025, 0.975)))
+
+
+if __name__ == "__main__":
+    main()
