@@ -25,8 +25,8 @@ def page(rows: Rows, options: dict[str, Any]) -> str:
         f"the targets, and less than {100 * APART:.0f} points apart overall; closed less open above 0."
     )
     spread = (
-        f"Standard deviations times {options['level']:g}: length 1 %, mass 2 %, joint friction 20 %, friction on the peg "
-        "10 %, motor lag 10 ms, timing 2 ms. Simulated throughout."
+        f"Standard deviations times {options['level']:g}: length 1 %, mass 2 %, joint friction 20 %, friction on "
+        "the peg 10 %, motor lag 10 ms, timing 2 ms. Simulated throughout."
     )
     parts = [
         f"# Casting a rope that is not known exactly: {options['rope']} rope, {len(rows)} targets",

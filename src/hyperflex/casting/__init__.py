@@ -9,7 +9,7 @@ from hyperflex.lazy import loader
 if TYPE_CHECKING:
     from hyperflex.casting.blow import Impact
     from hyperflex.casting.chance import Success, success
-    from hyperflex.casting.following import DrawnWorld, Followed, Look, follow
+    from hyperflex.casting.following import Followed, Look, follow
     from hyperflex.casting.hold import Holding
     from hyperflex.casting.lash import Mark
     from hyperflex.casting.limits import MotorLimits
@@ -25,12 +25,14 @@ if TYPE_CHECKING:
     from hyperflex.casting.whip_reach import WhipReach, reach_whip
     from hyperflex.casting.whip_search import WhipMap, whip_map
     from hyperflex.casting.whip_strike import Lash
+    from hyperflex.casting.worlds import DrawnWorld, DrivenWorld
 
 _HOMES = {
     "Cast": "outcome",
     "CastPlan": "plan",
     "Draw": "uncertainty",
-    "DrawnWorld": "following",
+    "DrawnWorld": "worlds",
+    "DrivenWorld": "worlds",
     "Followed": "following",
     "Holding": "hold",
     "Impact": "blow",
@@ -63,6 +65,7 @@ __all__ = [
     "CastPlan",
     "Draw",
     "DrawnWorld",
+    "DrivenWorld",
     "Followed",
     "Holding",
     "Impact",
