@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyperflex.casting import DrawnWorld, DrivenWorld, Throw, Uncertainty, follow
+from hyperflex.casting import DrawnWorld, DrivenWorld, Throw, Uncertainty, follow, following
 from hyperflex.casting.following import ASTRAY, THINKING, swing_down
 from hyperflex.casting.matching import Goal, match
 from hyperflex.casting.strikes import fly
@@ -42,7 +42,8 @@ def test_a_throw_that_was_late_by_one_rest_is_led_back() -> None:
     late = replace(WINDS, rests=rests)
     now = rest_before(late, move)
     seen = TrueState(THROWER.rope, THROWER.arm, tol=1e-4).state(now, late.motion(LIMITS))
-    ways = match(THROWER, goal, late, move, seen, 0.1)
+    (world,) = NONE.draws(1, THROWER, PEG)
+    ways = match(THROWER, world, goal, late, move, seen, 0.1)
     assert ways
     best = ways[0]
     assert best.rests[:move].tolist() == late.rests[:move].tolist()  # what was done stays done
@@ -75,6 +76,16 @@ def test_in_the_expected_world_the_plan_is_kept() -> None:
     for look in done.looks:
         assert look.t == pytest.approx(rest_before(WINDS, look.move))
         assert look.t + look.left == pytest.approx(float(WINDS.starts(LIMITS)[look.move]))
+
+
+def test_shortly_before_the_strike_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rope that has struck is not what is flown freely; here 2.5 s are called shortly."""
+    goal = Goal.of(THROWER, PEG, WINDS)
+    assert goal is not None
+    monkeypatch.setattr(following, "SHY", 2.5)
+    (world,) = NONE.draws(1, THROWER, PEG)
+    done = follow(THROWER, PEG, WINDS, DrawnWorld(world, THROWER.arm), uncertainty=NONE)
+    assert goal.t - 4.0 < done.looks[-1].t <= goal.t - 2.5
 
 
 class Hanging:

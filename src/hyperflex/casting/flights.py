@@ -122,9 +122,12 @@ def struck(flights: Flights, arm: Arm, time: float, *, threads: int | None = Non
     return np.where(hit, t[before], np.nan), q[rows, before], qd[rows, before], gap
 
 
-def fly(flights: Flights, arm: Arm, span: float, *, threads: int | None = None) -> tuple[Array, Array, Array]:
-    """Return samples of free flights: t (T,), q and qd (M, T, n)."""
+def fly(
+    flights: Flights, arm: Arm, span: float, *, at_end: bool = False, threads: int | None = None
+) -> tuple[Array, Array, Array]:
+    """Return samples of free flights: t (T,), q and qd (M, T, n); `at_end` just one, after the span."""
     t: Array = strikes.SAMPLE_TIME * np.arange(1.0, np.ceil(span / strikes.SAMPLE_TIME - 1e-9) + 1.0)
+    t = np.array([span]) if at_end else t
     batch = simulate_batch(
         list(flights.ropes),
         list(flights.motions),

@@ -10,6 +10,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.casting import flights
+from hyperflex.casting.belief import Belief
 from hyperflex.casting.flights import Flights
 from hyperflex.casting.matching import Goal, match
 from hyperflex.casting.outcome import WOUND
@@ -23,7 +24,8 @@ from hyperflex.hardware import Motor
 from hyperflex.model import Peg
 from hyperflex.motion import Motion
 
-WORLDS = 3  # in which what is left is tried, beside the one expected
+DRAWN, WORLDS = 48, 4  # worlds that may be the true one, and those that agree best, in which what is left is tried
+SHY = 0.15  # s before the expected strike within which the rope is no longer looked at
 THINKING = 0.1  # s, that a decision may take: nothing changes sooner after a look
 LIKELY = 0.2  # part of the worlds; with fewer wins before the last stroke or move, a throw is given up
 BETTER = 0.05  # worth by which another way must beat the planned one
@@ -111,7 +113,7 @@ def follow(
         Is asked for the plan at t = 0 and for what it is changed to at each look; its angle is read there, and a throw
         is given up if the arm is astray. Without one, `source` alone learns what is asked for.
     uncertainty : Uncertainty, optional
-        Of rope and peg, from which the worlds are drawn in which ways on are tried; by default realistic.
+        From which the worlds are drawn that may be the true one; by default realistic.
     thinking : float
         Time that a decision may take, s: moves that are due sooner are made as they were planned.
     likely : float
@@ -126,22 +128,23 @@ def follow(
 
     Notes
     -----
-    A plan that wins in all the tried worlds is kept. Else another way on is sought in free flights, for the state in
-    which the plan was to strike (:func:`matching.match`), and taken if it wins more often beside the peg. Simulated
+    Of many drawn worlds those are tried that agree best with what has been seen (:class:`belief.Belief`). A plan that
+    wins in all of them is kept. Else another way on is sought in free flights of the best one, for the state in which
+    the plan was to strike (:func:`matching.match`), and taken if it wins more often beside the peg. Simulated
     time stands still while a decision is made: `thinking` is kept by what may change, and :attr:`Look.seconds` says
     what it really took.
     """
     pause = checks.number("thinking", thinking, sign="nonnegative", unit="s")
     known = uncertainty or Uncertainty()
-    worlds = known.draws(WORLDS, thrower, peg, seed=[checks.count("seed", seed, least=0), 1])
+    belief = Belief(thrower, known.draws(DRAWN, thrower, peg, seed=[checks.count("seed", seed, least=0), 1]))
     goal = Goal.of(thrower, peg, throw)
-    loop = _Loop(thrower, peg, throw, worlds, threads)
+    loop = _Loop(thrower, throw, belief, threads)
     if motor is not None:
         motor.set_motion(loop.motion(), 0.0)
     looks: list[Look] = []
     while goal is not None and loop.move <= loop.throw.count:
         now = loop.rested()
-        if now >= goal.t + loop.late:
+        if now > goal.t + loop.late - SHY:
             break
         begin = time.monotonic()
         left = float(loop.throw.starts(thrower.limits)[loop.move]) - now
@@ -170,9 +173,9 @@ def swing_down(throw: Throw, made: int, rest: float = 0.0) -> Throw:
 class _Loop:
     """The throw as it is planned by now, the next move, and the first one that may still be changed."""
 
-    def __init__(self, thrower: Thrower, peg: Peg, throw: Throw, worlds: Sequence[Draw], threads: int | None) -> None:
-        self.thrower, self.peg, self.throw, self.threads = thrower, peg, throw, threads
-        self.worlds, self.move, self.first, self.late = worlds, 1, 1, 0.0
+    def __init__(self, thrower: Thrower, throw: Throw, belief: Belief, threads: int | None) -> None:
+        self.thrower, self.throw, self.belief, self.threads = thrower, throw, belief, threads
+        self.move, self.first, self.late = 1, 1, 0.0
 
     def motion(self) -> Motion:
         """Return what is asked of the motor."""
@@ -185,13 +188,17 @@ class _Loop:
 
     def decide(self, goal: Goal, state: RopeState, pause: float, likely: float) -> tuple[float, float, str]:
         """Decide what is left; returns chances before and after, and the decision in a word."""
+        self.belief.see(state, self.motion(), threads=self.threads)
+        worlds = self.belief.worlds(WORLDS)
         ways = [self.throw]
-        chance, value = self.chances(ways, state)
+        chance, value = self.chances(ways, state, worlds)
         if self.first < self.throw.count and chance[0] < 1.0:
-            others = match(self.thrower, goal, self.throw, self.first, state, pause, threads=self.threads)
+            known = worlds[0].punctual()
+            others = match(self.thrower, known, goal, self.throw, self.first, state, pause, threads=self.threads)
             if others:
-                more = self.chances(others, state)
-                ways += others
+                first = self.chances(others, state, worlds[:1])[1]
+                ways.append(others[int(np.argmax(first))])
+                more = self.chances(ways[1:], state, worlds)
                 chance, value = np.append(chance, more[0]), np.append(value, more[1])
         best = int(np.argmax(value))
         best = best if value[best] > value[0] + BETTER else 0
@@ -209,20 +216,13 @@ class _Loop:
         self.throw = swing_down(self.throw, min(self.first, self.throw.count), pause)
         return "aborted"
 
-    def chances(self, ways: Sequence[Throw], state: RopeState) -> tuple[Array, Array]:
+    def chances(self, ways: Sequence[Throw], state: RopeState, worlds: Sequence[Draw]) -> tuple[Array, Array]:
         """Return the part of the worlds in which each way wins, and its mean worth (W,)."""
-        ropes = [self.thrower.rope, *(world.rope for world in self.worlds)]
-        pegs = [self.peg, *(world.peg for world in self.worlds)]
-        motions = [way.motion(self.thrower.limits).shifted(-state.t) for way in ways]
-        count = len(ways) * len(ropes)
-        batch = Flights(
-            ropes * len(ways),
-            pegs * len(ways),
-            [motion for motion in motions for _ in ropes],
-            np.broadcast_to(state.q, (count, state.q.size)),
-            np.broadcast_to(state.qd, (count, state.qd.size)),
-            state.t,
-        )
+        pairs = [(way, world) for way in ways for world in worlds]
+        motions = [world.motion(way, self.thrower).shifted(-state.t) for way, world in pairs]
+        q, qd = (np.broadcast_to(part, (len(pairs), part.size)) for part in (state.q, state.qd))
+        ropes, pegs = [world.rope for _, world in pairs], [world.peg for _, world in pairs]
+        batch = Flights(ropes, pegs, motions, q, qd, state.t)
         found = flights.ends(batch, self.thrower.arm, self.thrower.time, threads=self.threads)
-        shape = (len(ways), len(ropes))
+        shape = (len(ways), len(worlds))
         return (found.turns >= WOUND).reshape(shape).mean(axis=1), worth(found).reshape(shape).mean(axis=1)
