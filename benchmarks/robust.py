@@ -37,14 +37,13 @@ from hyperflex import files
 from hyperflex.casting import DrawnWorld, Throw, Thrower, Uncertainty, follow, plan_cast, success, verify
 from hyperflex.casting.chance import wins
 from hyperflex.casting.landing import COARSE_STEP, COARSE_TOL
-from hyperflex.casting.outcome import SETTLING, WATCH, judge
+from hyperflex.casting.outcome import SAMPLE_TIME, SETTLING, WATCH, judge
 from hyperflex.casting.uncertainty import Draw
 from hyperflex.core.jit import SOURCE_HASH
-from hyperflex.errors import SimulationError
+from hyperflex.errors import HyperflexError, SimulationError
 
 RESULTS = Path(__file__).parent / "results"
 STREAM = 31337  # of the draws; planner, stated success and closed loop have others
-SAMPLE_TIME = 0.01  # s
 PLANS = ("robust", "nominal")
 
 
