@@ -179,7 +179,7 @@ class Case:
             source = DrawnWorld(worlds[k], self.known.arm)
             try:
                 done = follow(self.known, self.peg, throw, source, uncertainty=self.uncertainty, seed=k, threads=1)
-            except SimulationError:
+            except HyperflexError:
                 return throw, True, ["failed"]
             return done.throw, done.aborted, [look.decided for look in done.looks]
 
