@@ -36,7 +36,6 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.casting import DrawnWorld, Throw, Thrower, Uncertainty, follow, plan_cast, success, verify
 from hyperflex.casting.chance import wins
-from hyperflex.casting.landing import COARSE_STEP, COARSE_TOL
 from hyperflex.casting.outcome import SAMPLE_TIME, SETTLING, WATCH, judge
 from hyperflex.casting.uncertainty import Draw
 from hyperflex.core.jit import SOURCE_HASH
@@ -44,6 +43,7 @@ from hyperflex.errors import HyperflexError, SimulationError
 
 RESULTS = Path(__file__).parent / "results"
 STREAM = 31337  # of the draws; planner, stated success and closed loop have others
+HELD_TOL, HELD_STEP = 1e-3, 1e-3  # m, s, where a hold is judged: finer than what tells whether a rope winds
 PLANS = ("robust", "nominal")
 
 
@@ -209,8 +209,8 @@ class Case:
                 arm=known.arm,
                 duration=float(t[-1]),
                 pegs=[world.peg],
-                tol=COARSE_TOL,
-                contact_step=COARSE_STEP,
+                tol=HELD_TOL,
+                contact_step=HELD_STEP,
                 t_eval=t,
                 refine=False,
             )
