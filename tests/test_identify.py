@@ -658,6 +658,9 @@ def test_results_are_written_and_read(fitted: Identification, tmp_path: Path) ->
     fitted.to_toml(tmp_path / "fit.toml")
     assert Rope.from_toml(tmp_path / "fit.toml") == fitted.rope
     assert files.read_toml(tmp_path / "fit.toml")["identification"]["sd"]["com"] == ["unknown", "unknown"]
+    told = files.read_toml(tmp_path / "fit.toml")["identification"]
+    assert told["parameters"] == list(fitted.parameters)
+    np.testing.assert_array_equal(told["covariance"], fitted.covariance)
     text = str(fitted)
     assert "ratio J/p1" in text
     assert "cannot be known" in text

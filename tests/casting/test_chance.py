@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binomtest
 
 from hyperflex.casting import Success, Uncertainty, success
-from hyperflex.casting.chance import wins
+from hyperflex.casting.chance import difference, wins
 from hyperflex.casting.flights import ends, from_rest, strike
 from hyperflex.casting.landing import land
 from hyperflex.casting.strikes import fly
@@ -24,6 +24,23 @@ def test_the_interval_is_wilsons(won: int, draws: int) -> None:
     found = Success(won, draws)
     assert found.probability == won / draws
     np.testing.assert_allclose(found.interval, (reference.low, reference.high), atol=1e-12)  # rounding
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "interval"),
+    [
+        ((56, 70), (48, 80), (0.0524, 0.3339)),
+        ((9, 10), (3, 10), (0.1705, 0.8090)),
+        ((5, 56), (0, 29), (-0.0381, 0.1926)),
+        ((0, 10), (0, 20), (-0.1611, 0.2775)),
+        ((10, 10), (0, 20), (0.6791, 1.0)),
+    ],
+)
+def test_the_interval_of_a_difference_is_newcombes(
+    one: tuple[int, int], other: tuple[int, int], interval: tuple[float, float]
+) -> None:
+    """As printed in Newcombe (1998), Statistics in Medicine 17, 873, table II, method 10."""
+    assert difference(Success(*one), Success(*other)) == pytest.approx(interval, abs=5.1e-5)  # printed to four digits
 
 
 def test_what_is_no_count_is_refused() -> None:

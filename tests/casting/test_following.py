@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyperflex.casting import DrawnWorld, Throw, Uncertainty, follow
-from hyperflex.casting.following import swing_down
+from hyperflex.casting import DrawnWorld, DrivenWorld, Throw, Uncertainty, follow, following
+from hyperflex.casting.following import ASTRAY, THINKING, swing_down
 from hyperflex.casting.matching import Goal, match
 from hyperflex.casting.strikes import fly
 from hyperflex.control import RopeState, TrueState
 from hyperflex.errors import InvalidInput
+from hyperflex.hardware import SimulatedMotor
+from hyperflex.motion import Motion
 from tests.casting.test_landing import PEG, THROWER, WINDS
 from tests.casting.test_uncertainty import NONE
 
@@ -40,7 +42,8 @@ def test_a_throw_that_was_late_by_one_rest_is_led_back() -> None:
     late = replace(WINDS, rests=rests)
     now = rest_before(late, move)
     seen = TrueState(THROWER.rope, THROWER.arm, tol=1e-4).state(now, late.motion(LIMITS))
-    ways = match(THROWER, goal, late, move, seen, 0.1)
+    (world,) = NONE.draws(1, THROWER, PEG)
+    ways = match(THROWER, world, goal, late, move, seen, 0.1)
     assert ways
     best = ways[0]
     assert best.rests[:move].tolist() == late.rests[:move].tolist()  # what was done stays done
@@ -75,6 +78,16 @@ def test_in_the_expected_world_the_plan_is_kept() -> None:
         assert look.t + look.left == pytest.approx(float(WINDS.starts(LIMITS)[look.move]))
 
 
+def test_shortly_before_the_strike_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rope that has struck is not what is flown freely; here 2.5 s are called shortly."""
+    goal = Goal.of(THROWER, PEG, WINDS)
+    assert goal is not None
+    monkeypatch.setattr(following, "SHY", 2.5)
+    (world,) = NONE.draws(1, THROWER, PEG)
+    done = follow(THROWER, PEG, WINDS, DrawnWorld(world, THROWER.arm), uncertainty=NONE)
+    assert goal.t - 4.0 < done.looks[-1].t <= goal.t - 2.5
+
+
 class Hanging:
     """A source that always sees the rope hang at rest: nothing that is planned can win."""
 
@@ -96,6 +109,62 @@ def test_a_throw_that_cannot_win_any_more_is_given_up_slowly() -> None:
     assert float(np.abs(done.motion.rate(t)).max()) <= 0.31 * LIMITS.speed
     before = np.linspace(0.0, done.looks[-1].t, 50)
     np.testing.assert_allclose(swing_down(done.throw, made).motion(LIMITS).angle(before), done.motion.angle(before))
+    assert done.throw.starts(LIMITS)[-1] == pytest.approx(done.looks[-1].t + THINKING)  # time to decide
+
+
+def test_what_is_due_too_soon_to_be_decided_is_made_as_planned() -> None:
+    """With more time to think than any rest leaves, the next move stays; the one after it may be given up."""
+    done = follow(THROWER, PEG, WINDS, Hanging(), uncertainty=NONE, thinking=1.0)  # type: ignore[arg-type]
+    assert done.aborted
+    move = done.looks[-1].move
+    assert done.looks[-1].left < 1.0
+    assert done.throw.count == move + 1
+    assert done.throw.starts(LIMITS)[-1] == pytest.approx(rest_before(done.throw, move + 1) + 1.0)
+
+
+class Kept(SimulatedMotor):
+    """A simulated motor that keeps what it was asked for."""
+
+    def __init__(self, **how: float) -> None:
+        super().__init__(-0.5 * np.pi, **how)
+        self.asked: list[tuple[float, Motion]] = []
+
+    def set_motion(self, motion: Motion, at: float) -> None:
+        self.asked.append((at, motion))
+        super().set_motion(motion, at)
+
+
+def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done() -> None:
+    """A servo that hardly lags: the rope's state at each look is that of the asked motion."""
+    motor = Kept(lag=1e-3, counts=10**6)
+    world = DrivenWorld(THROWER.rope, THROWER.arm, motor)
+    seen: list[tuple[RopeState, Motion]] = []
+
+    class Watched:
+        def state(self, t: float, motion: Motion) -> RopeState:
+            seen.append((world.state(t, motion), motion))
+            return seen[-1][0]
+
+    done = follow(THROWER, PEG, WINDS, Watched(), motor=motor, uncertainty=NONE)
+    assert motor.asked[0] == (0.0, WINDS.motion(LIMITS))
+    changes = [look.t for look in done.looks if look.decided == "changed"]
+    assert [at for at, _ in motor.asked[1:]] == changes
+    assert all(abs(look.astray) < 2e-3 for look in done.looks)  # at rest the lag has faded; a count is 6e-6 rad
+    true = TrueState(THROWER.rope, THROWER.arm)
+    for state, motion in seen:
+        # Late by 1 ms at links that turn with some 10 rad/s, and further apart in the course of the swings.
+        np.testing.assert_allclose(true.state(state.t, motion).q, state.q, atol=0.1)
+
+
+def test_a_motor_that_does_not_come_along_ends_the_throw() -> None:
+    """A torque too weak for the strokes: at the first look the arm is far from where it should be."""
+    motor = Kept(torque=0.005)
+    done = follow(THROWER, PEG, WINDS, DrivenWorld(THROWER.rope, THROWER.arm, motor), motor=motor, uncertainty=NONE)
+    assert done.aborted
+    assert len(done.looks) == 1
+    assert abs(done.looks[0].astray) > ASTRAY
+    assert motor.asked[-1] == (done.looks[0].t, done.motion)
+    assert float(done.motion.angle(float(done.motion.breaks[-1]))) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_bad_numbers_are_refused() -> None:

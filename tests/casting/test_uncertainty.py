@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex import files
 from hyperflex.casting import MotorLimits, Throw, Thrower, Uncertainty
 from hyperflex.casting.uncertainty import MOVES, Draw, scaled
 from hyperflex.errors import InvalidInput
@@ -92,29 +94,41 @@ def test_a_lag_makes_the_arm_late() -> None:
         Draw(ROPE, PEG, 0.0, np.zeros(MOVES)).executed(moves([0.0, 1.0], [0.1], [0.5]).shifted(0.1))
 
 
-def test_ropes_are_drawn_from_a_fits_covariance() -> None:
-    """A made-up fit of two properties that hang together."""
-
-    def rope(x: np.ndarray) -> hf.Rope:
-        return ROPE.replace(friction=x[0], stiffness=x[1])
-
-    covariance = np.array([[4e-8, 3e-8], [3e-8, 4e-8]])
-    parameters = SimpleNamespace(rope=rope, lower=np.zeros(2))
-    basis = SimpleNamespace(
-        plant=SimpleNamespace(parameters=parameters),
-        information=SimpleNamespace(x=np.array([1e-3, 2e-3]), covariance=covariance),
-    )
-    fit = SimpleNamespace(_basis=basis, rope=ROPE)
+def test_ropes_are_drawn_from_a_fit_and_the_rest_as_usual() -> None:
+    fit = SimpleNamespace(rope=ROPE, parameters=("friction:shared",), covariance=np.array([[4e-8]]), values={})
     known = Uncertainty.of(fit)  # type: ignore[arg-type]
     assert (known.length, known.mass, known.friction, known.mu) == (0.0, 0.0, 0.0, Uncertainty().mu)
     draws = known.draws(1500, THROWER, PEG)
-    x = np.array([[d.rope.friction[0], d.rope.stiffness[0]] for d in draws])
-    np.testing.assert_allclose(np.cov(x.T), covariance, rtol=0.15)  # 4 sd of a covariance from 1500 draws
+    assert np.std([d.rope.friction[0] for d in draws]) == pytest.approx(2e-4, rel=0.06)  # 3 sd of a sd of 1500 draws
+    assert all(d.rope.total_length == ROPE.total_length for d in draws[:9])
+    assert np.std([d.peg.mu for d in draws]) == pytest.approx(0.03, rel=0.06)
     other = replace(THROWER, rope=hf.Rope.uniform(length=1.0, mass=0.1, n_links=5))
     with pytest.raises(InvalidInput, match="of another rope"):
         known.draws(1, other, PEG)
-    with pytest.raises(InvalidInput, match="rests on"):
-        Uncertainty.of(SimpleNamespace(rope=ROPE))  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="no Fitted"):
+        Uncertainty(fit=fit)  # type: ignore[arg-type]
+
+
+def test_a_rope_file_tells_what_it_can_and_the_rest_is_as_usual(tmp_path: Path) -> None:
+    ROPE.to_toml(tmp_path / "plain.toml")
+    usual = Uncertainty.of_file(tmp_path / "plain.toml")
+    assert usual.words() == Uncertainty().words()
+    assert "usual identification" in usual.words()
+    assert "length 1 %, mass 2 %, friction 20 %, mu 10 %, lag 10 ms, timing 2 ms" in usual.words()
+    told = {"parameters": ["length[0]", "tip_mass"], "covariance": [[1e-6, 0.0], [0.0, 1e-8]], "values": {}}
+    files.write_toml(tmp_path / "fitted.toml", {"rope": ROPE.table(), "identification": told})
+    known = Uncertainty.of_file(tmp_path / "fitted.toml")
+    assert (known.length, known.mass, known.friction) == (0.0, 0.02, 0.2)
+    assert known.words().startswith("length, tip_mass by the covariance in the rope's file; as a usual")
+    assert "length 1 %" not in known.words()
+    assert np.std([d.rope.length[0] for d in known.draws(500, THROWER, PEG)]) == pytest.approx(1e-3, rel=0.1)
+
+
+def test_a_punctual_world_differs_in_time_alone() -> None:
+    (draw,) = Uncertainty().draws(1, THROWER, PEG)
+    assert draw.late.any()
+    assert not draw.punctual().late.any()
+    assert (draw.punctual().rope, draw.punctual().peg, draw.punctual().lag) == (draw.rope, draw.peg, draw.lag)
 
 
 @pytest.mark.parametrize("name", ["length", "mass", "friction", "mu", "lag", "timing"])

@@ -65,8 +65,19 @@ def test_a_robust_plan_says_how_often_it_wins(hyperflex, rope_file, ready, tmp_p
     _, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", "--robust"))
     assert isinstance(asked["uncertainty"], Uncertainty)
     assert str(Success(30, 40)) in " ".join(out.split())
+    assert "as a usual identification leaves it: length 1 %" in " ".join(out.split())
     assert str(Success(30, 40)) in (tmp_path / "out" / "report.html").read_text()
     assert files.read_toml(tmp_path / "out" / "cast.toml")["plan"]["outcome"]["stated"]["wins"] == 30
+
+
+def test_what_identify_left_in_the_ropes_file_counts(hyperflex_json, ready, tmp_path):
+    fit = {"parameters": ["friction:shared"], "covariance": [[1e-9]], "values": {}}
+    files.write_toml(tmp_path / "fit.toml", {"rope": CABLE.table(), "identification": fit})
+    asked = ready("misses", stated=Success(30, 40))
+    _, told = hyperflex_json(*arguments(tmp_path / "fit.toml", tmp_path / "out", "--robust"))
+    assert asked["uncertainty"].fit.covariance.tolist() == [[1e-9]]
+    assert told["uncertain"].startswith("friction by the covariance in the rope's file; as a usual")
+    assert asked["uncertainty"].friction == 0.0
 
 
 def test_a_plan_that_fails_has_a_code_of_its_own(hyperflex, rope_file, ready, tmp_path):

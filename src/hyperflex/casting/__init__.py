@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from hyperflex.casting.blow import Impact
     from hyperflex.casting.cast_plan import CastPlan
     from hyperflex.casting.chance import Success, success
-    from hyperflex.casting.following import DrawnWorld, Followed, Look, follow
+    from hyperflex.casting.following import Followed, Look, follow
     from hyperflex.casting.hold import Holding
     from hyperflex.casting.lash import Mark
     from hyperflex.casting.limits import MotorLimits
@@ -28,12 +28,14 @@ if TYPE_CHECKING:
     from hyperflex.casting.whip_search import WhipMap, whip_map
     from hyperflex.casting.whip_strike import Lash
     from hyperflex.casting.whip_tables import read_whip
+    from hyperflex.casting.worlds import DrawnWorld, DrivenWorld
 
 _HOMES = {
     "Cast": "outcome",
     "CastPlan": "cast_plan",
     "Draw": "uncertainty",
-    "DrawnWorld": "following",
+    "DrawnWorld": "worlds",
+    "DrivenWorld": "worlds",
     "Followed": "following",
     "Holding": "hold",
     "Impact": "blow",
@@ -68,6 +70,7 @@ __all__ = [
     "CastPlan",
     "Draw",
     "DrawnWorld",
+    "DrivenWorld",
     "Followed",
     "Holding",
     "Impact",

@@ -58,6 +58,18 @@ class Success:
         return f"{100 * self.probability:.0f} % ({100 * low:.0f} to {100 * high:.0f} %, {self.wins} of {self.draws})"
 
 
+def difference(one: Success, other: Success) -> tuple[float, float]:
+    """95 % interval of the difference of two probabilities, `one` less `other`, from draws of their own.
+
+    Notes
+    -----
+    Newcombe (1998), method 10: at either end, the distances to the ends of both Wilson intervals add up as squares do.
+    """
+    (low, high), (low_other, high_other) = one.interval, other.interval
+    p, q = one.probability, other.probability
+    return p - q - math.hypot(p - low, high_other - q), p - q + math.hypot(high - p, q - low_other)
+
+
 def success(
     thrower: Thrower,
     peg: Peg,

@@ -100,7 +100,7 @@ def struck(flights: Flights, arm: Arm, time: float, *, threads: int | None = Non
     Returns
     -------
     t : (M,) float64
-        Last sample before the strike, s; NaN where there is none.
+        Last sample before the strike, s; NaN where there is none, or where the rope is at the peg from the start.
     q, qd : (M, n) float64
     least : (M,) float64
         Smallest gap, m.
@@ -117,14 +117,17 @@ def struck(flights: Flights, arm: Arm, time: float, *, threads: int | None = Non
         at[same], _, gap[same] = strikes.first(
             np.nan_to_num(q[same]), base[same], lengths[same], Peg(*peg), flights.ropes[0].radius
         )
-    rows, hit = np.arange(len(flights)), (at > 0) & good
+    rows, hit = np.arange(len(flights)), (at > 1) & good  # at the first sample a rope is there already
     before = np.maximum(at - 1, 0)
     return np.where(hit, t[before], np.nan), q[rows, before], qd[rows, before], gap
 
 
-def fly(flights: Flights, arm: Arm, span: float, *, threads: int | None = None) -> tuple[Array, Array, Array]:
-    """Return samples of free flights: t (T,), q and qd (M, T, n)."""
+def fly(
+    flights: Flights, arm: Arm, span: float, *, at_end: bool = False, threads: int | None = None
+) -> tuple[Array, Array, Array]:
+    """Return samples of free flights: t (T,), q and qd (M, T, n); `at_end` just one, after the span."""
     t: Array = strikes.SAMPLE_TIME * np.arange(1.0, np.ceil(span / strikes.SAMPLE_TIME - 1e-9) + 1.0)
+    t = np.array([span]) if at_end else t
     batch = simulate_batch(
         list(flights.ropes),
         list(flights.motions),

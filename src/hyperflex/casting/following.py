@@ -10,6 +10,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.casting import flights
+from hyperflex.casting.belief import Belief
 from hyperflex.casting.flights import Flights
 from hyperflex.casting.matching import Goal, match
 from hyperflex.casting.outcome import WOUND
@@ -18,14 +19,17 @@ from hyperflex.casting.throw import SLOWEST, Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.uncertainty import Draw, Uncertainty
 from hyperflex.checks import Array
-from hyperflex.control import RopeState, StateSource, TrueState
-from hyperflex.model import Arm, Peg
+from hyperflex.control import RopeState, StateSource
+from hyperflex.hardware import Motor
+from hyperflex.model import Peg
 from hyperflex.motion import Motion
 
-WORLDS = 3  # in which what is left is tried, beside the one expected
+DRAWN, WORLDS = 48, 4  # worlds that may be the true one, and those that agree best, in which what is left is tried
+SHY = 0.15  # s before the expected strike within which the rope is no longer looked at
 THINKING = 0.1  # s, that a decision may take: nothing changes sooner after a look
 LIKELY = 0.2  # part of the worlds; with fewer wins before the last stroke or move, a throw is given up
 BETTER = 0.05  # worth by which another way must beat the planned one
+ASTRAY = 0.2  # rad by which the arm may be away from where it should rest; more, and a throw is given up
 LATEST = 1  # before the last of the moves that start before the strike, a throw may be given up, and later
 
 
@@ -47,6 +51,8 @@ class Look:
         "kept", "changed" or "aborted".
     seconds : float
         Time that the decision took, s; it may be more than `left`.
+    astray : float
+        Angle that the motor's encoder shows less that which was asked for, rad; NaN without a motor.
     """
 
     move: int
@@ -56,6 +62,7 @@ class Look:
     after: float
     decided: str
     seconds: float
+    astray: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,29 +86,13 @@ class Followed:
     aborted: bool
 
 
-class DrawnWorld:
-    """A drawn world as a StateSource: the true state of its rope under what its motor makes of the asked motion.
-
-    Parameters
-    ----------
-    draw : Draw
-    arm : Arm
-    """
-
-    def __init__(self, draw: Draw, arm: Arm) -> None:
-        self.draw, self._true = draw, TrueState(draw.rope, arm)
-
-    def state(self, t: float, motion: Motion) -> RopeState:
-        """Return the simulated state at `t`, s, when `motion`, made of moves, is asked for."""
-        return self._true.state(t, self.draw.executed(motion))
-
-
 def follow(
     thrower: Thrower,
     peg: Peg,
     throw: Throw,
     source: StateSource,
     *,
+    motor: Motor | None = None,
     uncertainty: Uncertainty | None = None,
     thinking: float = THINKING,
     likely: float = LIKELY,
@@ -118,10 +109,13 @@ def follow(
         The plan.
     source : StateSource
         Tells the rope's state; with as many links as the thrower's rope.
+    motor : Motor, optional
+        Is asked for the plan at t = 0 and for what it is changed to at each look; its angle is read there, and a throw
+        is given up if the arm is astray. Without one, `source` alone learns what is asked for.
     uncertainty : Uncertainty, optional
-        Of rope and peg, from which the worlds are drawn in which ways on are tried; by default realistic.
+        From which the worlds are drawn that may be the true one; by default realistic.
     thinking : float
-        Time that a decision may take, s: a move that is due sooner is not changed.
+        Time that a decision may take, s: moves that are due sooner are made as they were planned.
     likely : float
         Part of the tried worlds that must be won before the last stroke and the last move; else the throw is given up.
     seed : int
@@ -134,43 +128,58 @@ def follow(
 
     Notes
     -----
-    A plan that wins in all the tried worlds is kept. Else another way on is sought in free flights, for the state in
-    which the plan was to strike (:func:`matching.match`), and taken if it wins more often beside the peg. Simulated
+    Of many drawn worlds those are tried that agree best with what has been seen (:class:`belief.Belief`). A plan that
+    wins in all of them is kept. Else another way on is sought in free flights of the best one, for the state in which
+    the plan was to strike (:func:`matching.match`), and taken if it wins more often beside the peg. Simulated
     time stands still while a decision is made: `thinking` is kept by what may change, and :attr:`Look.seconds` says
     what it really took.
     """
     pause = checks.number("thinking", thinking, sign="nonnegative", unit="s")
     known = uncertainty or Uncertainty()
-    worlds = known.draws(WORLDS, thrower, peg, seed=[checks.count("seed", seed, least=0), 1])
+    belief = Belief(thrower, known.draws(DRAWN, thrower, peg, seed=[checks.count("seed", seed, least=0), 1]))
     goal = Goal.of(thrower, peg, throw)
-    loop = _Loop(thrower, peg, throw, worlds, threads)
+    loop = _Loop(thrower, throw, belief, threads)
+    if motor is not None:
+        motor.set_motion(loop.motion(), 0.0)
     looks: list[Look] = []
     while goal is not None and loop.move <= loop.throw.count:
-        starts, now = loop.throw.starts(thrower.limits), loop.rested()
-        if now >= goal.t + loop.late:
+        now = loop.rested()
+        if now > goal.t + loop.late - SHY:
             break
         begin = time.monotonic()
-        state = source.state(now, loop.throw.motion(thrower.limits))
-        before, after, decided = loop.decide(goal, state, pause, likely)
-        left = float(starts[loop.move]) - now
-        looks.append(Look(loop.move, now, left, before, after, decided, time.monotonic() - begin))
+        left = float(loop.throw.starts(thrower.limits)[loop.move]) - now
+        state = source.state(now, loop.motion())
+        astray = float("nan") if motor is None else motor.angle(now) - float(loop.motion().angle(now))
+        loop.first = loop.move if left >= pause else loop.move + 1
+        if abs(astray) > ASTRAY:
+            before, after, decided = 0.0, 0.0, loop.give_up(pause)
+        else:
+            before, after, decided = loop.decide(goal, state, pause, likely)
+        looks.append(Look(loop.move, now, left, before, after, decided, time.monotonic() - begin, astray))
+        if motor is not None and decided != "kept":
+            motor.set_motion(loop.motion(), now)
         if decided == "aborted":
-            return Followed(loop.throw, loop.throw.motion(thrower.limits), tuple(looks), True)
+            break
         loop.move += 1
-    return Followed(loop.throw, loop.throw.motion(thrower.limits), tuple(looks), False)
+    aborted = bool(looks) and looks[-1].decided == "aborted"
+    return Followed(loop.throw, loop.motion(), tuple(looks), aborted)
 
 
-def swing_down(throw: Throw, made: int) -> Throw:
-    """Return a throw that has made `made` moves and then takes the arm slowly to hanging."""
-    return replace(throw, count=made, end=0.0, rest=0.0, speed=SLOWEST)
+def swing_down(throw: Throw, made: int, rest: float = 0.0) -> Throw:
+    """Return a throw that makes `made` moves and, after a rest, s, takes the arm slowly to hanging."""
+    return replace(throw, count=made, end=0.0, rest=rest, speed=SLOWEST)
 
 
 class _Loop:
-    """The throw as it is planned by now, and the next move."""
+    """The throw as it is planned by now, the next move, and the first one that may still be changed."""
 
-    def __init__(self, thrower: Thrower, peg: Peg, throw: Throw, worlds: Sequence[Draw], threads: int | None) -> None:
-        self.thrower, self.peg, self.throw, self.threads = thrower, peg, throw, threads
-        self.worlds, self.move, self.late = worlds, 1, 0.0
+    def __init__(self, thrower: Thrower, throw: Throw, belief: Belief, threads: int | None) -> None:
+        self.thrower, self.throw, self.belief, self.threads = thrower, throw, belief, threads
+        self.move, self.first, self.late = 1, 1, 0.0
+
+    def motion(self) -> Motion:
+        """Return what is asked of the motor."""
+        return self.throw.motion(self.thrower.limits)
 
     def rested(self) -> float:
         """When the arm comes to rest before the next move, s."""
@@ -179,40 +188,41 @@ class _Loop:
 
     def decide(self, goal: Goal, state: RopeState, pause: float, likely: float) -> tuple[float, float, str]:
         """Decide what is left; returns chances before and after, and the decision in a word."""
+        self.belief.see(state, self.motion(), threads=self.threads)
+        worlds = self.belief.worlds(WORLDS)
         ways = [self.throw]
-        chance, value = self.chances(ways, state)
-        if self.move < self.throw.count and chance[0] < 1.0:
-            others = match(self.thrower, goal, self.throw, self.move, state, pause, threads=self.threads)
+        chance, value = self.chances(ways, state, worlds)
+        if self.first < self.throw.count and chance[0] < 1.0:
+            known = worlds[0].punctual()
+            others = match(self.thrower, known, goal, self.throw, self.first, state, pause, threads=self.threads)
             if others:
-                more = self.chances(others, state)
-                ways += others
+                first = self.chances(others, state, worlds[:1])[1]
+                ways.append(others[int(np.argmax(first))])
+                more = self.chances(ways[1:], state, worlds)
                 chance, value = np.append(chance, more[0]), np.append(value, more[1])
         best = int(np.argmax(value))
         best = best if value[best] > value[0] + BETTER else 0
         begun = int((self.throw.starts(self.thrower.limits) < goal.t + self.late).sum())
-        if chance[best] < likely and self.move >= begun - LATEST:
-            self.throw = swing_down(self.throw, self.move)
-            return float(chance[0]), float(chance[best]), "aborted"
+        if chance[best] < likely and self.move >= begun - LATEST and self.first <= self.throw.count:
+            return float(chance[0]), float(chance[best]), self.give_up(pause)
         changed = ways[best] is not self.throw
         old = self.throw.starts(self.thrower.limits)[-1]
         self.throw = ways[best]
         self.late += float(self.throw.starts(self.thrower.limits)[-1] - old)
         return float(chance[0]), float(chance[best]), "changed" if changed else "kept"
 
-    def chances(self, ways: Sequence[Throw], state: RopeState) -> tuple[Array, Array]:
+    def give_up(self, pause: float) -> str:
+        """Let the arm go slowly to hanging as soon as it can; returns the decision."""
+        self.throw = swing_down(self.throw, min(self.first, self.throw.count), pause)
+        return "aborted"
+
+    def chances(self, ways: Sequence[Throw], state: RopeState, worlds: Sequence[Draw]) -> tuple[Array, Array]:
         """Return the part of the worlds in which each way wins, and its mean worth (W,)."""
-        ropes = [self.thrower.rope, *(world.rope for world in self.worlds)]
-        pegs = [self.peg, *(world.peg for world in self.worlds)]
-        motions = [way.motion(self.thrower.limits).shifted(-state.t) for way in ways]
-        count = len(ways) * len(ropes)
-        batch = Flights(
-            ropes * len(ways),
-            pegs * len(ways),
-            [motion for motion in motions for _ in ropes],
-            np.broadcast_to(state.q, (count, state.q.size)),
-            np.broadcast_to(state.qd, (count, state.qd.size)),
-            state.t,
-        )
+        pairs = [(way, world) for way in ways for world in worlds]
+        motions = [world.motion(way, self.thrower).shifted(-state.t) for way, world in pairs]
+        q, qd = (np.broadcast_to(part, (len(pairs), part.size)) for part in (state.q, state.qd))
+        ropes, pegs = [world.rope for _, world in pairs], [world.peg for _, world in pairs]
+        batch = Flights(ropes, pegs, motions, q, qd, state.t)
         found = flights.ends(batch, self.thrower.arm, self.thrower.time, threads=self.threads)
-        shape = (len(ways), len(ropes))
+        shape = (len(ways), len(worlds))
         return (found.turns >= WOUND).reshape(shape).mean(axis=1), worth(found).reshape(shape).mean(axis=1)

@@ -10,6 +10,7 @@ from hyperflex.casting import flights, strikes
 from hyperflex.casting.flights import Flights
 from hyperflex.casting.throw import LEAST_STROKE, Throw
 from hyperflex.casting.thrower import Thrower
+from hyperflex.casting.uncertainty import Draw
 from hyperflex.checks import Array
 from hyperflex.control import RopeState
 from hyperflex.model import Peg, Rope
@@ -69,6 +70,7 @@ def features(rope: Rope, q: Array, qd: Array, base: Array, base_velocity: Array)
 
 def match(
     thrower: Thrower,
+    world: Draw,
     goal: Goal,
     throw: Throw,
     move: int,
@@ -77,7 +79,7 @@ def match(
     *,
     threads: int | None = None,
 ) -> list[Throw]:
-    """Change strokes and rests from `move` on, so that the rope comes near the goal from the state seen.
+    """Change strokes and rests from `move` on, so that the rope of a world comes near the goal from the state seen.
 
     Gauss-Newton by differences, each difference a free flight, with a cost of changes; the whole may be late.
 
@@ -86,7 +88,7 @@ def match(
     list of Throw
         Ways on, the nearest to the goal first; none nearer than that of `throw` is left out.
     """
-    work = _Match(thrower, goal, move, state, pause, threads)
+    work = _Match(thrower, world, goal, move, state, pause, threads)
     x = work.genes(throw)
     misses, rows, drift = work.fly(throw, [x])
     tried = [(misses[0], throw)]
@@ -122,9 +124,9 @@ class _Match:
     """What the flights of one match have in common."""
 
     def __init__(
-        self, thrower: Thrower, goal: Goal, move: int, state: RopeState, pause: float, threads: int | None
+        self, thrower: Thrower, world: Draw, goal: Goal, move: int, state: RopeState, pause: float, threads: int | None
     ) -> None:
-        self.thrower, self.goal, self.move, self.state = thrower, goal, move, state
+        self.thrower, self.world, self.goal, self.move, self.state = thrower, world, goal, move, state
         self.pause, self.threads = pause, threads
         self.spreads = np.zeros(0)
 
@@ -154,19 +156,19 @@ class _Match:
 
     def fly(self, throw: Throw, points: list[Array]) -> tuple[Array, Array, Array]:
         """Fly points; return how far each misses the goal (M,), features at the goal's time and their rates."""
-        thrower, since = self.thrower, self.state.t
-        motions = [self.throw(throw, x).motion(thrower.limits).shifted(-since) for x in points]
+        thrower, rope, since = self.thrower, self.world.rope, self.state.t
+        motions = [self.world.motion(self.throw(throw, x), thrower).shifted(-since) for x in points]
         count, n = len(points), self.state.q.size
         start = [np.broadcast_to(part, (count, n)) for part in (self.state.q, self.state.qd)]
         peg: list[Peg] = []
-        batch = Flights([thrower.rope] * count, peg, motions, start[0], start[1], since)
+        batch = Flights([rope] * count, peg, motions, start[0], start[1], since)
         t, q, qd = flights.fly(batch, thrower.arm, self.goal.t - since + WINDOW, threads=self.threads)
         near = np.flatnonzero(np.abs(t + since - self.goal.t) <= WINDOW)
         at = int(np.abs(t[near] + since - self.goal.t).argmin())
         rows = np.stack(
             [
                 features(
-                    thrower.rope,
+                    rope,
                     q[m, near],
                     qd[m, near],
                     strikes.arm_tip(thrower.arm, motion, t[near]),

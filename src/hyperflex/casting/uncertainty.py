@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.casting.fitted import Fitted
 from hyperflex.casting.throw import LEAST_REST, Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
@@ -20,6 +22,13 @@ if TYPE_CHECKING:
     from hyperflex.identification import Identification
 
 MOVES = 32  # whose starts are drawn; a throw of more uses them again
+PARTS, TIMES = ("length", "mass", "friction", "mu"), ("lag", "timing")  # relative, and in seconds
+# What a fit tells of: friction over mass is what a motion shows, so with either fitted the mass counts no more.
+TOLD = {
+    "length": ("length",),
+    "mass": ("mass", "inertia", "friction", "dry_friction"),
+    "friction": ("friction", "dry_friction"),
+}
 LEAST_LAG = 2e-4  # s; a motor that lags less does not
 
 
@@ -41,6 +50,10 @@ class Draw:
     peg: Peg
     lag: float
     late: Array
+
+    def punctual(self) -> Draw:
+        """Return the same world with moves that start in time."""
+        return replace(self, late=np.zeros_like(self.late))
 
     def motion(self, throw: Throw, thrower: Thrower) -> Motion:
         """Return what the arm really does when this throw is asked of it."""
@@ -86,8 +99,8 @@ class Uncertainty:
         standard deviation. (A plain delay of a throw from rest would change nothing.)
     timing : float
         Standard deviation of each move's start, s; normal, independent; no move starts before the last one has ended.
-    fit : Identification, optional
-        A rope's own fit of this session: ropes are drawn from its covariance, and the factors above come on top.
+    fit : Fitted, optional
+        What an identification says of the rope: ropes are drawn from its covariance, and the factors above come on top.
 
     Examples
     --------
@@ -106,22 +119,44 @@ class Uncertainty:
     mu: float = 0.10
     lag: float = 0.010
     timing: float = 0.002
-    fit: Identification | None = None
+    fit: Fitted | None = None
 
     def __post_init__(self) -> None:
         for field in fields(self):
             if field.name != "fit":
                 value = checks.number(f"uncertainty of {field.name}", getattr(self, field.name), sign="nonnegative")
                 object.__setattr__(self, field.name, value)
-        if self.fit is not None and getattr(self.fit, "_basis", None) is None:
-            raise InvalidInput(
-                "fit does not know what it rests on", got=self.fit, allowed="what identify gave back in this session"
-            )
+        if self.fit is not None and not isinstance(self.fit, Fitted):
+            raise InvalidInput("fit is no Fitted", got=self.fit, fix="Give Uncertainty.of(what identify gave back)")
 
     @classmethod
     def of(cls, fit: Identification, **others: float) -> Uncertainty:
         """Take the rope's part from a fit's covariance; `others` as above, the rope's own 0 unless given."""
-        return cls(**{"length": 0.0, "mass": 0.0, "friction": 0.0, **others}, fit=fit)
+        return cls(**{"length": 0.0, "mass": 0.0, "friction": 0.0, **others}, fit=Fitted.of(fit))
+
+    @classmethod
+    def of_file(cls, path: str | Path) -> Uncertainty:
+        """Take the rope's part from a rope file that identify wrote; what was not fitted is as uncertain as usual.
+
+        Parameters
+        ----------
+        path : path-like
+            TOML file with a rope. Where it holds no covariance, all is as usual.
+        """
+        fit = Fitted.from_toml(path)
+        if fit is None:
+            return cls()
+        known = {name: 0.0 for name, words in TOLD.items() if set(words) & set(fit.names)}
+        return cls(**known, fit=fit)
+
+    def words(self) -> str:
+        """Say what is taken as uncertain, and where that comes from."""
+        usual = [f"{name} {100 * getattr(self, name):.2g} %" for name in PARTS if getattr(self, name)]
+        usual += [f"{name} {1e3 * getattr(self, name):.2g} ms" for name in TIMES if getattr(self, name)]
+        taken = f"as a usual identification leaves it: {', '.join(usual)}" if usual else ""
+        if self.fit is None:
+            return taken or "nothing"
+        return f"{', '.join(self.fit.names)} by the covariance in the rope's file" + (f"; {taken}" if taken else "")
 
     def draws(self, count: int, thrower: Thrower, peg: Peg, *, seed: int | Sequence[int] = 0) -> list[Draw]:
         """Return worlds drawn about what is known.
@@ -145,7 +180,10 @@ class Uncertainty:
         factors = np.exp(sigma * rng.standard_normal(4) - 0.5 * sigma**2)
         lag = self.lag * abs(float(rng.standard_normal()))
         late = self.timing * rng.standard_normal(MOVES)
-        rope = thrower.rope if self.fit is None else _of_fit(self.fit, rng, thrower.rope)
+        rope = thrower.rope if self.fit is None else self.fit.draw(rng)
+        if rope.n_links != thrower.rope.n_links:
+            links = f"{thrower.rope.n_links} links, as thrown"
+            raise InvalidInput("fit is of another rope", got=rope.n_links, allowed=links)
         target = Peg(peg.x, peg.y, peg.radius, peg.mu * float(factors[3]), peg.restitution)
         return Draw(scaled(rope, *factors[:3]), target, lag, late)
 
@@ -162,14 +200,3 @@ def scaled(rope: Rope, length: float, mass: float, friction: float) -> Rope:
         "dry_friction": rope.dry_friction * friction,
     }
     return rope.replace(**changes)
-
-
-def _of_fit(fit: Identification, rng: np.random.Generator, rope: Rope) -> Rope:
-    """Draw a rope from a fit's covariance; numbers that cannot be below a bound are kept there."""
-    basis = fit._basis
-    if basis is None or fit.rope.n_links != rope.n_links:
-        raise InvalidInput("fit is of another rope", got=fit.rope.n_links, allowed=f"{rope.n_links} links, as thrown")
-    parameters, told = basis.plant.parameters, basis.information
-    low, directions = np.linalg.eigh(told.covariance)
-    x = told.x + directions @ (np.sqrt(np.maximum(low, 0.0)) * rng.standard_normal(low.size))
-    return parameters.rope(np.maximum(x, parameters.lower))

@@ -14,6 +14,7 @@ from hyperflex.errors import FileProblem
 if TYPE_CHECKING:
     from hyperflex.casting import CastPlan
     from hyperflex.casting.hold import Holding
+    from hyperflex.casting.uncertainty import Uncertainty
 
 
 def cast(
@@ -37,8 +38,8 @@ def cast(
         bool,
         typer.Option(
             "--robust",
-            help="Plan for what is not known exactly (rope, friction, motor, as a usual identification leaves it), and "
-            "say how often the throw wins then.",
+            help="Plan for what is not known exactly, and say how often the throw wins then: by the covariance in the "
+            "rope's file, if identify wrote it there, and else as a usual identification leaves it.",
         ),
     ] = False,
     elsewhere: Annotated[
@@ -74,6 +75,7 @@ def cast(
     rate = number("--rate", rate, sign="positive", unit="Hz")
     arm_length = number("--arm-length", arm_length, sign="positive", unit="m")
     given: dict[str, Any] = {"speed": speed, "acceleration": acceleration, "torque": torque}
+    uncertain = Uncertainty.of_file(rope) if robust else None
     limits = MotorLimits(**{name: value for name, value in given.items() if value is not None})
     plan = plan_cast(
         Rope.from_toml(rope),
@@ -81,7 +83,7 @@ def cast(
         Peg(*target, radius, mu),
         limits,
         hold=hold,
-        uncertainty=Uncertainty() if robust else None,
+        uncertainty=uncertain,
         patience=patience,
         elsewhere=elsewhere,
         seed=seed,
@@ -89,28 +91,32 @@ def cast(
     )
     with output.spinner(json) as tell:
         files, held = write_cast(out, plan, rate=rate, tell=tell)
-    result = _figures(plan, held, files)
+    result = _figures(plan, held, files, uncertain)
     code = 0 if plan.success else output.NO_PLAN
     if plan.interrupted:
         words = f"Interrupted; the best so far is in {out}. {_verdict(plan)}"
         if not json:
-            _show(plan, held, files)
+            _show(plan, held, files, uncertain)
         code = output.interrupted(words, result, as_json=json)
     elif json:
         output.print_json(result)
     else:
-        _show(plan, held, files)
+        _show(plan, held, files, uncertain)
     if code:
         raise typer.Exit(code)
 
 
-def _figures(plan: CastPlan, held: Holding | None, files: dict[str, Path]) -> dict[str, Any]:
+def _figures(
+    plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertain: Uncertainty | None
+) -> dict[str, Any]:
     """Return the plan for JSON."""
     from hyperflex.casting.tables import summary
 
     peg = plan.peg
     told = summary(plan)
     told |= {"target": {"x_m": peg.x, "y_m": peg.y, "radius_m": peg.radius, "mu": peg.mu}, "files": files}
+    if uncertain is not None:
+        told["uncertain"] = uncertain.words()
     if held is not None:
         told["hold"] = {
             "force_N": held.force,
@@ -128,7 +134,7 @@ def _verdict(plan: CastPlan) -> str:
     return verdict(plan)
 
 
-def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path]) -> None:
+def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertain: Uncertainty | None) -> None:
     """Print what was planned and what to look at."""
     from hyperflex.report.cast_words import instead, swings_words, target_words
 
@@ -141,6 +147,8 @@ def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path]) -> None:
     if held is not None:
         pairs.append(("hold force", f"{'' if held.tug.slipped else 'at least '}{held.force:.2f} N, by a tug"))
         pairs.append(("tail weight times e^(mu angle)", f"{held.rule:.2f} N"))
+    if uncertain is not None:
+        pairs.append(("uncertain", uncertain.words()))
     if plan.stated is not None:
         pairs.append(("wins in uncertain worlds", str(plan.stated)))
     output.print_pairs("Cast (simulated)", pairs)

@@ -117,6 +117,7 @@ class Identification:
             name: {"low": _plain(np.array(each.low)), "high": _plain(np.array(each.high)), "kind": each.kind}
             for name, each in self.intervals.items()
         }
+        result |= {"parameters": list(self.parameters), "covariance": self.covariance.tolist()}
         result |= {"residual_rms": _plain(self.residual_rms), "residual_rms_all": self.residual_rms_all}
         if self.torque_residuals is not None:
             result["torque_rms"] = self.torque_rms

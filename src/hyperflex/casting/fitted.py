@@ -1,0 +1,117 @@
+"""A rope as an identification left it, with the covariance of what was fitted; ropes drawn from it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperflex import files
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Rope
+
+if TYPE_CHECKING:
+    from hyperflex.identification import Identification
+
+LOG, NOT_BELOW_0 = ("length", "mass"), ("inertia", "friction", "dry_friction", "stiffness", "tip_mass")
+COLUMNS = (*LOG, "com", *NOT_BELOW_0[:-1])  # of each link
+_LABEL = re.compile(r"(?P<name>[a-z_]+)(?:\[(?P<link>\d+)\])?(?::(?P<law>shared|factor|taper))?\Z")
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What an identification says of a rope.
+
+    Attributes
+    ----------
+    rope : Rope
+    parameters : tuple of str
+        Names of the P numbers that were fitted, as :class:`hyperflex.identification.Identification` has them.
+    covariance : (P, P) float64
+        Of these, SI units; 0 for what could not be known.
+    factors : dict of str to float
+        Fitted values of those of `parameters` that are a factor on all links.
+    """
+
+    rope: Rope
+    parameters: tuple[str, ...]
+    covariance: Array
+    factors: dict[str, float]
+
+    def __post_init__(self) -> None:
+        count = len(self.parameters)
+        if self.covariance.shape != (count, count) or not np.isfinite(self.covariance).all():
+            raise InvalidInput(
+                "covariance does not fit its parameters", got=self.covariance.shape, allowed=f"({count}, {count})"
+            )
+
+    @classmethod
+    def of(cls, fit: Identification) -> Fitted:
+        """Take it from what identify gave back."""
+        factors = {name: float(fit.values[name]) for name in fit.parameters if name.endswith(":factor")}
+        return cls(fit.rope, tuple(fit.parameters), np.asarray(fit.covariance), factors)
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Fitted | None:
+        """Read it from a rope file that identify wrote; None where the file holds no covariance.
+
+        Raises
+        ------
+        FileProblem, InvalidInput
+            If the file cannot be read, or what it says of its identification does not fit together.
+        """
+        told: Any = files.read_toml(path).get("identification")
+        if not isinstance(told, dict) or not {"parameters", "covariance"} <= told.keys():
+            return None
+        try:
+            names = tuple(str(name) for name in told["parameters"])
+            covariance = np.array(told["covariance"], dtype=np.float64)
+            factors = {name: float(told["values"][name]) for name in names if name.endswith(":factor")}
+        except (KeyError, TypeError, ValueError) as error:
+            raise InvalidInput(
+                f"the identification in {path} is not whole", got=str(error), fix="Write it again with identify"
+            ) from None
+        return cls(Rope.from_toml(path), names, covariance, factors)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Properties of the rope that were fitted."""
+        found = dict.fromkeys(re.split(r"[\[:]", label)[0] for label in self.parameters)
+        return tuple(name for name in found if name in (*COLUMNS, "tip_mass", "gravity_angle"))
+
+    def draw(self, rng: np.random.Generator) -> Rope:
+        """Draw a rope; numbers that cannot be below 0 are kept there."""
+        sizes, directions = np.linalg.eigh(self.covariance)
+        off = directions @ (np.sqrt(np.maximum(sizes, 0.0)) * rng.standard_normal(sizes.size))
+        changes: dict[str, Any] = {}
+        for label, each in zip(self.parameters, off, strict=True):
+            _change(changes, self.rope, label, float(each), self.factors.get(label, 1.0))
+        return self.rope.replace(**changes)
+
+
+def _change(changes: dict[str, Any], rope: Rope, label: str, off: float, factor: float) -> None:
+    """Note what a rope's property becomes if a fitted number is off; nothing if that is none of the rope's."""
+    parts = _LABEL.match(label)
+    name = parts["name"] if parts else ""
+    if name == "gravity_angle":
+        (x, y), c, s = rope.gravity, np.cos(off), np.sin(off)
+        changes["gravity"] = (c * x - s * y, s * x + c * y)
+    elif name == "tip_mass":
+        changes[name] = max(0.0, rope.tip_mass + off)
+    elif parts is not None and name in COLUMNS:
+        column: Array = changes.setdefault(name, np.array(getattr(rope, name)))
+        links = slice(None) if parts["link"] is None else int(parts["link"])
+        if parts["law"] == "factor":
+            column *= np.exp(off / factor)
+        elif parts["law"] == "taper":
+            column *= np.exp(off * ((np.cumsum(rope.length) - 0.5 * rope.length) / rope.total_length - 0.5))
+        elif name in LOG:
+            column[links] *= np.exp(off / column[links])
+        else:
+            column[links] += off
+        if name in NOT_BELOW_0:
+            np.maximum(column, 0.0, out=column)
