@@ -10,7 +10,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.drive import base_state, segment
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Peg
+from hyperflex.model import Peg, Rope
 from hyperflex.motion import moving_point
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import State, Trajectory, swept
@@ -92,7 +92,7 @@ def wound(run: Trajectory, peg: Peg) -> Winding:
         )
     away = run.joints - np.array([peg.x, peg.y])
     angles = swept(away)
-    touching = _closest(run, peg)[2] < TOUCH
+    touching = _closest(run.setup.rope, peg, run.q, run.joints)[2] < TOUCH
     any_touch = touching.any(axis=1)
     first = touching.argmax(axis=1)
     last = touching.shape[1] - 1 - touching[:, ::-1].argmax(axis=1)
@@ -176,16 +176,21 @@ def slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array:
     begin = 0 if since is None else int(np.searchsorted(run.t, checks.number("since", since, unit="s") - 1e-12))
     if begin >= run.t.size:
         raise InvalidInput("since is after the end of the run", got=since, allowed=f"at most {run.t[-1]:g} s")
-    place, away, gap = (values[begin:] for values in _closest(run, peg))
-    along = np.stack([np.sin(run.q[begin]), -np.cos(run.q[begin])], axis=-1)
+    moved = slid(run.setup.rope, peg, run.q[begin:], run.joints[begin:])
+    return np.concatenate([np.full(begin, np.nan), moved])
+
+
+def slid(rope: Rope, peg: Peg, q: Array, joints: Array) -> Array:
+    """As :func:`slip`, since the first of samples q (T, n), rad, and joints (T, n + 1, 2), m, of a rope."""
+    place, away, gap = _closest(rope, peg, q, joints)
+    along = np.stack([np.sin(q[0]), -np.cos(q[0])], axis=-1)
     sense = np.sign(away[0, :, 0] * along[:, 1] - away[0, :, 1] * along[:, 0])
     angle = np.unwrap(np.arctan2(away[..., 1], away[..., 0]), axis=0)
-    way = sense * (peg.radius + run.setup.rope.radius) * (angle - angle[0]) - (place - place[0])
+    way = sense * (peg.radius + rope.radius) * (angle - angle[0]) - (place - place[0])
     held = (gap[:1] < TOUCH) & (gap < TOUCH)
     least = np.where(held, np.abs(way), np.inf).argmin(axis=1)
     rows = np.arange(least.size)
-    moved = np.where(held[rows, least], way[rows, least], np.inf if held[0].any() else np.nan)
-    return np.concatenate([np.full(begin, np.nan), moved])
+    return np.where(held[rows, least], way[rows, least], np.inf if held[0].any() else np.nan)
 
 
 def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.05, allowed: float = 5e-3) -> Tug:
@@ -237,11 +242,10 @@ def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.0
     return Tug(hold=float(steady.max()), slipped=slipped, run=pulled, slip=way)
 
 
-def _closest(run: Trajectory, peg: Peg) -> tuple[Array, Array, Array]:
+def _closest(rope: Rope, peg: Peg, q: Array, joints: Array) -> tuple[Array, Array, Array]:
     """Place of the point of each link closest to a peg's centre (T, n), m; from there to it (T, n, 2), m; gap, m."""
-    rope = run.setup.rope
-    along = np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
-    to_peg = np.array([peg.x, peg.y]) - run.joints[:, :-1]
+    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
+    to_peg = np.array([peg.x, peg.y]) - joints[:, :-1]
     place = np.clip((to_peg * along).sum(axis=-1), 0.0, rope.length)
     away = place[..., None] * along - to_peg
     return place, away, np.hypot(away[..., 0], away[..., 1]) - peg.radius - rope.radius

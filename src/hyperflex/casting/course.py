@@ -23,7 +23,7 @@ ALIKE = 0.05  # points that differ by less are one
 FINER = 2  # pieces of each link in the second verification
 NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
 LONGEST, LEAST_LONG = 0.15, 5.0  # part of the patience, and time by the clock, s, that a verification may take
-DOUBTED, TRIES = 4, 2  # throws doubted, and of these verified, at most between two generations
+TRIES = 3  # throws verified at most between two generations
 STEADY = 0.4  # part of the slip allowed, beyond which a throw that holds is kept, but a better one sought
 GRIP = 1.0  # part of what the rope can bear, of which the same is true
 ALIKE_TURNS = 0.5  # by which the turns of both verifications may differ: beyond, one of them winds once more
@@ -84,21 +84,15 @@ class Course:
 
     def done(self) -> bool:
         """Whether a plan stands, with something in hand."""
-        return _rank(*self.best[1:])[:3] == (True, True, True)
+        return _rank(*self.best[1:])[:3] == (2, True, True)
 
     def look(self) -> None:
-        """Doubt the best throws that were not looked at yet, and verify those that stand."""
-        some: list[Landing] = []
-        for one in self.search.landings:
-            if one.turns >= WOUND and len(some) < DOUBTED and self.fresh(one):
-                some.append(one)
-                self.checked.append(one)
-        if self.done():
-            return
-        for one in self.search.doubt(some)[:TRIES]:
-            self.check(one)
-            if self.done() or self.spent > self.patience:
+        """Verify the best throws that were not verified yet."""
+        for _ in range(TRIES):
+            found = next((one for one in self.search.landings if one.turns >= WOUND and self.fresh(one)), None)
+            if found is None or self.done() or (self.spent > self.patience and self.best[0] is not None):
                 return
+            self.check(found)
 
     def settle(self) -> None:
         """Verify the best throw of all where none that winds was found."""
@@ -132,6 +126,7 @@ class Course:
 
     def check(self, found: Landing) -> None:
         """Verify a throw and keep it if it is better than the best until now."""
+        self.checked.append(found)
         search, longest = self.search, max(LONGEST * self.patience, LEAST_LONG)
         motion = found.throw.motion(search.thrower.limits)
         cast = verify(search.thrower, search.peg, motion, patience=longest)
@@ -145,12 +140,13 @@ def steady(cast: Cast) -> bool:
     return cast.slipped <= STEADY * SLIP and cast.grip <= GRIP
 
 
-def _rank(cast: Cast | None, finer: Cast | None) -> tuple[bool, bool, bool, float]:
-    """Success in both verifications, as many turns in both, something in hand; then the turns."""
+def _rank(cast: Cast | None, finer: Cast | None) -> tuple[int, bool, bool, float]:
+    """Verifications that succeed, as many turns in both, something in hand; then the turns."""
     if cast is None or finer is None:
-        return False, False, False, 0.0 if cast is None else abs(cast.turns)
+        return 0, False, False, 0.0 if cast is None else abs(cast.turns)
     alike = abs(cast.turns - finer.turns) < ALIKE_TURNS
-    return cast.success and finer.success, alike, steady(cast) and steady(finer), min(abs(cast.turns), abs(finer.turns))
+    good = int(cast.success) + int(finer.success)
+    return good, alike, steady(cast) and steady(finer), min(abs(cast.turns), abs(finer.turns))
 
 
 def why_not(cast: Cast | None, finer: Cast | None, interrupted: bool) -> str:

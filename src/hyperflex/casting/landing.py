@@ -9,12 +9,15 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from hyperflex.casting.outcome import WOUND
+from hyperflex.casting.strikes import arm_tip
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.simulation import Batch, simulate_batch
+from hyperflex.winding import slid
 
 # m, s, of runs in a search: on 320 throws at four targets they wound as with a tenth of it and a quarter
 COARSE_TOL, COARSE_STEP = 1e-2, 2e-3
@@ -22,6 +25,7 @@ SAMPLE_TIME = 0.02  # s
 SETTLE = 2.5  # s, watched after strike and stop
 FIRST, HOPE = 0.9, 0.75  # s after the stop when a run is looked at, and turns without which it ends there
 TOGETHER = 0.5  # s by which the stops of runs in one batch differ at most
+SLID, SLIDING = 0.02, 1.0  # m, slip in the last seconds from which on it costs a run so many turns; less costs less
 PATIENCE = 1.0  # s of processor time for a run; most take a twentieth of it
 LAST, LAST_LOST = 0.8, 0.3  # s at the end, over which the rope must stay wound; the same of runs without hope
 ENOUGH = 3.0  # turns beyond which more do not count
@@ -126,6 +130,16 @@ class _Runs:
             self.qd[rows],
         )
 
+    def slid(self, k: int, q: Array, t: Array, arm: Arm) -> float:
+        """How much of SLID the k-th one slips over the last LAST s of samples q (T, n) at times t (T,); at most 1."""
+        last = t > t[-1] - LAST
+        q, rope = q[last], self.ropes[k]
+        links = rope.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
+        base = arm_tip(arm, self.motions[k], t[last])[:, None]
+        joints = np.concatenate([base, base + np.cumsum(links, axis=1)], axis=1)
+        way = float(np.abs(slid(rope, self.pegs[k], q, joints)).max())
+        return min(way / SLID, 1.0) if np.isfinite(way) else 1.0
+
     def go(self, t: Array, arm: Arm, threads: int | None) -> Batch:
         """Run coarsely to the last of the times t (T,), s."""
         return simulate_batch(
@@ -171,6 +185,8 @@ def _settle(runs: _Runs, stops: Array, begin: Array, arm: Arm, threads: int | No
         further = replace(some, motions=motions, q=batch.q[on, -1], qd=batch.qd[on, -1]).go(late, arm, threads)
         whole = np.concatenate([turns[on], further.values["turns"][..., 0]], axis=1)
         ended = judge(np.append(early, after + late), whole, stops[on] + SETTLE, begin[on])
+        for k in np.flatnonzero(ended.turns >= WOUND):
+            ended.score[k] -= SLIDING * some.slid(int(k), further.values["q"][k], after + late, arm)
         found.score[on], found.turns[on] = ended.score, ended.turns
     return found
 

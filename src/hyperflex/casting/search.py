@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,11 +10,10 @@ import numpy as np
 from hyperflex.casting import landing, strikes
 from hyperflex.casting.evolution import evolution
 from hyperflex.casting.genes import LAST, Genes
-from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
-from hyperflex.model import Peg, divided
+from hyperflex.model import Peg
 
 MEMBERS, LANDING_MEMBERS = 32, 16  # of a generation of free swings, and of one beside the peg
 KEPT = 4  # of a generation's swings that may be tried beside the peg
@@ -22,8 +21,6 @@ APART = 0.1  # strokes or rests by which two swings differ if they are to be tri
 TRIED = 4  # swings of a round that are tried beside the peg
 # What is tried after a strike: strokes still made, then the last move, in half turns, after a rest in periods
 MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
-PIECES = 2  # of each link, in the runs that what winds is tried in as well
-UNLIKE, PRICE = 0.5, 1.0  # turns by which both may differ; beyond, one winds once more, and that costs so many turns
 NARROW = 0.25  # spread of a search beside the peg, in parts of the first one's
 
 
@@ -71,7 +68,6 @@ class Search:
         self._free = {side: self._evolution(g.centre(), 1.0, MEMBERS, g) for side, g in self.genes.items()}
         self._tried: list[Swing] = []
         self._close: tuple[int, Any] | None = None
-        self._finer = replace(self.thrower, rope=divided(self.thrower.rope, PIECES))
 
     def _evolution(self, centre: Array, size: float, members: int, genes: Genes) -> Any:
         return evolution(centre, size, genes.spreads(), members, self._random)
@@ -142,24 +138,3 @@ class Search:
             self.landings.sort(key=lambda one: -one.score)
         score[~np.isfinite(found.t)] = np.minimum(score[~np.isfinite(found.t)], 0.0)
         return score
-
-    def doubt(self, found: list[Landing]) -> list[Landing]:
-        """Try throws that wind with finer links too: what the length of the links decides is not to be trusted.
-
-        Returns those that still wind, with the lesser score and turns of both, the best first.
-        """
-        if not found:
-            return []
-        strike = strikes.fly(self._finer, self.peg, [one.throw for one in found], threads=self.threads)
-        hit = np.flatnonzero(np.isfinite(strike.t))
-        self.runs += 2 * len(found)
-        if not hit.size:
-            return []
-        state = strike.t[hit], strike.q[hit], strike.qd[hit]
-        ended = landing.land(self._finer, self.peg, [found[k].throw for k in hit], state, threads=self.threads)
-        stand = []
-        for k, score, turns in zip(hit, ended.score, ended.turns, strict=True):
-            one, price = found[k], PRICE * float(abs(turns - found[k].turns) > UNLIKE)
-            if turns >= WOUND:
-                stand.append(one._replace(score=min(one.score, score) - price, turns=min(one.turns, turns)))
-        return sorted(stand, key=lambda one: -one.score)
