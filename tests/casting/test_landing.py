@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import hyperflex as hf
 from hyperflex.casting import MotorLimits, Throw, Thrower, verify
-from hyperflex.casting.landing import ENOUGH, LAST, LATE, PASSING, judge, land
+from hyperflex.casting.landing import ENOUGH, HOPE, LAST, LATE, PASSING, SLIDING, TOGETHER, judge, land
+from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.strikes import fly
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
@@ -77,3 +80,31 @@ def test_a_rope_that_misses_is_told() -> None:
     whole = verify(THROWER, hf.Peg(1.5, 1.2, 0.03), hf.moves([-1.5, -1.4], [0.0], [0.2]), watch=0.2)
     assert whole.reason == "the rope does not touch the peg"
     assert np.isnan(whole.strike)
+
+
+def test_throws_are_judged_alike_alone_and_together() -> None:
+    """Whatever they stop beside, and though those without hope end early."""
+    still = replace(WINDS, end=0.9 * np.pi, rest=0.9)  # it stops later
+    strike = fly(THROWER, PEG, [WINDS] * 2)
+    state = strike.t, strike.q, strike.qd
+    throws = [WINDS.cut(float(strike.t[0]), THROWER.limits), still.cut(float(strike.t[0]), THROWER.limits)]
+    stops = [float(throw.stops(THROWER.limits) - strike.t[0]) for throw in throws]
+    assert abs(stops[0] - stops[1]) > TOGETHER
+    both = land(THROWER, PEG, throws, state)
+    for k, throw in enumerate(throws):
+        alone = land(THROWER, PEG, [throw], tuple(values[k : k + 1] for values in state))
+        assert (both.score[k], both.turns[k]) == (alone.score[0], alone.turns[0])
+    far = land(THROWER, hf.Peg(3.0, 3.0, 0.04), [WINDS], tuple(values[:1] for values in state))
+    assert far.turns[0] < HOPE
+
+
+def test_a_rope_that_slips_in_the_end_is_worth_less() -> None:
+    """Of two throws with the same turns that of which the peg is smooth slips off, if not within the run."""
+    strike = fly(THROWER, PEG, [WINDS])
+    state = strike.t, strike.q, strike.qd
+    smooth = hf.Peg(PEG.x, PEG.y, PEG.radius, 0.05)
+    rough, slips = (land(THROWER, peg, [WINDS], state) for peg in (PEG, smooth))
+    if slips.turns[0] >= WOUND:
+        assert slips.score[0] < rough.score[0] - 0.5 * SLIDING
+    else:
+        assert slips.score[0] < rough.score[0] - SLIDING

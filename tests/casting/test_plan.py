@@ -119,7 +119,7 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
 
     def check(self: course.Course, found: course.Landing) -> None:
         good = found.throw != "throw 2"
-        cast = SimpleNamespace(success=good, turns=2.0, slipped=1e-3, reason="" if good else "it slips")
+        cast = SimpleNamespace(success=good, turns=2.0, slipped=1e-3, grip=0.5, reason="" if good else "it slips")
         self.best = (found.throw, cast, cast if good else None)  # type: ignore[assignment]
 
     def harden(self: course.Hardening, found: list, until: float, report: object) -> None:
@@ -163,11 +163,42 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     assert (found.throw, found.stated) == ("nominal", None)
 
 
-@pytest.mark.parametrize(("slipped", "enough"), [(1e-3, True), (4e-3, False), (np.nan, False)])
-def test_the_search_goes_on_while_the_best_nearly_slips(slipped: float, enough: bool) -> None:
-    work = course.Course(Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY), 0.0, 1.0)
-    firm = SimpleNamespace(success=True, slipped=1e-4)
-    work.best = ("a throw", firm, SimpleNamespace(success=True, slipped=slipped))  # type: ignore[assignment]
+@pytest.mark.parametrize(
+    ("first", "second", "enough"),
+    [
+        ({}, {}, True),
+        ({"slipped": 3e-3}, {}, False),  # 5 mm are allowed
+        ({}, {"grip": 1.2}, False),  # pulled with more than Capstan's rule lets it bear
+        ({}, {"turns": 1.3}, False),  # one turn fewer with finer links: left to chance
+        ({}, {"success": False}, False),
+    ],
+)
+def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, second: dict, enough: bool) -> None:
+    search = SimpleNamespace(thrower=Thrower(CABLE, ARM, hf.MotorLimits()), landings=[])
+    work = course.Course(search, 0.0, 1.0)  # type: ignore[arg-type]
+    good = {"success": True, "turns": 2.3, "slipped": 1e-3, "grip": 0.8}
+    pair = [SimpleNamespace(**(good | change)) for change in (first, second)]
+    work.best = ("a throw", *pair)  # type: ignore[assignment]
     assert work.done() is enough
-    work.best = ("a throw", firm, None)  # type: ignore[assignment]
-    assert not work.done()
+
+
+def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = SimpleNamespace(thrower=Thrower(CABLE, ARM, hf.MotorLimits()), peg=EASY, landings=[])
+    work = course.Course(search, 0.0, 1.0)  # type: ignore[arg-type]
+    ends = {"slips": [(False, 3.2)], "stands": [(True, 1.4), (True, 1.4)], "once": [(True, 2.3), (False, 2.3)]}
+    casts: list[object] = []
+
+    def verify(*_: object, **__: object) -> object:
+        success, turns = casts.pop(0)  # type: ignore[misc]
+        return SimpleNamespace(success=success, turns=turns, slipped=0.0, grip=0.5)
+
+    monkeypatch.setattr(course, "verify", verify)
+    for name in ("slips", "once", "stands", "slips", "once"):
+        casts[:] = ends[name]
+        throw = SimpleNamespace(name=name, motion=lambda limits: None)
+        work.check(course.Landing(1.0, 2.0, 1, np.zeros(3), throw))  # type: ignore[arg-type]
+        if name == "once":
+            assert work.best[0] is not None
+            assert work.best[0].name != "slips"  # type: ignore[attr-defined]
+    assert work.best[0].name == "stands"  # type: ignore[union-attr]
+    assert work.done()
