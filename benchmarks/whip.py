@@ -291,7 +291,7 @@ def identified_words(rows: list[dict[str, Any]]) -> list[str]:
             long, stiff = (np.array([row[name] for row in those]) - 1.0 for name in ("length", "friction"))
             lines.append(
                 f"\n{NAMES[kind].capitalize()}: median miss without the lag {without:.1f} mm, with rests in time too "
-                f"{exact:.1f} mm. Length {100 * np.sqrt((long**2).mean()):.3f} % off (root mean square), friction of "
+                f"{exact:.1f} mm. Length {100 * np.sqrt((long**2).mean()):.3f} % off (root mean square), friction over "
                 f"mass {100 * stiff.mean():+.1f} % on average, {100 * stiff.std():.1f} % standard deviation."
             )
     return lines
@@ -311,7 +311,8 @@ def beyond_words(rows: list[dict[str, Any]]) -> list[str]:
     for low, high in pairwise(BANDS):
         some = [row["success"] for row in those if low < row["cost"] <= high]
         if some:
-            told.append(f"{sum(some)} of {len(some)} at {low:g} to {high:g} m")
+            where = f"at {low:g} to {high:g} m" if np.isfinite(high) else f"over {low:g} m"
+            told.append(f"{sum(some)} of {len(some)} {where}")
     met = sum(row["success"] for row in those)
     words = (
         f"\nOut of reach is called what is farther than {NEAR:g} m (direction and speed that are not as asked count as "
