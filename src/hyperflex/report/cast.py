@@ -26,7 +26,7 @@ _CAPTIONS = {
     "film": "The cast as it is planned, simulated: arm (white), rope (yellow), target (red).",
     "strike": "The rope about the strike, early instants dark, late ones bright; simulated.",
     "course": "Arm angle, turns, tension and torque over time. Dashed red: the strike. Green: the rope is watched.",
-    "tug": "The tug that measures the hold force: pull, and slip of the rope on the target.",
+    "tug": "The simulated tug that gives the hold force: pull, and slip of the rope on the target.",
 }
 
 
@@ -167,4 +167,5 @@ def _write_page(path: Path, plan: CastPlan, held: Holding | None, pictures: dict
         )
         sections.append(Section("Motor", table=words.motor_table(plan)))
     sections.append(Section("Set-up", text=words.setup_words(plan)))
-    write_page(path, "A planned cast", words.LEAD, "simulated", sections)
+    title = f"A planned cast round a target at x = {plan.peg.x:.3g} m, y = {plan.peg.y:.3g} m"
+    write_page(path, title, words.LEAD, "simulated", sections)

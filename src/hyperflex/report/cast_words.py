@@ -76,7 +76,9 @@ def tiles(plan: CastPlan, held: Holding | None) -> Tiles:
         shown.append((f"{abs(plan.cast.turns):.2f} turns", f"in the end, {way(plan)}; {WOUND:g} are asked"))
     if held is not None:
         least = "" if held.tug.slipped else "at least "
-        shown.append((f"{least}{held.force:.2f} N", "hold force: the tug that the wound rope bears before it slips"))
+        shown.append(
+            (f"{least}{held.force:.2f}\u00a0N", "hold force: the tug that the wound rope bears before it slips")
+        )
     return tuple(shown)
 
 
@@ -114,8 +116,10 @@ def _outcome(plan: CastPlan) -> str:
         return f"The rope strikes the target at {cast.strike:.2f} s and does not stay on it."
     return (
         f"The rope strikes the target at {cast.strike:.2f} s, winds {way(plan)}, and lies round it with "
-        f"{abs(cast.turns):.2f} turns (from the arm's tip to the rope's end). In the last {WATCH:g} s it slips by "
-        f"{1e3 * cast.slipped:.2g} mm; {1e3 * SLIP:g} mm are allowed."
+        f"{abs(cast.turns):.2f} turns: the angle swept about the target's centre from the arm's tip along the rope to "
+        f"its end, so straight parts and the hanging tail count beside what lies on the target, and a tail that swings "
+        f"changes it. In the last {WATCH:g} s the rope slips on the target by {1e3 * cast.slipped:.2g} mm; "
+        f"{1e3 * SLIP:g} mm are allowed."
     )
 
 
@@ -126,10 +130,10 @@ def _hold(held: Holding) -> str:
         else f"the rope bore {held.force:.2f} N and had not slipped when the pull ended, so it holds more"
     )
     return (
-        f"Hold force: pulled slowly away from the target, {bore}. For comparison, the tail that hangs beyond the "
-        f"target weighs {held.tail:.3f} N; times e^(mu angle), with mu = {held.mu:g} and {held.angle:.1f} rad of "
-        f"contact, that is {held.rule:.2f} N. This rule leaves out the weight of the rope on the target and "
-        "of the rope between target and arm, which the pull bears as well."
+        f"Hold force (mean over 0.1 s): pulled slowly away from the target, {bore}. For comparison, the tail that "
+        f"hangs beyond the target weighs {held.tail:.3f} N; times e^(mu angle), with mu = {held.mu:g} and "
+        f"{held.angle:.1f} rad of contact, that is {held.rule:.2f} N. This rule leaves out the weight of the rope on "
+        "the target and of the rope between target and arm, which the pull bears as well."
     )
 
 
