@@ -19,13 +19,13 @@ from hyperflex.motion import Motion
 from hyperflex.simulation import Batch, simulate_batch
 from hyperflex.winding import slid
 
-COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search; with coarser ones wound ropes seldom settle, slowly
+COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search; coarser ones of wound ropes took longer, not less
 SAMPLE_TIME = 0.02  # s
 SETTLE = 2.5  # s, watched after strike and stop
 FIRST, HOPE = 0.9, 0.75  # s after the stop when a run is looked at, and turns without which it ends there
 TOGETHER = 0.5  # s by which the stops of runs in one batch differ at most
 SLID, SLIDING = 0.02, 1.0  # m, slip in the last seconds from which on it costs a run so many turns; less costs less
-PATIENCE = 10.0  # s of processor time for a run; most take a hundredth of it, and hardly any wins that takes more
+PATIENCE = 10.0  # s of processor time for a run; most take a hundredth of it
 LAST, LAST_LOST = 0.8, 0.3  # s at the end, over which the rope must stay wound; the same of runs without hope
 ENOUGH = 3.0  # turns beyond which more do not count
 PASSING = 0.25  # what a turn counts that is undone again
