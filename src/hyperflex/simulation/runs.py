@@ -186,9 +186,7 @@ def simulate(
             tip_force=tip_force,  # type: ignore[arg-type]
         )
     length = setup.duration if duration is None else checks.number("duration", duration, sign="positive", unit="s")
-    if state is not None and not isinstance(state, State):
-        raise InvalidInput("state is not a State", got=state, allowed="trajectory.state of an earlier run, or None")
-    begin = 0.0 if state is None else checks.number("state t", state.t, unit="s")
+    begin = _begin(state)
     t = output_times(t_eval, begin, begin + length)
     skip = int(t[0] > begin)  # the energy account starts where the run does, whether or not that is asked for
     chain = setup.chain()
@@ -196,14 +194,11 @@ def simulate(
     run = prepare(chain, setup.drive(), setup.start(), np.append(begin, t) if skip else t, bounds)
     if state is not None:
         resume(run, state, setup)
-    code, name = status.OK, status.NAMES[status.OK]
     try:
         if control is not None and control_rate is not None:
             code, setup = _controlled(run, setup, control, control_rate)
         else:
-            with progress_bar(begin, begin + length, progress) as bar:
-                report = impatient(bar, patience)
-                code = beside(run, setup, state).finish(report) if setup.pegs else finish(run, report)
+            code = _finished(run, setup, state, (begin, begin + length), patience, progress)
         name = status.NAMES[code]
     except KeyboardInterrupt:
         if throw:
@@ -218,6 +213,29 @@ def simulate(
         code, event = status.OK, (until.name, run.time)
         end_at_event(run)
     return replace(conclude(run, setup, code, name, throw=throw, skip=skip), event=event)
+
+
+def _begin(state: State | None) -> float:
+    """Return when a run begins, s: where the one before it ended, if there was one."""
+    if state is None:
+        return 0.0
+    if not isinstance(state, State):
+        raise InvalidInput("state is not a State", got=state, allowed="trajectory.state of an earlier run, or None")
+    return checks.number("state t", state.t, unit="s")
+
+
+def _finished(
+    run: Rollout,
+    setup: Setup,
+    state: State | None,
+    span: tuple[float, float],
+    patience: float | None,
+    progress: bool,
+) -> int:
+    """Run to the end of a span, s, and return the status code."""
+    with progress_bar(*span, progress) as bar:
+        report = impatient(bar, patience)
+        return beside(run, setup, state).finish(report) if setup.pegs else finish(run, report)
 
 
 def angles(
