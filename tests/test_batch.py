@@ -208,9 +208,13 @@ def test_ctrl_c_ends_a_block_at_work() -> None:
     assert main is not None
     hf.simulate_batch(soft, duration=0.01, q0=q0)  # compile first
     clock = threading.Timer(2.0, lambda: signal.pthread_kill(main, signal.SIGINT))
-    clock.start()
-    batch = hf.simulate_batch([soft] * 8 + [stiff] * 56, duration=10.0, q0=q0, threads=1)
-    clock.join()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    try:
+        clock.start()
+        batch = hf.simulate_batch([soft] * 8 + [stiff] * 56, duration=10.0, q0=q0, threads=1)
+        clock.join()
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert batch.status[:8] == ("ok",) * 8
     assert batch.status[8:] == ("interrupted",) * 56
     assert np.isfinite(batch.tip[:8]).all()
