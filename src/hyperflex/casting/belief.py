@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hyperflex.casting import flights, strikes
-from hyperflex.casting.flights import Flights
+from hyperflex.casting.launch import Flights
 from hyperflex.casting.matching import features
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.uncertainty import Draw

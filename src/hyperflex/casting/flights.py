@@ -3,54 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from hyperflex.casting import landing, strikes
 from hyperflex.casting.landing import Landings
+from hyperflex.casting.launch import Flights
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.uncertainty import Draw
 from hyperflex.checks import Array
-from hyperflex.model import Arm, Peg, Rope
-from hyperflex.motion import Motion
+from hyperflex.model import Arm, Peg
 from hyperflex.simulation import simulate_batch
 
 AFTER = 0.5  # s after the arm has stopped within which a rope may still strike
 TOGETHER = 128  # flights at once; more would fill the memory
 DECIDED = 0.5  # s of free flight that are looked at, at least
-
-
-@dataclass(frozen=True, eq=False)
-class Flights:
-    """Throws in the air (M), each with a rope, a peg and a motion of its own.
-
-    Attributes
-    ----------
-    ropes, pegs, motions : (M,) sequences
-        The motions begin at `t` = 0, as does the run.
-    q, qd : (M, n) float64
-        Angles, rad, and rates, rad/s, at the start.
-    since : float
-        What time it is at the start, s.
-    """
-
-    ropes: Sequence[Rope]
-    pegs: Sequence[Peg]
-    motions: Sequence[Motion]
-    q: Array
-    qd: Array
-    since: float = 0.0
-
-    def __len__(self) -> int:
-        return len(self.ropes)
-
-    def part(self, rows: Sequence[int]) -> Flights:
-        """Return some of them."""
-        ropes, pegs = [self.ropes[m] for m in rows], [self.pegs[m] for m in rows]
-        motions = [self.motions[m] for m in rows]
-        return Flights(ropes, pegs, motions, self.q[list(rows)], self.qd[list(rows)], self.since)
 
 
 def from_rest(thrower: Thrower, pairs: Sequence[tuple[Throw, Draw]]) -> Flights:
@@ -87,9 +56,8 @@ def ends(flights: Flights, arm: Arm, time: float, *, threads: int | None = None)
         if hit.size:
             some = part.part(hit.tolist())
             motions = [motion.shifted(-at) for motion, at in zip(some.motions, t[hit], strict=True)]
-            found = landing.settle(
-                some.ropes, some.pegs, motions, (t[hit] + flights.since, q[hit], qd[hit]), arm=arm, threads=threads
-            )
+            struck_there = replace(some, motions=motions, q=q[hit], qd=qd[hit])
+            found = landing.settle(struck_there, t[hit] + flights.since, arm=arm, threads=threads)
             score[low + hit], turns[low + hit] = found.score, found.turns
     return Landings(score, turns)
 

@@ -11,7 +11,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.casting import flights
 from hyperflex.casting.belief import Belief
-from hyperflex.casting.flights import Flights
+from hyperflex.casting.launch import Flights
 from hyperflex.casting.matching import Goal, match
 from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.robust import worth

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperflex.casting.launch import Flights
 from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.strikes import arm_tip
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
-from hyperflex.model import Arm, Peg, Rope
-from hyperflex.motion import Motion
+from hyperflex.model import Arm, Peg
 from hyperflex.simulation import Batch, simulate_batch
 from hyperflex.winding import slid
 
@@ -30,9 +28,6 @@ LAST, LAST_LOST = 0.8, 0.3  # s at the end, over which the rope must stay wound;
 ENOUGH = 3.0  # turns beyond which more do not count
 PASSING = 0.25  # what a turn counts that is undone again
 LATE = 0.02  # turns that a second of delay costs
-
-
-Item = TypeVar("Item")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,123 +66,89 @@ def land(
         (M,), (M, n), (M, n): where each run starts, s, rad, rad/s.
     threads : int, optional
     """
-    begin = state[0]
+    begin, q, qd = state
     motions = [throw.motion(thrower.limits).shifted(-start) for throw, start in zip(throws, begin, strict=True)]
-    return settle([thrower.rope], [peg], motions, state, arm=thrower.arm, threads=threads)
+    flights = Flights([thrower.rope] * len(motions), [peg] * len(motions), motions, q, qd)
+    return settle(flights, begin, arm=thrower.arm, threads=threads)
 
 
-def settle(
-    ropes: Sequence[Rope],
-    pegs: Sequence[Peg],
-    motions: Sequence[Motion],
-    state: tuple[Array, Array, Array],
-    *,
-    arm: Arm,
-    threads: int | None = None,
-) -> Landings:
+def settle(flights: Flights, begin: Array, *, arm: Arm, threads: int | None = None) -> Landings:
     """Run ropes beside pegs from shortly before their strikes.
 
     Parameters
     ----------
-    ropes, pegs : (M,) or (1,) sequences
-        One each, or one for all.
-    motions : (M,) sequence of Motion
-        From the start of each run on, which is their t = 0; they end.
-    state : (t, q, qd)
-        As for :func:`land`.
+    flights : Flights
+        (M,); their motions end.
+    begin : (M,) float64
+        When each strikes, s: the later, the less it scores.
     arm : Arm
     threads : int, optional
     """
-    begin, q, qd = state
-    stops = np.maximum([float(motion.breaks[-1]) for motion in motions], 0.5)
-    runs = _Runs(_each(ropes, stops.size), _each(pegs, stops.size), list(motions), q, qd)
+    stops = np.maximum([float(motion.breaks[-1]) for motion in flights.motions], 0.5)
     score, turns = np.empty(stops.size), np.empty(stops.size)
     for rows in _alike(stops):
-        found = _settle(runs.part(rows), stops[rows], begin[rows], arm, threads)
+        found = _settle(flights.part(rows), stops[rows], begin[rows], arm, threads)
         score[rows], turns[rows] = found.score, found.turns
     return Landings(score, turns)
 
 
-@dataclass(frozen=True, eq=False)
-class _Runs:
-    """Ropes beside pegs (M,) under motions from t = 0 on, with their states (M, n) then."""
-
-    ropes: list[Rope]
-    pegs: list[Peg]
-    motions: list[Motion]
-    q: Array
-    qd: Array
-
-    def part(self, rows: npt.NDArray[np.int64]) -> _Runs:
-        """Return some of them."""
-        ropes, pegs, motions = self.ropes, self.pegs, self.motions
-        return _Runs(
-            [ropes[k] for k in rows],
-            [pegs[k] for k in rows],
-            [motions[k] for k in rows],
-            self.q[rows],
-            self.qd[rows],
-        )
-
-    def slid(self, k: int, q: Array, t: Array, arm: Arm) -> float:
-        """How much of SLID the k-th one slips over the last LAST s of samples q (T, n) at times t (T,); at most 1."""
-        last = t > t[-1] - LAST
-        q, rope = q[last], self.ropes[k]
-        links = rope.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
-        base = arm_tip(arm, self.motions[k], t[last])[:, None]
-        joints = np.concatenate([base, base + np.cumsum(links, axis=1)], axis=1)
-        way = float(np.abs(slid(rope, self.pegs[k], q, joints)).max())
-        return min(way / SLID, 1.0) if np.isfinite(way) else 1.0
-
-    def go(self, t: Array, arm: Arm, threads: int | None) -> Batch:
-        """Run coarsely to the last of the times t (T,), s."""
-        return simulate_batch(
-            self.ropes,
-            self.motions,
-            arm=arm,
-            duration=float(t[-1]),
-            q0=self.q,
-            qd0=self.qd,
-            t_eval=t,
-            tol=COARSE_TOL,
-            contact_step=COARSE_STEP,
-            refine=False,
-            pegs=[[peg] for peg in self.pegs],
-            keep=("turns", "q", "qd"),
-            patience=PATIENCE,
-            threads=threads,
-        )
-
-
-def _each(given: Sequence[Item], count: int) -> list[Item]:
-    return list(given) * (1 if len(given) > 1 else count)
-
-
-def _alike(stops: Array) -> list[npt.NDArray[np.int64]]:
+def _alike(stops: Array) -> list[list[int]]:
     """Return rows in groups that stop at about the same time: what runs on beyond its end costs time for nothing."""
     order = np.argsort(stops, kind="stable")
     groups = np.floor((stops[order] - stops[order[0]]) / TOGETHER)
-    return list(np.split(order, np.flatnonzero(np.diff(groups)) + 1))
+    return [rows.tolist() for rows in np.split(order, np.flatnonzero(np.diff(groups)) + 1)]
 
 
-def _settle(runs: _Runs, stops: Array, begin: Array, arm: Arm, threads: int | None) -> Landings:
+def _settle(flights: Flights, stops: Array, begin: Array, arm: Arm, threads: int | None) -> Landings:
     """As :func:`settle`, for runs that stop at about the same time; those without hope are ended early."""
     early: Array = SAMPLE_TIME * np.arange(1.0, np.ceil((stops.max() + FIRST) / SAMPLE_TIME) + 1.0)
     late: Array = SAMPLE_TIME * np.arange(1.0, np.ceil((SETTLE - FIRST) / SAMPLE_TIME) + 1.0)
-    batch = runs.go(early, arm, threads)
+    batch = _run(flights, early, arm, threads)
     turns = batch.values["turns"][..., 0]
     found = judge(early, turns, stops + FIRST, begin, last=LAST_LOST)
     on = np.flatnonzero(np.abs(np.nan_to_num(turns[:, -1])) >= HOPE)
     if on.size:
-        some, after = runs.part(on), float(early[-1])
+        some, after = flights.part(on.tolist()), float(early[-1])
         motions = [motion.shifted(-after) for motion in some.motions]
-        further = replace(some, motions=motions, q=batch.q[on, -1], qd=batch.qd[on, -1]).go(late, arm, threads)
+        some = replace(some, motions=motions, q=batch.q[on, -1], qd=batch.qd[on, -1])
+        further = _run(some, late, arm, threads)
         whole = np.concatenate([turns[on], further.values["turns"][..., 0]], axis=1)
         ended = judge(np.append(early, after + late), whole, stops[on] + SETTLE, begin[on])
         for k in np.flatnonzero(ended.turns >= WOUND):
-            ended.score[k] -= SLIDING * some.slid(int(k), further.values["q"][k], after + late, arm)
+            ended.score[k] -= SLIDING * _slid(some, int(k), further.q[k], late, arm)
         found.score[on], found.turns[on] = ended.score, ended.turns
     return found
+
+
+def _run(flights: Flights, t: Array, arm: Arm, threads: int | None) -> Batch:
+    """Run coarsely to the last of the times t (T,), s."""
+    return simulate_batch(
+        list(flights.ropes),
+        list(flights.motions),
+        arm=arm,
+        duration=float(t[-1]),
+        q0=flights.q,
+        qd0=flights.qd,
+        t_eval=t,
+        tol=COARSE_TOL,
+        contact_step=COARSE_STEP,
+        refine=False,
+        pegs=[[peg] for peg in flights.pegs],
+        keep=("turns", "q", "qd"),
+        patience=PATIENCE,
+        threads=threads,
+    )
+
+
+def _slid(flights: Flights, k: int, q: Array, t: Array, arm: Arm) -> float:
+    """How much of SLID the k-th one slips over the last LAST s of samples q (T, n) at times t (T,); at most 1."""
+    last = t > t[-1] - LAST
+    q, rope = q[last], flights.ropes[k]
+    links = rope.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
+    base = arm_tip(arm, flights.motions[k], t[last])[:, None]
+    joints = np.concatenate([base, base + np.cumsum(links, axis=1)], axis=1)
+    way = float(np.abs(slid(rope, flights.pegs[k], q, joints)).max())
+    return min(way / SLID, 1.0) if np.isfinite(way) else 1.0
 
 
 def judge(t: Array, turns: Array, span: Array, begin: Array, *, last: float = LAST) -> Landings:

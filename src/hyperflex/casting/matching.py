@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyperflex.casting import flights, strikes
-from hyperflex.casting.flights import Flights
+from hyperflex.casting.launch import Flights
 from hyperflex.casting.throw import LEAST_STROKE, Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.uncertainty import Draw

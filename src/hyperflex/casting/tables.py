@@ -20,6 +20,7 @@ from hyperflex.trajectory import Trajectory
 if TYPE_CHECKING:
     from hyperflex.casting.cast_plan import CastPlan
     from hyperflex.casting.outcome import Cast
+    from hyperflex.casting.whip import WhipPlan
 
 RATE = 200.0  # Hz
 MOST_ROWS = 10_000_000
@@ -109,9 +110,9 @@ def read_plan(path: str | Path) -> tuple[Thrower, Peg, Motion]:
     return thrower, pegs[0], setup.motion
 
 
-def summary(plan: CastPlan) -> dict[str, Any]:
-    """Return what a plan is and became, for TOML and JSON: whether it stands, why not, strokes, outcome."""
-    told: dict[str, Any] = {
+def searched(plan: CastPlan | WhipPlan) -> dict[str, Any]:
+    """Return what is told of every plan: whether it stands, why not, and what the search took."""
+    return {
         "source": "simulated",
         "success": plan.success,
         "reason": plan.reason,
@@ -119,6 +120,11 @@ def summary(plan: CastPlan) -> dict[str, Any]:
         "searched_s": plan.seconds,
         "runs": plan.runs,
     }
+
+
+def summary(plan: CastPlan) -> dict[str, Any]:
+    """Return what a plan is and became, for TOML and JSON: whether it stands, why not, strokes, outcome."""
+    told = searched(plan)
     if plan.throw is not None:
         limits = plan.thrower.limits
         starts = plan.throw.starts(limits)
@@ -145,6 +151,7 @@ def _outcome(cast: Cast) -> dict[str, Any]:
         "held": cast.held,
         "turns": cast.turns,
         "slipped_m": cast.slipped,
+        "grip": cast.grip,
         "strike_s": cast.strike,
         "torque_Nm": cast.torque,
         "links": 0 if cast.run is None else cast.run.q.shape[1],

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hyperflex import files
 from hyperflex.casting.lash import Mark
 from hyperflex.casting.limits import MotorLimits
+from hyperflex.casting.tables import searched
 from hyperflex.casting.thrower import Thrower
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN, Setup
@@ -84,14 +85,7 @@ def read_whip(path: str | Path) -> tuple[Thrower, Mark, Motion]:
 
 def summary(plan: WhipPlan) -> dict[str, Any]:
     """Return what a plan is and became, for TOML and JSON: whether it stands, why not, strokes, outcome."""
-    told: dict[str, Any] = {
-        "source": "simulated",
-        "success": plan.success,
-        "reason": plan.reason,
-        "interrupted": plan.interrupted,
-        "searched_s": plan.seconds,
-        "runs": plan.runs,
-    }
+    told = searched(plan)
     if plan.strokes is not None:
         limits = plan.thrower.limits
         told |= {"strokes": int(plan.strokes.ends.size), "starts_s": plan.strokes.starts(limits)}

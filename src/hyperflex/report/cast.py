@@ -7,18 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hyperflex import files, winding
+from hyperflex import winding
 from hyperflex.casting import CastPlan
 from hyperflex.casting.hold import Holding, holding
 from hyperflex.casting.tables import RATE, run_of
 from hyperflex.report import cast_words as words
 from hyperflex.report.animation import animate
 from hyperflex.report.cast_figures import course_figure, sense_of, strike_figure, tug_figure, way
-from hyperflex.report.folder import whole_folder
+from hyperflex.report.folder import Tell, whole_folder, write_figures
 from hyperflex.report.page import Picture, Section, write_page
-from hyperflex.report.style import png
-
-Tell = Callable[[str], None]
 
 _FILM_RATE, _FILM_WIDTH = 20, 560  # frames a second, pixels
 _TOLD = 2.0  # s of the end of a film in which the hold force is shown
@@ -126,11 +123,7 @@ def draw(folder: Path, plan: CastPlan, held: Holding | None, tell: Tell, film: s
     figures = {"strike": strike_figure(plan), "course": course_figure(plan)}
     if held is not None:
         figures["tug"] = tug_figure(held)
-    written = {}
-    for kind, figure in figures.items():
-        written[kind] = folder / f"{kind}.png"
-        with files.atomic(written[kind], "wb") as file:
-            file.write(png(figure))
+    written = write_figures(folder, figures)
     written["film"] = folder / film
     animate(
         run_of(plan),

@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from hyperflex import files
 from hyperflex.casting import Impact, WhipPlan
 from hyperflex.casting.tables import RATE
 from hyperflex.casting.whip_tables import lash_of
 from hyperflex.report import whip_words as words
 from hyperflex.report.animation import animate
 from hyperflex.report.cast_words import asked_of_motor, search_words
-from hyperflex.report.folder import whole_folder
+from hyperflex.report.folder import Tell, whole_folder, write_figures
 from hyperflex.report.page import Picture, Section, write_page
-from hyperflex.report.style import png
 from hyperflex.report.whip_figures import course_figure, passing_figure, peak_figure
-
-Tell = Callable[[str], None]
 
 _FILM_RATE, _FILM_WIDTH, _SLOW = 20, 560, 0.5  # frames a second, pixels, part of real time
 _CAPTIONS = {
@@ -99,11 +95,7 @@ def _draw(folder: Path, plan: WhipPlan, tell: Tell) -> dict[str, Path]:
     """Draw pictures and film of the verified run into `folder`; return the files by what they are."""
     tell("drawing")
     figures = {"peak": peak_figure(plan), "passing": passing_figure(plan), "course": course_figure(plan)}
-    written = {}
-    for kind, figure in figures.items():
-        written[kind] = folder / f"{kind}.png"
-        with files.atomic(written[kind], "wb") as file:
-            file.write(png(figure))
+    written = write_figures(folder, figures)
     written["film"] = folder / "whip.gif"
     animate(
         lash_of(plan).run,

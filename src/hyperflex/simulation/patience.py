@@ -42,7 +42,7 @@ def impatient(
     return heard
 
 
-def too_slow(t: float, seconds: float | None) -> SimulationError:
-    """Return the error of a run that had come to `t`, s, when its `seconds` were over."""
-    message = f"stopped at t = {t:.6g} s ({NAME}): {seconds:g} s by the clock were allowed. Allow more, or loosen tol."
+def too_slow(t: float) -> SimulationError:
+    """Return the error of a run that had come to `t`, s, when its time was over."""
+    message = f"stopped at t = {t:.6g} s ({NAME}): its time by the clock was over. Allow more, or loosen tol."
     return SimulationError(message, status=NAME, time=t)

@@ -123,8 +123,8 @@ def simulate(
         False returns the part that holds, with its ``status`` and ``message``, where True raises. Ctrl-C then ends the
         run with the status "interrupted".
     patience : float, optional
-        Time by the clock, s, after which the run ends as a failure ("out of patience"). It is looked at every some
-        thousand steps, but for torque callbacks. By default a run takes as long as it takes.
+        Time by the clock, s, after which the run ends as a failure ("out of patience"). It is looked at between some
+        hundred steps; with a torque callback not at all. By default a run takes as long as it takes.
     progress : bool
         Show a progress bar on standard error.
 
@@ -206,7 +206,7 @@ def simulate(
         code, name = status.RUNNING, INTERRUPTED
     except OutOfPatience:
         if throw:
-            raise too_slow(run.time, patience) from None
+            raise too_slow(run.time) from None
         code, name = status.RUNNING, TOO_SLOW
     event = None
     if code == status.REACHED and until is not None:
