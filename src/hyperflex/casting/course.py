@@ -13,6 +13,7 @@ from hyperflex.casting.robust import Hardening
 from hyperflex.casting.search import Landing, Search
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.uncertainty import Uncertainty
+from hyperflex.core.jit import compiling
 from hyperflex.model import divided
 
 GENERATIONS = 5  # of free swings in a round
@@ -43,6 +44,7 @@ class Course:
 
     def __init__(self, search: Search, begin: float, patience: float) -> None:
         self.search, self.begin, self.patience = search, begin, patience
+        self.compiled = compiling()
         thrower = search.thrower
         self.finer = replace(thrower, rope=divided(thrower.rope, FINER), time=thrower.time)
         self.checked: list[Landing] = []
@@ -50,8 +52,8 @@ class Course:
 
     @property
     def spent(self) -> float:
-        """Time since it began, s."""
-        return time.monotonic() - self.begin
+        """Time since it began, but for that on which kernels were compiled, s."""
+        return time.monotonic() - self.begin - (compiling() - self.compiled)
 
     def go(self, report: Callable[[float], None] | None) -> None:
         """Search until a plan stands or patience ends."""
@@ -101,7 +103,7 @@ class Course:
 
     def harden(self, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
         """Look for the throw that wins in most worlds, for what patience is left, and verify the best ones."""
-        search, until = self.search, self.begin + self.patience / NOMINAL
+        search, until = self.search, time.monotonic() + self.patience / NOMINAL - self.spent
         work = Hardening(
             search.thrower, search.peg, search.genes, uncertainty, seed=search.seed, threads=search.threads
         )

@@ -12,11 +12,13 @@ import hashlib
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -90,6 +92,32 @@ def kernel(function: _F) -> _F:
 def inlined(function: _F) -> _F:
     """Mark a leaf that is copied into its callers, so that loops over lanes around it turn into SIMD code."""
     return numba.njit(error_model="numpy", fastmath=_FASTMATH, inline="always")(function)  # type: ignore[no-any-return]
+
+
+class _Timer(event.Listener):  # type: ignore[misc]
+    """Adds up the time that the compiler takes; it compiles one function at a time, and what that calls within it."""
+
+    def __init__(self) -> None:
+        self.spent, self._depth, self._since = 0.0, 0, 0.0
+
+    def on_start(self, _event: event.Event) -> None:
+        if self._depth == 0:
+            self._since = time.monotonic()
+        self._depth += 1
+
+    def on_end(self, _event: event.Event) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self.spent += time.monotonic() - self._since
+
+
+_TIMER = _Timer()
+event.register("numba:compile", _TIMER)
+
+
+def compiling() -> float:
+    """Return the time that this process has spent on compiling until now, s."""
+    return _TIMER.spent
 
 
 @functools.cache

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 from hyperflex import checks
+from hyperflex.core.jit import compiling
 from hyperflex.errors import SimulationError
 
 NAME = "out of patience"  # status of a run that took too long
@@ -20,6 +21,8 @@ def impatient(
 ) -> Callable[[float], None] | None:
     """Return what a run reports to: `report`, if any, until `seconds` have passed by a clock; OutOfPatience then.
 
+    What passes between two reports does not count if kernels were compiled meanwhile: that is no fault of the run.
+
     Parameters
     ----------
     report : callable, optional
@@ -31,12 +34,17 @@ def impatient(
     """
     if seconds is None:
         return report
-    until = clock() + checks.number("patience", seconds, sign="positive", unit="s")
+    left, last, compiled = checks.number("patience", seconds, sign="positive", unit="s"), clock(), compiling()
 
     def heard(t: float) -> None:
+        nonlocal left, last, compiled
         if report is not None:
             report(t)
-        if clock() > until:
+        now, before, compiled = clock(), compiled, compiling()
+        if compiled == before:
+            left -= now - last
+        last = now
+        if left < 0.0:
             raise OutOfPatience
 
     return heard
