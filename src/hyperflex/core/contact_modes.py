@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from hyperflex.core.contact_sweep import add_contact, changes, clear
 from hyperflex.core.jit import kernel
 
@@ -148,20 +150,51 @@ def round_of(chain, found, impulses, motion, heavy, change):  # type: ignore[no-
 
 
 @kernel
+def named(found, impulses):  # type: ignore[no-untyped-def]
+    """A number that stands for the present modes; others have another, but for one in 1e9."""
+    name = 0
+    for c in range(found.total[0]):
+        name = (5 * name + impulses.mode[c]) % 1000000007
+    return name
+
+
+@kernel
+def visits(trail, begin, turn):  # type: ignore[no-untyped-def]
+    """How often the modes of round `turn` were tried since round `begin`, this time included."""
+    count = 0
+    for k in range(begin, turn + 1):
+        count += trail[k] == trail[turn]
+    return count
+
+
+@kernel
 def search(chain, found, impulses, motion, h, heavy):  # type: ignore[no-untyped-def]
-    """Find modes that obey the law for one M = `heavy`, kg; returns the rounds, negative if there are too many."""
+    """Find modes that obey the law for one M = `heavy`, kg; returns the rounds, negative if there are too many.
+
+    Where the same modes come back a second time, the search goes in a circle: then one mode alone changes at a time,
+    and where that goes in a circle, too, it ends.
+    """
     settled = SETTLED * max(0.1, min(1.0, h / USUAL))
     for c in range(found.total[0]):
         impulses.closed[c] = 0
+    trail, begin, alone = np.zeros(ROUNDS, np.int64), 0, False
     for turn in range(ROUNDS):
+        trail[turn] = named(found, impulses)
+        if visits(trail, begin, turn) > 2:
+            if alone:
+                break
+            alone, begin = True, turn + 1
+        alone = alone or turn >= TOGETHER
         moved = centrifugal(chain, motion, h, chain.gx, chain.gy)
-        broke = round_of(chain, found, impulses, motion, heavy, 2 if turn < TOGETHER else 1)
-        if broke == 0 and moved <= settled:
-            return turn + 1
+        broke = round_of(chain, found, impulses, motion, heavy, 1 if alone else 2)
+        if broke == 0:
+            if moved <= settled:
+                return turn + 1
+            begin = turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
             motion.change[:] = 0.0
             break
-    return -ROUNDS
+    return -(turn + 1)
 
 
 @kernel
