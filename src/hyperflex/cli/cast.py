@@ -91,19 +91,13 @@ def cast(
     )
     with output.spinner(json) as tell:
         files, held = write_cast(out, plan, rate=rate, tell=tell)
-    result = _figures(plan, held, files, uncertain)
-    code = 0 if plan.success else output.NO_PLAN
-    if plan.interrupted:
-        words = f"Interrupted; the best so far is in {out}. {_verdict(plan)}"
-        if not json:
-            _show(plan, held, files, uncertain)
-        code = output.interrupted(words, result, as_json=json)
-    elif json:
-        output.print_json(result)
-    else:
-        _show(plan, held, files, uncertain)
-    if code:
-        raise typer.Exit(code)
+    output.end(
+        _figures(plan, held, files, uncertain),
+        lambda: _show(plan, held, files, uncertain),
+        success=plan.success,
+        broken_off=f"Interrupted; the best so far is in {out}. {_verdict(plan)}" if plan.interrupted else None,
+        as_json=json,
+    )
 
 
 def _figures(

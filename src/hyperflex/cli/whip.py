@@ -79,19 +79,13 @@ def whip(
     )
     with output.spinner(json) as tell:
         files, blow = write_whip(out, plan, rate=rate, tell=tell)
-    result = _figures(plan, blow, files)
-    code = 0 if plan.success else output.NO_PLAN
-    if plan.interrupted:
-        words = f"Interrupted; the best so far is in {out}. {_verdict(plan)}"
-        if not json:
-            _show(plan, blow, files)
-        code = output.interrupted(words, result, as_json=json)
-    elif json:
-        output.print_json(result)
-    else:
-        _show(plan, blow, files)
-    if code:
-        raise typer.Exit(code)
+    output.end(
+        _figures(plan, blow, files),
+        lambda: _show(plan, blow, files),
+        success=plan.success,
+        broken_off=f"Interrupted; the best so far is in {out}. {_verdict(plan)}" if plan.interrupted else None,
+        as_json=json,
+    )
 
 
 def _figures(plan: WhipPlan, blow: Impact | None, files: dict[str, Path]) -> dict[str, Any]:
