@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.casting import MotorLimits, Throw, Thrower, verify
-from hyperflex.casting.landing import ENOUGH, HOPE, LAST, LATE, PASSING, SLIDING, TOGETHER, judge, land
+from hyperflex.casting import MotorLimits, Throw, Thrower, landing, verify
+from hyperflex.casting.landing import ENOUGH, HOPE, LAST, LATE, PASSING, SLIDING, TOGETHER, judge, land, settle
+from hyperflex.casting.launch import Flights
 from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.strikes import fly
 
@@ -107,3 +109,21 @@ def test_a_rope_that_slips_in_the_end_is_worth_less() -> None:
     assert slides.turns[0] > WOUND
     assert holds.score[0] > least[0] - 0.01 * SLIDING  # what is held moves by less than 0.2 mm
     assert slides.score[0] < least[1] - 0.3 * SLIDING
+
+
+def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two turns until 1 s after its stop, none from then on; the other stops half a second later. Runs are made up."""
+
+    def run(flights: Flights, t: np.ndarray, *_: object) -> SimpleNamespace:
+        stops = np.array([motion.breaks[-1] for motion in flights.motions])
+        turns = np.where(t < stops[:, None] + 1.0, 2.0, 0.0)
+        still = np.zeros((*turns.shape, 1))
+        return SimpleNamespace(values={"turns": turns[..., None]}, q=still, qd=still)
+
+    monkeypatch.setattr(landing, "_run", run)
+    motions = [hf.moves([0.0, 1.0], [0.0], [0.6]), hf.moves([0.0, 1.0], [0.4], [0.69])]
+    assert motions[1].breaks[-1] - motions[0].breaks[-1] > 0.4
+    both = Flights([CABLE] * 2, [PEG] * 2, motions, np.zeros((2, 1)), np.zeros((2, 1)))
+    found = settle(both, np.zeros(2), arm=THROWER.arm)
+    assert found.turns[0] <= HOPE
+    assert found.score[0] <= HOPE + PASSING * 2.0

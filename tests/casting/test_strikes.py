@@ -8,7 +8,10 @@ import pytest
 import hyperflex as hf
 from hyperflex.casting import MotorLimits, Thrower
 from hyperflex.casting.genes import Genes
+from hyperflex.casting.landing import PATIENCE
+from hyperflex.casting.search import LEAST, Search
 from hyperflex.casting.strikes import NEAR, first, fly, promise
+from hyperflex.errors import InvalidInput
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 THROWER = Thrower(CABLE, hf.Arm(length=0.105), MotorLimits())
@@ -37,6 +40,33 @@ def test_a_link_that_passes_between_two_samples_is_seen() -> None:
     at, _, least = first(q[:, :2], base[:, :2], np.array([1.0]), hf.Peg(0.5, -0.8, 0.001), 0.0)
     assert at.tolist() == [0]
     assert least[0] > NEAR
+
+
+def test_a_rope_that_hangs_beside_the_peg_leaves_it_before_it_strikes() -> None:
+    angle = np.array([0.0, -0.01, -0.3, -0.5, -0.3, 0.0, 0.3])  # a rod, 12 mm from the peg at the start
+    peg, base = hf.Peg(0.022, -0.8, 0.01), np.zeros((1, 7, 2))
+    at, _, _ = first(angle[None, :, None], base, np.array([1.0]), peg, 0.0)
+    assert at.tolist() == [5]
+    at, _, _ = first(angle[None, :5, None], base[:, :5], np.array([1.0]), peg, 0.0)
+    assert at.tolist() == [0]
+
+
+def test_a_side_on_which_the_rope_starts_inside_the_peg_is_left_out() -> None:
+    arm = hf.Arm(length=0.5)
+    thrower = Thrower(CABLE, arm, MotorLimits())
+    assert list(Search(thrower, hf.Peg(0.5, -0.6, 0.03)).genes) == [-1]
+    assert list(Search(thrower, hf.Peg(0.545, -0.6, 0.03)).genes) == [-1, 1]
+    wide = Search(thrower, hf.Peg(0.0, -1.0, 0.6))
+    with pytest.raises(InvalidInput, match="on either side"):
+        wide.swing()
+
+
+def test_a_search_that_is_nearly_over_gives_no_run_much_time() -> None:
+    search = Search(THROWER, hf.Peg(0.9, -0.9, 0.03), threads=2)
+    assert search.allowance(60) == PATIENCE  # without an end
+    for left, members, each in ((60.0, 60, PATIENCE), (6.0, 60, 2.0), (0.0, 60, LEAST), (-5.0, 4, LEAST)):
+        search.left = lambda left=left: left  # type: ignore[misc]
+        assert search.allowance(members) == pytest.approx(each)
 
 
 def test_what_a_turning_rod_promises() -> None:

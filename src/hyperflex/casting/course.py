@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
+from hyperflex.casting.landing import SLIDING
 from hyperflex.casting.outcome import SLIP, WOUND, Cast, verify
 from hyperflex.casting.robust import Hardening
 from hyperflex.casting.search import Landing, Search
@@ -23,10 +25,11 @@ RESTART = 12  # generations beside the peg from one place
 ALIKE = 0.05  # points that differ by less are one
 FINER = 2  # pieces of each link in the second verification
 NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
-LONGEST, LEAST_LONG = 0.15, 5.0  # part of the patience, and time by the clock, s, that a verification may take
+LONGEST, LEAST_LONG = 0.25, 5.0  # part of the patience, and processor time, s, that a verification may take
 TRIES = 3  # throws verified at most between two generations
 STEADY = 0.4  # part of the slip allowed, beyond which a throw that holds is kept, but a better one sought
 GRIP = 1.0  # part of what the rope can bear, of which the same is true
+STANDS = 2  # verifications that succeed
 ALIKE_TURNS = 0.5  # by which the turns of both verifications may differ: beyond, one of them winds once more
 
 
@@ -45,6 +48,7 @@ class Course:
     def __init__(self, search: Search, begin: float, patience: float) -> None:
         self.search, self.begin, self.patience = search, begin, patience
         self.compiled = compiling()
+        search.left = lambda: patience - self.spent
         thrower = search.thrower
         self.finer = replace(thrower, rope=divided(thrower.rope, FINER), time=thrower.time)
         self.checked: list[Landing] = []
@@ -86,20 +90,22 @@ class Course:
 
     def done(self) -> bool:
         """Whether a plan stands, with something in hand."""
-        return _rank(*self.best[1:])[:3] == (2, True, True)
+        return _rank(*self.best[1:])[:3] == (STANDS, True, True)
 
     def look(self) -> None:
-        """Verify the best throws that were not verified yet."""
+        """Verify the best throws that were not verified yet, as many at once as there are threads."""
         for _ in range(TRIES):
-            found = next((one for one in self.search.landings if one.turns >= WOUND and self.fresh(one)), None)
-            if found is None or self.done() or (self.spent > self.patience and self.best[0] is not None):
+            if self.done() or (self.spent > self.patience and self.best[0] is not None):
+                return
+            found = self.fresh()
+            if not found:
                 return
             self.check(found)
 
     def settle(self) -> None:
         """Verify the best throw of all where none that winds was found."""
         if self.best[0] is None and self.search.landings:
-            self.check(self.search.landings[0])
+            self.check(self.search.landings[:1])
 
     def harden(self, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
         """Look for the throw that wins in most worlds, for what patience is left, and verify the best ones."""
@@ -109,32 +115,47 @@ class Course:
         )
         work.go(search.landings, until, None if report is None else lambda: report(self.spent))
         search.runs += work.runs
-        before, first = self.best, None
+        before, tried = self.best, []
         try:
             for found in work.order[:TRIES]:
                 self.best = (None, None, None)
-                self.check(found.landing)
-                first = first or self.best
+                self.check([found.landing])
+                tried.append(self.best)
                 if self.done():
                     return
-        except KeyboardInterrupt:
-            self.best = first or before
-            raise
-        self.best = first or before
+        finally:
+            if not self.done():
+                stands = [one for one in (*tried, before) if _rank(*one[1:])[0] == STANDS]
+                self.best = (*stands, *tried, before)[0]
 
-    def fresh(self, one: Landing) -> bool:
-        """Whether nothing like it was verified yet."""
-        return all(one.side != old.side or np.abs(one.x - old.x).max() > ALIKE for old in self.checked)
+    def fresh(self) -> list[Landing]:
+        """Return throws that wind and are like none that was verified, nor like each other."""
+        found: list[Landing] = []
+        for one in self.search.landings:
+            if len(found) == self.search.workers or one.turns < WOUND:
+                break
+            if all(one.side != old.side or np.abs(one.x - old.x).max() > ALIKE for old in self.checked + found):
+                found.append(one)
+        return found
 
-    def check(self, found: Landing) -> None:
-        """Verify a throw and keep it if it is better than the best until now."""
-        self.checked.append(found)
-        search, longest = self.search, max(LONGEST * self.patience, LEAST_LONG)
+    def check(self, some: Sequence[Landing]) -> None:
+        """Verify throws and keep one that is better than the best until now; what fails counts less in the search."""
+        self.checked += some
+        with ThreadPoolExecutor(len(some)) as pool:
+            for found, (cast, finer) in zip(some, pool.map(self.verified, some), strict=True):
+                worse = finer or cast
+                if not worse.success:
+                    self.search.correct(found, abs(worse.turns), SLIDING)
+                if self.best[0] is None or _rank(cast, finer) > _rank(*self.best[1:]):
+                    self.best = (found.throw, cast, finer)
+
+    def verified(self, found: Landing) -> tuple[Cast, Cast | None]:
+        """Verify a throw on the rope as it is given; then, if it winds and holds, with finer links."""
+        search, left = self.search, self.patience - self.spent
+        longest = max(min(LONGEST * self.patience, left), LEAST_LONG)
         motion = found.throw.motion(search.thrower.limits)
         cast = verify(search.thrower, search.peg, motion, patience=longest)
-        finer = verify(self.finer, search.peg, motion, patience=longest) if cast.success else None
-        if self.best[0] is None or _rank(cast, finer) > _rank(*self.best[1:]):
-            self.best = (found.throw, cast, finer)
+        return cast, verify(self.finer, search.peg, motion, patience=longest) if cast.success else None
 
 
 def steady(cast: Cast) -> bool:

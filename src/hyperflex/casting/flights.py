@@ -68,7 +68,7 @@ def struck(flights: Flights, arm: Arm, time: float, *, threads: int | None = Non
     Returns
     -------
     t : (M,) float64
-        Last sample before the strike, s; NaN where there is none, or where the rope is at the peg from the start.
+        Last sample before the strike, s; NaN where there is none.
     q, qd : (M, n) float64
     least : (M,) float64
         Smallest gap, m.
@@ -85,7 +85,7 @@ def struck(flights: Flights, arm: Arm, time: float, *, threads: int | None = Non
         at[same], _, gap[same] = strikes.first(
             np.nan_to_num(q[same]), base[same], lengths[same], Peg(*peg), flights.ropes[0].radius
         )
-    rows, hit = np.arange(len(flights)), (at > 1) & good  # at the first sample a rope is there already
+    rows, hit = np.arange(len(flights)), (at > 0) & good
     before = np.maximum(at - 1, 0)
     return np.where(hit, t[before], np.nan), q[rows, before], qd[rows, before], gap
 

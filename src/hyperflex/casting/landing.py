@@ -23,7 +23,7 @@ SETTLE = 2.5  # s, watched after strike and stop
 FIRST, HOPE = 0.9, 0.75  # s after the stop when a run is looked at, and turns without which it ends there
 TOGETHER = 0.5  # s by which the stops of runs in one batch differ at most
 SLID, SLIDING = 0.02, 1.0  # m, slip in the last seconds from which on it costs a run so many turns; less costs less
-PATIENCE = 10.0  # s of processor time for a run; most take a hundredth of it
+PATIENCE = 6.0  # s of processor time for a run; most take a hundredth of it
 LAST, LAST_LOST = 0.8, 0.3  # s at the end, over which the rope must stay wound; the same of runs without hope
 ENOUGH = 3.0  # turns beyond which more do not count
 PASSING = 0.25  # what a turn counts that is undone again
@@ -52,6 +52,7 @@ def land(
     throws: Sequence[Throw],
     state: tuple[Array, Array, Array],
     *,
+    patience: float = PATIENCE,
     threads: int | None = None,
 ) -> Landings:
     """Run throws beside a peg from shortly before their strikes.
@@ -64,15 +65,19 @@ def land(
         Already cut: no stroke starts after the strike.
     state : (t, q, qd)
         (M,), (M, n), (M, n): where each run starts, s, rad, rad/s.
+    patience : float
+        Processor time for each run, s; one that takes more has failed.
     threads : int, optional
     """
     begin, q, qd = state
     motions = [throw.motion(thrower.limits).shifted(-start) for throw, start in zip(throws, begin, strict=True)]
     flights = Flights([thrower.rope] * len(motions), [peg] * len(motions), motions, q, qd)
-    return settle(flights, begin, arm=thrower.arm, threads=threads)
+    return settle(flights, begin, arm=thrower.arm, patience=patience, threads=threads)
 
 
-def settle(flights: Flights, begin: Array, *, arm: Arm, threads: int | None = None) -> Landings:
+def settle(
+    flights: Flights, begin: Array, *, arm: Arm, patience: float = PATIENCE, threads: int | None = None
+) -> Landings:
     """Run ropes beside pegs from shortly before their strikes.
 
     Parameters
@@ -82,12 +87,14 @@ def settle(flights: Flights, begin: Array, *, arm: Arm, threads: int | None = No
     begin : (M,) float64
         When each strikes, s: the later, the less it scores.
     arm : Arm
+    patience : float
+        As for :func:`land`, s.
     threads : int, optional
     """
     stops = np.maximum([float(motion.breaks[-1]) for motion in flights.motions], 0.5)
     score, turns = np.empty(stops.size), np.empty(stops.size)
     for rows in _alike(stops):
-        found = _settle(flights.part(rows), stops[rows], begin[rows], arm, threads)
+        found = _settle(flights.part(rows), stops[rows], begin[rows], arm, patience, threads)
         score[rows], turns[rows] = found.score, found.turns
     return Landings(score, turns)
 
@@ -99,19 +106,24 @@ def _alike(stops: Array) -> list[list[int]]:
     return [rows.tolist() for rows in np.split(order, np.flatnonzero(np.diff(groups)) + 1)]
 
 
-def _settle(flights: Flights, stops: Array, begin: Array, arm: Arm, threads: int | None) -> Landings:
-    """As :func:`settle`, for runs that stop at about the same time; those without hope are ended early."""
+def _settle(flights: Flights, stops: Array, begin: Array, arm: Arm, patience: float, threads: int | None) -> Landings:
+    """As :func:`settle`, for runs that stop at about the same time.
+
+    Those without hope end early, and count HOPE turns at most, however many they have made a moment before.
+    """
     early: Array = SAMPLE_TIME * np.arange(1.0, np.ceil((stops.max() + FIRST) / SAMPLE_TIME) + 1.0)
     late: Array = SAMPLE_TIME * np.arange(1.0, np.ceil((SETTLE - FIRST) / SAMPLE_TIME) + 1.0)
-    batch = _run(flights, early, arm, threads)
+    batch = _run(flights, early, arm, patience, threads)
     turns = batch.values["turns"][..., 0]
     found = judge(early, turns, stops + FIRST, begin, last=LAST_LOST)
+    undone = np.maximum(np.minimum(found.turns, ENOUGH) - HOPE, 0.0)
+    found = Landings(found.score - undone, np.minimum(found.turns, HOPE))
     on = np.flatnonzero(np.abs(np.nan_to_num(turns[:, -1])) >= HOPE)
     if on.size:
         some, after = flights.part(on.tolist()), float(early[-1])
         motions = [motion.shifted(-after) for motion in some.motions]
         some = replace(some, motions=motions, q=batch.q[on, -1], qd=batch.qd[on, -1])
-        further = _run(some, late, arm, threads)
+        further = _run(some, late, arm, patience, threads)
         whole = np.concatenate([turns[on], further.values["turns"][..., 0]], axis=1)
         ended = judge(np.append(early, after + late), whole, stops[on] + SETTLE, begin[on])
         for k in np.flatnonzero(ended.turns >= WOUND):
@@ -120,7 +132,7 @@ def _settle(flights: Flights, stops: Array, begin: Array, arm: Arm, threads: int
     return found
 
 
-def _run(flights: Flights, t: Array, arm: Arm, threads: int | None) -> Batch:
+def _run(flights: Flights, t: Array, arm: Arm, patience: float, threads: int | None) -> Batch:
     """Run coarsely to the last of the times t (T,), s."""
     return simulate_batch(
         list(flights.ropes),
@@ -135,7 +147,7 @@ def _run(flights: Flights, t: Array, arm: Arm, threads: int | None) -> Batch:
         refine=False,
         pegs=[[peg] for peg in flights.pegs],
         keep=("turns", "q", "qd"),
-        patience=PATIENCE,
+        patience=patience,
         threads=threads,
     )
 

@@ -52,7 +52,7 @@ def plan_cast(
     limits : MotorLimits, optional
         Of the motor; by default the paper's.
     time_limit : float, optional
-        Within which the rope must strike, s; by default five periods of its swing.
+        Within which the rope must strike, s; by default seven periods of its swing.
     hold : float
         Pull that the wound rope should bear, N; only asked of what can be reached at all.
     uncertainty : Uncertainty, optional

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -13,7 +15,10 @@ from hyperflex.casting.genes import LAST, Genes
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
-from hyperflex.model import Peg
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Peg, Setup
+from hyperflex.motion import hold
+from hyperflex.simulation.inside import check_outside
 
 MEMBERS, LANDING_MEMBERS = 32, 16  # of a generation of free swings, and of one beside the peg
 KEPT = 4  # of a generation's swings that may be tried beside the peg
@@ -21,6 +26,7 @@ APART = 0.1  # strokes or rests by which two swings differ if they are to be tri
 TRIED = 4  # swings of a round that are tried beside the peg
 # What is tried after a strike: strokes still made, then the last move, in half turns, after a rest in periods
 MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
+RARE, LEAST = 10.0, 0.5  # of how many runs one takes very long; processor time that each may take in any case, s
 NARROW = 0.25  # spread of a search beside the peg, in parts of the first one's
 
 
@@ -61,10 +67,12 @@ class Search:
     swings: list[Swing] = field(default_factory=list)
     landings: list[Landing] = field(default_factory=list)
     runs: int = 0
+    left: Callable[[], float] | None = None  # s that the search may still take, if it is bounded
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
-        self.genes = {side: Genes(self.thrower, side) for side in (-1, 1)}
+        sides = [side for side in (-1, 1) if _clear(self.thrower, self.peg, side)]
+        self.genes = {side: Genes(self.thrower, side) for side in sides}
         self._free = {side: self._evolution(g.centre(), 1.0, MEMBERS, g) for side, g in self.genes.items()}
         self._tried: list[Swing] = []
         self._close: tuple[int, Any] | None = None
@@ -72,8 +80,15 @@ class Search:
     def _evolution(self, centre: Array, size: float, members: int, genes: Genes) -> Any:
         return evolution(centre, size, genes.spreads(), members, self._random)
 
+    @property
+    def workers(self) -> int:
+        """Threads that it may use."""
+        return self.threads or os.cpu_count() or 1
+
     def swing(self) -> float:
         """One generation of free swings from each side; returns the best score so far."""
+        if not self.genes:
+            raise InvalidInput("the rope starts inside the target on either side of the arm", got=self.peg)
         for side, strategy in self._free.items():
             points = strategy.ask()
             found = strikes.fly(
@@ -96,7 +111,7 @@ class Search:
             if len(fresh) == TRIED:
                 break
         self._tried += fresh
-        for side in (-1, 1):
+        for side in self.genes:
             points = [
                 np.append(one.x[:-LAST], [more, end, rest, 1.0])
                 for one in fresh
@@ -121,6 +136,19 @@ class Search:
         """Let the next :meth:`refine` begin from the best throw of then."""
         self._close = None
 
+    def correct(self, one: Landing, turns: float, loss: float) -> None:
+        """Let a throw count what a verification made of it: turns that stay, less `loss`; then search about another."""
+        known = one._replace(score=min(one.score, turns - loss), turns=min(one.turns, turns))
+        self.landings = sorted((known if each is one else each for each in self.landings), key=lambda each: -each.score)
+        self.restart()
+
+    def allowance(self, members: int) -> float:
+        """Processor time for each of so many runs, s: one in RARE may take all of it before the patience is over."""
+        if self.left is None:
+            return landing.PATIENCE
+        each = RARE * max(self.left(), 0.0) * self.workers / members
+        return float(np.clip(each, LEAST, landing.PATIENCE))
+
     def land(self, side: int, points: list[Array]) -> Array:
         """Run points beside the peg, keep what they led to, and return their scores (M,)."""
         throws = [self.genes[side].throw(x) for x in points]
@@ -131,10 +159,21 @@ class Search:
         if struck.size:
             cut = [throws[k].cut(float(found.t[k]), self.thrower.limits) for k in struck]
             state = found.t[struck], found.q[struck], found.qd[struck]
-            ended = landing.land(self.thrower, self.peg, cut, state, threads=self.threads)
+            ended = landing.land(
+                self.thrower, self.peg, cut, state, patience=self.allowance(struck.size), threads=self.threads
+            )
             score[struck] = ended.score
             for k, throw, value, turns in zip(struck, cut, ended.score, ended.turns, strict=True):
                 self.landings.append(Landing(float(value), float(turns), side, np.asarray(points[k]), throw))
             self.landings.sort(key=lambda one: -one.score)
         score[~np.isfinite(found.t)] = np.minimum(score[~np.isfinite(found.t)], 0.0)
         return score
+
+
+def _clear(thrower: Thrower, peg: Peg, side: int) -> bool:
+    """Whether a rope that hangs from the arm on one side keeps clear of the peg."""
+    try:
+        check_outside(Setup(thrower.rope, hold(side * 0.5 * np.pi), thrower.arm, pegs=(peg,)))
+    except InvalidInput:
+        return False
+    return True

@@ -142,9 +142,9 @@ def first(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) ->
         beside[..., i] = np.where(inside, across, 0.0)
         x, y = x - length[..., i] * sin[..., i], y + length[..., i] * cos[..., i]
     gap -= peg.radius + rope_radius
-    hit: npt.NDArray[np.bool_] = np.asarray((gap < NEAR).any(axis=2))
-    hit[:, 1:] |= (beside[:, 1:] * beside[:, :-1] < 0.0).any(axis=2)  # it has passed through between two samples
-    hit[:, 0] = False
+    near: npt.NDArray[np.bool_] = np.asarray((gap < NEAR).any(axis=2))
+    hit = near & np.logical_or.accumulate(~near, axis=1)  # a rope that hangs beside the peg leaves it before it strikes
+    hit[:, 1:] |= (beside[:, 1:] * beside[:, :-1] < 0.0).any(axis=2) & ~near[:, :-1]  # through it between two samples
     at = np.where(hit.any(axis=1), hit.argmax(axis=1), 0)
     link = gap[np.arange(count), at].argmin(axis=1)
     return at, link, np.maximum(gap.min(axis=(1, 2)), 0.0)

@@ -10,7 +10,7 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope
 
-PERIODS = 5.0  # periods of a small swing that a cast may take by default
+PERIODS = 7.0  # periods of a small swing that a cast may take by default
 LEAST_LINKS = 4
 
 

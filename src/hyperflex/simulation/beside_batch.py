@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -163,7 +162,7 @@ def _run(setup: Setup, t: Array, patience: float | None) -> Trajectory:
     bounds = limits(setup, chain, setup.duration)
     rollout = prepare(chain, setup.drive(), setup.start(), np.append(0.0, t), bounds)
     try:
-        code = beside(rollout, setup, None).finish(impatient(None, patience, time.thread_time))
+        code = beside(rollout, setup, None).finish(impatient(None, patience))
         name = status.NAMES[code]
     except OutOfPatience:
         code, name = status.RUNNING, TOO_SLOW

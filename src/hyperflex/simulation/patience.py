@@ -1,4 +1,4 @@
-"""A run's time by the clock, and what ends it when that is over."""
+"""The processor time of a run, and what ends it when that is over."""
 
 from __future__ import annotations
 
@@ -16,10 +16,8 @@ class OutOfPatience(Exception):
     """Raised within a run when its time is over; never leaves the library."""
 
 
-def impatient(
-    report: Callable[[float], None] | None, seconds: float | None, clock: Callable[[], float] = time.monotonic
-) -> Callable[[float], None] | None:
-    """Return what a run reports to: `report`, if any, until `seconds` have passed by a clock; OutOfPatience then.
+def impatient(report: Callable[[float], None] | None, seconds: float | None) -> Callable[[float], None] | None:
+    """Return what a run reports to: `report`, if any, until its thread has worked for `seconds`; OutOfPatience then.
 
     What passes between two reports does not count if kernels were compiled meanwhile: that is no fault of the run.
 
@@ -28,19 +26,21 @@ def impatient(
     report : callable, optional
         Hears of the simulated time.
     seconds : float, optional
-        None waits for ever.
-    clock : callable
-        Tells the time, s.
+        Of processor time, so that a busy machine ends no run; None waits for ever.
     """
     if seconds is None:
         return report
-    left, last, compiled = checks.number("patience", seconds, sign="positive", unit="s"), clock(), compiling()
+    left, last, compiled = (
+        checks.number("patience", seconds, sign="positive", unit="s"),
+        time.thread_time(),
+        compiling(),
+    )
 
     def heard(t: float) -> None:
         nonlocal left, last, compiled
         if report is not None:
             report(t)
-        now, before, compiled = clock(), compiled, compiling()
+        now, before, compiled = time.thread_time(), compiled, compiling()
         if compiled == before:
             left -= now - last
         last = now
@@ -52,5 +52,5 @@ def impatient(
 
 def too_slow(t: float) -> SimulationError:
     """Return the error of a run that had come to `t`, s, when its time was over."""
-    message = f"stopped at t = {t:.6g} s ({NAME}): its time by the clock was over. Allow more, or loosen tol."
+    message = f"stopped at t = {t:.6g} s ({NAME}): its processor time was over. Allow more, or loosen tol."
     return SimulationError(message, status=NAME, time=t)

@@ -123,7 +123,7 @@ def simulate(
         False returns the part that holds, with its ``status`` and ``message``, where True raises. Ctrl-C then ends the
         run with the status "interrupted".
     patience : float, optional
-        Time by the clock, s, after which the run ends as a failure ("out of patience"). It is looked at between some
+        Processor time, s, after which the run ends as a failure ("out of patience"). It is looked at between some
         hundred steps; with a torque callback not at all. By default a run takes as long as it takes.
     progress : bool
         Show a progress bar on standard error.
