@@ -172,6 +172,23 @@ def test_a_tug_tells_what_a_wound_rope_holds() -> None:
         pull.holds(-1.0)
 
 
+def test_a_tug_takes_up_the_slack_before_it_pulls() -> None:
+    """As above on a rough peg, with the end 8 cm nearer: the rope there hangs in a bight at first, which holds it."""
+    rope = hf.Rope.uniform(1.0, 0.02, 60, 0.0025, friction=1e-4, tip_mass=0.01)
+    peg = hf.Peg(0.0, 0.0, 0.03, 1.0)
+    nearer = hf.moving_point([0.0, 0.5], [-0.0326, -0.0326], [-0.3, -0.22])
+    q0 = math.pi - laid(rope.length, (-0.0326, 0.3), 0.0326, math.pi)
+    run = hf.simulate(rope, nearer, duration=0.8, q0=q0, pegs=[peg])
+    weak = hf.tug(run, peg, distance=0.04)
+    assert not weak.slipped
+    assert weak.hold < 0.3
+    pull = hf.tug(run, peg)
+    assert pull.slipped
+    # As above; and what resists bending where the rope comes on to the peg counts e^pi times: 1e-4 v / R^2 = 2e-3 N.
+    limit = hf.wound(run, peg).tail[-1] * math.exp(math.pi) - 9.81 * 0.02 * 0.3
+    assert pull.hold == pytest.approx(limit, rel=0.06)
+
+
 def test_a_link_that_rolls_does_not_slip() -> None:
     """A rod that rolls over a peg under its own weight: its contact goes along it and round the peg alike."""
     peg, rod = hf.Peg(0.0, 0.0, 0.05, 1.0), hf.Rope(length=[1.0], mass=[0.1], radius=0.0025)

@@ -17,6 +17,8 @@ from hyperflex.trajectory import State, Trajectory, swept
 
 TOUCH = 1e-4  # m, gap below which a link lies on a peg
 STEADY = 0.1  # s, over which a pull must last to count
+PULL = 0.05  # m, of a taut rope
+LOOSE, QUICK = 0.9, 3.0  # part of what hangs loose that is taken up faster, and how much faster
 
 
 @dataclass(frozen=True)
@@ -193,7 +195,7 @@ def slid(rope: Rope, peg: Peg, q: Array, joints: Array) -> Array:
     return np.where(held[rows, least], way[rows, least], np.inf if held[0].any() else np.nan)
 
 
-def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.05, allowed: float = 5e-3) -> Tug:
+def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float | None = None, allowed: float = 5e-3) -> Tug:
     """Pull the rope's motor-side end slowly away from a peg, from where a run ended, and see what holds.
 
     Parameters
@@ -203,8 +205,9 @@ def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.0
     peg : Peg
     speed : float
         Of the pull, m/s.
-    distance : float
-        Of the pull, m.
+    distance : float, optional
+        Of the pull, m; by default what the rope hangs through between the motor and the peg, most of it three times as
+        fast, and PULL more.
     allowed : float
         Slip on the peg, m, up to which the rope holds.
 
@@ -212,15 +215,16 @@ def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.0
     -------
     Tug
     """
-    speed, distance, allowed = (
-        checks.number(name, value, sign="positive", unit=unit)
-        for name, value, unit in (("speed", speed, "m/s"), ("distance", distance, "m"), ("allowed", allowed, "m"))
-    )
+    speed = checks.number("speed", speed, sign="positive", unit="m/s")
+    allowed = checks.number("allowed", allowed, sign="positive", unit="m")
+    loose = _slack(run, peg) if distance is None else 0.0
+    quick = LOOSE * loose
+    rest = checks.number("distance", loose + PULL if distance is None else distance, sign="positive", unit="m") - quick
     end = run.joints[-1, 0]
     away = end - np.array([peg.x, peg.y])
     away /= np.hypot(*away)
-    time = np.array([0.0, distance / speed])
-    path = end + np.array([[0.0], [distance]]) * away
+    time = np.cumsum([0.0, quick / (QUICK * speed), rest / speed])[quick == 0.0 :]
+    path = end + np.array([[0.0], [quick], [quick + rest]])[quick == 0.0 :] * away
     setup = run.setup
     pulled = simulate(
         setup.rope,
@@ -240,6 +244,17 @@ def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float = 0.0
     count = min(max(1, round(STEADY / float(pulled.t[1] - pulled.t[0]))), pull.size)
     steady = np.convolve(pull, np.full(count, 1.0 / count), mode="valid")
     return Tug(hold=float(steady.max()), slipped=slipped, run=pulled, slip=way)
+
+
+def _slack(run: Trajectory, peg: Peg) -> float:
+    """Length of the rope from the motor to where it first lies on a peg at the end, less the straight way there, m."""
+    rope = run.setup.rope
+    place, _, gap = (value[0] for value in _closest(rope, peg, run.q[-1:], run.joints[-1:]))
+    if not (gap < TOUCH).any():
+        return 0.0
+    i = int((gap < TOUCH).argmax())
+    point = run.joints[-1, i] + place[i] * np.array([np.sin(run.q[-1, i]), -np.cos(run.q[-1, i])])
+    return max(0.0, float(rope.length[:i].sum() + place[i] - np.hypot(*(point - run.joints[-1, 0]))))
 
 
 def _closest(rope: Rope, peg: Peg, q: Array, joints: Array) -> tuple[Array, Array, Array]:

@@ -10,6 +10,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import winding
 from hyperflex.casting import Thrower, course, plan
+from hyperflex.casting.course import LONGER
 from hyperflex.casting.search import Search
 from hyperflex.errors import InvalidInput
 
@@ -58,6 +59,7 @@ def test_out_of_reach_is_said_before_searching(target: hf.Peg, told: str) -> Non
         ({"patience": np.nan}, "patience"),
         ({"hold": -1.0}, "hold"),
         ({"time_limit": -1.0}, "time"),
+        ({"time_limit": 0.02}, "too short for any cast"),
         ({"seed": -1}, "seed"),
         ({"limits": "fast"}, "limits"),
         ({"rope": CABLE.replace(gravity=(0.0, 0.0))}, "no weight"),
@@ -225,3 +227,24 @@ def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypa
     assert search.landings[1] is third
     assert (search.landings[2].turns, search.landings[2].score < third.score) == (0.4, True)
     assert [one.x[0] for one in work.fresh()] == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(("score", "given", "factor"), [(0.5, None, LONGER), (1.5, None, 1.0), (0.5, 6.0, 1.0)])
+def test_swings_that_promise_too_little_may_take_longer_once(
+    monkeypatch: pytest.MonkeyPatch, score: float, given: float | None, factor: float
+) -> None:
+    """Unless the user has said how long."""
+    times = []
+
+    def swing(self: course.Course) -> float:
+        self.search.runs += 1
+        times.append(self.search.thrower.time)
+        return score
+
+    monkeypatch.setattr(course, "EARLY", 0.0)
+    monkeypatch.setattr(course.Course, "swing", swing)
+    monkeypatch.setattr(Search, "refine", lambda self: None)
+    found = hf.plan_cast(CABLE, ARM, EASY, patience=0.2, time_limit=given)
+    usual = given or Thrower(CABLE, ARM, hf.MotorLimits()).time
+    assert (times[0], set(times)) == (usual, {usual, factor * usual})
+    assert found.thrower.time == factor * usual

@@ -20,6 +20,7 @@ from hyperflex.model import divided
 
 GENERATIONS = 5  # of free swings in a round
 SETTLED, ROUNDS = 1.03, 2  # a round that gains less than this factor is idle; so many idle ones, and the peg is next
+EARLY, PROMISING, LONGER = 0.2, 0.9, 1.5  # part of the patience after which swings that score less may take longer
 SWINGING = 0.5  # part of the patience after which the search goes on beside the peg in any case
 RESTART = 12  # generations beside the peg from one place
 ALIKE = 0.05  # points that differ by less are one
@@ -43,11 +44,13 @@ class Course:
         When it began, on the monotonic clock, s.
     patience : float
         Of the search in the world that is expected, s.
+    longer : bool
+        Whether a cast may take LONGER times as long where swings that the search allows promise too little.
     """
 
-    def __init__(self, search: Search, begin: float, patience: float) -> None:
+    def __init__(self, search: Search, begin: float, patience: float, *, longer: bool = False) -> None:
         self.search, self.begin, self.patience = search, begin, patience
-        self.compiled = compiling()
+        self.compiled, self.longer = compiling(), longer
         search.left = lambda: patience - self.spent
         thrower = search.thrower
         self.finer = replace(thrower, rope=divided(thrower.rope, FINER), time=thrower.time)
@@ -68,6 +71,9 @@ class Course:
                 self.search.refine()
                 close += 1
             else:
+                if close and self.poor(score):
+                    self.lengthen()
+                    score, idle = 0.0, 0
                 before, score = score, self.swing()
                 idle = idle + 1 if score < SETTLED * before + 0.01 else 0
                 self.search.restart()
@@ -76,6 +82,16 @@ class Course:
             if report is not None:
                 report(min(self.spent, self.patience))
         self.settle()
+
+    def poor(self, score: float) -> bool:
+        """Whether swings of this score should take longer."""
+        return self.longer and score < PROMISING and self.spent > EARLY * self.patience and not self.stands()
+
+    def lengthen(self) -> None:
+        """Begin anew with swings that take longer."""
+        self.longer = False
+        self.search.lengthen(LONGER)
+        self.checked.clear()
 
     def swing(self) -> float:
         """A round of free swings, the best of which are tried beside the peg."""
@@ -87,6 +103,10 @@ class Course:
         if self.search.swings:
             self.search.try_ends()
         return score
+
+    def stands(self) -> bool:
+        """Whether a throw that was verified winds and holds, if only on the rope as it is given."""
+        return _rank(*self.best[1:])[0] > 0
 
     def done(self) -> bool:
         """Whether a plan stands, with something in hand."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import winding
+from hyperflex import checks, winding
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
@@ -32,7 +32,8 @@ class Cast:
     Attributes
     ----------
     wound, held : bool
-        Turned WOUND times or more about the peg; slipped by less than SLIP in WATCH seconds after the arm stopped.
+        Turned WOUND times or more about the peg; slipped by less than SLIP in WATCH seconds from SETTLING after the
+        arm stopped.
     turns : float
         Signed turns from the arm's tip to the rope's end at the end of the run, positive counterclockwise.
     slipped : float
@@ -87,11 +88,12 @@ def verify(
     tol, contact_step : float
         As for :func:`hyperflex.simulate`, m and s.
     watch : float
-        How long the rope must hold after the arm has stopped, s. The watch begins SETTLING later if the rope still
-        winds; a rope that has unwound by then has not held.
+        How long the rope must hold, s, from SETTLING after the arm has stopped; a rope that has unwound by then has not
+        held.
     patience : float, optional
-        Time by the clock that the run may take, s; one that takes more has failed.
+        Processor time that the run may take, s; one that takes more has failed.
     """
+    watch = checks.number("watch", watch, sign="positive", unit="s")
     stop = float(motion.breaks[-1])
     duration = stop + SETTLING + watch
     t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)

@@ -52,7 +52,8 @@ def plan_cast(
     limits : MotorLimits, optional
         Of the motor; by default the paper's.
     time_limit : float, optional
-        Within which the rope must strike, s; by default seven periods of its swing.
+        Within which the rope must strike, s; by default five periods of its swing, and half as many again where these
+        do not seem to give it energy enough.
     hold : float
         Pull that the wound rope should bear, N; only asked of what can be reached at all.
     uncertainty : Uncertainty, optional
@@ -105,7 +106,7 @@ def plan_cast(
     if known.impossible or not (known.within or regardless):
         plan = CastPlan(thrower, target, known, None, None, None, known.reason, 0, 0.0)
     else:
-        plan = _searched(search, known, uncertainty, patience, progress)
+        plan = _searched(search, known, uncertainty, patience, progress, longer=time_limit is None)
     if plan.success:
         return plan
     plan = replace(plan, remedies=remedies(thrower, target, hold=hold))
@@ -128,10 +129,10 @@ def plan_cast(
 
 
 def _searched(
-    search: Search, known: Reach, uncertainty: Uncertainty | None, patience: float, progress: bool
+    search: Search, known: Reach, uncertainty: Uncertainty | None, patience: float, progress: bool, *, longer: bool
 ) -> CastPlan:
     """Search for a throw, verify it, and state its success."""
-    work = Course(search, time.monotonic(), patience if uncertainty is None else NOMINAL * patience)
+    work = Course(search, time.monotonic(), patience if uncertainty is None else NOMINAL * patience, longer=longer)
     interrupted = False
     with progress_bar(0.0, patience, progress, "planning") as report:
         try:
@@ -147,5 +148,8 @@ def _searched(
                 interrupted = True
     throw, stated = work.best[0], None
     if uncertainty is not None and throw is not None and not interrupted:
-        stated = success(search.thrower, search.peg, throw, uncertainty, seed=search.seed, threads=search.threads)
+        try:
+            stated = success(search.thrower, search.peg, throw, uncertainty, seed=search.seed, threads=search.threads)
+        except KeyboardInterrupt:
+            interrupted = True
     return replace(come_to(work, known, interrupted), stated=stated)

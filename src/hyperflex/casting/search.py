@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -71,9 +71,19 @@ class Search:
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
+        self._begin()
+
+    def lengthen(self, factor: float) -> None:
+        """Begin anew, for casts that may take so many times as long; what was found until now is forgotten."""
+        self.thrower = replace(self.thrower, time=factor * self.thrower.time)
+        self._begin()
+
+    def _begin(self) -> None:
         sides = [side for side in (-1, 1) if _clear(self.thrower, self.peg, side)]
         self.genes = {side: Genes(self.thrower, side) for side in sides}
         self._free = {side: self._evolution(g.centre(), 1.0, MEMBERS, g) for side, g in self.genes.items()}
+        self.swings.clear()
+        self.landings.clear()
         self._tried: list[Swing] = []
         self._close: tuple[int, Any] | None = None
 

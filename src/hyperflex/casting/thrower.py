@@ -10,8 +10,8 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope
 
-PERIODS = 7.0  # periods of a small swing that a cast may take by default
-LEAST_LINKS = 4
+PERIODS = 5.0  # periods of a small swing that a cast may take by default
+LEAST_LINKS, LEAST_TIME = 4, 0.1  # links, s
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,8 @@ class Thrower:
     rope, arm : Rope, Arm
     limits : MotorLimits
     time : float
-        Within which the rope must strike, s; by default PERIODS periods of the rope's swing.
+        Within which the rope must strike, s, at least LEAST_TIME; by default, and with 0, PERIODS periods of the
+        rope's swing.
     """
 
     rope: Rope
@@ -43,4 +44,6 @@ class Thrower:
                 fix="Give the rope more, shorter links",
             )
         time = checks.number("time", self.time, sign="nonnegative", unit="s")
+        if 0.0 < time < LEAST_TIME:
+            raise InvalidInput("time is too short for any cast", got=time, allowed=f"{LEAST_TIME:g} s or more, or 0")
         object.__setattr__(self, "time", time or PERIODS * swing_period(self.rope))
