@@ -28,7 +28,7 @@ NARROW = 0.1  # spread of the refinement, in parts of the nominal search's first
 SHADE = 0.2  # what a good score counts beside a win
 BEST = 3.0  # score from which on more does not count
 ALIKE = 0.02  # points that differ by less are one
-RACE, REFINE = 9001, 9002  # streams of random numbers
+RACE, REFINE, CONFIRM = 9001, 9002, 9003  # streams of random numbers
 
 
 @dataclass(eq=False)
@@ -62,7 +62,8 @@ class Hardening:
     -----
     All throws of a heat or a generation meet the same worlds, so that luck does not choose among them. Each generation
     has fresh worlds, since what is fitted to a fixed few does not hold in others; a generation's best replaces the
-    champion only if it beats it in JUDGED worlds that both have met.
+    champion only if it beats it in the JUDGED worlds that all challengers meet, and then with as many fresh ones added:
+    of many challengers one would win in the same worlds by luck.
     """
 
     def __init__(
@@ -130,7 +131,12 @@ class Hardening:
         self.meet([challenger], self.worlds[:JUDGED])
         if missing < JUDGED:
             self.meet([self.champion], self.worlds[missing:JUDGED])
-        if challenger.mean > float(np.mean(self.champion.worth[:JUDGED])):
+        champion = self.champion
+        if challenger.mean <= float(np.mean(champion.worth[:JUDGED])):
+            return
+        again = self.uncertainty.draws(JUDGED, self.thrower, self.peg, seed=[CONFIRM, self.seed, self.generations])
+        self.meet([challenger, champion], again)
+        if challenger.mean > float(np.mean(champion.worth[:JUDGED] + champion.worth[-JUDGED:])):
             self.order.insert(0, challenger)
 
     def landings(self, side: int, points: list[Array]) -> list[Landing]:
