@@ -10,7 +10,8 @@ rule (half turns as the tip passes below the shaft), both until the rope strikes
 and rests. Each is run with links 2.5 times as many, half the library's step beside pegs and a fifth of its tolerance;
 the planner's own verifications take the library's. Wound is a rope that makes 1.25 turns from the arm's tip to its end,
 held one that slips by less than 5 mm in 2 s after that. A slow pull at the arm's end then tells what it bears. All
-simulated. Rows are kept in casting.jsonl: the same command goes on where it stopped.
+simulated; one target is judged while the next is planned. Rows are kept in casting.jsonl: the same command goes on
+where it stopped.
 
 Anyone can take part: the ropes, the arm, the motor's limits and the targets are in ``thrower`` and ``targets``, which
 need nothing but numpy's generator; the judge is ``hyperflex.casting.verify`` on ``thrower(rope, 125)``.
@@ -21,7 +22,9 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +33,7 @@ from benchmarks import machine
 
 import hyperflex as hf
 from hyperflex import files, winding
-from hyperflex.casting import Cast, MotorLimits, Thrower, plan_cast, reach, verify
+from hyperflex.casting import Cast, CastPlan, MotorLimits, Thrower, plan_cast, reach, verify
 from hyperflex.casting.strikes import look
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
@@ -96,14 +99,13 @@ def main() -> None:
     log = None if options.out == "-" else Path(options.out) / "casting.jsonl"
     known = read(log, kind, patience)
     rows = [known[number] for number in numbers if number in known]
-    for row in done(
-        options.rope, [n for n in numbers if n not in known], patience, ours_alone=options.outside or options.ours
-    ):
-        rows.append(row)
-        print(line(row), flush=True)
+    missing = [n for n in numbers if n not in known]
+    for found in done(options.rope, missing, patience, ours_alone=options.outside or options.ours):
+        rows.append(found)
+        print(line(found), flush=True)
         if log is not None:
             with log.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"kind": kind, "patience": patience, "kernels": SOURCE_HASH, **row}) + "\n")
+                file.write(json.dumps({"kind": kind, "patience": patience, "kernels": SOURCE_HASH, **found}) + "\n")
     page = f"# Casting: {kind}\n\n{text(rows, options.rope)}\n{machine.sentence(about)}\n"
     print(page)
     if log is not None:
@@ -121,27 +123,40 @@ def read(log: Path | None, kind: str, patience: float) -> dict[int, dict[str, An
 
 
 def done(rope: str, numbers: list[int], patience: float, ours_alone: bool) -> Iterator[dict[str, Any]]:
-    """A row for each target."""
-    for number in numbers:
-        peg = target(number)
-        plan = plan_cast(thrower(rope).rope, casting_arm(), peg, patience=patience, regardless=True, seed=number)
-        row = {
-            "number": number,
-            "x": peg.x,
-            "y": peg.y,
-            "radius": peg.radius,
-            "room": plan.reach.room,
-            "energy": plan.reach.energy,
-            "seconds": plan.seconds,
-            "runs": plan.runs,
-            "planned": plan.success,
-            "reason": plan.reason,
-            "ours": judged(rope, peg, plan.motion),
+    """A row for each target: one is judged, on one core, while the next is planned."""
+    with ThreadPoolExecutor(1) as judge:
+        waiting: deque[Future[dict[str, Any]]] = deque()
+        for number in numbers:
+            peg = target(number)
+            plan = plan_cast(thrower(rope).rope, casting_arm(), peg, patience=patience, regardless=True, seed=number)
+            waiting.append(judge.submit(row, number, rope, plan, ours_alone))
+            while waiting and waiting[0].done():
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+
+def row(number: int, rope: str, plan: CastPlan, ours_alone: bool) -> dict[str, Any]:
+    """What was planned, and what becomes of it and of the paper's ways."""
+    peg, ways = plan.peg, {"ours": plan.motion}
+    if not ours_alone:
+        ways |= {
+            "paper's rests": until_strike(rope, peg, swinging()),
+            "paper's timing": until_strike(rope, peg, timed(rope)),
         }
-        if not ours_alone:
-            row["paper's rests"] = judged(rope, peg, until_strike(rope, peg, swinging()))
-            row["paper's timing"] = judged(rope, peg, until_strike(rope, peg, timed(rope)))
-        yield row
+    told = {
+        "number": number,
+        "x": peg.x,
+        "y": peg.y,
+        "radius": peg.radius,
+        "room": plan.reach.room,
+        "energy": plan.reach.energy,
+        "seconds": plan.seconds,
+        "runs": plan.runs,
+        "planned": plan.success,
+        "reason": plan.reason,
+    }
+    return told | {way: judged(rope, peg, motion) for way, motion in ways.items()}
 
 
 def judged(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
