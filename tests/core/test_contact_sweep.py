@@ -98,7 +98,7 @@ def test_closest_points_are_those_of_a_fine_sampling(seed: int) -> None:
     along, _ = dense.directions(q)
     np.testing.assert_allclose(xy[:, -1], [0.3, -0.2] + links.length @ along, rtol=0, atol=1e-14)
     none = np.zeros(3)
-    pegs = gaps.Pegs(rng.normal(size=3), rng.normal(size=3), none, none, none, none + 0.05, none + 0.3, none, 0)
+    pegs = gaps.Pegs(rng.normal(size=3), rng.normal(size=3), none, none, none, none + 0.05, none + 0.3, none, none + np.inf, none, 0)
     found = gaps.new_contacts(3 * n)
     margin = np.full(n, 0.4)
     least = gaps.find(chain, pegs, q, trig, xy, margin, found)

@@ -21,7 +21,8 @@ def packed(obstacles: Sequence[Obstacle], radius: float, first: int) -> Pegs:
     """
     rows: list[tuple[float, ...]] = []
     for each in obstacles:
-        rub = (each.mu, each.restitution)
+        turns = isinstance(each, Peg) and each.inertia is not None
+        rub = (each.mu, each.restitution, *((each.inertia, each.bearing) if turns else (np.inf, 0.0)))
         if isinstance(each, Peg):
             rows.append((each.x, each.y, 0.0, 0.0, 0.0, each.radius + radius, *rub))
         elif isinstance(each, Ground):
@@ -32,8 +33,13 @@ def packed(obstacles: Sequence[Obstacle], radius: float, first: int) -> Pegs:
             size = float(np.hypot(dx, dy))
             rows.append((each.x, each.y, dx / size, dy / size, size, radius, *rub))
             rows += [(x, y, 0.0, 0.0, 0.0, radius, *rub) for x, y in ((each.x, each.y), (each.x2, each.y2))]
-    x, y, ux, uy, span, reach, mu, bounce = np.array(rows).reshape(-1, 8).T.copy()
-    return Pegs(x, y, ux, uy, span, reach, mu, bounce, first)
+    return Pegs(*np.array(rows).reshape(-1, 10).T.copy(), first)
+
+
+def round_places(obstacles: Sequence[Obstacle]) -> list[int]:
+    """Return where the round pegs stand in what :func:`packed` returns, in their order."""
+    sizes = [3 if isinstance(each, Wall) else 1 for each in obstacles]
+    return [sum(sizes[:k]) for k, each in enumerate(obstacles) if isinstance(each, Peg)]
 
 
 def tables(obstacles: Sequence[Obstacle]) -> dict[str, Any]:

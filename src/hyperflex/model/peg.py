@@ -1,7 +1,8 @@
-"""Round pegs that a rope may touch and wind round."""
+"""Round pegs that a rope may touch and wind round, fixed or turning on an axle."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -15,7 +16,7 @@ from hyperflex.model.wall import restitution
 
 @dataclass(frozen=True)
 class Peg:
-    """A fixed round peg, its axis across the plane of the rope.
+    """A round peg, its axis across the plane of the rope; fixed, or a pulley that turns on an axle.
 
     Parameters
     ----------
@@ -27,11 +28,15 @@ class Peg:
         Coulomb's coefficient of friction between rope and peg, >= 0.
     restitution : float
         Part of the speed with which a point bounces back, 0 to 1.
+    inertia : float, optional
+        Moment of inertia about its axle, kg m^2, > 0, of a peg that turns; by default it is fixed.
+    bearing : float
+        Viscous friction of the axle, N m s/rad, >= 0; of a peg that turns.
 
     Raises
     ------
     InvalidInput
-        If a value is not finite or has the wrong sign.
+        If a value is not finite or has the wrong sign, or a fixed peg has a bearing.
 
     Examples
     --------
@@ -45,6 +50,8 @@ class Peg:
     radius: float
     mu: float = 0.3
     restitution: float = 0.0
+    inertia: float | None = None
+    bearing: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("x", "y"):
@@ -53,24 +60,44 @@ class Peg:
         object.__setattr__(self, "radius", radius)
         object.__setattr__(self, "mu", checks.number("peg mu", self.mu, sign="nonnegative"))
         object.__setattr__(self, "restitution", restitution("peg", self.restitution))
+        if self.inertia is not None:
+            inertia = checks.number("peg inertia", self.inertia, sign="positive", unit="kg m^2")
+            object.__setattr__(self, "inertia", inertia)
+        bearing = checks.number("peg bearing", self.bearing, sign="nonnegative", unit="N m s/rad")
+        object.__setattr__(self, "bearing", bearing)
+        if bearing > 0.0 and self.inertia is None:
+            raise InvalidInput("a fixed peg has no bearing", got=bearing, fix="Give its inertia, in kg m^2")
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns on an axle."""
+        return self.inertia is not None
 
 
 def pegs_table(pegs: Sequence[Peg]) -> dict[str, list[float]]:
-    """Return the ``[pegs]`` table of a TOML file: arrays with one entry a peg."""
-    return {f.name: [getattr(peg, f.name) for peg in pegs] for f in fields(Peg)}
+    """Return the ``[pegs]`` table of a TOML file: arrays with one entry a peg; a fixed one among others: inertia inf."""
+    names = [f.name for f in fields(Peg)][: None if any(peg.turns for peg in pegs) else -2]
+    table = {name: [getattr(peg, name) for peg in pegs] for name in names}
+    if "inertia" in table:
+        table["inertia"] = [math.inf if value is None else value for value in table["inertia"]]
+    return table
 
 
 def pegs_from_table(table: Mapping[str, Any]) -> tuple[Peg, ...]:
-    """Build pegs from a ``[pegs]`` table; a number stands for one peg, ``mu`` and ``restitution`` for all."""
+    """Build pegs from a ``[pegs]`` table; a number stands for one peg, and for all where it is not a place or radius."""
     names = [f.name for f in fields(Peg)]
     if set(table) - set(names) or set(names[:3]) - set(table):
-        raise InvalidInput("pegs table does not fit", got=sorted(table), allowed="x, y, radius; mu, restitution")
+        raise InvalidInput("pegs table does not fit", got=sorted(table), allowed="x, y, radius; " + ", ".join(names[3:]))
     columns = {
-        name: np.atleast_1d(checks.array(f"pegs {name}", value, np.shape(value))) for name, value in table.items()
+        name: np.atleast_1d(checks.array(f"pegs {name}", value, np.shape(value)))
+        for name, value in table.items()
+        if name != "inertia"
     }
+    if "inertia" in table:  # infinite: fixed
+        columns["inertia"] = np.atleast_1d(np.asarray(table["inertia"], dtype=np.float64))
     sizes = {name: value.size for name, value in columns.items() if name in names[:3] or value.size > 1}
     if len(set(sizes.values())) != 1 or any(value.ndim > 1 for value in columns.values()):
         raise InvalidInput("pegs arrays do not tell one number of pegs", got=sizes, allowed="arrays of one length")
     columns = {name: np.broadcast_to(value, columns["x"].shape) for name, value in columns.items()}
-    rows = zip(*columns.values(), strict=True)
-    return tuple(Peg(**dict(zip(columns, map(float, row), strict=True))) for row in rows)
+    rows = (dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True))
+    return tuple(Peg(**{name: v for name, v in row.items() if (name, v) != ("inertia", math.inf)}) for row in rows)
