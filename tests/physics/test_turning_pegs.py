@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 import hyperflex as hf
 from hyperflex.core.contact_step import Kept, attempt, new_desk
 from hyperflex.core.drive import segment
-from hyperflex.winding import wound
+from hyperflex.winding import slip, wound
 from tests.reference.wrapping import ARM, laid
 
 RADIUS, WEIGHT, GRAVITY = 0.05, 0.1, 9.81  # m, kg at the tip, m/s^2
@@ -39,17 +39,18 @@ def rise(values: np.ndarray) -> float:
 def test_a_rope_brakes_a_spinning_peg_as_the_capstan_law_says(sense: float, ratio: float) -> None:
     """The weight keeps its pull T, the other end bears T exp(+-mu pi), and their difference stops the peg; it sticks."""
     rope, peg, q0 = hung(inertia=1e-4)
-    spun = hf.State(0.0, q0, np.zeros(rope.n_links), peg_rate=[20.0 * sense])
+    spun = hf.State(0.0, q0, np.zeros(rope.n_links), peg_rate=[40.0 * sense])
     still = hf.moving_point([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])
-    run = hf.simulate(rope, still, duration=0.12, pegs=[peg], refine=False, state=spun)
+    run = hf.simulate(rope, still, duration=0.2, pegs=[peg], refine=False, state=spun)
     braking = RADIUS * WEIGHT * GRAVITY * (1.0 - ratio) / 1e-4
-    # The weight swings a little, as the tail is laid by straight links: 0.5 %.
-    assert (run.peg_rate[4, 0] - run.peg_rate[0, 0]) / (run.t[4] - run.t[0]) == pytest.approx(braking, rel=5e-3)
-    assert run.peg_angle[-1, 0] == pytest.approx(-(20.0**2) / (2.0 * braking), rel=1e-2)
-    # The rope sticks then; what is left of the peg's rate is the swing of a light rope that has been let loose.
-    assert abs(run.peg_rate[-1, 0]) < 0.01 * 20.0
-    # All that the peg had is lost, nearly all of it to contact; joints take the rest.
-    assert run.contact_loss[-1] == pytest.approx(0.5 * 1e-4 * 20.0**2, rel=2e-2)
+    # After 30 ms, in which 0.25 mm of slack is taken up. The rope's own weight is a thousandth, its corners are more.
+    assert (run.peg_rate[8, 0] - run.peg_rate[3, 0]) / (run.t[8] - run.t[3]) == pytest.approx(braking, rel=3e-3)
+    turned = run.peg_angle[-1, 0] - run.peg_angle[3, 0]
+    assert turned == pytest.approx(-(run.peg_rate[3, 0] ** 2) / (2.0 * braking), rel=3e-3)
+    # The rope sticks then: creep is of the order of nm/s.
+    assert abs(run.peg_rate[-1, 0]) < 1e-5
+    # All that the peg had is lost, and what the weight fell by, 0.3 % of it.
+    assert run.dissipated_energy[-1] == pytest.approx(0.5 * 1e-4 * 40.0**2, rel=4e-3)
     assert rise(run.energy_error) < 1e-5  # the goal of the project for joints with friction
 
 
@@ -92,30 +93,38 @@ def test_atwoods_machine() -> None:
     # Corners of 0.1 rad make the lever uneven by 0.05^2 / 2 = 0.1 %; without the peg's inertia it were 69 % faster.
     assert run.peg_rate[-1, 0] == pytest.approx(wanted[-1], rel=5e-3)
     assert heavy[-1] > 1.5 * wanted[-1]
-    # Nothing slips: the rope's way is that of the peg's surface, but for the rope's own bending.
-    gone = run.tip[-1, 1] - run.tip[0, 1]
-    assert AXIS * run.peg_angle[-1, 0] == pytest.approx(gone, rel=5e-3)
+    # Nothing slips: the rope's way is that of the peg's surface once its slack is taken up, after 30 ms.
+    gone, turned = run.tip[-1, 1] - run.tip[3, 1], run.peg_angle[-1, 0] - run.peg_angle[3, 0]
+    assert AXIS * turned == pytest.approx(gone, rel=5e-3)
+    assert np.abs(slip(run, peg, since=0.03)[3:]).max() < 1e-4 < 1e-2 < gone
     assert rise(run.energy_error) < 1e-5
 
 
 def pulled(peg_axle: dict[str, float], speedup: float = 2.0) -> tuple[hf.Trajectory, hf.Peg]:
     """The weight lifted over a peg of mu = 0.2 by a first joint that moves away with the acceleration `speedup`."""
     rope, peg, q0 = hung(**peg_axle)
-    t = np.linspace(0.0, 0.2, 21)
-    away = hf.moving_point(t, np.full(21, -AXIS), TOP + 0.5 * speedup * t**2)
-    return hf.simulate(rope, away, duration=0.2, q0=q0, pegs=[peg], refine=False), peg
+    t = np.linspace(0.0, 0.4, 41)  # the motion ends at rest, but after the run
+    away = hf.moving_point(t, np.full(41, -AXIS), TOP + 0.5 * speedup * t**2)
+    return hf.simulate(rope, away, duration=0.16, q0=q0, pegs=[peg], refine=False), peg
+
+
+def pull_of(run: hf.Trajectory) -> float:
+    """Mean pull of the first joint from 40 ms on, N: its work over its way."""
+    return float((run.motor_work[-1] - run.motor_work[4]) / (run.base[-1, 1] - run.base[4, 1]))
 
 
 @pytest.mark.parametrize("inertia", [1e-9, 0.2 * DISC])
 def test_tension_on_both_sides_of_a_free_peg(inertia: float) -> None:
     """No friction holds: the sides differ by what the peg's own acceleration takes, next to nothing for a light one."""
     run, peg = pulled({"inertia": inertia})
-    state, late = wound(run, peg), run.t > 0.1
-    pull = WEIGHT * (GRAVITY + 2.0)
-    # Links of 0.1 rad come round the peg and tremble; means over 10 samples, of 2 %.
-    assert state.after[late].mean() == pytest.approx(pull, rel=0.02)
-    assert state.before[late].mean() == pytest.approx(pull + inertia * 2.0 / RADIUS**2, rel=0.02)
-    assert run.peg_rate[-1, 0] == pytest.approx(-2.0 * 0.2 / RADIUS, rel=0.01)
+    after, pull = WEIGHT * (GRAVITY + 2.0), WEIGHT * (GRAVITY + 2.0) + inertia * 2.0 / RADIUS**2
+    # The rope has a thousandth of the mass, and a corner of 0.1 rad bends the lever by as much; capstan: 87 % more.
+    assert pull_of(run) == pytest.approx(pull, rel=5e-3)
+    state = wound(run, peg)
+    # Links come round the peg and tremble by up to 4 %; means over 12 samples.
+    assert state.after[4:].mean() == pytest.approx(after, rel=0.02)
+    assert state.before[4:].mean() == pytest.approx(pull, rel=0.02)
+    assert run.peg_rate[-1, 0] == pytest.approx(-2.0 * 0.16 / RADIUS, rel=0.01)
 
 
 def test_a_peg_too_heavy_to_turn_is_a_fixed_one() -> None:
@@ -123,9 +132,9 @@ def test_a_peg_too_heavy_to_turn_is_a_fixed_one() -> None:
     assert fixed.peg_rate is None
     # The peg turns by 1e-9 rad; the runs take the same steps, and the rope slips on both alike.
     np.testing.assert_allclose(heavy.q, fixed.q, rtol=0, atol=1e-6)
-    state = wound(fixed, hf.Peg(0.0, 0.0, RADIUS, 0.2))
-    ratio = (state.before / state.after)[fixed.t > 0.1].mean()
-    assert ratio == pytest.approx(math.exp(0.2 * math.pi), rel=0.03)  # as the capstan tests have it
+    limit = math.exp(0.2 * math.pi) * WEIGHT * (GRAVITY + 2.0)
+    assert pull_of(fixed) == pytest.approx(limit, rel=0.03)  # as the capstan tests have it
+    assert pull_of(heavy) == pytest.approx(pull_of(fixed), rel=1e-6)
 
 
 @pytest.mark.parametrize("where", ["far", "touching"])
@@ -169,12 +178,12 @@ def test_a_peg_takes_the_angular_momentum_that_contacts_give_it(h: float) -> Non
     drive = hf.Setup(rope, hf.moving_point([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])).drive()
     desk, kept = new_desk(n, pegs), Kept(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2), np.int64))
     desk.spin.before[0] = 0.3
-    y = np.concatenate([q0, np.full(n, -0.2)])
+    y = np.concatenate([q0, np.full(n, 2.0)])
     attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, kept, desk, True, 0.0, True)
     impulses, found = desk.impulses, desk.found
     held = impulses.mode[: found.total[0]] != 0
     assert held.sum() > 5
     torque = -pegs.reach[0] * impulses.tangent[: found.total[0]][held].sum()
     assert 1e-4 * (desk.spin.after[0] - 0.3) == pytest.approx(torque, rel=1e-9)
-    assert abs(torque) > 1e-7
+    assert abs(torque) > 1e-9  # rounding is 1e-20
     assert desk.spin.after[1] == 0.0
