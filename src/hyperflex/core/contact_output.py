@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from hyperflex.core.contact_course import INDEX, LOST, MOMENT, T, allowance
 from hyperflex.core.contact_arrays import OPEN
+from hyperflex.core.contact_course import INDEX, LOST, MOMENT, T, allowance
 from hyperflex.core.contact_spin import turning_energy
 from hyperflex.core.contact_step import CONTACT, FRICTION, WORK, attempt, energy
 from hyperflex.core.jit import kernel

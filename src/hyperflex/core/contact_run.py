@@ -8,6 +8,7 @@ import numpy as np
 
 from hyperflex.core import status
 from hyperflex.core.chain import sines
+from hyperflex.core.contact_arrays import OPEN
 from hyperflex.core.contact_course import (
     APPEARED,
     DEEPEST,
@@ -25,7 +26,6 @@ from hyperflex.core.contact_course import (
     allowance,
 )
 from hyperflex.core.contact_gaps import find, joints, new_contacts, speeds
-from hyperflex.core.contact_arrays import OPEN
 from hyperflex.core.contact_output import write
 from hyperflex.core.contact_spin import turning_energy
 from hyperflex.core.contact_step import (

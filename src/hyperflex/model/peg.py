@@ -13,6 +13,8 @@ from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.model.wall import restitution
 
+FIXED = (math.inf, 0.0)  # kg m^2 and N m s/rad, of what does not turn
+
 
 @dataclass(frozen=True)
 class Peg:
@@ -73,31 +75,41 @@ class Peg:
         """Whether it turns on an axle."""
         return self.inertia is not None
 
+    @property
+    def axle(self) -> tuple[float, float]:
+        """Its inertia, kg m^2, infinite if it is fixed, and its bearing, N m s/rad."""
+        return FIXED if self.inertia is None else (self.inertia, self.bearing)
+
 
 def pegs_table(pegs: Sequence[Peg]) -> dict[str, list[float]]:
-    """Return the ``[pegs]`` table of a TOML file: arrays with one entry a peg; a fixed one among others: inertia inf."""
+    """Return the ``[pegs]`` table of a TOML file: arrays with one entry a peg; a fixed one has inertia inf."""
     names = [f.name for f in fields(Peg)][: None if any(peg.turns for peg in pegs) else -2]
     table = {name: [getattr(peg, name) for peg in pegs] for name in names}
     if "inertia" in table:
-        table["inertia"] = [math.inf if value is None else value for value in table["inertia"]]
+        table["inertia"] = [peg.axle[0] for peg in pegs]
     return table
 
 
 def pegs_from_table(table: Mapping[str, Any]) -> tuple[Peg, ...]:
-    """Build pegs from a ``[pegs]`` table; a number stands for one peg, and for all where it is not a place or radius."""
+    """Build pegs from a ``[pegs]`` table; a number stands for one peg, or for all but as place or radius."""
     names = [f.name for f in fields(Peg)]
     if set(table) - set(names) or set(names[:3]) - set(table):
-        raise InvalidInput("pegs table does not fit", got=sorted(table), allowed="x, y, radius; " + ", ".join(names[3:]))
-    columns = {
-        name: np.atleast_1d(checks.array(f"pegs {name}", value, np.shape(value)))
-        for name, value in table.items()
-        if name != "inertia"
-    }
-    if "inertia" in table:  # infinite: fixed
-        columns["inertia"] = np.atleast_1d(np.asarray(table["inertia"], dtype=np.float64))
+        allowed = "x, y, radius; " + ", ".join(names[3:])
+        raise InvalidInput("pegs table does not fit", got=sorted(table), allowed=allowed)
+    columns = {name: np.atleast_1d(_column(name, value)) for name, value in table.items()}
     sizes = {name: value.size for name, value in columns.items() if name in names[:3] or value.size > 1}
     if len(set(sizes.values())) != 1 or any(value.ndim > 1 for value in columns.values()):
         raise InvalidInput("pegs arrays do not tell one number of pegs", got=sizes, allowed="arrays of one length")
     columns = {name: np.broadcast_to(value, columns["x"].shape) for name, value in columns.items()}
     rows = (dict(zip(columns, map(float, row), strict=True)) for row in zip(*columns.values(), strict=True))
     return tuple(Peg(**{name: v for name, v in row.items() if (name, v) != ("inertia", math.inf)}) for row in rows)
+
+
+def _column(name: str, value: Any) -> checks.Array:
+    """Return what a table has under a name as an array; an infinite inertia is that of a fixed peg."""
+    try:
+        endless = name == "inertia" and np.isposinf(value)
+    except TypeError:
+        endless = False
+    finite = checks.array(f"pegs {name}", np.where(endless, 1.0, value) if np.any(endless) else value, np.shape(value))
+    return np.asarray(np.where(endless, math.inf, finite))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hyperflex import checks
@@ -25,7 +27,10 @@ def starting_spin(setup: Setup, state: State | None) -> Array:
         fixed = [k for k, place in enumerate(places) if values[k] != 0.0 and np.isinf(setup.contacts().inertia[place])]
         if fixed:
             raise InvalidInput(
-                f"state {name} turns a fixed peg", got=float(values[fixed[0]]), allowed="0", fix="Give the peg an inertia"
+                f"state {name} turns a fixed peg",
+                got=float(values[fixed[0]]),
+                allowed="0",
+                fix="Give the peg an inertia",
             )
         spin[row, places] = values
     return spin
@@ -60,13 +65,13 @@ def coast(setup: Setup, spin: Array, spans: Array) -> tuple[Array, Array]:
 
 
 def spin_energy(setup: Setup, rates: Array) -> Array:
-    """Return the kinetic energy (...,), J, of pegs with rates (..., m), rad/s; those of fixed ones are of no account."""
+    """Return the kinetic energy (...,), J, of pegs with rates (..., m), rad/s; what is fixed has none."""
     inertia = setup.contacts().inertia
     turns = np.isfinite(inertia)
     return np.asarray(0.5 * (inertia[turns] * rates[..., turns] ** 2).sum(axis=-1))
 
 
-def shown(setup: Setup, spin: Array | None) -> dict[str, Array]:
+def shown(setup: Setup, spin: Array | None) -> dict[str, Any]:
     """Return what is shown of angles and rates (..., 2, m): those of the round pegs (..., P); nothing if none turns."""
     if spin is None or not setup.pegs_turn:
         return {}
