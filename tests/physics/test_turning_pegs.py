@@ -37,7 +37,7 @@ def rise(values: np.ndarray) -> float:
 
 @pytest.mark.parametrize(("sense", "ratio"), [(1.0, math.exp(0.2 * math.pi)), (-1.0, math.exp(-0.2 * math.pi))])
 def test_a_rope_brakes_a_spinning_peg_as_the_capstan_law_says(sense: float, ratio: float) -> None:
-    """The weight keeps its pull T, the other end bears T exp(+-mu pi); their difference stops the peg, and it sticks."""
+    """The weight keeps its pull T, the other end bears T exp(+-mu pi); their difference stops the peg."""
     rope, peg, q0 = hung(inertia=1e-4)
     spun = hf.State(0.0, q0, np.zeros(rope.n_links), peg_rate=[40.0 * sense])
     still = hf.moving_point([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])

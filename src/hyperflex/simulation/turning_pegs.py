@@ -16,7 +16,7 @@ SHOWN = ("peg_angle", "peg_rate")  # of a State, and of a Trajectory
 
 
 def starting_spin(setup: Setup, state: State | None) -> Array:
-    """Return angles, rad, and rates, rad/s, of all obstacles at the start (2, m): at rest unless a state says otherwise."""
+    """Return angles, rad, and rates, rad/s, of all obstacles at the start (2, m): 0 unless a state says otherwise."""
     places = round_places(setup.pegs)
     spin = np.zeros((2, setup.contacts().reach.size))
     for row, name in enumerate(SHOWN):

@@ -123,7 +123,7 @@ def _state(variables: Mapping[str, Any]) -> State:
     for name, value in variables.items():
         if name.startswith(_CHECKPOINT):
             checkpoint[name.removeprefix(_CHECKPOINT)] = value.item() if np.ndim(value) == 0 else value
-    scalars = {name: float(variables[name]) for name in ("t", "step", "work", "dissipated")}
+    scalars: dict[str, Any] = {name: float(variables[name]) for name in ("t", "step", "work", "dissipated")}
     spin: dict[str, Any] = {name: _floats(variables[name]) for name in _SPIN if name in variables}
     return State(q=_floats(variables["q"]), qd=_floats(variables["qd"]), checkpoint=checkpoint, **scalars, **spin)
 
