@@ -57,7 +57,7 @@ class Tug:
     run : Trajectory
         The simulated pull.
     slip : (T,) float64
-        Way of the rope on the peg, m, as :func:`slip` tells it.
+        Way of the rope on the peg, m, as :func:`slip` tells it; round the axle of a peg that turns.
     """
 
     hold: float
@@ -88,10 +88,7 @@ def wound(run: Trajectory, peg: Peg) -> Winding:
     InvalidInput
         If the run had no such peg.
     """
-    if peg not in run.setup.pegs:
-        raise InvalidInput(
-            "peg is not one of the run's", got=peg, allowed=", ".join(map(str, run.setup.pegs)) or "none"
-        )
+    _own(run, peg)
     away = run.joints - np.array([peg.x, peg.y])
     angles = swept(away)
     touching = _closest(run.setup.rope, peg, run.q, run.joints)[2] < TOUCH
@@ -173,21 +170,27 @@ def slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array:
     -----
     Of the links that lie on the peg then and now, the one that has moved least tells: a rope that does not stretch is
     held as long as one of them is, though a loose tail may still fall and slide on the peg. A link that rolls does not
-    slip: as its contact goes along the link by ds, it goes round the peg by ds / R.
+    slip: as its contact goes along the link by ds, it goes round the peg by ds / R. Nor does one that goes along with
+    a peg that turns.
     """
     begin = 0 if since is None else int(np.searchsorted(run.t, checks.number("since", since, unit="s") - 1e-12))
     if begin >= run.t.size:
         raise InvalidInput("since is after the end of the run", got=since, allowed=f"at most {run.t[-1]:g} s")
-    moved = slid(run.setup.rope, peg, run.q[begin:], run.joints[begin:])
+    turned = 0.0 if run.peg_angle is None else run.peg_angle[begin:, _own(run, peg)]
+    moved = slid(run.setup.rope, peg, run.q[begin:], run.joints[begin:], turned)
     return np.concatenate([np.full(begin, np.nan), moved])
 
 
-def slid(rope: Rope, peg: Peg, q: Array, joints: Array) -> Array:
-    """As :func:`slip`, since the first of samples q (T, n), rad, and joints (T, n + 1, 2), m, of a rope."""
+def slid(rope: Rope, peg: Peg, q: Array, joints: Array, turned: Array | float = 0.0) -> Array:
+    """As :func:`slip`, since the first of samples q (T, n), rad, and joints (T, n + 1, 2), m, of a rope.
+
+    `turned` (T,), rad, is the peg's own angle; without it the way is that of the rope round the axle.
+    """
     place, away, gap = _closest(rope, peg, q, joints)
     along = np.stack([np.sin(q[0]), -np.cos(q[0])], axis=-1)
     sense = np.sign(away[0, :, 0] * along[:, 1] - away[0, :, 1] * along[:, 0])
     angle = np.unwrap(np.arctan2(away[..., 1], away[..., 0]), axis=0)
+    angle = angle - np.broadcast_to(turned, angle.shape[:1])[:, None]
     way = sense * (peg.radius + rope.radius) * (angle - angle[0]) - (place - place[0])
     held = (gap[:1] < TOUCH) & (gap < TOUCH)
     least = np.where(held, np.abs(way), np.inf).argmin(axis=1)
@@ -230,14 +233,14 @@ def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float | Non
         setup.rope,
         moving_point(time, path[:, 0], path[:, 1]),
         duration=float(time[-1]),
-        state=State(t=0.0, q=run.q[-1], qd=run.qd[-1]),
+        state=State(t=0.0, q=run.q[-1], qd=run.qd[-1], peg_rate=None if run.peg_rate is None else run.peg_rate[-1]),
         pegs=setup.pegs,
         contact_step=setup.contact_step,
         tip_force=setup.tip_force,
         tol=setup.tol,
         refine=False,
     )
-    way = slip(pulled, peg)
+    way = slid(pulled.setup.rope, peg, pulled.q, pulled.joints)
     gone = np.abs(way) > allowed
     slipped = bool(gone.any())
     pull = tension(pulled)[: int(np.argmax(gone)) + 1 if slipped else pulled.t.size, 0]
@@ -255,6 +258,14 @@ def _slack(run: Trajectory, peg: Peg) -> float:
     i = int((gap < TOUCH).argmax())
     point = run.joints[-1, i] + place[i] * np.array([np.sin(run.q[-1, i]), -np.cos(run.q[-1, i])])
     return max(0.0, float(rope.length[:i].sum() + place[i] - np.hypot(*(point - run.joints[-1, 0]))))
+
+
+def _own(run: Trajectory, peg: Peg) -> int:
+    """Return which of the round pegs of a run a peg is; one that it has not is refused."""
+    pegs = run.setup.round_pegs
+    if peg not in pegs:
+        raise InvalidInput("peg is not one of the run's", got=peg, allowed=", ".join(map(str, pegs)) or "none")
+    return pegs.index(peg)
 
 
 def _closest(rope: Rope, peg: Peg, q: Array, joints: Array) -> tuple[Array, Array, Array]:

@@ -98,6 +98,8 @@ def plan_cast(
     """
     if not isinstance(target, Peg):
         raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
+    if target.turns:
+        raise InvalidInput("casts are planned for fixed targets", got=target, fix="Leave out inertia and bearing")
     patience = checks.number("patience", patience, sign="positive", unit="s")
     thrower = Thrower(rope, arm, MotorLimits() if limits is None else limits, 0.0 if time_limit is None else time_limit)
     Setup(thrower.rope, arm=thrower.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg

@@ -184,7 +184,7 @@ class Uncertainty:
         if rope.n_links != thrower.rope.n_links:
             links = f"{thrower.rope.n_links} links, as thrown"
             raise InvalidInput("fit is of another rope", got=rope.n_links, allowed=links)
-        target = Peg(peg.x, peg.y, peg.radius, peg.mu * float(factors[3]), peg.restitution)
+        target = replace(peg, mu=peg.mu * float(factors[3]))
         return Draw(scaled(rope, *factors[:3]), target, lag, late)
 
 

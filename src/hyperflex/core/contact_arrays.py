@@ -10,6 +10,8 @@ from hyperflex.core.chain import Array
 from hyperflex.core.contact_gaps import Index
 from hyperflex.core.jit import kernel
 
+OPEN, STICK, AHEAD, BACK = range(4)  # modes; the last two: the rope slips along the tangent, or against it
+
 
 class Impulses(NamedTuple):
     """Of each of the contacts found, in their order."""
@@ -19,9 +21,9 @@ class Impulses(NamedTuple):
     normal0: Array  # where the proximal method starts from
     tangent0: Array
     target: Array  # (K,) m/s, the normal velocity may be as low as minus this
-    lean: Array  # (K,) m/s, and what sticks has the tangential velocity minus this
+    lean: Array  # (K,) m/s, and what sticks has the tangential velocity minus this, against the peg
     vn: Array  # (K,) velocity of the point at the end of the step, m/s
-    vt: Array  # without `lean`
+    vt: Array  # less that of a peg that turns, without `lean`
     good_normal: Array  # normal0, tangent0 and mode of the last solution found
     good_tangent: Array
     mode: Index

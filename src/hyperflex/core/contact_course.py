@@ -33,6 +33,7 @@ class Course(NamedTuple):
 
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
     clock: Array  # (CLOCK,)
+    spin: Array  # (2, m) angles, rad, and rates, rad/s, of the pegs; 0 of fixed ones
     kept: Kept
 
 

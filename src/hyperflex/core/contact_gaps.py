@@ -24,7 +24,7 @@ LARGEST_TURN = 1.5  # rad, that a single contact stands for; more is a kink, not
 
 
 class Pegs(NamedTuple):
-    """Fixed obstacles, one entry each: round pegs, and straight faces."""
+    """Obstacles, one entry each: round pegs, and straight faces."""
 
     x: Array  # m, centre of a peg, first end of a face
     y: Array
@@ -34,6 +34,8 @@ class Pegs(NamedTuple):
     reach: Array  # m, peg radius plus rope radius
     mu: Array  # Coulomb's coefficient
     bounce: Array  # coefficient of restitution
+    inertia: Array  # kg m^2, of a peg that turns; infinite of what is fixed
+    bearing: Array  # N m s, viscous friction of its axle
     first: int  # first link that may touch: 1 where link 0 is the arm
 
 

@@ -11,10 +11,12 @@ import math
 
 import numpy as np
 
-from hyperflex.core.contact_sweep import add_contact, changes, clear
+from hyperflex.core.contact_arrays import AHEAD, BACK, OPEN, STICK
+from hyperflex.core.contact_point import hold, velocity
+from hyperflex.core.contact_spin import turn_pegs
+from hyperflex.core.contact_sweep import changes, clear
 from hyperflex.core.jit import kernel
 
-OPEN, STICK, AHEAD, BACK = range(4)  # the last two: the rope slips along the tangent, or against it
 STIFF = 1e3  # M in masses of the whole rope
 SOFTER, GROW, STIFFEST = 0.1, 10.0, 1e6  # where that is too stiff to find modes, and where too soft for small residuals
 TRIES = 16  # searches, of which each starts from the last that found modes
@@ -37,41 +39,27 @@ def put(found, impulses, motion, heavy):  # type: ignore[no-untyped-def]
     """Write the contacts, with their present modes, to ``motion.touch``; `heavy` is M, kg."""
     n = motion.w.size
     for c in range(found.total[0]):
-        mode = impulses.mode[c]
-        if mode == OPEN:
+        if impulses.mode[c] == OPEN:
             continue
         i, s = found.link[c], found.place[c]
-        sin, cos = motion.trig[i], motion.trig[n + i]
         nx, ny = found.nx[c], found.ny[c]
-        vx = motion.speed[0, i] + motion.turned[0, i] + s * cos * motion.w[i]
-        vy = motion.speed[1, i] + motion.turned[1, i] + s * sin * motion.w[i]
+        vx = motion.speed[0, i] + motion.turned[0, i] + s * motion.trig[n + i] * motion.w[i]
+        vy = motion.speed[1, i] + motion.turned[1, i] + s * motion.trig[i] * motion.w[i]
         pn = impulses.normal0[c] - heavy * (vx * nx + vy * ny + impulses.target[c])
-        if mode == STICK:
-            pt = impulses.tangent0[c] - heavy * (vy * nx - vx * ny + impulses.lean[c])
-            b = (heavy, 0.0, 0.0, heavy)
-            add_contact(motion.touch, i, s, sin, cos, b, (pn * nx - pt * ny, pn * ny + pt * nx))
-        else:
-            drag = -found.mu[c] if mode == AHEAD else found.mu[c]
-            fx, fy = nx - drag * ny, ny + drag * nx
-            b = (heavy * fx * nx, heavy * fx * ny, heavy * fy * nx, heavy * fy * ny)
-            add_contact(motion.touch, i, s, sin, cos, b, (pn * fx, pn * fy))
+        pt = impulses.tangent0[c] - heavy * (vy * nx - vx * ny + impulses.lean[c])
+        hold(found, impulses, motion, c, heavy, pn, pt)
 
 
 @kernel
-def judge_modes(found, impulses, motion, heavy, change):  # type: ignore[no-untyped-def]
+def judge_modes(found, impulses, motion, spin, heavy, change):  # type: ignore[no-untyped-def]
     """Read velocities and impulses off the changes of the rates, and change modes that break the law.
 
     `change`: 0: none, 1: the first alone, 2: all of them. Returns how many broke it.
     """
-    n = motion.w.size
     broke = 0
     for c in range(found.total[0]):
-        i, s = found.link[c], found.place[c]
-        lever = s * (motion.w[i] + motion.change[i])
-        vx = motion.speed[0, i] + motion.turned[0, i] + motion.place[0, i] + lever * motion.trig[n + i]
-        vy = motion.speed[1, i] + motion.turned[1, i] + motion.place[1, i] + lever * motion.trig[i]
-        vn = vx * found.nx[c] + vy * found.ny[c]
-        vt = vy * found.nx[c] - vx * found.ny[c]
+        vn, vt = velocity(found, motion, c)
+        vt -= spin.reach[found.peg[c]] * spin.after[found.peg[c]]
         impulses.vn[c], impulses.vt[c] = vn, vt
         vt += impulses.lean[c]
         pn = impulses.normal0[c] - heavy * (vn + impulses.target[c])
@@ -129,7 +117,7 @@ def centrifugal(chain, motion, h, gx, gy):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def round_of(chain, found, impulses, motion, heavy, change):  # type: ignore[no-untyped-def]
+def round_of(chain, found, impulses, motion, spin, heavy, change):  # type: ignore[no-untyped-def]
     """Solve for the changes of the rates with the present modes; then as ``judge_modes``, whose answer it returns."""
     put(found, impulses, motion, heavy)
     fx, fy, moment = changes(
@@ -145,8 +133,10 @@ def round_of(chain, found, impulses, motion, heavy, change):  # type: ignore[no-
         motion.work,
     )
     motion.load[0], motion.load[1], motion.load[2] = fx, fy, moment
+    if spin.which.size > 0:
+        turn_pegs(chain, found, impulses, motion, spin, heavy)
     clear(motion.touch, found.link, found.total[0])
-    return judge_modes(found, impulses, motion, heavy, change)
+    return judge_modes(found, impulses, motion, spin, heavy, change)
 
 
 @kernel
@@ -168,7 +158,7 @@ def visits(trail, begin, turn):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def search(chain, found, impulses, motion, h, heavy):  # type: ignore[no-untyped-def]
+def search(chain, found, impulses, motion, spin, h, heavy):  # type: ignore[no-untyped-def]
     """Find modes that obey the law for one M = `heavy`, kg; returns the rounds, negative if there are too many.
 
     Where the same modes come back a second time, the search goes in a circle: then one mode alone changes at a time,
@@ -186,7 +176,7 @@ def search(chain, found, impulses, motion, h, heavy):  # type: ignore[no-untyped
             alone, begin = True, turn + 1
         alone = alone or turn >= TOGETHER
         moved = centrifugal(chain, motion, h, chain.gx, chain.gy)
-        broke = round_of(chain, found, impulses, motion, heavy, 1 if alone else 2)
+        broke = round_of(chain, found, impulses, motion, spin, heavy, 1 if alone else 2)
         if broke == 0:
             if moved <= settled:
                 return turn + 1
@@ -234,7 +224,7 @@ def proceed(found, impulses, heavy):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-def]
+def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-untyped-def]
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 
     Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
@@ -244,7 +234,7 @@ def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-
 
     Parameters
     ----------
-    chain, found, impulses, motion : Chain, Contacts, Impulses, Motion
+    chain, found, impulses, motion, spin : Chain, Contacts, Impulses, Motion, Spin
     h : float, step, s
     whole : float, mass of the rope, kg
 
@@ -256,7 +246,7 @@ def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-
     heavy, last, residual, given = STIFF * whole, 0.0, math.inf, math.inf
     total, again, rounds = 0, AGAIN, 0
     for turn in range(TRIES):
-        rounds = search(chain, found, impulses, motion, h, heavy)
+        rounds = search(chain, found, impulses, motion, spin, h, heavy)
         total += abs(rounds)
         if rounds < 0:
             restore(found, impulses)
@@ -283,5 +273,5 @@ def solve(chain, found, impulses, motion, h, whole):  # type: ignore[no-untyped-
         motion.change[:] = 0.0
         for _ in range(SETTLING):
             centrifugal(chain, motion, h, chain.gx, chain.gy)
-            round_of(chain, found, impulses, motion, last if last > 0.0 else heavy, 0)
+            round_of(chain, found, impulses, motion, spin, last if last > 0.0 else heavy, 0)
     return total if residual <= SLIGHT else -total

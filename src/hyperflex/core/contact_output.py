@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from hyperflex.core.contact_arrays import OPEN
 from hyperflex.core.contact_course import INDEX, LOST, MOMENT, T, allowance
-from hyperflex.core.contact_modes import OPEN
+from hyperflex.core.contact_spin import turning_energy
 from hyperflex.core.contact_step import CONTACT, FRICTION, WORK, attempt, energy
 from hyperflex.core.jit import kernel
 
@@ -17,11 +18,12 @@ def part_way(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, x, 
     """
     if x * h <= MOMENT:
         return False
-    aside.trend[:] = desk.trend
+    aside.trend[:], aside.spin.before[:] = desk.trend, desk.spin.before
     t, y = course.clock[T], course.y
     _, rounds = attempt(chain, drive, part, pegs, pull, t, x * h, y, course.kept, aside, True, 0.0, True)
     taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]
-    return rounds > 0 and abs(energy(chain, aside.out, aside.base[2]) - had + taken) <= allowance(bounds, h)
+    has = energy(chain, aside.out, aside.base[2]) + turning_energy(aside.spin, aside.spin.after)
+    return rounds > 0 and abs(has - had + taken) <= allowance(bounds, h)
 
 
 @kernel
@@ -35,6 +37,11 @@ def put_down(desk, h, x, course, k, y_out, seen_out):  # type: ignore[no-untyped
     y_out[k, 2 * n] = y[2 * n] + x * desk.account[WORK]
     y_out[k, 2 * n + 1] = y[2 * n + 1] + x * (desk.account[FRICTION] + desk.account[CONTACT])
     seen_out[k, 3 * n + 3] = clock[LOST] + x * desk.account[CONTACT]
+    o, m = 3 * n + 4, desk.spin.reach.size
+    for p in range(m):
+        more = desk.spin.after[p] - desk.spin.before[p]
+        seen_out[k, o + p] = course.spin[0, p] + x * h * (desk.spin.before[p] + 0.5 * x * more)
+        seen_out[k, o + m + p] = desk.spin.before[p] + x * more
 
 
 @kernel
@@ -54,7 +61,7 @@ def write(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, had, t
 
 @kernel
 def see(desk, h, out):  # type: ignore[no-untyped-def]
-    """Means over a step, to ``out`` (3 n + 4,), whose last entry is left out.
+    """Means over a step, to the first 3 n + 3 entries of ``out``.
 
     Accelerations, rad/s^2; forces of the pegs on the links, first x, then y, N; force on the rope at its first joint,
     x and y, N, and torque through that joint, N m.

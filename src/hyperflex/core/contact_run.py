@@ -8,6 +8,7 @@ import numpy as np
 
 from hyperflex.core import status
 from hyperflex.core.chain import sines
+from hyperflex.core.contact_arrays import OPEN
 from hyperflex.core.contact_course import (
     APPEARED,
     DEEPEST,
@@ -25,8 +26,8 @@ from hyperflex.core.contact_course import (
     allowance,
 )
 from hyperflex.core.contact_gaps import find, joints, new_contacts, speeds
-from hyperflex.core.contact_modes import OPEN
 from hyperflex.core.contact_output import write
+from hyperflex.core.contact_spin import turning_energy
 from hyperflex.core.contact_step import (
     CONTACT,
     FRICTION,
@@ -66,6 +67,9 @@ def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
     clock[TAKEN] += 1.0
     if rounds < 0:
         clock[UNSOLVED] += 1.0
+    for p in desk.spin.which:
+        course.spin[0, p] += 0.5 * h * (desk.spin.before[p] + desk.spin.after[p])
+        course.spin[1, p] = desk.spin.before[p] = desk.spin.after[p]
     long = h > MOMENT
     for i in range(n):
         desk.trend[i] = desk.motion.change[i] / h if long else 0.0
@@ -154,8 +158,8 @@ def choose(chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wan
             continue
         longest = too_fast(chain, pegs, desk)
         if math.isnan(had):
-            had = energy(chain, y, desk.base[0])
-        has = energy(chain, desk.out, desk.base[2])
+            had = energy(chain, y, desk.base[0]) + turning_energy(desk.spin, desk.spin.before)
+        has = energy(chain, desk.out, desk.base[2]) + turning_energy(desk.spin, desk.spin.after)
         surplus = has - had + desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
         good = -LOSS * allowed <= surplus <= allowed and rounds > 0 and h <= longest
         good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])
@@ -177,7 +181,8 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
     ----------
     chain, drive, pegs, bounds, course : Chain, Drive, Pegs, Bounds, Course
     pull : (2,) force on the tip beside gravity, N
-    t_out : (m,) increasing times, s; y_out : (m, 2 n + 2) out, as in ``rollout.run``; seen_out : (m, 3 n + 4) out
+    t_out : (k,) increasing times, s; y_out : (k, 2 n + 2) out, as in ``rollout.run``
+    seen_out : (k, 3 n + 4 + 2 m) out: ``see``, energy lost to contact, J, angles, rad, and rates, rad/s, of the m pegs
 
     Returns
     -------
@@ -185,7 +190,8 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
     """
     clock, kept = course.clock, course.kept
     n, m = chain.length.size, pegs.x.size
-    desk, aside = new_desk(n, m), new_desk(n, m)
+    desk, aside = new_desk(n, pegs), new_desk(n, pegs)
+    desk.spin.before[:] = course.spin[1]
     nothing = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
     part = segment(drive, clock[T])
     had = math.nan  # energy before the step, where it is known

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.core.chain import Array, energies, sincos, sines
-from hyperflex.core.contact_arrays import Impulses, Motion, new_impulses, new_motion
+from hyperflex.core.contact_arrays import OPEN, Impulses, Motion, new_impulses, new_motion
 from hyperflex.core.contact_gaps import NOWHERE, Contacts, Index, find, joints, nearest, new_contacts, speeds
-from hyperflex.core.contact_modes import OPEN, solve
+from hyperflex.core.contact_modes import solve
+from hyperflex.core.contact_spin import Spin, begin, lost_in_bearings, new_spin
 from hyperflex.core.drive import base_state
 from hyperflex.core.jit import kernel
 
@@ -24,7 +25,7 @@ NEAR = 1e-4  # m, gap below which a link is watched even at rest
 BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
-FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints, by contacts, put in; J
+FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints and axles, by contacts, put in; J
 
 
 class Kept(NamedTuple):
@@ -41,6 +42,7 @@ class Desk(NamedTuple):
     found: Contacts
     impulses: Impulses
     motion: Motion
+    spin: Spin
     q: Array  # (n,) in the middle of the step
     xy: Array  # (2, n + 1) joints there
     ahead: Array  # (2, n + 1) and where they would be a step later
@@ -57,11 +59,13 @@ class Desk(NamedTuple):
 
 @kernel
 def new_desk(n, pegs):  # type: ignore[no-untyped-def]
-    """Working arrays for n links and so many pegs."""
+    """Working arrays for n links and the Pegs `pegs`."""
+    most = n * pegs.reach.size
     return Desk(
-        new_contacts(n * pegs),
-        new_impulses(n * pegs),
+        new_contacts(most),
+        new_impulses(most),
         new_motion(n),
+        new_spin(n, pegs),
         np.zeros(n),
         np.zeros((2, n + 1)),
         np.zeros((2, n + 1)),
@@ -201,7 +205,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, s
     ----------
     chain, drive, part, pegs : Chain, Drive, Segment that holds t..t + h, Pegs
     pull : (2,) force on the tip beside gravity, N
-    kept, desk : Kept (not changed), Desk
+    kept, desk : Kept (not changed), Desk, on which the rates of the pegs before the step are
     push : bool, whether contacts may push the rope out of a peg
     bounce : float, part of the restitution that takes place in an impact
     struck : bool, an impact was made already at time t
@@ -233,7 +237,8 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, s
     motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
     least = watch(chain, pegs, kept, desk, h, push, bounce, struck)
     recall(kept, desk.found, desk.impulses, h)
-    rounds = solve(chain, desk.found, desk.impulses, motion, h, whole)
+    begin(desk.spin, motion, h)
+    rounds = solve(chain, desk.found, desk.impulses, motion, desk.spin, h, whole)
     for i in range(n):
         rate = motion.w[i] + motion.change[i]
         desk.out[i] = desk.q[i] + 0.5 * h * rate
@@ -244,20 +249,21 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, s
 
 @kernel
 def settle_account(chain, desk, torque, h):  # type: ignore[no-untyped-def]
-    """Energy that joints and contacts took in a step, and work put in: impulses times mean velocities."""
-    motion, base, found, impulses = desk.motion, desk.base, desk.found, desk.impulses
+    """Energy that joints, axles and contacts took in a step, and work put in: impulses times mean velocities."""
+    motion, base, found, impulses, spin = desk.motion, desk.base, desk.found, desk.impulses, desk.spin
     n = motion.w.size
     taken = 0.0
     for i in range(n):
         before = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
         after = desk.out[n + i] - (desk.out[n + i - 1] if i > 0 else base[2, 3])
         taken += h * chain.viscous[i] * after * 0.5 * (before + after)
-    desk.account[FRICTION] = taken
+    desk.account[FRICTION] = taken + lost_in_bearings(spin)
     taken = 0.0
     for c in range(found.total[0]):
         if impulses.mode[c] == OPEN:
             continue
         closing, sliding = rates_at(found, motion, c)
+        sliding -= spin.reach[found.peg[c]] * spin.before[found.peg[c]]
         taken -= 0.5 * impulses.normal[c] * (closing + impulses.vn[c])
         taken -= 0.5 * impulses.tangent[c] * (sliding + impulses.vt[c])
     desk.account[CONTACT] = taken

@@ -1,7 +1,7 @@
 """What is simulated: rope, arm, pegs and set-up; frozen, validated, in and out of TOML."""
 
 from hyperflex.model.arm import Arm
-from hyperflex.model.obstacles import Obstacle
+from hyperflex.model.obstacles import Obstacle, round_places
 from hyperflex.model.peg import Peg
 from hyperflex.model.refine import cuts, divided, refined
 from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, Rope
@@ -25,4 +25,5 @@ __all__ = [
     "cuts",
     "divided",
     "refined",
+    "round_places",
 ]

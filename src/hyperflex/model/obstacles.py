@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex.core.contact_gaps import Pegs
-from hyperflex.model.peg import Peg, pegs_from_table, pegs_table
+from hyperflex.model.peg import FIXED, Peg, pegs_from_table, pegs_table
 from hyperflex.model.wall import Ground, Wall, obstacles_from_table, obstacles_table
 
 Obstacle = Peg | Wall | Ground
@@ -21,7 +21,7 @@ def packed(obstacles: Sequence[Obstacle], radius: float, first: int) -> Pegs:
     """
     rows: list[tuple[float, ...]] = []
     for each in obstacles:
-        rub = (each.mu, each.restitution)
+        rub = (each.mu, each.restitution, *(each.axle if isinstance(each, Peg) else FIXED))
         if isinstance(each, Peg):
             rows.append((each.x, each.y, 0.0, 0.0, 0.0, each.radius + radius, *rub))
         elif isinstance(each, Ground):
@@ -32,8 +32,14 @@ def packed(obstacles: Sequence[Obstacle], radius: float, first: int) -> Pegs:
             size = float(np.hypot(dx, dy))
             rows.append((each.x, each.y, dx / size, dy / size, size, radius, *rub))
             rows += [(x, y, 0.0, 0.0, 0.0, radius, *rub) for x, y in ((each.x, each.y), (each.x2, each.y2))]
-    x, y, ux, uy, span, reach, mu, bounce = np.array(rows).reshape(-1, 8).T.copy()
-    return Pegs(x, y, ux, uy, span, reach, mu, bounce, first)
+    x, y, ux, uy, span, reach, mu, bounce, inertia, bearing = np.array(rows).reshape(-1, 10).T.copy()
+    return Pegs(x, y, ux, uy, span, reach, mu, bounce, inertia, bearing, first)
+
+
+def round_places(obstacles: Sequence[Obstacle]) -> list[int]:
+    """Return where the round pegs stand in what :func:`packed` returns, in their order."""
+    sizes = [3 if isinstance(each, Wall) else 1 for each in obstacles]
+    return [sum(sizes[:k]) for k, each in enumerate(obstacles) if isinstance(each, Peg)]
 
 
 def tables(obstacles: Sequence[Obstacle]) -> dict[str, Any]:

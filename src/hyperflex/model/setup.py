@@ -18,6 +18,7 @@ from hyperflex.core.drive import TORQUE, Drive, X, Y
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle, obstacles_of, packed, tables
+from hyperflex.model.peg import Peg
 from hyperflex.model.rope import Rope
 from hyperflex.motion import Motion, from_spec, hold, to_spec
 
@@ -177,6 +178,16 @@ class Setup:
         prescribed = 0.0 if self.arm is None or self.torque_driven else self.arm.length
         limit = math.inf if self.arm is None else self.arm.torque_limit
         return Drive(source.breaks, coef, source.switch, source.loop, prescribed, limit)
+
+    @property
+    def round_pegs(self) -> tuple[Peg, ...]:
+        """The pegs among what the rope may touch."""
+        return tuple(peg for peg in self.pegs if isinstance(peg, Peg))
+
+    @property
+    def pegs_turn(self) -> bool:
+        """Whether a peg turns on an axle."""
+        return any(peg.turns for peg in self.round_pegs)
 
     def contacts(self) -> Pegs:
         """Return the pegs as the kernels take them."""

@@ -45,6 +45,8 @@ KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
     "motor_work": ((), "J", "work done by the motor and the moving base since the start"),
     "dissipated_energy": ((), "J", "energy lost to friction since the start"),
     TURNS: (("peg",), "1", "signed turns about a peg from the first joint to the tip"),
+    "peg_angle": (("peg",), "rad", "angle by which a round peg has turned"),
+    "peg_rate": (("peg",), "rad/s", "rate of a round peg"),
 }
 
 
@@ -148,7 +150,7 @@ def simulate_batch(
         Times of the output, s, from 0 on; by default the end alone. A step ends at each, so ask for what you need.
     step : float, optional
         A step chosen beforehand, s, without error control; not beside pegs.
-    keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns"}
+    keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns", "peg_angle", "peg_rate"}
         What to keep; memory is (M, T) times this, beside the blocks in work. Turns are those about each round peg.
     pegs : sequence of Peg, Wall or Ground, or of such sequences, optional
         Pegs of all members, or of each, the same number for all. Members run one by one then, each as
@@ -194,7 +196,7 @@ def simulate_batch(
         return Batch(t, values, tuple(names), reached)
     if patience is not None:
         raise InvalidInput("patience is for members beside pegs, and there are none", got=patience)
-    if TURNS in keep:
+    if any("peg" in KEPT[name][0] for name in keep):
         raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
     rows = [rows_of(name, value) for name, value in (("q0", q0), ("qd0", qd0))]
     setups = setups_of(ropes, motions, rows, arm, duration, tol)

@@ -14,7 +14,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
+from hyperflex.model import Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.contact import beside, finer
 from hyperflex.simulation.inside import check_outside
@@ -33,6 +33,8 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "motor_work": (),
     "dissipated_energy": (),
     TURNS: ("peg",),
+    "peg_angle": ("peg",),
+    "peg_rate": ("peg",),
 }
 
 
@@ -131,7 +133,7 @@ def run_members(
     setups = [members.setup(m) for m in range(members.count)]
     for m, setup in enumerate(setups):
         check_outside(setup, who=f"the rope of member {m}")
-    sizes = {"link": max(s.rope.n_links for s in setups), "axis": 2, "peg": len(_round(setups[0]))}
+    sizes = {"link": max(s.rope.n_links for s in setups), "axis": 2, "peg": len(setups[0].round_pegs)}
     values = {k: np.full((len(setups), t.size, *(sizes[d] for d in SHAPES[k])), np.nan) for k in keep}
     names, reached = [INTERRUPTED] * len(setups), np.zeros(len(setups))
 
@@ -169,14 +171,10 @@ def _run(setup: Setup, t: Array, patience: float | None) -> Trajectory:
     return conclude(rollout, setup, code, name, throw=False, skip=1)
 
 
-def _round(setup: Setup) -> list[Peg]:
-    """Pegs that a rope may wind round."""
-    return [each for each in setup.pegs if isinstance(each, Peg)]
-
-
 def _kept(run: Trajectory, name: str) -> Array:
     """Return one of the quantities of SHAPES (T, ...)."""
     if name != TURNS:
-        return np.asarray(getattr(run, name))
-    centres = np.array([[peg.x, peg.y] for peg in _round(run.setup)])
+        value = getattr(run, name)
+        return np.zeros((run.t.size, len(run.setup.round_pegs))) if value is None else np.asarray(value)
+    centres = np.array([[peg.x, peg.y] for peg in run.setup.round_pegs])
     return np.stack([swept(run.joints - centre).sum(axis=1) for centre in centres], axis=1) / (2.0 * np.pi)

@@ -24,6 +24,7 @@ from hyperflex.core.progress import INDEX, MARK, T
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refined
 from hyperflex.simulation.inside import check_outside
 from hyperflex.simulation.rollouts import Rollout, starting_clock
+from hyperflex.simulation.turning_pegs import coast, spin_energy, starting_spin
 from hyperflex.trajectory import State
 
 SHORTEST_FLIGHT = 0.01  # s; for less the hand-over does not pay
@@ -47,17 +48,18 @@ class Beside:
         Prepared, and resumed if it goes on; its arrays are filled.
     setup : Setup
         With pegs.
-    saved : mapping
-        Checkpoint of the state that the run goes on from; may be empty.
+    state : State, optional
+        That the run goes on from.
     """
 
-    def __init__(self, run: Rollout, setup: Setup, saved: Mapping[str, Any]) -> None:
+    def __init__(self, run: Rollout, setup: Setup, state: State | None) -> None:
         contacts = setup.contacts()
+        saved: Mapping[str, Any] = {} if state is None else state.checkpoint
         check_outside(setup, run.time, run.progress.y[: run.chain.length.size])
         n, m = run.chain.length.size, contacts.x.size
         self.looser = setup.tol / DEFAULT_TOL
         run.limits = run.limits._replace(tol=FLIGHT_TOL * setup.tol)
-        self.run = run
+        self.run, self.setup = run, setup
         self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), contacts)
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
         kept = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
@@ -67,9 +69,10 @@ class Beside:
             for name, array in zip(KEPT, kept, strict=True):
                 array[:] = saved[name]
             clock[at.STEP], clock[at.DUE] = min(float(saved[STEP]), self.longest), 0.0
-        self.course = at.Course(run.progress.y, clock, kept)
+        run.spin = starting_spin(setup, state)
+        self.course = at.Course(run.progress.y, clock, run.spin, kept)
         self.flights, self.flown = 0, 0.0
-        run.seen = np.full((run.t.size, 3 * n + 4), np.nan)
+        run.seen = np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
 
     def finish(self, report: Callable[[float], None] | None = None) -> int:
         """Run to the end and return the status code; `report` hears of the simulated time now and then."""
@@ -99,22 +102,36 @@ class Beside:
         span = gap / bound
         if gap < CLEAR or span < SHORTEST_FLIGHT:
             return status.LEFT
-        y, before, begin = run.progress.y.copy(), clock.copy(), run.time
+        y, before, begin, spin = run.progress.y.copy(), clock.copy(), run.time, self.course.spin.copy()
         run.limits = run.limits._replace(stop=min(begin + span, stop))
         code = status.RUNNING
         while code == status.RUNNING:
-            code = run.advance()
+            code = self._advance()
         run.limits = run.limits._replace(stop=stop)
         if code != status.OK:
             return code
         gap, speed = core.clearance(*self.system, run.time, run.progress.y)
         if speed > bound or gap <= 0.0:
-            run.progress.y[:], clock[:] = y, before
+            run.progress.y[:], clock[:], self.course.spin[:] = y, before, spin
             return self._touch(begin + span)
         self.flights, self.flown = self.flights + 1, self.flown + run.time - begin
         for array in self.course.kept:
             array[:] = 0
         return status.RUNNING if run.time < stop else status.OK
+
+    def _advance(self) -> int:
+        """Fly on for one budget of steps; pegs that turn coast meanwhile, also where Ctrl-C ends the flight."""
+        run, begin, row = self.run, self.run.time, self.run.done
+        try:
+            return run.advance()
+        finally:
+            if self.setup.pegs_turn and run.seen is not None:
+                n, m = run.chain.length.size, self.course.spin.shape[1]
+                spins, taken = coast(self.setup, self.course.spin, np.append(run.t[row : run.done], run.time) - begin)
+                run.seen[row : run.done, 3 * n + 4 :] = spins[:-1].reshape(-1, 2 * m)
+                run.y[row : run.done, 2 * n + 1] += taken[:-1]
+                run.progress.y[2 * n + 1] += taken[-1]
+                self.course.spin[:] = spins[-1]
 
     def _touch(self, least: float = -np.inf) -> int:
         """Step with contacts until the rope has left the pegs, and at least until `least`, s."""
@@ -141,6 +158,7 @@ class Beside:
         base_state(run.drive, segment(run.drive, run.time), run.time, base)
         y = run.progress.y
         kinetic, _ = energies(chain, y[:n], y[n : 2 * n], (*base[7:9], *base[5:7], base[4], base[3]))
+        kinetic += float(spin_energy(self.setup, self.course.spin[1]))
         lever = chain.length.sum()
         mass = chain.mass.sum() + chain.tip_mass
         torque = float(np.abs(run.drive.coef[:, 3]).max()) if n else 0.0
@@ -161,7 +179,7 @@ class Beside:
 
 def beside(run: Rollout, setup: Setup, state: State | None) -> Beside:
     """Make a prepared rollout one beside the pegs of its set-up."""
-    return Beside(run, setup, {} if state is None else state.checkpoint)
+    return Beside(run, setup, state)
 
 
 def finer(
@@ -194,12 +212,14 @@ class Seen(NamedTuple):
     force: Array  # (T, n, 2) of the pegs on the links, N; 0 there
     load: Array  # (T, 3) force, N, and torque, N m, at the first joint; NaN there
     loss: Array  # (T,) energy lost to contact since the start of the run, J
+    spin: Array  # (T, 2, m) angles, rad, and rates, rad/s, of the obstacles; of those that turn
 
 
 def split(seen: Array, n: int) -> Seen:
-    """Take what was seen (T, 3 n + 4) of n links apart."""
+    """Take what was seen (T, 3 n + 4 + 2 m) of n links and m obstacles apart."""
     free = np.isnan(seen[:, 0])
     force = np.stack([seen[:, n : 2 * n], seen[:, 2 * n : 3 * n]], axis=-1)
     latest = np.maximum.accumulate(np.where(free, -1, np.arange(free.size)))  # contact loses nothing in free flight
     loss = np.where(latest < 0, 0.0, seen[np.maximum(latest, 0), 3 * n + 3])
-    return Seen(free, seen[:, :n], np.where(free[:, None, None], 0.0, force), seen[:, 3 * n : 3 * n + 3], loss)
+    spin = seen[:, 3 * n + 4 :].reshape(free.size, 2, -1)
+    return Seen(free, seen[:, :n], np.where(free[:, None, None], 0.0, force), seen[:, 3 * n : 3 * n + 3], loss, spin)

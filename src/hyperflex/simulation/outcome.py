@@ -10,6 +10,7 @@ from hyperflex.errors import SimulationError
 from hyperflex.model import Setup
 from hyperflex.simulation.contact import split
 from hyperflex.simulation.rollouts import Rollout, balanced, final_state, least_scale, starting_clock, stored
+from hyperflex.simulation.turning_pegs import shown, spin_energy
 from hyperflex.trajectory import State, Trajectory
 
 
@@ -72,6 +73,9 @@ def _balanced_rows(run: Rollout, setup: Setup) -> tuple[int, float | None]:
     scalars = np.empty((t.size, 5))
     output.observe(run.chain, run.drive, t, y, np.empty((t.size, n)), np.empty((t.size, 9)), scalars)
     held = stored(run.chain, y[:, :n])
+    if run.seen is not None and run.spin is not None:
+        rates = np.concatenate([split(run.seen[: run.done], n).spin, run.spin[None]])[:, 1]
+        scalars[:, 0] += spin_energy(setup, rates)
     good = int(balanced(least_scale(setup.rope), scalars[:, 0], scalars[:, 1], held, y[:, 2 * n], y[:, 2 * n + 1]))
     return min(good, run.done), None if good == t.size else float(t[good])
 
@@ -82,6 +86,7 @@ def _state_at(run: Rollout, setup: Setup, count: int) -> State:
     own = 1 if setup.torque_driven else 0
     row = max(count, 1) - 1
     y = run.y[row]
+    spin = None if run.seen is None else split(run.seen[row : row + 1], n).spin[0]
     return State(
         t=float(run.t[row]),
         q=y[own:n].copy(),
@@ -89,6 +94,7 @@ def _state_at(run: Rollout, setup: Setup, count: int) -> State:
         work=float(y[2 * n]),
         dissipated=float(y[2 * n + 1]),
         checkpoint={"y": y.copy(), "clock": starting_clock(float(run.t[row]))},
+        **shown(setup, spin),
     )
 
 
@@ -104,6 +110,7 @@ def _trajectory(run: Rollout, setup: Setup, skip: int, count: int, name: str, me
     if contact is not None:  # in free flight what (1) gives stands
         touched = ~contact.free
         qdd[touched], scalars[touched, 2:] = contact.qdd[touched], contact.load[touched]
+        scalars[:, 0] += spin_energy(setup, contact.spin[:, 1])
     if setup.torque_driven and setup.arm is not None:
         angle, rate = q[:, 0], qd[:, 0]
         sin, cos, arm_length = np.sin(angle), np.cos(angle), setup.arm.length
@@ -135,6 +142,7 @@ def _trajectory(run: Rollout, setup: Setup, skip: int, count: int, name: str, me
         attrs={"method": setup.method, "tol": setup.tol, **run.facts},
         contact_force=None if contact is None else contact.force[:, n - setup.rope.n_links :],
         contact_loss=None if contact is None else contact.loss,
+        **({} if contact is None else shown(setup, contact.spin)),
     )
 
 

@@ -26,6 +26,7 @@ from hyperflex.core.until import NEVER, Until
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
+from hyperflex.simulation.turning_pegs import shown
 from hyperflex.trajectory import State
 
 # Orders that a run chooses from, step by step: seven fills four lanes without a gap, lower ones save no time, and eight
@@ -52,8 +53,10 @@ class Rollout:
         Output times, s.
     y : (T, 2 n + 2) float64
         States at those times: angles, rates, work, dissipation; rows are filled as the run goes on.
-    seen : (T, 3 n + 4) float64, optional
-        Beside pegs: what ``contact_output.write`` saw at each time; NaN in free flight.
+    seen : (T, 3 n + 4 + 2 m) float64, optional
+        Beside m obstacles: what ``contact_run.run`` saw at each time; NaN in free flight, but for pegs that turn.
+    spin : (2, m) float64, optional
+        Beside obstacles: their angles, rad, and rates, rad/s, at the time reached.
     facts, kept : dict
         Beside pegs: what the trajectory tells about contacts, and what a run that goes on needs of them.
     """
@@ -65,6 +68,7 @@ class Rollout:
     t: Array
     y: Array
     seen: Array | None = None
+    spin: Array | None = None
     facts: dict[str, float] = field(default_factory=dict)
     kept: dict[str, Any] = field(default_factory=dict)
 
@@ -184,6 +188,7 @@ def final_state(run: Rollout, setup: Setup) -> State:
             "fingerprint": fingerprint(run, setup),
             **run.kept,
         },
+        **shown(setup, run.spin),
     )
 
 

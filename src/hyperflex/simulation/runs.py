@@ -102,8 +102,9 @@ def simulate(
     arm_angle0, arm_rate0 : float
         Start of a torque-driven arm, rad and rad/s.
     state : State, optional
-        Go on from where another run ended (``trajectory.state``). With everything else equal, the result is bit for bit
-        that of a run that was not stopped. (A torque callback's instants count from where the run goes on.)
+        Go on from where another run ended (``trajectory.state``), or begin with what a :class:`State` says, the rates
+        of pegs that turn included. With everything else equal, a run that goes on is bit for bit one that was not
+        stopped. (A torque callback's instants count from where the run goes on.)
     until : Event, optional
         Ends the run where it happens (``tip_crosses``, ``tip_speed_peak``, ``phase_reached``, ``angle_reached``), or
         after `duration` if it does not; ``trajectory.event`` tells. The last sample is the event then, located to some

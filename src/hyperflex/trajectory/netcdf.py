@@ -15,6 +15,7 @@ from hyperflex.model import Setup
 from hyperflex.trajectory.run import AXES, DERIVED, FORMAT, OPTIONAL, OWN_ATTRIBUTES, VARIABLES, State, Trajectory
 
 _STATE = {"t": "s", "q": "rad", "qd": "rad/s", "step": "s", "work": "J", "dissipated": "J"}  # name -> units
+_SPIN = {"peg_angle": "rad", "peg_rate": "rad/s"}  # of a state beside pegs that turn
 _CHECKPOINT = "checkpoint_"
 
 
@@ -25,6 +26,8 @@ def write(run: Trajectory, path: str | Path) -> None:
     samples, links = run.q.shape
     with files.atomic_path(path) as part, h5netcdf.File(part, "w") as file:
         file.dimensions = {"time": samples, "link": links, "joint": links + 1, "axis": 2}
+        if run.peg_rate is not None:
+            file.dimensions["peg"] = run.peg_rate.shape[1]
         _put(file, "time", ("time",), run.t, units="s", long_name="time")
         _put(file, "axis", ("axis",), np.array(["x", "y"], dtype=object), long_name=AXES)
         for name, (dims, units, long_name) in {**VARIABLES, **run.optional(), **DERIVED}.items():
@@ -34,6 +37,9 @@ def write(run: Trajectory, path: str | Path) -> None:
         group = file.create_group("state")
         for name, units in _STATE.items():
             _put(group, name, ("link",) if name in ("q", "qd") else (), getattr(run.state, name), units=units)
+        for name, units in _SPIN.items():
+            if getattr(run.state, name) is not None:
+                _put(group, name, ("peg",), getattr(run.state, name), units=units)
         for name, value in run.state.checkpoint.items():
             dims = tuple(f"{name}_{axis}" for axis in range(np.ndim(value)))
             _put(group, _CHECKPOINT + name, dims, value)
@@ -117,8 +123,9 @@ def _state(variables: Mapping[str, Any]) -> State:
     for name, value in variables.items():
         if name.startswith(_CHECKPOINT):
             checkpoint[name.removeprefix(_CHECKPOINT)] = value.item() if np.ndim(value) == 0 else value
-    scalars = {name: float(variables[name]) for name in ("t", "step", "work", "dissipated")}
-    return State(q=_floats(variables["q"]), qd=_floats(variables["qd"]), checkpoint=checkpoint, **scalars)
+    scalars: dict[str, Any] = {name: float(variables[name]) for name in ("t", "step", "work", "dissipated")}
+    spin: dict[str, Any] = {name: _floats(variables[name]) for name in _SPIN if name in variables}
+    return State(q=_floats(variables["q"]), qd=_floats(variables["qd"]), checkpoint=checkpoint, **scalars, **spin)
 
 
 def _floats(values: Any) -> Array:

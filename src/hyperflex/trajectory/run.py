@@ -40,6 +40,8 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
 OPTIONAL: dict[str, tuple[tuple[str, ...], str, str]] = {
     "contact_force": (("link", "axis"), "N", "force of the pegs on the link, mean over the step at the sample"),
     "contact_loss": ((), "J", "energy lost to contact since the start of the run, part of dissipated_energy"),
+    "peg_angle": (("peg",), "rad", "angle by which a round peg has turned, positive counterclockwise"),
+    "peg_rate": (("peg",), "rad/s", "rate of a round peg"),
 }
 DERIVED: dict[str, tuple[tuple[str, ...], str, str]] = {
     "joints": (("joint", "axis"), "m", "positions of the joints, the tip last"),
@@ -66,6 +68,8 @@ class State:
         Motor work and friction loss since the start of the run, J.
     checkpoint : dict of str to float or array
         Whatever else the integrator keeps, by name; numbers and arrays survive a NetCDF file bit for bit.
+    peg_angle, peg_rate : (P,) float64 or None
+        Angles, rad, and rates, rad/s, of the round pegs in the order of the set-up; 0 of fixed ones. None: all 0.
     """
 
     t: float
@@ -75,6 +79,8 @@ class State:
     work: float = 0.0
     dissipated: float = 0.0
     checkpoint: dict[str, Any] = field(default_factory=dict)
+    peg_angle: Array | None = None
+    peg_rate: Array | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,7 +98,7 @@ class Trajectory:
     arm_angle, arm_rate : (T,) float64
         The arm, rad and rad/s.
     kinetic_energy, potential_energy : (T,) float64
-        Energies of the rope (and of an actuated arm), J.
+        Energies of the rope (and of an actuated arm, and of pegs that turn), J.
     dissipated_energy, motor_work : (T,) float64
         Friction loss and work put in since the start of the run, J.
     motor_torque : (T,) float64
@@ -111,6 +117,9 @@ class Trajectory:
         Force of the pegs on each link, N, mean over the step at the sample; None without pegs.
     contact_loss : (T,) float64 or None
         Part of `dissipated_energy` that was lost to contact, J; None without pegs.
+    peg_angle, peg_rate : (T, P) float64 or None
+        Angle, rad, and rate, rad/s, of each round peg of the set-up, in order, positive counterclockwise; 0 of fixed
+        ones. None if no peg turns.
     """
 
     t: Array
@@ -134,9 +143,11 @@ class Trajectory:
     event: tuple[str, float] | None = None
     contact_force: Array | None = None
     contact_loss: Array | None = None
+    peg_angle: Array | None = None
+    peg_rate: Array | None = None
 
     def __post_init__(self) -> None:
-        sizes = {"link": self.setup.rope.n_links, "axis": 2}
+        sizes = {"link": self.setup.rope.n_links, "axis": 2, "peg": len(self.setup.round_pegs)}
         for name, (dims, *_) in {"t": ((), "", ""), **VARIABLES, **self.optional()}.items():
             view = np.asarray(getattr(self, name), dtype=np.float64).view()
             shape = (self.t.size, *(sizes[dim] for dim in dims))

@@ -1,0 +1,112 @@
+"""Pegs that turn at the doors: files, batches, states to go on from, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import InvalidInput
+
+CABLE = hf.Rope.uniform(length=0.7, mass=0.044, n_links=18, radius=0.0025, friction=2e-3, tip_mass=0.02)
+PULLEY = hf.Peg(0.0, -0.35, 0.03, 0.5, inertia=1e-5, bearing=1e-6)
+POST = hf.Peg(0.6, -0.5, 0.03)
+HOW = {"tol": 1e-3, "contact_step": 1e-3}
+
+
+def fallen(**how: object) -> hf.Trajectory:
+    """A cable that falls on a wall's end, a post or a pulley, and turns that."""
+    pegs = [hf.Wall(-0.6, -1.5, 0.6, -1.5), POST, PULLEY]
+    return hf.simulate(CABLE, **{"duration": 0.6, "q0": np.full(18, 1.2), "pegs": pegs, **HOW, **how})
+
+
+def test_a_run_shows_the_round_pegs_and_survives_its_file(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    run = fallen()
+    assert run.peg_angle.shape == run.peg_rate.shape == (run.t.size, 2)
+    assert np.abs(run.peg_rate[:, 1]).max() > 1.0
+    np.testing.assert_array_equal(run.peg_rate[:, 0], 0.0)
+    run.to_netcdf(tmp_path / "run.nc")
+    again = hf.read_trajectory(tmp_path / "run.nc")
+    for name in ("peg_angle", "peg_rate"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(run, name))
+        np.testing.assert_array_equal(getattr(again.state, name), getattr(run.state, name))
+        assert again.dataset[name].dims == ("time", "peg")
+    assert set(again.setup.pegs) == set(run.setup.pegs)
+    # From the file, too, the run goes on to the last bit.
+    onwards = [fallen(duration=0.1, state=one.state, q0=None) for one in (run, again)]
+    np.testing.assert_array_equal(onwards[0].peg_rate, onwards[1].peg_rate)
+    np.testing.assert_array_equal(onwards[0].peg_angle[0], run.peg_angle[-1])
+
+
+def test_a_run_that_goes_on_agrees_with_one_that_was_not_stopped() -> None:
+    whole = fallen(duration=0.5, t_eval=[0.44, 0.5], tol=1e-5, contact_step=2e-4)
+    first = fallen(duration=0.44, tol=1e-5, contact_step=2e-4)
+    then = fallen(duration=0.06, state=first.state, q0=None, t_eval=[0.5], tol=1e-5, contact_step=2e-4)
+    assert np.abs(whole.peg_rate[0]).max() > 0.1  # on the pulley, and turning
+    # Steps differ, and a rope that meets a peg is chaotic; over 60 ms they agree to a hundredth of the greatest rate.
+    np.testing.assert_allclose(then.peg_rate[-1], whole.peg_rate[-1], rtol=0, atol=0.01 * np.abs(whole.peg_rate).max())
+    np.testing.assert_allclose(then.tip[-1], whole.tip[-1], rtol=0, atol=1e-4)
+
+
+def test_members_of_a_batch_are_runs_of_their_own() -> None:
+    pegs = [[PULLEY], [hf.Peg(0.0, -0.35, 0.03, 0.5)], [hf.Peg(0.01, -0.35, 0.03, 0.5, inertia=1e-6)]]
+    t, q0 = [0.3, 0.6], np.full(18, 1.2)
+    keep = ("q", "peg_angle", "peg_rate", "dissipated_energy")
+    batch = hf.simulate_batch(CABLE, pegs=pegs, q0=q0, t_eval=t, duration=0.6, keep=keep, threads=2, **HOW)
+    for m, each in enumerate(pegs):
+        alone = hf.simulate(CABLE, pegs=each, q0=q0, t_eval=t, duration=0.6, **HOW)
+        np.testing.assert_array_equal(batch.q[m, :, : alone.q.shape[1]], alone.q)
+        np.testing.assert_array_equal(batch.dissipated_energy[m], alone.dissipated_energy)
+        for name in ("peg_angle", "peg_rate"):
+            one = getattr(alone, name)
+            np.testing.assert_array_equal(batch.values[name][m], 0.0 if one is None else one)
+    assert (np.abs(batch.peg_angle[[0, 2], -1, 0]) > 1e-3).all()
+
+
+def test_pegs_survive_their_file() -> None:
+    pegs = (POST, PULLEY)
+    assert hf.Setup.loads(hf.Setup(CABLE, pegs=pegs).dumps()).pegs == pegs
+    assert "bearing" not in hf.Setup(CABLE, pegs=[POST]).dumps()
+    one = hf.Setup(CABLE, pegs=[PULLEY]).dumps().replace("inertia = [1e-05]", "inertia = 1e-05")
+    assert hf.Setup.loads(one).pegs == (PULLEY,)
+    with pytest.raises(InvalidInput, match="pegs inertia"):
+        hf.Setup.loads(one.replace("inertia = 1e-05", "inertia = nan"))
+    with pytest.raises(InvalidInput, match="pegs inertia is not an array of numbers"):
+        hf.Setup.loads(one.replace("inertia = 1e-05", 'inertia = "heavy"'))
+
+
+@pytest.mark.parametrize(
+    ("axle", "words"),
+    [
+        ({"inertia": 0.0}, "peg inertia has the wrong sign"),
+        ({"inertia": -1e-5}, "peg inertia has the wrong sign"),
+        ({"inertia": float("nan")}, "peg inertia is not finite"),
+        ({"inertia": float("inf")}, "peg inertia is not finite"),
+        ({"inertia": 1e-5, "bearing": -1.0}, "peg bearing has the wrong sign"),
+        ({"bearing": 1e-6}, "a fixed peg has no bearing"),
+    ],
+)
+def test_a_bad_axle_is_refused(axle: dict[str, float], words: str) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        hf.Peg(0.0, -0.35, 0.03, **axle)
+
+
+@pytest.mark.parametrize(
+    ("spin", "words"),
+    [
+        ({"peg_rate": [1.0]}, "state peg_rate has the wrong shape"),
+        ({"peg_rate": [1.0, 0.0]}, "state peg_rate turns a fixed peg"),
+        ({"peg_angle": [0.0, float("nan")]}, "cannot be used"),
+    ],
+)
+def test_a_state_that_does_not_fit_is_refused(spin: dict[str, list[float]], words: str) -> None:
+    state = hf.State(0.0, np.full(18, 1.2), np.zeros(18), **spin)
+    with pytest.raises(InvalidInput, match=words):
+        fallen(state=state, q0=None)
+
+
+def test_no_cast_is_planned_for_a_target_that_turns() -> None:
+    with pytest.raises(InvalidInput, match="fixed targets"):
+        hf.plan_cast(CABLE, hf.Arm(length=0.1), PULLEY)
+    with pytest.raises(InvalidInput, match="there are none"):
+        hf.simulate_batch(CABLE, duration=0.1, keep=("peg_rate",))
