@@ -44,5 +44,19 @@ def planned(winds: bool = True) -> CastPlan:
     return CastPlan(who, PEG, reach(who, PEG), throw, cast, finer, why_not(cast, finer, False), 1, seconds)
 
 
+@functools.cache
+def late() -> CastPlan:
+    """Return a plan for a target in reach, whose verification took longer than it might."""
+    who = thrower()
+    cast = verify(who, PEG, WINDS.motion(who.limits), patience=1e-9)
+    return CastPlan(who, PEG, reach(who, PEG), WINDS, cast, None, why_not(cast, None, False), 4321, 61.2)
+
+
+def stopped(throw: Throw | None = WINDS) -> CastPlan:
+    """Return a plan for a target in reach, that Ctrl-C ended before anything was verified."""
+    who = thrower()
+    return CastPlan(who, PEG, reach(who, PEG), throw, None, None, why_not(None, None, True), 4321, 12.3, True)
+
+
 def unreachable() -> CastPlan:
     return hf.plan_cast(CABLE, hf.Arm(length=0.105), hf.Peg(2.5, 0.0, 0.03))

@@ -17,7 +17,7 @@ from hyperflex.casting.cast_plan import CastPlan
 from hyperflex.casting.genes import Genes
 from hyperflex.casting.remedies import remedies
 from hyperflex.casting.search import Landing, Search
-from tests.casting.known import CABLE, PEG, WINDS, planned, thrower, unreachable
+from tests.casting.known import CABLE, PEG, WINDS, late, planned, stopped, thrower, unreachable
 
 THROWER = thrower()
 FAR = hf.Peg(1.72 * np.sin(0.9), -1.72 * np.cos(0.9), 0.04)  # some 10 cm beyond what is in reach in its direction
@@ -136,6 +136,35 @@ def test_a_plan_that_fails_says_where_one_should_do() -> None:
     assert plan.nearest.plan is None
     assert reach(plan.thrower, plan.nearest.peg).within
     assert [text[:9] for text in plan.remedies] == ["a rope of"]
+
+
+@pytest.mark.parametrize("made", [late, stopped, lambda: stopped(None)], ids=["clock", "ctrl-c", "no throw"])
+def test_no_place_is_named_where_the_target_is_not_what_failed(made: Callable[[], CastPlan]) -> None:
+    plan = made()
+    assert plan.unfinished
+    assert elsewhere.expected(plan, 0.0) is None
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda: planned(winds=False),  # a throw that was run says so
+        lambda: replace(stopped(None), peg=FAR, reach=reach(THROWER, FAR)),  # the criterion says so
+    ],
+    ids=["throw", "criterion"],
+)
+def test_a_place_is_named_where_the_target_is_what_failed(made: Callable[[], CastPlan]) -> None:
+    plan = made()
+    assert not plan.unfinished
+    assert elsewhere.expected(plan, 0.0) is not None
+
+
+def test_a_plan_that_stands_is_finished() -> None:
+    assert not planned().unfinished
+
+
+def test_a_finer_run_that_took_too_long_is_not_the_targets_fault() -> None:
+    assert replace(planned(), finer=late().cast, reason="with links of half the length").unfinished
 
 
 class Planner:

@@ -9,9 +9,11 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.casting import read_plan
+from hyperflex.casting import course, read_plan
+from hyperflex.casting.outcome import SETTLING, WATCH
+from hyperflex.casting.search import Landing, Search
 from hyperflex.errors import InvalidInput
-from tests.casting.known import PEG, planned, thrower, unreachable
+from tests.casting.known import PEG, WINDS, late, planned, stopped, thrower, unreachable
 
 
 def test_the_motors_table_holds_the_planned_angles(tmp_path):
@@ -66,6 +68,61 @@ def test_the_set_up_of_a_plan_is_the_verified_run(tmp_path):
     again = hf.simulate(hf.Setup.from_toml(tmp_path / "plan.toml"), t_eval=plan.cast.run.t)
     np.testing.assert_array_equal(again.q, plan.cast.run.q)
     np.testing.assert_array_equal(hf.read_trajectory(tmp_path / "run.nc").q, plan.cast.run.q)
+
+
+@pytest.mark.parametrize("made", [late, stopped])
+def test_the_set_up_of_a_plan_without_a_run_lasts_as_long_as_one(tmp_path, made):
+    plan = made()
+    plan.to_toml(tmp_path / "plan.toml")
+    setup = hf.Setup.from_toml(tmp_path / "plan.toml")
+    assert setup.duration == pytest.approx(WINDS.stops(plan.thrower.limits) + SETTLING + WATCH)
+    assert setup.duration == planned().cast.run.setup.duration
+
+
+def test_a_run_that_was_not_finished_has_no_numbers(tmp_path):
+    plan = late()
+    plan.to_toml(tmp_path / "plan.toml")
+    outcome = files.read_toml(tmp_path / "plan.toml")["plan"]["outcome"]
+    assert outcome["cast"] == {"reason": plan.reason}
+    assert "out of patience" in plan.reason
+
+
+@pytest.mark.parametrize(
+    ("made", "mark"), [(late, "not verified"), (stopped, "not verified"), (lambda: planned(winds=False), "fails")]
+)
+def test_the_motors_table_says_whether_its_throw_was_verified(tmp_path, made, mark):
+    plan = made()
+    plan.to_csv(tmp_path / "motion.csv")
+    assert f"# {mark}: {plan.reason}\n" in (tmp_path / "motion.csv").read_text()
+    assert files.read_notes(tmp_path / "motion.csv")[mark] == plan.reason
+    assert hf.read_motion(tmp_path / "motion.csv").breaks[-1] == pytest.approx(plan.motion.breaks[-1], abs=5e-3)
+
+
+def test_the_motors_table_of_a_throw_that_stands_bears_no_mark(tmp_path):
+    planned().to_csv(tmp_path / "motion.csv")
+    assert not {"not verified", "fails"} & set(files.read_notes(tmp_path / "motion.csv"))
+
+
+def test_an_interrupt_leaves_the_best_throw_that_was_not_verified(tmp_path, monkeypatch):
+    """Ctrl-C in the search, and again while its best throw is verified."""
+
+    def swing(self):
+        if self.landings:
+            raise KeyboardInterrupt
+        self.landings.append(Landing(2.0, 2.0, -1, np.zeros(3), WINDS))
+        return 1.0
+
+    def check(self, found):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Search, "swing", swing)
+    monkeypatch.setattr(Search, "try_ends", lambda self: None)
+    monkeypatch.setattr(course.Course, "check", check)
+    plan = hf.plan_cast(thrower().rope, thrower().arm, PEG)
+    assert plan.interrupted
+    assert (plan.throw, plan.cast) == (WINDS, None)
+    plan.to_csv(tmp_path / "motion.csv")
+    assert files.read_notes(tmp_path / "motion.csv")["not verified"] == plan.reason
 
 
 def test_a_plan_without_a_throw_has_nothing_to_write(tmp_path):

@@ -33,7 +33,7 @@ class CastPlan:
     throw : Throw or None
         The best throw found; None where nothing strikes the peg.
     cast : Cast or None
-        What became of it in a verified, simulated run.
+        What became of it in a verified, simulated run; None where Ctrl-C came before that.
     finer : Cast or None
         The same with links of half the length: what of it stands when the model is better.
     reason : str
@@ -72,12 +72,21 @@ class CastPlan:
         return not self.reason
 
     @property
+    def unfinished(self) -> bool:
+        """Whether it fails for no fault of its target: that is in reach, and Ctrl-C or a run without an end came."""
+        if self.success or not self.reach.within:
+            return False
+        return self.interrupted or any(cast is not None and cast.run is None for cast in (self.cast, self.finer))
+
+    @property
     def motion(self) -> Motion | None:
         """What the arm does, from rest at t = 0; None where there is no throw."""
         return None if self.throw is None else self.throw.motion(self.thrower.limits)
 
     def to_csv(self, path: PathLike, *, rate: float = tables.RATE) -> None:
         """Write what the arm does at a motor's rate to a CSV file that :func:`hyperflex.read_motion` reads.
+
+        A throw that does not stand is marked in the file's head, ``# not verified: ...`` or ``# fails: ...``.
 
         Parameters
         ----------
@@ -86,7 +95,7 @@ class CastPlan:
         rate : float
             Rows a second, Hz.
         """
-        tables.write_motion(path, tables.motion_of(self), rate)
+        tables.write_motion(path, tables.motion_of(self), rate, notes=tables.mark(self))
 
     def to_netcdf(self, path: str | Path) -> None:
         """Write the verified run to NetCDF.
@@ -110,7 +119,7 @@ class CastPlan:
 
 
 def come_to(work: Course, known: Reach, interrupted: bool = False) -> CastPlan:
-    """Return what a search has come to.
+    """Return what a search has come to; where nothing was verified, its best throw without a run.
 
     Parameters
     ----------
@@ -120,5 +129,7 @@ def come_to(work: Course, known: Reach, interrupted: bool = False) -> CastPlan:
     interrupted : bool
     """
     search, (throw, cast, finer) = work.search, work.best
+    if throw is None and search.landings:
+        throw = search.landings[0].throw
     why = why_not(cast, finer, interrupted)
     return CastPlan(search.thrower, search.peg, known, throw, cast, finer, why, search.runs, work.spent, interrupted)

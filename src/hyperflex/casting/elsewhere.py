@@ -21,8 +21,8 @@ SPARE = (0.0, 0.25, 0.75, 1.5)
 AT_HAND = 0.5  # part of the patience in which throws at hand are tried on pegs near by
 
 
-def expected(plan: CastPlan, hold: float, number: int = 0) -> Nearest | None:
-    """Return the nearest place that should be in reach, by the criterion alone; the higher the number, the more surely.
+def expected(plan: CastPlan, hold: float) -> Nearest | None:
+    """Return the nearest place that should be in reach, by the criterion alone.
 
     Parameters
     ----------
@@ -30,8 +30,20 @@ def expected(plan: CastPlan, hold: float, number: int = 0) -> Nearest | None:
         That fails.
     hold : float
         Pull that the wound rope should bear, N.
-    number : int
-        Of what it has to spare, in SPARE; a target in reach for which a search failed begins with the second.
+
+    Returns
+    -------
+    Nearest or None
+        None if there is no such place, and where the target is not to blame (:attr:`CastPlan.unfinished`).
+    """
+    return None if plan.unfinished else _place(plan, hold)
+
+
+def _place(plan: CastPlan, hold: float, number: int = 0) -> Nearest | None:
+    """Return the nearest place that should be in reach; the higher the number, the more surely.
+
+    `number` is that of what it has to spare, in SPARE; a target in reach for which a search failed begins with the
+    second.
     """
     more = SPARE[number]
     if plan.reach.within:
@@ -63,7 +75,7 @@ def found(plan: CastPlan, search: Search, hold: float, patience: float, again: C
         return replace(plan, nearest=near)
     tried: list[Peg] = []
     for number in range(len(SPARE)):
-        near = expected(plan, hold, number)
+        near = _place(plan, hold, number)
         if near is None or near.peg in tried:
             continue
         near = replace(near, tried=len(tried))

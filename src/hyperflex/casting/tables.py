@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ import numpy as np
 
 from hyperflex import checks, files
 from hyperflex.casting.limits import MotorLimits
+from hyperflex.casting.outcome import SETTLING, WATCH
 from hyperflex.casting.thrower import Thrower
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN, Peg, Rope, Setup
@@ -26,7 +28,9 @@ RATE = 200.0  # Hz
 MOST_ROWS = 10_000_000
 
 
-def write_motion(path: files.PathLike, motion: Motion, rate: float = RATE) -> None:
+def write_motion(
+    path: files.PathLike, motion: Motion, rate: float = RATE, *, notes: Mapping[str, str] | None = None
+) -> None:
     """Write what the arm does at a motor's rate, for :func:`hyperflex.read_motion` and for drivers.
 
     Parameters
@@ -37,14 +41,24 @@ def write_motion(path: files.PathLike, motion: Motion, rate: float = RATE) -> No
         That ends; the last row is the arm at rest.
     rate : float
         Rows a second, Hz.
+    notes : mapping of str to str, optional
+        Written before all else in the file's head, as lines ``# key: value``.
     """
     rate = checks.number("rate", rate, sign="positive", unit="Hz")
     count = math.ceil(float(motion.breaks[-1]) * rate - 1e-9) + 1
     if not 2 < count <= MOST_ROWS:
         raise InvalidInput("rate does not suit the motion", got=rate, allowed="some rows a move, and 10 million in all")
     t = np.arange(count) / rate
-    notes = {"contents": "planned motion of the arm", "rate": f"{rate:g} Hz", "t": "s", "angle": "rad, 0 hangs down"}
-    files.write_table(path, ["t", "angle"], np.column_stack([t, motion.angle(t)]), notes=notes)
+    told = {"contents": "planned motion of the arm", "rate": f"{rate:g} Hz", "t": "s", "angle": "rad, 0 hangs down"}
+    files.write_table(path, ["t", "angle"], np.column_stack([t, motion.angle(t)]), notes={**(notes or {}), **told})
+
+
+def mark(plan: CastPlan) -> dict[str, str]:
+    """Return the note on a throw that does not stand: whether it fails or was not verified, and why; else none."""
+    if plan.success:
+        return {}
+    failed = any(cast is not None and cast.run is not None and cast.reason for cast in (plan.cast, plan.finer))
+    return {"fails" if failed else "not verified": plan.reason}
 
 
 def write_plan(path: files.PathLike, plan: CastPlan) -> None:
@@ -81,12 +95,12 @@ def run_of(plan: CastPlan) -> Trajectory:
 
 
 def setup_of(plan: CastPlan) -> Setup:
-    """Return the set-up of the verified run; the rope as given where there was none."""
+    """Return the set-up of the verified run; where there was none, of one as long, with the rope as given."""
     motion = motion_of(plan)
     if plan.cast is not None and plan.cast.run is not None:
         return plan.cast.run.setup
-    thrower = plan.thrower
-    return Setup(thrower.rope, motion, thrower.arm, duration=float(motion.breaks[-1]), pegs=(plan.peg,))
+    thrower, end = plan.thrower, float(motion.breaks[-1]) + SETTLING + WATCH
+    return Setup(thrower.rope, motion, thrower.arm, duration=end, pegs=(plan.peg,))
 
 
 def read_plan(path: str | Path) -> tuple[Thrower, Peg, Motion]:
@@ -146,6 +160,8 @@ def summary(plan: CastPlan) -> dict[str, Any]:
 
 
 def _outcome(cast: Cast) -> dict[str, Any]:
+    if cast.run is None:  # nothing is known of it
+        return {"reason": cast.reason}
     return {
         "wound": cast.wound,
         "held": cast.held,
@@ -154,7 +170,7 @@ def _outcome(cast: Cast) -> dict[str, Any]:
         "grip": cast.grip,
         "strike_s": cast.strike,
         "torque_Nm": cast.torque,
-        "links": 0 if cast.run is None else cast.run.q.shape[1],
+        "links": cast.run.q.shape[1],
         "reason": cast.reason,
     }
 
