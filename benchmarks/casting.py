@@ -234,7 +234,7 @@ def text(rows: list[dict[str, Any]], rope: str) -> str:
         ours = row["ours"]
         cells = [row["number"], *(f"{row[k]:.3f}" for k in ("x", "y", "radius", "room", "energy"))]
         cells += [row["planned"], f"{row['seconds']:.0f}", ours["success"], ours.get("turns")]
-        cells += [ours.get("hold", ""), ours.get("tail times e^(mu theta)", ""), ours["reason"] or row["reason"]]
+        cells += [bore(ours), ours.get("tail times e^(mu theta)", ""), ours["reason"] or row["reason"]]
         lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
     return "\n".join(lines) + "\n"
 
@@ -248,6 +248,11 @@ def scores(rows: list[dict[str, Any]]) -> Iterator[str]:
             yield f"| {way} | {sum(tried)} | {len(tried)} |"
     sure = [row["ours"]["success"] for row in rows if row["planned"]]
     yield f"| ours, where the plan says that it stands | {sum(sure)} | {len(sure)} |"
+
+
+def bore(ours: dict[str, Any]) -> str:
+    """Pull that the wound rope bore, N; a lower bound where it did not slip."""
+    return "" if "hold" not in ours else f"{'' if ours['let go'] else '>= '}{ours['hold']}"
 
 
 def told(rows: list[dict[str, Any]]) -> str:

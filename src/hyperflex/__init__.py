@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
-    from hyperflex.casting import CastPlan, MotorLimits, plan_cast
+    from hyperflex.casting import (
+        CastPlan,
+        MotorLimits,
+        Uncertainty,
+        WhipPlan,
+        follow,
+        plan_cast,
+        plan_whip,
+        read_plan,
+    )
     from hyperflex.identification import (
         Bootstrap,
         Design,
@@ -62,7 +71,12 @@ __version__ = "0.1.0"
 _HOMES = {
     "CastPlan": "casting",
     "MotorLimits": "casting",
+    "Uncertainty": "casting",
+    "WhipPlan": "casting",
+    "follow": "casting",
     "plan_cast": "casting",
+    "plan_whip": "casting",
+    "read_plan": "casting",
     "Arm": "model",
     "Batch": "simulation",
     "Bootstrap": "identification",
@@ -141,13 +155,16 @@ __all__ = [
     "State",
     "Trajectory",
     "Tug",
+    "Uncertainty",
     "Wall",
+    "WhipPlan",
     "Winding",
     "__version__",
     "angle_reached",
     "bootstrap",
     "compare_models",
     "design",
+    "follow",
     "hold",
     "identify",
     "initial_state",
@@ -156,8 +173,10 @@ __all__ = [
     "moving_point",
     "phase_reached",
     "plan_cast",
+    "plan_whip",
     "predictability",
     "read_motion",
+    "read_plan",
     "read_recording",
     "read_trajectory",
     "refined",

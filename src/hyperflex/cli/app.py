@@ -80,9 +80,7 @@ def run(arguments: Sequence[str]) -> int:
         message = output.spelt(str(error)) if "identify" in arguments[:1] else str(error)
         return output.complain(message, type(error).__name__, output.REFUSED, as_json=as_json)
     except _PARSER_ERROR as error:
-        worded = getattr(error, "format_message", None)
-        message = worded() if worded else str(error)
-        return output.complain(f"{message} See hyperflex --help.", "UsageError", output.REFUSED, as_json=as_json)
+        return output.complain(_misused(error), "UsageError", output.REFUSED, as_json=as_json)
     except BrokenPipeError:  # whoever read standard output went away: nothing is left to be said to them
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return output.FAILED
@@ -90,6 +88,14 @@ def run(arguments: Sequence[str]) -> int:
         traceback.print_exc()
         message = f"{str(error) or 'no message'}. This is a bug in hyperflex; please report it with the lines above."
         return output.complain(message, type(error).__name__, output.FAILED, as_json=as_json)
+
+
+def _misused(error: Any) -> str:
+    """Return what the parser complains of in whole sentences, and where to look."""
+    worded = getattr(error, "format_message", None)
+    message = str(worded() if worded else error).rstrip(".")
+    two = " Give two numbers: --target X Y." if "'--target'" in message else ""
+    return f"{message}.{two} See hyperflex --help."
 
 
 def _invoke(arguments: Sequence[str]) -> int:

@@ -138,6 +138,8 @@ def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertai
     if plan.cast is not None and math.isfinite(plan.cast.strike):
         pairs.append(("strikes", f"{plan.cast.strike:.2f} s after the start"))
         pairs.append(("turns in the end", f"{abs(plan.cast.turns):.2f}"))
+    if plan.throw is not None and (plan.cast is None or plan.cast.run is None):
+        pairs.append(("strike, turns, hold", "not known: the throw was not verified to its end"))
     if held is not None:
         pairs.append(("hold force", f"{'' if held.tug.slipped else 'at least '}{held.force:.2f} N, by a tug"))
         pairs.append(("tail weight times e^(mu angle)", f"{held.rule:.2f} N"))

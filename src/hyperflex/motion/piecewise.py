@@ -78,6 +78,12 @@ class Motion:
 
     __hash__ = None  # type: ignore[assignment]
 
+    def __repr__(self) -> str:
+        kind = f"{self.spec['kind']}, " if "kind" in self.spec else ""
+        again = f", repeats from {self.breaks[self.loop]:g} s on" if self.loop >= 0 else ""
+        pieces = f"{len(self.coef)} piece{'' if len(self.coef) == 1 else 's'}"
+        return f"Motion({kind}{self.breaks[0]:g} to {self.breaks[-1]:g} s, {pieces}{again})"
+
     @property
     def period(self) -> float:
         """Time after which the motion repeats, s; inf if it does not."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 
@@ -14,10 +15,13 @@ from hyperflex.casting.tables import RATE, run_of
 from hyperflex.report import cast_words as words
 from hyperflex.report.animation import animate
 from hyperflex.report.cast_figures import course_figure, sense_of, strike_figure, tug_figure, way
+from hyperflex.report.cast_place import place_caption, place_figure
 from hyperflex.report.folder import Tell, whole_folder, write_figures
 from hyperflex.report.page import Picture, Section, write_page
+from hyperflex.report.style import png
 
 _FILM_RATE, _FILM_WIDTH = 20, 560  # frames a second, pixels
+_LINE = 90  # letters that fit beside each other in a film
 _TOLD = 2.0  # s of the end of a film in which the hold force is shown
 _CAPTIONS = {
     "film": "The cast as it is planned, simulated: arm (white), rope (yellow), target (red).",
@@ -37,7 +41,7 @@ def write_cast(
     directory : str or Path
         Folder to write to, whole or not at all; made if it is not there, other files in it stay.
     plan : CastPlan
-        One without a throw leaves no more than a page with the reason.
+        One without a throw leaves no more than a page with the reason and where the target is.
     rate : float
         Rows a second of the motor's file, Hz.
     tell : callable
@@ -111,7 +115,7 @@ def _arm_words(plan: CastPlan, t: float) -> str:
 
 def _end_words(plan: CastPlan, held: Holding | None) -> str:
     if not plan.success:
-        return f"FAILS: {plan.reason}"
+        return fill(f"FAILS: {words.why(plan)}", _LINE)
     if held is None:
         return "wound and held"
     return f"wound and held; hold force {held.force:.2f} N" + (" (tug)" if held.tug.slipped else " or more (tug)")
@@ -143,22 +147,28 @@ def shown_pictures(pictures: dict[str, bytes]) -> dict[str, Picture]:
 
 
 def _write_page(path: Path, plan: CastPlan, held: Holding | None, pictures: dict[str, bytes]) -> None:
-    text = (*words.instead(plan), *words.story(plan, held))
-    told = words.tiles(plan, held), ((plan.success, words.verdict(plan)),), text
-    sections = [Section("In short", tiles=told[0], marks=told[1], text=told[2])]
+    sections = [
+        Section(
+            "In short",
+            verdict=(plan.success, words.verdict(plan)),
+            text=words.instead(plan),
+            tiles=words.tiles(plan, held),
+            notes=(words.search_words(plan),),
+        )
+    ]
     shown = shown_pictures(pictures)
+    if "film" not in shown:
+        picture = Picture(png(place_figure(plan)), place_caption(plan))
+        sections.append(Section("Where the target is", pictures=(picture,)))
+    if plan.throw is not None:
+        sections.append(Section("What happens" if shown else "What was planned", text=words.story(plan, held)))
     if "film" in shown:
         sections.append(Section("The cast", pictures=(shown["film"], shown["strike"])))
         sections.append(Section("Course", pictures=(shown["course"],)))
     if "tug" in shown:
         sections.append(Section("Hold", pictures=(shown["tug"],)))
     if plan.motion is not None:
-        sections.append(
-            Section(
-                "Does it stand with a finer rope?", table=words.checks_table(plan), notes=(words.search_words(plan),)
-            )
-        )
+        sections.append(Section("Does it stand with a finer rope?", table=words.checks_table(plan)))
         sections.append(Section("Motor", table=words.motor_table(plan)))
     sections.append(Section("Set-up", text=words.setup_words(plan)))
-    title = f"A planned cast round a target at x = {plan.peg.x:.3g} m, y = {plan.peg.y:.3g} m"
-    write_page(path, title, words.LEAD, "simulated", sections)
+    write_page(path, words.title(plan), words.lead(plan), "simulated", sections)

@@ -69,7 +69,8 @@ def tug_figure(held: Holding) -> Figure:
         figure = new_figure(8.6, 4.0)
         pull, slip = figure.subplots(2, 1, sharex=True)
         pull.plot(way, winding.tension(run)[:, 0], color=BLUE, lw=1.0, label="pull at the rope's first joint")
-        pull.axhline(held.force, color=GREEN, ls="--", lw=1.2, label=f"hold force {held.force:.2f} N")
+        least = "" if held.tug.slipped else "at least "
+        pull.axhline(held.force, color=GREEN, ls="--", lw=1.2, label=f"hold force {least}{held.force:.2f} N")
         pull.axhline(held.rule, color=GREY, ls=":", lw=1.4, label=f"tail weight x e^(mu angle) {held.rule:.2f} N")
         pull.set(ylabel="pull, N", ylim=(0.0, 1.15 * max(held.force, held.rule)))
         pull.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8.0)

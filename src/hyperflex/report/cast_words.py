@@ -13,13 +13,32 @@ from hyperflex.model import Peg
 from hyperflex.motion import Motion
 from hyperflex.report.cast_figures import way
 from hyperflex.report.tables import TextTable
+from hyperflex.simulation.patience import NAME as OUT_OF_PATIENCE
 from hyperflex.trajectory import Trajectory
 
-LEAD = (
-    "A rope that hangs from a motor-driven arm is thrown round a peg, shall wind and hold. Planned and verified by "
-    "simulation; nothing here was measured."
-)
+_TOO_LONG = f"the simulation failed ({OUT_OF_PATIENCE})"
+_NOT_KNOWN = "not known"
 Tiles = tuple[tuple[str, str], ...]
+
+
+def lead(plan: CastPlan) -> str:
+    """Return what this is about, and where it comes from."""
+    if plan.success:
+        return (
+            "A rope that hangs from a motor-driven arm is thrown round a peg, so that it winds round it and holds. "
+            "Planned and verified by simulation; nothing here was measured."
+        )
+    how = "Searched for by simulation" if searched(plan) else "Judged beforehand, without a search"
+    return (
+        "A rope that hangs from a motor-driven arm is to be thrown round a peg, so that it winds round it and holds. "
+        f"{how}; nothing here was measured."
+    )
+
+
+def title(plan: CastPlan) -> str:
+    """Return a heading that says whether there is a cast."""
+    where = f"x\u00a0=\u00a0{plan.peg.x:.3g}\u00a0m, y\u00a0=\u00a0{plan.peg.y:.3g}\u00a0m"
+    return f"{'A planned cast round a target' if plan.success else 'No cast found round a target'} at {where}"
 
 
 def target_words(peg: Peg) -> str:
@@ -37,7 +56,20 @@ def verdict(plan: CastPlan) -> str:
     """Return in a sentence whether the cast stands."""
     if plan.success and plan.cast is not None:
         return f"The rope winds {abs(plan.cast.turns):.2f} turns round the target and holds, in simulation."
-    return f"No cast that winds and holds was found: {plan.reason}."
+    return f"No cast that winds and holds was found: {why(plan)}."
+
+
+def why(plan: CastPlan) -> str:
+    """Return why a plan fails, without a full stop; what the rule of thumb says is said to be that."""
+    if plan.reason == plan.reach.reason and not plan.reach.impossible:
+        return plan.reason.replace("out of reach", "out of reach by a rule of thumb", 1)
+    return plain(plan.reason)
+
+
+def plain(reason: str) -> str:
+    """Return the reason of a cast that fails in words for people."""
+    told = "the verification of the best throw took longer than the time allowed for it; give more --patience"
+    return reason.replace(_TOO_LONG, told)
 
 
 def instead(plan: CastPlan) -> tuple[str, ...]:
@@ -45,9 +77,10 @@ def instead(plan: CastPlan) -> tuple[str, ...]:
     if plan.success:
         return ()
     told, near = [], plan.nearest
-    if near is None:
-        told.append("No place was found where a target like this should be in reach.")
-    else:
+    wanted = "should be easier" if plan.reach.within else "should be in reach"
+    if near is None and not plan.unfinished:
+        told.append(f"No place was found where a target like this {wanted}.")
+    elif near is not None:
         where = f"x = {near.peg.x:.4g} m, y = {near.peg.y:.4g} m, {1e2 * near.away:.3g} cm away"
         if near.plan is not None:
             told.append(
@@ -57,7 +90,12 @@ def instead(plan: CastPlan) -> tuple[str, ...]:
             tried = (
                 f"nearer places planned for in vain: {near.tried}; this one not" if near.tried else "not planned for"
             )
-            told.append(f"Nearest target that should be in reach: {where}; expected by a rule of thumb, {tried}.")
+            told.append(f"Nearest target that {wanted}: {where}; expected by a rule of thumb, {tried}.")
+    if plan.unfinished:
+        on = "to let the search go on" if plan.interrupted else "a longer --patience, less load on the machine"
+        told.append(f"By a rule of thumb the target itself is in reach. What may help: {on}, another --seed.")
+    elif plan.reach.within:
+        told.append("By the same rule this target is in reach, too: a longer --patience or another --seed may help.")
     if plan.remedies:
         told.append(f"By the same rule this target would be in reach with {' or '.join(plan.remedies)}.")
     return tuple(told)
@@ -71,9 +109,13 @@ def tiles(plan: CastPlan, held: Holding | None) -> Tiles:
     if plan.throw is not None:
         shown.append((swings_words(plan), "of the arm to and fro, then one last move"))
     if plan.cast is not None and plan.cast.run is not None:
-        strike = f"{plan.cast.strike:.2f} s" if math.isfinite(plan.cast.strike) else "never"
-        shown.append((strike, "after the start the rope strikes the target"))
-        shown.append((f"{abs(plan.cast.turns):.2f} turns", f"in the end, {way(plan)}; {WOUND:g} are asked"))
+        struck = math.isfinite(plan.cast.strike)
+        strike = f"{plan.cast.strike:.2f} s" if struck else "never"
+        shown.append((strike, f"{'after the start ' if struck else ''}the rope strikes the target"))
+        if struck:
+            shown.append((f"{abs(plan.cast.turns):.2f} turns", f"in the end, {way(plan)}; {WOUND:g} are asked"))
+    elif plan.throw is not None:
+        shown.append((_NOT_KNOWN, "strike, turns and hold: the throw was not verified to its end"))
     if held is not None:
         least = "" if held.tug.slipped else "at least "
         shown.append(
@@ -98,6 +140,8 @@ def story(plan: CastPlan, held: Holding | None) -> tuple[str, ...]:
     )
     if cast is not None and cast.run is not None:
         told.append(_outcome(plan))
+    else:
+        told.append("What the rope then does is not known: the throw was not verified to its end.")
     if held is not None:
         told.append(_hold(held))
     if plan.stated is not None:
@@ -148,7 +192,7 @@ def asked_of_motor(limits: MotorLimits, motion: Motion | None, run: Trajectory |
     if motion is None:
         return TextTable(("motor", "asked", "limit"), ())
     t = np.linspace(0.0, float(motion.breaks[-1]), 4001)
-    torque = "not known" if run is None else f"{np.abs(run.motor_torque).max():.3g} N m"
+    torque = _NOT_KNOWN if run is None else f"{np.abs(run.motor_torque).max():.3g} N m"
     most = f"{limits.torque:.3g} N m" if math.isfinite(limits.torque) else "none given"
     rows = (
         ("greatest speed", f"{np.abs(motion.rate(t)).max():.3g} rad/s", f"{limits.speed:.3g} rad/s"),
@@ -169,17 +213,29 @@ def checks_table(plan: CastPlan) -> TextTable:
         if cast is None:
             rows.append((name, "not run", "", "", "", ""))
             continue
-        links = "" if cast.run is None else str(cast.run.q.shape[1])
+        if cast.run is None:
+            rows.append((name, "not finished", _NOT_KNOWN, _NOT_KNOWN, _NOT_KNOWN, _NOT_KNOWN))
+            continue
+        links = str(cast.run.q.shape[1])
         slip = f"{1e3 * cast.slipped:.2g} mm" if math.isfinite(cast.slipped) else "not on the target"
         strike = f"{cast.strike:.2f} s" if math.isfinite(cast.strike) else "never"
-        rows.append((name, links, strike, f"{abs(cast.turns):.2f}", slip, "yes" if cast.success else "no"))
+        turns = f"{abs(cast.turns):.2f}" if math.isfinite(cast.strike) else "none"
+        rows.append((name, links, strike, turns, slip, "yes" if cast.success else "no"))
     return TextTable(("run", "links", "strikes", "turns", "slips", "winds and holds"), tuple(rows))
+
+
+def searched(plan: CastPlan | WhipPlan) -> bool:
+    """Whether a search was made, or at least begun."""
+    return bool(plan.runs) or plan.interrupted or plan.motion is not None
 
 
 def search_words(plan: CastPlan | WhipPlan) -> str:
     """Return how the plan was found."""
+    if not searched(plan):
+        return "No search was made: the target was judged beforehand."
     ended = ", interrupted before its end" if plan.interrupted else ""
-    return f"The search took {plan.seconds:.0f} s and {plan.runs} simulated runs{ended}."
+    runs = f"{plan.runs} simulated run{'' if plan.runs == 1 else 's'}"
+    return f"The search took {plan.seconds:.0f} s and {runs}{ended}."
 
 
 def setup_words(plan: CastPlan) -> tuple[str, ...]:

@@ -78,4 +78,4 @@ def _proof(demo: Demo) -> tuple[tuple[bool, str], ...]:
     who = f"The rope that made the recording ({demo.reference.q.shape[1]} links), thrown by the same motion"
     if proof.success:
         return ((True, f"{who}, winds {abs(proof.turns):.2f} turns and holds too."),)
-    return ((False, f"{who}, does not: {proof.reason}. The identified rope is not quite that rope."),)
+    return ((False, f"{who}, does not: {words.plain(proof.reason)}. The identified rope is not quite that rope."),)

@@ -36,12 +36,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A headed part of a page, shown in the order text, tiles, marks, pictures, table, notes.
+    """A headed part of a page, shown in the order verdict, text, tiles, marks, pictures, table, notes.
 
     Attributes
     ----------
     title : str
         Heading.
+    verdict : (bool, str), optional
+        What it comes to: whether that is good news, and its sentence.
     text : tuple of str
         Paragraphs.
     tiles : tuple of (str, str)
@@ -63,6 +65,7 @@ class Section:
     """
 
     title: str
+    verdict: tuple[bool, str] | None = None
     text: tuple[str, ...] = ()
     tiles: tuple[tuple[str, str], ...] = ()
     marks: tuple[tuple[bool, str], ...] = ()
@@ -84,7 +87,7 @@ def write_page(path: str | Path, title: str, lead: str, badge: str, sections: li
     title, lead : str
         Heading and the paragraph under it.
     badge : str
-        A short label beside the title, such as "simulated".
+        A short label above the title, such as "simulated".
     sections : list of Section
         The content.
     """

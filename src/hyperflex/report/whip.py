@@ -112,8 +112,11 @@ def _draw(folder: Path, plan: WhipPlan, tell: Tell) -> dict[str, Path]:
 
 
 def _write_page(path: Path, plan: WhipPlan, blow: Impact | None, pictures: dict[str, bytes]) -> None:
-    told = words.tiles(plan, blow), ((plan.success, words.verdict(plan)),), words.story(plan, blow)
-    sections = [Section("In short", tiles=told[0], marks=told[1], text=told[2])]
+    verdict, tiles = (plan.success, words.verdict(plan)), words.tiles(plan, blow)
+    sections = [
+        Section("In short", verdict=verdict, tiles=tiles, notes=(search_words(plan),)),
+        Section("What happens" if plan.lash else "What is asked", text=words.story(plan, blow)),
+    ]
     shown = {kind: Picture(pictures[kind], caption) for kind, caption in _CAPTIONS.items() if kind in pictures}
     if shown:
         sections.append(Section("The whip", pictures=(shown["film"], shown["peak"], shown["passing"])))
@@ -121,8 +124,8 @@ def _write_page(path: Path, plan: WhipPlan, blow: Impact | None, pictures: dict[
     if plan.motion is not None:
         run = None if plan.lash is None else plan.lash.run
         table = words.checks_table(plan)
-        notes = (words.finer_words(), search_words(plan))
-        sections.append(Section("Does it stand with a finer rope?", table=table, notes=notes))
+        sections.append(Section("Does it stand with a finer rope?", table=table, notes=(words.finer_words(),)))
         sections.append(Section("Motor", table=asked_of_motor(plan.thrower.limits, plan.motion, run)))
     sections.append(Section("Set-up", text=words.setup_words(plan)))
-    write_page(path, "A planned whip", words.LEAD, "simulated", sections)
+    title = "A planned whip" if plan.success else "No whip found that meets its target"
+    write_page(path, title, words.lead(plan), "simulated", sections)

@@ -12,11 +12,16 @@ from hyperflex.casting.whip_aim import FRICTION, LENGTH, TIMING
 from hyperflex.report.cast_words import arm_words, rope_words
 from hyperflex.report.tables import TextTable
 
-LEAD = (
-    "A rope that hangs from a motor-driven arm is whipped, so that its tip passes a point at a peak of its speed. "
-    "Planned and verified by simulation; nothing here was measured."
-)
 Tiles = tuple[tuple[str, str], ...]
+
+
+def lead(plan: WhipPlan) -> str:
+    """Return what this is about, and where it comes from."""
+    whipped, how = ("is", "Planned and verified") if plan.success else ("is to be", "Searched for")
+    return (
+        f"A rope that hangs from a motor-driven arm {whipped} whipped, so that its tip passes a point at a peak of its "
+        f"speed. {how} by simulation; nothing here was measured."
+    )
 
 
 def target_words(mark: Mark) -> str:
