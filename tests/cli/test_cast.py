@@ -11,7 +11,7 @@ from hyperflex import casting, files
 from hyperflex.casting.chance import Success
 from hyperflex.casting.nearest import Nearest
 from hyperflex.casting.uncertainty import Uncertainty
-from tests.casting.known import CABLE, planned
+from tests.casting.known import CABLE, late, planned, stopped
 
 NAMES = {"report.html", "cast.gif", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "cast.nc"}
 
@@ -30,7 +30,8 @@ def ready(monkeypatch):
     def plan(name, **changes):
         def give(rope, arm, target, limits, **options):
             asked.update(rope=rope, arm=arm, target=target, limits=limits, **options)
-            return dataclasses.replace(planned(winds=name == "winds"), **changes)
+            known = {"winds": planned, "late": late, "stopped": stopped}.get(name, lambda: planned(winds=False))
+            return dataclasses.replace(known(), **changes)
 
         monkeypatch.setattr(casting, "plan_cast", give)
         return asked
@@ -125,6 +126,35 @@ def test_ctrl_c_leaves_the_best_so_far(hyperflex, hyperflex_json, rope_file, rea
     assert (code, told["error"], told["interrupted"]) == (130, "interrupted", True)
     assert "the best so far" in told["message"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES - {"tug.png"}
+
+
+def test_a_throw_that_was_not_verified_has_no_numbers(hyperflex, hyperflex_json, rope_file, ready, tmp_path):
+    for name, code in (("late", 4), ("stopped", 130)):
+        plan = {"late": late, "stopped": stopped}[name]()
+        ready(name)
+        ended, told = hyperflex_json(*arguments(rope_file, tmp_path / name))
+        assert ended == code
+        assert told.get("cast", {"reason": plan.reason}) == {"reason": plan.reason}
+        assert "nearest" not in told
+        assert files.read_notes(tmp_path / name / "motion.csv")["not verified"] == plan.reason
+        assert hf.read_motion(tmp_path / name / "motion.csv").breaks[-1] == pytest.approx(told["arm_stops_s"], abs=5e-3)
+        _, out, err = hyperflex(*arguments(rope_file, tmp_path / name))
+        words = " ".join(out.split())
+        assert "not known" in words
+        assert "strikes" not in words
+        assert "the target itself is in reach" in words
+        assert ("time allowed for it; give more --patience" in words) == (name == "late")
+        assert ("best so far" in err) == (name == "stopped")
+
+
+@pytest.mark.parametrize("more", [(), ("--seed", "1")])
+def test_a_target_of_one_number_is_told_to_need_two(hyperflex, rope_file, tmp_path, more):
+    code, _, err = hyperflex("cast", "--rope", rope_file, "-o", tmp_path / "out", *more, "--target", "-0.8")
+    assert code == 2
+    assert "requires 2 arguments. Give two numbers: --target X Y. See" in err
+    code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out", target=("-0.8",)))
+    assert code == 2
+    assert "as a number. Give two numbers: --target X Y. See hyperflex --help." in err
 
 
 @pytest.mark.parametrize(

@@ -110,3 +110,8 @@ def test_json_knows_arrays_paths_and_no_infinities(capsys):
     text = capsys.readouterr().out
     assert json.loads(text) == {"a": [1.0, None], "b": {"p": "x", "c": [2.0, None]}, "d": True}
     assert "NaN" not in text
+
+
+def test_the_package_runs_as_the_command():
+    done = subprocess.run([sys.executable, "-m", "hyperflex", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == hf.__version__

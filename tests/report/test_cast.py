@@ -10,12 +10,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import hyperflex as hf
 from hyperflex.casting.hold import holding
+from hyperflex.casting.nearest import Nearest
 from hyperflex.report.animation import animate
 from hyperflex.report.cast import film_note, write_cast
 from hyperflex.report.cast_figures import course_figure, strike_figure, tug_figure
+from hyperflex.report.cast_place import place_figure
+from hyperflex.report.cast_words import instead, story, tiles, verdict
 from hyperflex.report.style import png
-from tests.casting.known import PEG, planned, unreachable
+from tests.casting.known import PEG, late, planned, stopped, unreachable
 
 
 def opened(path):
@@ -50,6 +54,8 @@ def test_the_page_names_target_swings_turns_and_hold(tmp_path):
     ):
         assert told in page, told
     assert "counterclockwise" not in page
+    assert "Where the target is" not in page  # the pictures of the run show that
+    assert "In short The rope winds 2.36 turns" in page
 
 
 def test_a_plan_without_a_throw_is_a_page_with_the_reason(tmp_path):
@@ -57,6 +63,81 @@ def test_a_plan_without_a_throw_is_a_page_with_the_reason(tmp_path):
     assert held is None
     assert list(files) == ["page"]
     assert "out of reach: the rope ends" in words_of(files["page"])
+
+
+@pytest.mark.parametrize(
+    ("made", "told"),
+    [
+        (late, "the verification of the best throw took longer than the time allowed for it; give more --patience."),
+        (stopped, "interrupted before any throw was verified."),
+        (unreachable, "out of reach: the rope ends 0.36 m short of the target."),
+        (lambda: planned(winds=False), "the rope does not touch the peg."),
+    ],
+    ids=["late", "stopped", "unreachable", "misses"],
+)
+def test_a_plan_that_fails_says_so_first(tmp_path, made, told):
+    page = words_of(write_cast(tmp_path / "out", made())[0]["page"])
+    assert page.index("No cast found round a target at x") < page.index("In short")
+    after = page[page.index("In short") + len("In short") :].strip()
+    assert after.startswith(f"No cast that winds and holds was found: {told}")
+    assert "A planned cast" not in page
+    assert "verified by simulation" not in page
+
+
+@pytest.mark.parametrize("made", [late, stopped], ids=["late", "stopped"])
+def test_what_was_not_run_to_its_end_is_not_known(tmp_path, made):
+    path = write_cast(tmp_path / "out", made())[0]["page"]
+    page = words_of(path)
+    assert "not known strike, turns and hold" in page
+    assert 'class="bad"' not in path.read_text("utf-8")
+    for invented in ("never", "0.00", "not on the target"):
+        assert invented not in page
+    assert "does is not known" in page
+
+
+@pytest.mark.parametrize("made", [late, stopped, lambda: stopped(None)], ids=["late", "stopped", "no throw"])
+def test_a_target_in_reach_that_is_not_to_blame_comes_with_advice(tmp_path, made):
+    plan = made()
+    page = words_of(write_cast(tmp_path / "out", plan)[0]["page"])
+    assert "the target itself is in reach" in page
+    assert "another --seed" in page
+    assert "Nearest" not in page
+    assert "No place was found" not in page
+    assert f"took {plan.seconds:.0f} s and 4321 simulated runs" in page
+
+
+def test_a_target_in_reach_that_no_throw_winds_is_not_said_to_be_out_of_reach():
+    plan = dataclasses.replace(planned(winds=False), nearest=Nearest(PEG, 0.0))
+    told = " ".join(instead(plan))
+    assert "Nearest target that should be easier" in told
+    assert "this target is in reach, too" in told
+
+
+def test_what_the_rule_of_thumb_says_is_said_to_be_that():
+    rope, arm = planned().thrower.rope, planned().thrower.arm
+    assert "out of reach by a rule of thumb: wound it bears 2.94 N at most" in verdict(
+        hf.plan_cast(rope, arm, PEG, hold=20.0)
+    )
+    assert "found: out of reach: the rope ends" in verdict(unreachable())  # no rule of thumb but geometry
+
+
+def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
+    plan = unreachable()
+    page = write_cast(tmp_path / "out", plan)[0]["page"].read_text("utf-8")
+    assert page.count("data:image/png") == 1
+    figure = place_figure(plan)
+    (axis,) = figure.axes
+    discs = [(patch.center, patch.radius) for patch in axis.patches]
+    assert discs[0][0] == (2.5, 0.0)
+    assert discs[1][0] == (plan.nearest.peg.x, plan.nearest.peg.y)
+    assert all(radius >= 0.03 for _, radius in discs)
+    reach, arm = (line.get_xydata() for line in axis.get_lines()[:2])
+    np.testing.assert_allclose(np.hypot(*reach.T), 2.105, rtol=1e-12)  # rounding
+    np.testing.assert_allclose(np.hypot(*arm.T), 0.105, rtol=1e-12)  # rounding
+    rope = axis.get_lines()[2].get_xydata()
+    np.testing.assert_allclose(rope, [[-0.105, 0.0], [-0.105, -2.0]], atol=1e-12)  # rounding of cos(pi / 2)
+    low, high = axis.get_xlim()
+    assert low < -2.105 < 2.53 < high
 
 
 def test_the_film_tells_the_course(held):
@@ -120,3 +201,16 @@ def test_pictures_of_a_miss_and_of_a_tug(held):
 def test_a_pull_that_did_not_slip_is_a_lower_bound(held):
     firm = dataclasses.replace(held, tug=dataclasses.replace(held.tug, slipped=False))
     assert "or more (tug)" in film_note(planned(), firm)(11.0)
+    labels = [text.get_text() for text in tug_figure(firm).axes[0].get_legend().get_texts()]
+    assert f"hold force at least {held.force:.2f} N" in labels
+    assert any(f"at least {held.force:.2f}" in value for value, _ in tiles(planned(), firm))
+    assert any("so it holds more" in told for told in story(planned(), firm))
+
+
+def test_a_long_reason_has_room_in_a_film():
+    plan = dataclasses.replace(
+        planned(), reason="with links of half the length the simulation failed (out of patience)"
+    )
+    lines = film_note(plan, None)(11.0).split("\n")
+    assert "time allowed for it" in " ".join(lines)
+    assert max(len(line) for line in lines) <= 90

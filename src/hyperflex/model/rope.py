@@ -229,6 +229,11 @@ class Rope:
 
     __hash__ = None  # type: ignore[assignment]
 
+    def __repr__(self) -> str:
+        name = f"{self.name}, " if self.name else ""
+        links = f"{self.n_links} link{'' if self.n_links == 1 else 's'}"
+        return f"Rope({name}{links}, {self.total_length:.4g} m, {self.total_mass:.4g} kg)"
+
     def chain(self) -> Chain:
         """Return the arrays as the kernels take them."""
         return Chain(
