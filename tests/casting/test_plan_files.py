@@ -150,7 +150,7 @@ def test_a_plan_that_lacks_a_part_is_refused(tmp_path):
 def test_what_is_read_back_can_be_printed(tmp_path):
     planned().to_toml(tmp_path / "plan.toml")
     who, peg, motion = read_plan(tmp_path / "plan.toml")
-    assert repr(motion) == "Motion(moves, 0 to 8.05965 s, 34 pieces)"
+    assert repr(motion) == "Motion(moves, 0 to 8.05965 s, 21 pieces)"
     assert repr(who.rope) == "Rope(50 links, 2 m, 0.125 kg)"
     assert len(repr((who, peg, motion))) < 500
     assert repr(hf.swings(t_move=0.7, t_rest=0.3)).endswith("repeats from 0 s on)")
