@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks import log as lines
 from benchmarks import machine
 
 import hyperflex as hf
@@ -99,13 +100,13 @@ def main() -> None:
     log = None if options.out == "-" else Path(options.out) / "casting.jsonl"
     known = read(log, kind, patience)
     rows = [known[number] for number in numbers if number in known]
+    lines.told(rows)
     missing = [n for n in numbers if n not in known]
     for found in done(options.rope, missing, patience, ours_alone=options.outside or options.ours):
         rows.append(found)
         print(line(found), flush=True)
         if log is not None:
-            with log.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"kind": kind, "patience": patience, "kernels": SOURCE_HASH, **found}) + "\n")
+            lines.append(log, {"kind": kind, "patience": patience, "kernels": SOURCE_HASH, **found})
     page = f"# Casting: {kind}\n\n{text(rows, options.rope)}\n{machine.sentence(about)}\n"
     print(page)
     if log is not None:
@@ -116,10 +117,7 @@ def main() -> None:
 
 def read(log: Path | None, kind: str, patience: float) -> dict[int, dict[str, Any]]:
     """Rows of the same kind by number."""
-    if log is None or not log.exists():
-        return {}
-    rows = [json.loads(text) for text in log.read_text(encoding="utf-8").splitlines() if text.endswith("}")]
-    return {row["number"]: row for row in rows if (row["kind"], row["patience"]) == (kind, patience)}
+    return {row["number"]: row for row in lines.read(log) if (row["kind"], row["patience"]) == (kind, patience)}
 
 
 def done(rope: str, numbers: list[int], patience: float, ours_alone: bool) -> Iterator[dict[str, Any]]:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from benchmarks import machine
+from benchmarks import log, machine
 
 from hyperflex import files
 from hyperflex.casting.evolution import evolution
@@ -158,9 +158,7 @@ WORDS = {
 
 def rows() -> list[dict[str, Any]]:
     """What was found until now."""
-    if not RESULTS.exists():
-        return []
-    return [json.loads(line) for line in RESULTS.read_text().splitlines() if line.endswith("}")]
+    return log.read(RESULTS)
 
 
 def page(found: list[dict[str, Any]]) -> str:
@@ -217,8 +215,7 @@ def main() -> None:
             row |= {"rests": np.round(rests, 4).tolist(), "rollouts": task.rollouts, "kernels": SOURCE_HASH}
             row["seconds"] = round(time.perf_counter() - begin, 1)
             print(json.dumps(row), flush=True)
-            with RESULTS.open("a") as file:
-                file.write(json.dumps(row) + "\n")
+            log.append(RESULTS, row)
     files.write_text(RESULTS.with_suffix(".json"), json.dumps(rows(), indent=1) + "\n")
     files.write_text(RESULTS.with_suffix(".md"), page(rows()))
 

@@ -15,13 +15,13 @@ All simulated.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks import log as lines
 from benchmarks import machine
 from benchmarks.casting import RESULTS, TIP, target, thrower
 
@@ -66,13 +66,13 @@ def main() -> None:
     about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "reach.jsonl"
     kinds = {number: kind(reach(thrower(options.rope), target(number))) for number in range(FIRST, FIRST + COUNTED)}
     known = read(log, options.rope, options.patience)
+    lines.told(known.values())
     for number in wanted(kinds, options.count):
         if number not in known:
             known[number] = planned(options.rope, number, options.patience)
             print(kinds[number], known[number], flush=True)
             if log is not None:
-                with log.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps({"kernels": SOURCE_HASH, **known[number]}) + "\n")
+                lines.append(log, {"kernels": SOURCE_HASH, **known[number]})
     page = f"# Reach: {options.rope}\n\n{text(kinds, known, options)}\n{machine.sentence(about)}\n"
     print(page)
     if log is not None:
@@ -92,11 +92,8 @@ def _many(one: str, count: int) -> int:
 
 def read(log: Path | None, rope: str, patience: float) -> dict[int, dict[str, Any]]:
     """Rows of the same search by number."""
-    if log is None or not log.exists():
-        return {}
-    rows = [json.loads(text) for text in log.read_text(encoding="utf-8").splitlines() if text.endswith("}")]
     same = (rope, patience)
-    return {row["number"]: row for row in rows if (row["rope"], row["patience"]) == same}
+    return {row["number"]: row for row in lines.read(log) if (row["rope"], row["patience"]) == same}
 
 
 def planned(rope: str, number: int, patience: float) -> dict[str, Any]:

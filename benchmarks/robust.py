@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks import log as lines
 from benchmarks import machine
 from benchmarks.casting import FINE_LINKS, STEP, TIP, TOL, target, targets, thrower
 from benchmarks.robust_page import page
@@ -57,6 +58,7 @@ def main() -> None:
         fine = len(rows) < options.fine
         rows.append({plan: Case(options, log, number, plan).row(fine) for plan in PLANS})
         print(line(number, rows[-1]), flush=True)
+    lines.told(log.used)
     text = page(rows, vars(options)) + f"\n{machine.sentence(about)}\n"
     print(text)
     if log.path is not None:
@@ -88,19 +90,21 @@ class Log:
     """What was done before, line by line in a file; None keeps nothing."""
 
     def __init__(self, path: Path | None) -> None:
-        self.path, self.known = path, {}
-        if path is not None and path.exists():
-            lines = [text for text in path.read_text(encoding="utf-8").splitlines() if text.endswith("}")]
-            self.known = {_name(each["key"]): each["found"] for each in map(json.loads, lines)}
+        self.path, rows = path, lines.read(path)
+        self.known = {_name(each["key"]): each["found"] for each in rows}
+        self.old = {_name(each["key"]): each for each in rows}
+        self.used: list[dict[str, Any]] = []
 
     def once(self, key: dict[str, Any], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Return what is known of a piece of work, or do it and keep it."""
-        if _name(key) not in self.known:
-            found = self.known[_name(key)] = make()
+        name = _name(key)
+        if name in self.old:
+            self.used.append(self.old[name])
+        elif name not in self.known:
+            found = self.known[name] = make()
             if self.path is not None:
-                with self.path.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps({"key": key, "kernels": SOURCE_HASH, "found": found}) + "\n")
-        return self.known[_name(key)]
+                lines.append(self.path, {"key": key, "kernels": SOURCE_HASH, "found": found})
+        return self.known[name]
 
 
 def _name(key: dict[str, Any]) -> str:

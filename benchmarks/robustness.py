@@ -20,11 +20,11 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
+from benchmarks import log as lines
 from benchmarks import machine
 from rich.console import Console
 from rich.progress import Progress
@@ -92,17 +92,13 @@ def sweep(options: argparse.Namespace, numbers: range) -> tuple[list[dict[str, A
     known = {} if unkept else read(log, options.seed, options.patience)
     jobs = [(what, number) for number in numbers for what in kinds(number) if (what, number) not in known]
     tasks = [(what, options.seed, number, options.patience) for what, number in jobs]
-    if not unkept:
-        log.parent.mkdir(parents=True, exist_ok=True)
-    with (
-        Progress(console=Console(stderr=True)) as bar,
-        nullcontext() if unkept else log.open("a", encoding="utf-8") as keep,
-    ):
+    with Progress(console=Console(stderr=True)) as bar:
         task = bar.add_task("ropes", total=len(tasks))
         try:
             for row in done(tasks, options.workers):
                 known[row["what"], row["number"]] = row
-                write(keep, row, options.seed)
+                if not unkept:
+                    lines.append(log, {"seed": options.seed, "kernels": SOURCE_HASH, **row})
                 bar.update(task, advance=1, description=summary(known.values()))
         except KeyboardInterrupt:
             bar.console.print("interrupted; the rows that are done follow")
@@ -140,19 +136,10 @@ def be_ready() -> None:
 
 def read(log: Path, seed: int, patience: float) -> dict[tuple[str, int], dict[str, Any]]:
     """Rows of an earlier sweep with the same seed and kernels, but for those that more patience may help."""
-    if not log.exists():
-        return {}
-    lines = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
-    same = [row for row in lines if row.pop("seed") == seed and row.pop("kernels") == SOURCE_HASH]
+    same = [row for row in lines.read(log) if row.pop("seed") == seed and row.pop("kernels") == SOURCE_HASH]
     latest = {(row["what"], row["number"]): row for row in same}
     hasty = [key for key, row in latest.items() if row.get("reason") == SLOW and row.get("patience", 0.0) < patience]
     return {key: row for key, row in latest.items() if key not in hasty}
-
-
-def write(log: TextIO | None, row: dict[str, Any], seed: int) -> None:
-    if log is not None:
-        log.write(json.dumps({"seed": seed, "kernels": SOURCE_HASH, **row}) + "\n")
-        log.flush()
 
 
 def table(rows: list[dict[str, Any]]) -> dict[str, list[Any]]:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks import machine
+from benchmarks import log, machine
 
 import hyperflex as hf
 from hyperflex import files
@@ -119,12 +119,9 @@ def page(found: dict[str, Any]) -> str:
     )
 
 
-def done(path: Path) -> list[dict[str, Any]]:
-    """Throws that an interrupted benchmark has finished with the present kernels."""
-    if not path.exists():
-        return []
-    rows = [json.loads(line) for line in path.read_text().splitlines() if line.endswith("}")]
-    return [row for row in rows if row["kernels"] == SOURCE_HASH]
+def done(path: Path | None, fine: bool) -> list[dict[str, Any]]:
+    """Throws with such links that an interrupted benchmark has finished; rows that say nothing of it are coarse."""
+    return [row for row in log.read(path) if row.get("fine", False) == fine]
 
 
 def main() -> int:
@@ -138,15 +135,15 @@ def main() -> int:
         print(json.dumps(throw(options.only, options.fine), indent=1))
         return 0
     notes = None if options.out == "-" else Path(options.out).with_suffix(".jsonl")
-    rows = [] if notes is None else done(notes)
+    rows = done(notes, options.fine)
+    log.told(rows)
     finished = {row["index"] for row in rows}
     for index in range(options.count):
         if index in finished:
             continue
-        rows.append(throw(index, options.fine) | {"kernels": SOURCE_HASH})
+        rows.append(throw(index, options.fine) | {"fine": options.fine, "kernels": SOURCE_HASH})
         if notes is not None:
-            with notes.open("a") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
+            log.append(notes, rows[-1])
         else:
             print(json.dumps(rows[-1]), flush=True)
     links = "links cut as the pegs need it" if options.fine else "50 links of 40 mm"

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks import machine
+from benchmarks import log, machine
 
 import hyperflex as hf
 from hyperflex import files
@@ -40,6 +40,7 @@ from hyperflex.control import swing_period
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.identification import identify
 from hyperflex.model import divided
+from hyperflex.model.stretch import stretched
 from hyperflex.motion import lagged
 
 RESULTS = Path(__file__).parent / "results"
@@ -126,14 +127,13 @@ def identified(true: hf.Rope, index: int, tape: bool) -> tuple[hf.Rope, dict[str
     recording, joints = recorded(true, index)
     parts = np.cumsum(true.length)[joints - 1] / true.total_length
     measured = true.total_length * (1.0 + TAPE * np.random.default_rng([7, index]).standard_normal())
-    rope = lengthened(CABLE, measured / CABLE.total_length if tape else 1.0)
+    rope = stretched(CABLE, measured / CABLE.total_length * CABLE.length) if tape else CABLE
     begin, status = time.perf_counter(), ""
-    # A link's centre and a marker's place do not grow with its length in a fit: a second one starts where they have.
+    # A marker's place does not grow with the rope's length in a fit: a second one starts where it has.
     for free in [["friction:factor"]] if tape else 2 * [["friction:factor", "length:factor"]]:
         arcs = np.minimum(parts * rope.total_length, rope.total_length)
         found = identify(recording, rope, free, arcs=arcs, window=np.inf, train=np.inf, intervals=None)
-        grown = found.rope.total_length / rope.total_length
-        rope, status = lengthened(rope, grown).replace(friction=found.rope.friction), found.status
+        rope, status = found.rope, found.status
     told = {
         "length": rope.total_length / true.total_length,
         "friction": rope.friction[0] / rope.total_mass / (true.friction[0] / true.total_mass),
@@ -141,11 +141,6 @@ def identified(true: hf.Rope, index: int, tape: bool) -> tuple[hf.Rope, dict[str
         "identify seconds": time.perf_counter() - begin,
     }
     return rope, told
-
-
-def lengthened(rope: hf.Rope, factor: float) -> hf.Rope:
-    """The rope with all its lengths times a factor."""
-    return rope.replace(length=factor * rope.length, com=factor * rope.com, inertia=factor**2 * rope.inertia)
 
 
 def moved_late(strokes: Strokes, index: int) -> Strokes:
@@ -323,13 +318,6 @@ def beyond_words(rows: list[dict[str, Any]]) -> list[str]:
     return [words]
 
 
-def done(path: Path) -> list[dict[str, Any]]:
-    """Rows that an interrupted benchmark has finished."""
-    if not path.exists():
-        return []
-    return [json.loads(line) for line in path.read_text().splitlines() if line.endswith("}")]
-
-
 def measure(index: int, kind: str, mark: Mark, known: WhipMap) -> dict[str, Any]:
     """What becomes of a target."""
     return nominal(index, mark, known) if kind == "nominal" else on_identified(index, mark, kind)
@@ -376,14 +364,14 @@ def main() -> None:
             print(json.dumps(measure(options.only, kind, marks[options.only], known), indent=1))
         return
     notes = Path(options.out).with_suffix(".jsonl")
-    rows = done(notes)
+    rows = log.read(notes)
+    log.told(rows)
     finished = {(row["kind"], row["index"]) for row in rows}
 
     def add(kind: str, index: int, row: dict[str, Any]) -> None:
         rows.append({"index": index, "kind": kind, "kernels": SOURCE_HASH, **row})
         print(json.dumps(rows[-1]), flush=True)
-        with notes.open("a") as file:
-            file.write(json.dumps(rows[-1]) + "\n")
+        log.append(notes, rows[-1])
 
     for kind, index, work in jobs(options, known, rows):
         if (kind, index) not in finished:

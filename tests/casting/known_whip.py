@@ -9,7 +9,7 @@ import numpy as np
 
 import hyperflex as hf
 from hyperflex.casting import Mark, MotorLimits, Strokes, Thrower, WhipPlan, WhipReach
-from hyperflex.casting.whip import FINER, why_not
+from hyperflex.casting.whip_course import FINER, why_not
 from hyperflex.casting.whip_strike import lash
 from hyperflex.model import divided
 
@@ -33,7 +33,7 @@ def planned_whip(meets: bool = True, anyhow: bool = False) -> WhipPlan:
     seen = lash(who, mark, motion, peak.t)
     finer = lash(replace(who, rope=divided(ROPE, FINER)), mark, motion, peak.t)
     reach = WhipReach(float(np.hypot(*place)), 0.01, "")
-    return WhipPlan(who, mark, reach, STROKES, seen, finer, 0.004, why_not(seen), 1, 0.5)
+    return WhipPlan(who, mark, reach, STROKES, seen, finer, 0.004, why_not(who, seen, finer, 0.004), 1, 0.5)
 
 
 def far_whip() -> WhipPlan:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.casting.fitted import Fitted
 from hyperflex.errors import InvalidInput
+from hyperflex.model import divided
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=4, radius=0.003, friction=1e-3, stiffness=2e-3, tip_mass=0.02)
 COUNT = 1500  # draws: a deviation is told within 1.8 %, a covariance within some 4 % of the product of deviations
@@ -51,6 +53,33 @@ def test_masses_stay_above_0_and_friction_does_not_fall_below() -> None:
     assert min(rope.tip_mass for rope in drawn) == 0.0
 
 
+def test_a_drawn_length_leaves_a_rope_that_can_be_cut() -> None:
+    (one,) = ropes(fitted([[1e-4]], "length:factor", length=1.0), 1)
+    assert divided(one, 2).n_links == 8
+    np.testing.assert_allclose(one.inertia, 0.025 * (3.0 * 0.003**2 + one.length**2) / 12.0, rtol=1e-12)
+    assert one.total_length != ROPE.total_length
+    (one,) = ropes(fitted([[1e-4, 0], [0, 1e-9]], "length:factor", "com[1]", length=1.0), 1)
+    assert one.com[0] == ROPE.com[0]
+
+
+@pytest.mark.parametrize(
+    ("sd", "row", "unknown"),
+    [
+        ({"friction": np.array([0.0, 1e-4, np.inf, 0.0])}, 1e-8, ("friction[2]",)),
+        ({"friction": [0.0, "unknown", 1e-4, 0.0]}, 1e-8, ("friction[1]",)),
+        ({"friction": [0.0, 1e-4, 1e-4, 0.0]}, 0.0, ("friction[2]",)),
+        ({}, 1e-8, ()),
+    ],
+)
+def test_what_a_fit_could_not_tell_is_known(sd: dict[str, Any], row: float, unknown: tuple[str, ...]) -> None:
+    """An infinite deviation, the word for it in a file, or a row of 0: all that is said of a direction left out."""
+    names = ("friction[1]", "friction[2]")
+    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=np.diag([1e-8, row]), values={}, sd=sd)
+    found = Fitted.of(fit)  # type: ignore[arg-type]
+    assert found.unknown == unknown
+    assert found.untold == (("friction",) if unknown else ())
+
+
 def test_gravity_turns_and_what_is_none_of_the_rope_s_is_left() -> None:
     one = fitted([[1e-4, 0], [0, 1.0]], "gravity_angle", "delay")
     drawn = ropes(one)
@@ -63,7 +92,9 @@ def test_gravity_turns_and_what_is_none_of_the_rope_s_is_left() -> None:
 def test_a_file_says_what_the_fit_said(tmp_path: Path) -> None:
     values = {"friction:factor": np.array(2.0), "mass": ROPE.mass}
     covariance = np.array([[0.04, 1e-5], [1e-5, 1e-6]])
-    fit = SimpleNamespace(rope=ROPE, parameters=("friction:factor", "mass[2]"), covariance=covariance, values=values)
+    sd = {"friction:factor": np.array(0.2), "mass": np.array([0.0, 0.0, 1e-3, 0.0])}
+    names = ("friction:factor", "mass[2]")
+    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=covariance, values=values, sd=sd)
     told = {
         "parameters": list(fit.parameters),
         "covariance": covariance.tolist(),

@@ -95,7 +95,8 @@ def test_a_lag_makes_the_arm_late() -> None:
 
 
 def test_ropes_are_drawn_from_a_fit_and_the_rest_as_usual() -> None:
-    fit = SimpleNamespace(rope=ROPE, parameters=("friction:shared",), covariance=np.array([[4e-8]]), values={})
+    told = {"sd": {"friction": np.full(6, 2e-4)}, "values": {}}
+    fit = SimpleNamespace(rope=ROPE, parameters=("friction:shared",), covariance=np.array([[4e-8]]), **told)
     known = Uncertainty.of(fit)  # type: ignore[arg-type]
     assert (known.length, known.mass, known.friction, known.mu) == (0.0, 0.0, 0.0, Uncertainty().mu)
     draws = known.draws(1500, THROWER, PEG)
@@ -122,6 +123,25 @@ def test_a_rope_file_tells_what_it_can_and_the_rest_is_as_usual(tmp_path: Path) 
     assert known.words().startswith("length, tip_mass by the covariance in the rope's file; as a usual")
     assert "length 1 %" not in known.words()
     assert np.std([d.rope.length[0] for d in known.draws(500, THROWER, PEG)]) == pytest.approx(1e-3, rel=0.1)
+
+
+def test_what_a_fit_could_not_tell_is_as_uncertain_as_usual(tmp_path: Path) -> None:
+    """A length that did not show and whose row of the covariance is 0: not known exactly, but not at all."""
+    told = {"parameters": ["length:factor", "friction:shared"], "covariance": [[0.0, 0.0], [0.0, 4e-8]]}
+    told |= {"values": {"length:factor": 1.0}, "sd": {"length:factor": "unknown", "friction": [2e-4] * 6}}
+    files.write_toml(tmp_path / "fitted.toml", {"rope": ROPE.table(), "identification": told})
+    known = Uncertainty.of_file(tmp_path / "fitted.toml")
+    assert (known.length, known.mass, known.friction) == (0.01, 0.0, 0.0)
+    assert "the fit could not tell all of length; as a usual identification leaves it: length 1 %" in known.words()
+    draws = known.draws(500, THROWER, PEG)
+    assert np.std([d.rope.total_length for d in draws]) == pytest.approx(0.01, rel=0.1)  # 3 sd of a sd of 500 draws
+    covariance, values = np.diag([0.0, 4e-8]), {"length:factor": np.array(1.0)}
+    sd = {"length:factor": np.array(np.inf), "friction": np.full(6, 2e-4)}
+    names = ("length:factor", "friction:shared")
+    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=covariance, values=values, sd=sd)
+    again = Uncertainty.of(fit)  # type: ignore[arg-type]
+    assert (again.length, again.mass, again.friction) == (0.01, 0.0, 0.0)
+    assert Uncertainty.of(fit, length=0.0).length == 0.0  # type: ignore[arg-type]
 
 
 def test_a_punctual_world_differs_in_time_alone() -> None:

@@ -103,13 +103,18 @@ def test_derivatives_of_a_peak(known: WhipMap) -> None:
         np.testing.assert_allclose(aim.by_place[:, k], by, rtol=0.0, atol=0.03 * np.abs(aim.by_place).max())
 
 
-def test_a_plan(known: WhipMap) -> None:
-    """A target beside a peak of the map is met, and the verified run says so in its own samples."""
+def test_a_plan() -> None:
+    """A target beside a peak of the map is met, and the verified run says so in its own samples.
+
+    With 24 links and an early peak: eight leave too little of a rope's shape for half their length to do the same.
+    """
+    rope = hf.Rope.uniform(length=1.0, mass=0.06, n_links=24, radius=0.0025, friction=5e-4)
+    known = whip_map(Thrower(rope, ARM, LIMITS, 4.0), swings=48)
     peak = known.peaks
-    k = int(np.argmax(np.where(peak.speed >= peak.before, peak.speed, 0.0)))
+    k = int(np.argmax(np.where((peak.speed >= peak.before) & (peak.t < 1.5), peak.speed, 0.0)))
     way = peak.velocity[k] / peak.speed[k]
     plan = plan_whip(
-        ROPE, ARM, peak.place[k] + [0.01, 0.02], way, least_speed=0.9 * peak.speed[k], known=known, patience=20.0
+        rope, ARM, peak.place[k] + [0.01, 0.02], way, least_speed=0.9 * peak.speed[k], known=known, patience=20.0
     )
     assert plan.success, plan.reason
     assert plan.lash is not None
@@ -120,6 +125,7 @@ def test_a_plan(known: WhipMap) -> None:
     assert speed.max() >= 0.9 * peak.speed[k]
     assert np.hypot(*(at - plan.mark.point)) < 1e-3 + 1e-3 * speed.max()  # samples lie 2 ms apart: half of it away
     assert plan.finer is not None
+    assert plan.finer.miss < max(3e-3, plan.doubt)
 
 
 def turning(run: hf.Trajectory) -> np.ndarray:

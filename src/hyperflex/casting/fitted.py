@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope
+from hyperflex.model.stretch import stretched
 
 if TYPE_CHECKING:
     from hyperflex.identification import Identification
@@ -35,12 +37,16 @@ class Fitted:
         Of these, SI units; 0 for what could not be known.
     factors : dict of str to float
         Fitted values of those of `parameters` that are a factor on all links.
+    unknown : tuple of str
+        Those of `parameters` that the fit could not tell: their standard deviation is not finite, or their row of the
+        covariance is 0. Draws move them by what the covariance holds alone, so their spread must come from elsewhere.
     """
 
     rope: Rope
     parameters: tuple[str, ...]
     covariance: Array
     factors: dict[str, float]
+    unknown: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.parameters)
@@ -53,7 +59,8 @@ class Fitted:
     def of(cls, fit: Identification) -> Fitted:
         """Take it from what identify gave back."""
         factors = {name: float(fit.values[name]) for name in fit.parameters if name.endswith(":factor")}
-        return cls(fit.rope, tuple(fit.parameters), np.asarray(fit.covariance), factors)
+        covariance = np.asarray(fit.covariance)
+        return cls(fit.rope, tuple(fit.parameters), covariance, factors, _unknown(fit.parameters, covariance, fit.sd))
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Fitted | None:
@@ -71,17 +78,22 @@ class Fitted:
             names = tuple(str(name) for name in told["parameters"])
             covariance = np.array(told["covariance"], dtype=np.float64)
             factors = {name: float(told["values"][name]) for name in names if name.endswith(":factor")}
-        except (KeyError, TypeError, ValueError) as error:
+            unknown = _unknown(names, covariance, told.get("sd", {}))
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
             raise InvalidInput(
                 f"the identification in {path} is not whole", got=str(error), fix="Write it again with identify"
             ) from None
-        return cls(Rope.from_toml(path), names, covariance, factors)
+        return cls(Rope.from_toml(path), names, covariance, factors, unknown)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Properties of the rope that were fitted."""
-        found = dict.fromkeys(re.split(r"[\[:]", label)[0] for label in self.parameters)
-        return tuple(name for name in found if name in (*COLUMNS, "tip_mass", "gravity_angle"))
+        return _properties(self.parameters)
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Those of `names` of which a number could not be told."""
+        return _properties(self.unknown)
 
     def draw(self, rng: np.random.Generator) -> Rope:
         """Draw a rope; numbers that cannot be below 0 are kept there."""
@@ -90,7 +102,32 @@ class Fitted:
         changes: dict[str, Any] = {}
         for label, each in zip(self.parameters, off, strict=True):
             _change(changes, self.rope, label, float(each), self.factors.get(label, 1.0))
+        if "length" in changes:  # as in the fit, what was not fitted itself goes with it
+            longer = stretched(self.rope, changes["length"])
+            changes = {"com": longer.com, "inertia": longer.inertia} | changes
         return self.rope.replace(**changes)
+
+
+def _properties(labels: Sequence[str]) -> tuple[str, ...]:
+    """Return the properties of a rope among fitted numbers."""
+    found = dict.fromkeys(re.split(r"[\[:]", label)[0] for label in labels)
+    return tuple(name for name in found if name in (*COLUMNS, "tip_mass", "gravity_angle"))
+
+
+def _unknown(labels: Sequence[str], covariance: Array, sds: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the labels whose deviation is not a finite number, or whose row of the covariance (P, P) is 0."""
+    rows = np.abs(np.atleast_2d(covariance)).max(axis=1)
+    return tuple(label for label, row in zip(labels, rows, strict=True) if not (row > 0.0 and _told(label, sds)))
+
+
+def _told(label: str, sds: Mapping[str, Any]) -> bool:
+    """Whether a deviation is a number; what the table does not hold is left to the covariance."""
+    parts = _LABEL.match(label)
+    sd = sds.get(label, sds.get(parts["name"]) if parts else None)
+    if sd is None:
+        return True
+    each = sd if np.ndim(sd) == 0 else sd[int(parts["link"] or 0) if parts else 0]
+    return not isinstance(each, str) and bool(np.isfinite(each))
 
 
 def _change(changes: dict[str, Any], rope: Rope, label: str, off: float, factor: float) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
+from hyperflex.casting.launch import finished
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
@@ -132,8 +133,13 @@ def swung(
     tol : float
         m.
     threads : int, optional
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If Ctrl-C cut the batch short.
     """
-    batch = simulate_batch(
+    runs = simulate_batch(
         thrower.rope,
         list(motions),
         arm=thrower.arm,
@@ -143,6 +149,7 @@ def swung(
         keep=("tip", "q", "qd"),
         threads=threads,
     )
+    batch = finished(runs)
     q, spin = batch.q, thrower.rope.length * batch.qd
     angle, rate = (np.stack([f(t) for f in fs]) for fs in zip(*((m.angle, m.rate) for m in motions), strict=True))
     swing = thrower.arm.length * rate

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from hyperflex.checks import Array
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import Motion
+from hyperflex.simulation import Batch
+
+INTERRUPTED = "interrupted"  # status of a member of a batch that Ctrl-C cut short
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,3 +42,16 @@ class Flights:
         ropes, pegs = [self.ropes[m] for m in rows], [self.pegs[m] for m in rows]
         motions = [self.motions[m] for m in rows]
         return Flights(ropes, pegs, motions, self.q[list(rows)], self.qd[list(rows)], self.since)
+
+
+def finished(batch: Batch) -> Batch:
+    """Return a batch whose every member came to its end, or failed.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If Ctrl-C cut it short: a batch keeps what is done and marks the rest, and a search must not go on with that.
+    """
+    if INTERRUPTED in batch.status:
+        raise KeyboardInterrupt
+    return batch

@@ -131,12 +131,19 @@ class Uncertainty:
 
     @classmethod
     def of(cls, fit: Identification, **others: float) -> Uncertainty:
-        """Take the rope's part from a fit's covariance; `others` as above, the rope's own 0 unless given."""
-        return cls(**{"length": 0.0, "mass": 0.0, "friction": 0.0, **others}, fit=Fitted.of(fit))
+        """Take the rope's part from a fit's covariance; `others` as above.
+
+        The rope's own are 0 unless given, but where the fit could not tell something: there they are as usual.
+        """
+        found = Fitted.of(fit)
+        known = {name: 0.0 for name, words in TOLD.items() if not set(words) & set(found.untold)}
+        return cls(**{**known, **others}, fit=found)
 
     @classmethod
     def of_file(cls, path: str | Path) -> Uncertainty:
-        """Take the rope's part from a rope file that identify wrote; what was not fitted is as uncertain as usual.
+        """Take the rope's part from a rope file that identify wrote; what it does not tell is as uncertain as usual.
+
+        That is what was not fitted, and what the fit could not tell.
 
         Parameters
         ----------
@@ -146,7 +153,8 @@ class Uncertainty:
         fit = Fitted.from_toml(path)
         if fit is None:
             return cls()
-        known = {name: 0.0 for name, words in TOLD.items() if set(words) & set(fit.names)}
+        told, untold = set(fit.names), set(fit.untold)
+        known = {name: 0.0 for name, words in TOLD.items() if set(words) & told and not set(words) & untold}
         return cls(**known, fit=fit)
 
     def words(self) -> str:
@@ -156,7 +164,9 @@ class Uncertainty:
         taken = f"as a usual identification leaves it: {', '.join(usual)}" if usual else ""
         if self.fit is None:
             return taken or "nothing"
-        return f"{', '.join(self.fit.names)} by the covariance in the rope's file" + (f"; {taken}" if taken else "")
+        told = [f"{', '.join(self.fit.names)} by the covariance in the rope's file"]
+        told += [f"the fit could not tell all of {', '.join(self.fit.untold)}"] if self.fit.untold else []
+        return "; ".join([*told, taken] if taken else told)
 
     def draws(self, count: int, thrower: Thrower, peg: Peg, *, seed: int | Sequence[int] = 0) -> list[Draw]:
         """Return worlds drawn about what is known.

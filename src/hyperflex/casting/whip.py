@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,27 +12,23 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.casting import tables, whip_tables
 from hyperflex.casting.blow import RADIUS, Impact, impact
+from hyperflex.casting.clock import Clock
 from hyperflex.casting.lash import Mark
 from hyperflex.casting.limits import MotorLimits
 from hyperflex.casting.strokes import Strokes
 from hyperflex.casting.thrower import Thrower
-from hyperflex.casting.whip_aim import Aim, aimed
-from hyperflex.casting.whip_reach import WhipReach, reach_whip
-from hyperflex.casting.whip_search import WhipMap, WhipSearch, whip_map
-from hyperflex.casting.whip_strike import Lash, lash
+from hyperflex.casting.whip_course import WhipCourse
+from hyperflex.casting.whip_reach import WhipReach, distance, reach_whip
+from hyperflex.casting.whip_search import WhipMap, whip_map
+from hyperflex.casting.whip_strike import Lash
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.model import Arm, Rope, divided
+from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.simulation.rollouts import progress_bar
 
 PATIENCE, PERIODS = 30.0, 3.0  # s; swing periods within which the tip strikes by default
-TRIED = 8  # peaks of the map that are aimed as they are
-READY, GENERATIONS = 0.06, 16  # m, cost from which on a swing is aimed; of a search before it
-PLANS = 3  # whips that meet the target, of which the least uncertain one is taken
-MEETS = 1e-3  # m
-FINER = 2  # pieces of each link in the second verification
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +74,7 @@ class WhipPlan:
 
     @property
     def success(self) -> bool:
-        """The tip passes within MEETS of the target, as fast and as directed as asked."""
+        """The tip passes the target as near, fast and directed as asked, and with finer links near it too."""
         return not self.reason
 
     @property
@@ -171,13 +165,15 @@ def plan_whip(
     within : float
         Greatest angle between the tip's velocity and the direction, rad; does not matter where none is given.
     time_limit : float, optional
-        Within which the tip must be there, s; by default three periods of the rope's swing.
+        Within which the tip must be there, s; by default that of the map if one is given, else three periods of the
+        rope's swing.
     patience : float
-        Time to search, s, beside that of the map.
+        Time to search, s, beside that of the map, of verifying and of compiling.
     regardless : bool
         Search even for a target that is called out of reach.
     known : WhipMap, optional
-        Made for the same rope, arm and limits by :func:`whip_map`; by default it is made, which takes some seconds.
+        Made for the same rope, arm, limits and time by :func:`whip_map`; by default it is made, which takes some
+        seconds.
     seed : int
         Of the search.
     threads : int, optional
@@ -188,113 +184,60 @@ def plan_whip(
     Returns
     -------
     WhipPlan
-        Ctrl-C ends the search; the plan is the best until then.
+        Ctrl-C ends map, search and verification; the plan is the best until then.
 
     Raises
     ------
     InvalidInput
-        If an argument is not what it should be.
+        If an argument is not what it should be, or a link's centre of mass is not in its middle: the second
+        verification cuts it in two.
     """
-    begin = time.monotonic()
+    clock = Clock()
     mark = Mark.at(point, direction, least_speed, within) if direction is not None else Mark.anyway(point, least_speed)
     patience = checks.number("patience", patience, sign="positive", unit="s")
     seed = checks.count("seed", seed, least=0)
+    if time_limit is not None:
+        time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
+    thrower = _thrower(rope, arm, limits, time_limit, known)
     if known is None:
-        usual = PERIODS * swing_period(rope)
-        time_limit = usual if time_limit is None else checks.number("time_limit", time_limit, sign="positive", unit="s")
-        known = whip_map(Thrower(rope, arm, limits or MotorLimits(), time_limit), threads=threads)
-    elif known.thrower.rope is not rope or known.thrower.arm != arm or limits not in (None, known.thrower.limits):
-        raise InvalidInput(
-            "map was made for another rope, arm or motor", fix="Make one: whip_map(Thrower(rope, arm, limits))"
-        )
-    thrower = known.thrower
+        try:
+            known = whip_map(thrower, threads=threads)
+        except KeyboardInterrupt:
+            told = WhipReach(distance(thrower, mark), math.inf, "interrupted before that was known")
+            why = "interrupted before the map of swings was made"
+            return WhipPlan(thrower, mark, told, None, None, None, math.nan, why, 0, clock.passed, interrupted=True)
     told = reach_whip(known, mark)
     if not math.isfinite(told.cost) or not (told.within or regardless):
-        return WhipPlan(thrower, mark, told, None, None, None, math.nan, told.reason, 0, time.monotonic() - begin)
-    work = _Work(known, mark, patience, seed, threads)
+        return WhipPlan(thrower, mark, told, None, None, None, math.nan, told.reason, 0, clock.passed)
+    course = WhipCourse(known, mark, patience, seed, threads)
     interrupted = False
     with progress_bar(0.0, patience, progress, "planning") as report:
         try:
-            work.go(report)
+            course.go(report)
         except KeyboardInterrupt:
             interrupted = True
-    return work.plan(told, begin, interrupted)
+    best, again = course.verified()
+    interrupted = interrupted or again
+    if best is None:
+        why = "interrupted before any whip was found" if interrupted else "no peak of the tip's speed comes near it"
+        return WhipPlan(thrower, mark, told, None, None, None, math.nan, why, course.runs, clock.passed, interrupted)
+    aim, seen, finer, why = best
+    return WhipPlan(
+        thrower, mark, told, aim.strokes, seen, finer, aim.doubt, why, course.runs, clock.passed, interrupted
+    )
 
 
-class _Work:
-    """The course of a search: from one swing of the map after the other, until enough of them meet the target."""
-
-    def __init__(self, known: WhipMap, mark: Mark, patience: float, seed: int, threads: int | None) -> None:
-        self.known, self.mark, self.patience, self.seed, self.threads = known, mark, patience, seed, threads
-        self.begin, self.runs = time.monotonic(), 0
-        self.aims: list[Aim] = []
-
-    @property
-    def spent(self) -> float:
-        return time.monotonic() - self.begin
-
-    def go(self, report: Callable[[float], None] | None) -> None:
-        nearest = self.known.nearest(self.mark)
-        for found in nearest[:TRIED]:
-            if self.add(aimed(self.known.thrower, self.mark, found), report):
-                return
-        for number, found in enumerate(nearest):
-            search = WhipSearch(self.known.thrower, self.mark, found, self.seed + number, self.threads)
-            for _ in range(GENERATIONS):
-                if search.found.cost < READY or self.spent > self.patience:
-                    break
-                search.step()
-            self.runs += search.runs
-            if self.add(aimed(self.known.thrower, self.mark, search.found), report):
-                return
-
-    def add(self, aim: Aim | None, report: Callable[[float], None] | None) -> bool:
-        """Keep a whip; tells whether there are enough, or no time is left."""
-        if aim is not None:
-            self.aims.append(aim)
-            self.aims.sort(key=self.rank)
-        if report is not None:
-            report(min(self.spent, self.patience))
-        return self.spent > self.patience or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
-
-    def rank(self, aim: Aim) -> tuple[float, float]:
-        """The less, the better: by how much a whip fails, then how uncertain it is."""
-        miss = float(np.hypot(*(aim.place - self.mark.point)))
-        beyond = max(0.0, abs(float(self.mark.off(aim.velocity))) - self.mark.within)
-        slow = max(0.0, 1.0 - aim.speed / self.mark.speed)
-        return max(0.0, miss - MEETS) + beyond + slow, aim.doubt
-
-    def plan(self, told: WhipReach, begin: float, interrupted: bool) -> WhipPlan:
-        """Verify the best whip."""
-        thrower, mark = self.known.thrower, self.mark
-        if not self.aims:
-            why = "interrupted before any whip was found" if interrupted else "no peak of the tip's speed comes near it"
-            return WhipPlan(
-                thrower, mark, told, None, None, None, math.nan, why, self.runs, time.monotonic() - begin, interrupted
-            )
-        best = self.aims[0]
-        motion = best.strokes.motion(thrower.limits)
-        seen = lash(thrower, mark, motion, best.t)
-        finer = lash(replace(thrower, rope=divided(thrower.rope, FINER)), mark, motion, best.t)
-        return WhipPlan(
-            thrower,
-            mark,
-            told,
-            best.strokes,
-            seen,
-            finer,
-            best.doubt,
-            why_not(seen),
-            self.runs,
-            time.monotonic() - begin,
-            interrupted,
+def _thrower(
+    rope: Rope, arm: Arm, limits: MotorLimits | None, time_limit: float | None, known: WhipMap | None
+) -> Thrower:
+    """Return who whips: the map's thrower if there is a map, which must be the one that is asked for."""
+    if known is None:
+        usual = PERIODS * swing_period(rope)
+        return Thrower(rope, arm, limits or MotorLimits(), usual if time_limit is None else time_limit)
+    made = known.thrower
+    if made.rope != rope or made.arm != arm or limits not in (None, made.limits) or time_limit not in (None, made.time):
+        raise InvalidInput(
+            "map was made for another rope, arm, motor or time",
+            fix="Make one: whip_map(Thrower(rope, arm, limits, time_limit))",
         )
-
-
-def why_not(seen: Lash | None) -> str:
-    """Say why a whip fails, "" if it does not."""
-    if seen is None:
-        return "in the verified run the tip's speed has no peak there"
-    if seen.reason:
-        return seen.reason
-    return f"the tip misses the target by {1e3 * seen.miss:.1f} mm" if seen.miss > MEETS else ""
+    return made

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.casting.lash import Mark
+from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.whip_search import WhipMap
 from hyperflex.checks import Array
 
@@ -39,6 +40,11 @@ class WhipReach:
         return not self.reason
 
 
+def distance(thrower: Thrower, mark: Mark) -> float:
+    """Distance of a target from the arm's pivot, m."""
+    return math.hypot(mark.x - thrower.arm.pivot[0], mark.y - thrower.arm.pivot[1])
+
+
 def reach_whip(known: WhipMap, mark: Mark) -> WhipReach:
     """Tell whether a target is in reach: close enough to where the tip's speed peaks in the swings of a map.
 
@@ -49,21 +55,21 @@ def reach_whip(known: WhipMap, mark: Mark) -> WhipReach:
     mark : Mark
     """
     thrower = known.thrower
-    distance = math.hypot(mark.x - thrower.arm.pivot[0], mark.y - thrower.arm.pivot[1])
-    short = distance - thrower.rope.total_length - thrower.arm.length
+    away = distance(thrower, mark)
+    short = away - thrower.rope.total_length - thrower.arm.length
     if short > 0.0:
-        return WhipReach(distance, math.inf, f"out of reach: the rope ends {short:.2f} m short of the target")
+        return WhipReach(away, math.inf, f"out of reach: the rope ends {short:.2f} m short of the target")
     near = known.nearest(mark)
     cost = near[0].cost if near else math.inf
     if cost <= NEAR:
-        return WhipReach(distance, cost, "")
+        return WhipReach(away, cost, "")
     fast = [float(s) for s, p in zip(known.peaks.speed, known.peaks.place, strict=True) if _close(p, mark)]
     why = (
         f"out of reach: the tip is not that fast so near to it, {max(fast):.1f} m/s at most, or not in that direction"
         if fast
         else "out of reach: the tip's speed has no peak so near to it"
     )
-    return WhipReach(distance, cost, why)
+    return WhipReach(away, cost, why)
 
 
 def _close(place: Array, mark: Mark) -> bool:

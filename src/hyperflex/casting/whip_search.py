@@ -13,11 +13,13 @@ from hyperflex.casting.strokes import Strokes
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
+from hyperflex.errors import InvalidInput
 
 SWINGS, SEED = 512, 1  # of a map
 STROKES, STEPS = (0.3, 1.1), (0.35, 0.65)  # half turns; periods from stroke to stroke: what a map's swings begin with
 SPREAD_ENDS, SPREAD_RESTS = 0.15, 0.06  # half turns, periods: how its strokes differ from each other
 MEMBERS = 16  # of a generation
+LEAST_TIME = 2.0 * SAMPLE_TIME  # s; a peak is seen between three looks
 NARROW = 0.3  # spread of a search about a peak of the map, in parts of that of the map's swings
 APART = 0.1  # half turns or periods by which swings differ if a search shall start from both
 
@@ -60,7 +62,21 @@ def times(thrower: Thrower) -> Array:
 
 
 def whip_map(thrower: Thrower, swings: int = SWINGS, threads: int | None = None) -> WhipMap:
-    """Swing a rope `swings` times, at random but always in the same way, and note the peaks of its tip's speed."""
+    """Swing a rope `swings` times, at random but always in the same way, and note the peaks of its tip's speed.
+
+    Raises
+    ------
+    InvalidInput
+        If the time within which the tip must be there is too short to look at any swing.
+    KeyboardInterrupt
+        If Ctrl-C comes meanwhile; part of a map is of no use.
+    """
+    if thrower.time < LEAST_TIME:
+        raise InvalidInput(
+            "time_limit is too short for any whip",
+            got=thrower.time,
+            allowed=f"at least {LEAST_TIME:g} s; three periods of the rope's swing are usual",
+        )
     rng, limits, period = np.random.default_rng(SEED), thrower.limits, swing_period(thrower.rope)
     strokes = []
     for number in range(swings):

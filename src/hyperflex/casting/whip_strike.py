@@ -53,6 +53,11 @@ class Lash:
         """Speed of the tip, m/s."""
         return float(np.hypot(*self.velocity))
 
+    @property
+    def torque(self) -> float:
+        """Greatest torque that the arm's motion asks of the motor for the rope, N m."""
+        return float(np.abs(self.run.motor_torque).max())
+
 
 def lash(thrower: Thrower, mark: Mark, motion: Motion, near: float, *, tol: float = TOL) -> Lash | None:
     """Run a motion from rest and find the greatest peak of the tip's speed about time `near`, s.

@@ -106,6 +106,7 @@ def _outcome(seen: Lash, mark: Mark) -> dict[str, Any]:
         "speed_m_s": seen.speed,
         "direction_rad": math.atan2(seen.velocity[1], seen.velocity[0]),
         "fastest_before_m_s": seen.before,
+        "torque_Nm": seen.torque,
         "links": seen.run.q.shape[1],
         "reason": seen.reason,
     }

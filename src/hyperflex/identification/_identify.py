@@ -84,7 +84,8 @@ def identify(
         `motion` comes later in the recording's time; looked for within a window's length), ``arc`` (m; each marker's
         place, or ``arc[2]``). ``friction[2]`` frees one link only, ``friction:shared`` one value for all links,
         ``friction:factor`` one factor on the guess of all, ``friction:taper`` the logarithm by which it grows along the
-        rope, pivoted at its middle.
+        rope, pivoted at its middle. Of a link that the guess has uniform (com in its middle), com and inertia go with
+        a free length unless they are free too.
         ``arm_inertia`` and ``arm_friction`` (of the shaft) with a measured torque.
     window : float, s, optional
         Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope, or less

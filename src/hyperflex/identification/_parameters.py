@@ -11,6 +11,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope
+from hyperflex.model.stretch import growth, stretched
 
 Form = Literal["log", "linear", "nonnegative"]
 Law = Literal["own", "factor", "taper"]
@@ -36,6 +37,7 @@ FORMS: dict[str, Form] = {
 ROPE_SCALARS = ("tip_mass", "gravity_angle")
 ARM = ("arm_inertia", "arm_friction")
 SCALARS = (*ROPE_SCALARS, "delay", "origin_x", "origin_y", *ARM)
+LED = ("com", "inertia")  # what goes with a uniform link's length
 TRACE = 1e-9  # of the scale of dry friction
 SEEN_ONLY = ("origin_x", "origin_y", "arc", *ARM)  # what is looked at: they do not move the rope
 WIDTHS = {"gravity_angle": 0.1, "delay": 0.1, "origin_x": 0.1, "origin_y": 0.1, "arc": 0.1}
@@ -95,11 +97,18 @@ class Parameter:
 
 
 class Parameters:
-    """The free parameters of a rope and of how it is seen; see ``_names.parse`` for what `all` may hold."""
+    """The free parameters of a rope and of how it is seen; see ``_names.parse`` for what `all` may hold.
+
+    Where a length is free and the guess uniform, centre of mass and inertia go with it unless they are free themselves.
+    """
 
     def __init__(self, guess: Rope, chosen: Sequence[Parameter]) -> None:
         self.guess = guess
         self.all = tuple(chosen)
+        self.led = {name: np.ones(guess.n_links, dtype=bool) for name in LED}  # which links' are not free themselves
+        for parameter in self.all:
+            if parameter.name in LED:
+                self.led[parameter.name][list(parameter.links)] = False
         self.middle = (np.cumsum(guess.length) - 0.5 * guess.length) / guess.total_length - 0.5
 
     def __len__(self) -> int:
@@ -157,6 +166,11 @@ class Parameters:
                     column[list(parameter.links)] = value
                 else:
                     column *= value if parameter.law == "factor" else np.exp(each * self.middle)
+        if "length" in columns:
+            longer = stretched(self.guess, columns["length"])
+            for name in LED:
+                column = columns.setdefault(name, getattr(self.guess, name).copy())
+                column[self.led[name]] = getattr(longer, name)[self.led[name]]
         return self.guess.replace(**changes, **columns)
 
     def possible(self, x: Array) -> Rope | None:
@@ -186,10 +200,17 @@ class Parameters:
         if name in SCALARS:
             return {name: np.array([parameter.slope(x)])}
         if parameter.law != "own":
-            return {name: getattr(rope, name) * (1.0 if parameter.law == "factor" else self.middle)}
-        change = np.zeros(rope.n_links)
-        change[list(parameter.links)] = parameter.slope(x)
-        return {name: change}
+            change = getattr(rope, name) * (1.0 if parameter.law == "factor" else self.middle)
+        else:
+            change = np.zeros(rope.n_links)
+            change[list(parameter.links)] = parameter.slope(x)
+        return {name: change} | (self._follow(rope, change) if name == "length" else {})
+
+    def _follow(self, rope: Rope, change: Array) -> Part:
+        """Return what goes with a change of the lengths (n,): centres of mass and inertias that are not free."""
+        found = zip(LED, growth(self.guess, rope.length, change), strict=True)
+        led = {name: np.where(self.led[name], own, 0.0) for name, own in found}
+        return {name: own for name, own in led.items() if own.any()}
 
 
 def lumped(rope: Rope) -> tuple[Array, Array]:

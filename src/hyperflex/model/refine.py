@@ -14,6 +14,7 @@ from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle
 from hyperflex.model.peg import Peg
 from hyperflex.model.rope import Rope
+from hyperflex.model.stretch import across, uniform
 
 FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
 
@@ -88,7 +89,7 @@ def divided(rope: Rope, pieces: npt.ArrayLike) -> Rope:
 def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
     if (pieces == 1).all():
         return rope
-    uneven = (pieces > 1) & (np.abs(rope.com - 0.5 * rope.length) > 1e-9 * rope.length)
+    uneven = (pieces > 1) & ~uniform(rope)
     if uneven.any():
         k = int(np.argmax(uneven))
         raise InvalidInput(
@@ -132,8 +133,8 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
 
 def _inertia(rope: Rope, pieces: npt.NDArray[np.int64]) -> Array:
     """Inertia of a piece (n,): the part across the rope goes with its mass, the part along it with length squared."""
-    across = np.minimum(0.25 * rope.mass * rope.radius**2, rope.inertia)
-    return np.asarray((rope.inertia - across) / pieces**3 + across / pieces)
+    flat = across(rope)
+    return np.asarray((rope.inertia - flat) / pieces**3 + flat / pieces)
 
 
 def _share(length: Array) -> Array:

@@ -1,0 +1,63 @@
+"""Rows of a long benchmark, one JSON object a line: what an interrupted run leaves, read and gone on with.
+
+A process that is killed while it writes leaves half a line. It is cut off before the next row is written, so that rows
+do not run together; a line that is no row all the same is left out.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from hyperflex.core.jit import SOURCE_HASH
+
+Row = dict[str, Any]
+
+
+def read(path: Path | None) -> list[Row]:
+    """Rows of a file, none where there is no file."""
+    if path is None or not path.exists():
+        return []
+    rows = []
+    for line in path.read_bytes().split(b"\n"):
+        try:
+            row = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(row, dict):
+            rows.append(row)
+    return rows
+
+
+def append(path: Path, row: Row) -> None:
+    """Write a row at the end, after the last whole line; a last line that lacks nothing but its end is kept."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(row).encode() + b"\n"
+    with path.open("ab+") as file:
+        file.seek(0)
+        there = file.read()
+        last = there[there.rfind(b"\n") + 1 :]
+        if last and _whole(last):
+            text = b"\n" + text
+        elif last:
+            file.truncate(len(there) - len(last))
+        file.write(text)
+
+
+def _whole(line: bytes) -> bool:
+    try:
+        return isinstance(json.loads(line), dict)
+    except ValueError:
+        return False
+
+
+def told(rows: Iterable[Row]) -> None:
+    """Say how many of the rows that are used again were made with other kernels than the present ones."""
+    hashes = [row.get("kernels") for row in rows]
+    others = [each for each in hashes if each != SOURCE_HASH]
+    if others:
+        names = ", ".join(sorted({str(each) for each in others}))
+        sys.stderr.write(f"{len(others)} of {len(hashes)} rows used again come from other kernels: {names}\n")
