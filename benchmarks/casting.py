@@ -106,8 +106,8 @@ def main() -> None:
         rows.append(found)
         print(line(found), flush=True)
         if log is not None:
-            lines.append(log, {"kind": kind, "patience": patience, "kernels": SOURCE_HASH, **found})
-    page = f"# Casting: {kind}\n\n{text(rows, options.rope)}\n{machine.sentence(about)}\n"
+            lines.append(log, {"kind": kind, "patience": patience, **found})
+    page = f"# Casting: {kind}\n\n{text(rows, options.rope)}\n{machine.sentence(about)} {lines.kernels(rows)}\n"
     print(page)
     if log is not None:
         name = f"casting-{kind.replace(' ', '-')}"
@@ -153,6 +153,7 @@ def row(number: int, rope: str, plan: CastPlan, ours_alone: bool) -> dict[str, A
         "runs": plan.runs,
         "planned": plan.success,
         "reason": plan.reason,
+        "kernels": SOURCE_HASH,
     }
     return told | {way: judged(rope, peg, motion) for way, motion in ways.items()}
 

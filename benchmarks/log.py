@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,12 @@ def _whole(line: bytes) -> bool:
         return isinstance(json.loads(line), dict)
     except ValueError:
         return False
+
+
+def kernels(rows: Iterable[Row]) -> str:
+    """A sentence for a page: which kernels made how many rows."""
+    counted = Counter(str(row.get("kernels")) for row in rows)
+    return f"Rows by kernels' hash: {', '.join(f'{name} {count}' for name, count in counted.most_common())}."
 
 
 def told(rows: Iterable[Row]) -> None:

@@ -111,7 +111,7 @@ def page(found: dict[str, Any]) -> str:
             "|---|---|---|---|---|---|---|---|---|---|",
             *lines,
             "",
-            f"Failed: {rows['failed'] or 'none'}. {machine.sentence(found['machine'])}",
+            f"Failed: {rows['failed'] or 'none'}. {machine.sentence(found['machine'])} {found['kernels']}",
             "",
             "Again: `python -m benchmarks.throws`",
             "",
@@ -147,7 +147,7 @@ def main() -> int:
         else:
             print(json.dumps(rows[-1]), flush=True)
     links = "links cut as the pegs need it" if options.fine else "50 links of 40 mm"
-    found = {"machine": machine.describe(), "links": links, "summary": summary(rows)}
+    found = {"machine": machine.describe(), "links": links, "kernels": log.kernels(rows), "summary": summary(rows)}
     print(json.dumps(found["summary"], indent=1))
     if options.out != "-":
         files.write_text(options.out, json.dumps(found | {"throws": rows}, indent=1) + "\n")

@@ -185,7 +185,7 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
 )
 def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, second: dict, enough: bool) -> None:
     search = SimpleNamespace(thrower=Thrower(CABLE, ARM, hf.MotorLimits()), landings=[])
-    work = course.Course(search, 0.0, 1.0)  # type: ignore[arg-type]
+    work = course.Course(search, 1.0)  # type: ignore[arg-type]
     good = {"success": True, "turns": 2.3, "slipped": 1e-3, "grip": 0.8}
     pair = [SimpleNamespace(**(good | change)) for change in (first, second)]
     work.best = ("a throw", *pair)  # type: ignore[assignment]
@@ -194,7 +194,7 @@ def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, seco
 
 def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     search = SimpleNamespace(thrower=Thrower(CABLE, ARM, hf.MotorLimits()), peg=EASY, correct=lambda *_: None)
-    work = course.Course(search, 0.0, 1.0)  # type: ignore[arg-type]
+    work = course.Course(search, 1.0)  # type: ignore[arg-type]
     ends = {"slips": [(False, 3.2)], "stands": [(True, 1.4), (True, 1.4)], "once": [(True, 2.3), (False, 2.3)]}
     casts: list[object] = []
 
@@ -218,7 +218,7 @@ def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypa
     motion = SimpleNamespace(motion=lambda limits: None)
     search.landings = [course.Landing(3.0 - k, 2.0, 1, np.full(3, float(k)), motion) for k in range(3)]  # type: ignore[arg-type]
     second, third = search.landings[1:]
-    work = course.Course(search, 0.0, 1.0)
+    work = course.Course(search, 1.0)
     failed = SimpleNamespace(success=False, turns=0.4, slipped=np.nan, grip=np.nan)
     monkeypatch.setattr(course, "verify", lambda *_, **__: failed)
     assert work.fresh() == search.landings[:2]  # as many as threads

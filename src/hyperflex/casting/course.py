@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from hyperflex.casting.clock import Clock
 from hyperflex.casting.landing import SLIDING
 from hyperflex.casting.outcome import SLIP, WOUND, Cast, verify
 from hyperflex.casting.robust import Hardening
 from hyperflex.casting.search import Landing, Search
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.uncertainty import Uncertainty
-from hyperflex.core.jit import compiling
 from hyperflex.model import divided
 
 GENERATIONS = 5  # of free swings in a round
@@ -40,17 +40,14 @@ class Course:
     Parameters
     ----------
     search : Search
-    begin : float
-        When it began, on the monotonic clock, s.
     patience : float
         Of the search in the world that is expected, s.
     longer : bool
         Whether a cast may take LONGER times as long where swings that the search allows promise too little.
     """
 
-    def __init__(self, search: Search, begin: float, patience: float, *, longer: bool = False) -> None:
-        self.search, self.begin, self.patience = search, begin, patience
-        self.compiled, self.longer = compiling(), longer
+    def __init__(self, search: Search, patience: float, *, longer: bool = False) -> None:
+        self.search, self.patience, self.longer, self.clock = search, patience, longer, Clock()
         search.left = lambda: patience - self.spent
         thrower = search.thrower
         self.finer = replace(thrower, rope=divided(thrower.rope, FINER), time=thrower.time)
@@ -59,8 +56,8 @@ class Course:
 
     @property
     def spent(self) -> float:
-        """Time since it began, but for that on which kernels were compiled, s."""
-        return time.monotonic() - self.begin - (compiling() - self.compiled)
+        """Time that counts as patience, s."""
+        return self.clock.spent
 
     def go(self, report: Callable[[float], None] | None) -> None:
         """Search until a plan stands or patience ends."""

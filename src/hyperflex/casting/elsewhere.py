@@ -96,7 +96,7 @@ def _at_hand(plan: CastPlan, search: Search, patience: float) -> Nearest | None:
         if time.monotonic() > until:
             return None
         if beside.landings and beside.landings[0].turns >= WOUND:
-            work = Course(beside, time.monotonic(), patience)
+            work = Course(beside, patience)
             work.look()
             other = come_to(work, reach(beside.thrower, beside.peg))
             if other.success:

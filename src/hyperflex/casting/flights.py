@@ -9,7 +9,7 @@ import numpy as np
 
 from hyperflex.casting import landing, strikes
 from hyperflex.casting.landing import Landings
-from hyperflex.casting.launch import Flights
+from hyperflex.casting.launch import Flights, finished
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.uncertainty import Draw
@@ -108,7 +108,7 @@ def fly(
         keep=("q", "qd"),
         threads=threads,
     )
-    return t, batch.q, batch.qd
+    return t, finished(batch).q, batch.qd
 
 
 def strike(thrower: Thrower, peg: Peg, throws: Sequence[Throw], *, threads: int | None = None) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hyperflex.casting.launch import Flights
+from hyperflex.casting.launch import Flights, finished
 from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.strikes import arm_tip
 from hyperflex.casting.throw import Throw
@@ -134,7 +134,7 @@ def _settle(flights: Flights, stops: Array, begin: Array, arm: Arm, patience: fl
 
 def _run(flights: Flights, t: Array, arm: Arm, patience: float, threads: int | None) -> Batch:
     """Run coarsely to the last of the times t (T,), s."""
-    return simulate_batch(
+    batch = simulate_batch(
         list(flights.ropes),
         list(flights.motions),
         arm=arm,
@@ -150,6 +150,7 @@ def _run(flights: Flights, t: Array, arm: Arm, patience: float, threads: int | N
         patience=patience,
         threads=threads,
     )
+    return finished(batch)
 
 
 def _slid(flights: Flights, k: int, q: Array, t: Array, arm: Arm) -> float:

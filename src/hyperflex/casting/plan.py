@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -134,7 +133,7 @@ def _searched(
     search: Search, known: Reach, uncertainty: Uncertainty | None, patience: float, progress: bool, *, longer: bool
 ) -> CastPlan:
     """Search for a throw, verify it, and state its success."""
-    work = Course(search, time.monotonic(), patience if uncertainty is None else NOMINAL * patience, longer=longer)
+    work = Course(search, patience if uncertainty is None else NOMINAL * patience, longer=longer)
     interrupted = False
     with progress_bar(0.0, patience, progress, "planning") as report:
         try:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hyperflex.casting.launch import finished
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
@@ -74,6 +75,7 @@ def look(thrower: Thrower, peg: Peg, motions: Sequence[Motion], *, threads: int 
         keep=("q", "qd"),
         threads=threads,
     )
+    finished(batch)
     base = np.stack([arm_tip(thrower.arm, motion, t) for motion in motions])
     base_velocity = np.stack([arm_tip_velocity(thrower.arm, motion, t) for motion in motions])
     at, link, least = first(np.nan_to_num(batch.q), base, rope.length, peg, rope.radius)
