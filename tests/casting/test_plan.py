@@ -128,7 +128,9 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
 
     def verified(self: course.Course, found: course.Landing) -> object:
         good = found.throw not in fails
-        cast = SimpleNamespace(success=good, turns=2.0, slipped=slipped, grip=0.5, reason="" if good else "it slips")
+        cast = SimpleNamespace(
+            success=good, turns=2.0, slipped=slipped, grip=0.5, reason="" if good else "it slips", run="a run"
+        )
         return cast, cast if good else None
 
     def harden(self: course.Hardening, found: list, until: float, report: object) -> None:

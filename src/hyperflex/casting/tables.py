@@ -106,6 +106,11 @@ def setup_of(plan: CastPlan) -> Setup:
 def read_plan(path: str | Path) -> tuple[Thrower, Peg, Motion]:
     """Read who throws, the target and what the arm does from a file of :func:`write_plan`.
 
+    Parameters
+    ----------
+    path : path-like
+        TOML file.
+
     Raises
     ------
     FileProblem, InvalidInput

@@ -85,6 +85,13 @@ class WhipPlan:
     def impact(self, *, radius: float = RADIUS, mu: float = 0.3) -> Impact:
         """Simulate the blow on a small fixed peg whose surface is at the target; see :class:`Impact`.
 
+        Parameters
+        ----------
+        radius : float
+            Of the peg, m.
+        mu : float
+            Its friction.
+
         Raises
         ------
         InvalidInput
