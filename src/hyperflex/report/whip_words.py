@@ -133,8 +133,8 @@ def finer_words() -> str:
     """Return what the run with finer links says."""
     return (
         "The second run makes the same strokes with a rope cut twice as finely: its miss is what cutting into links "
-        "does to a fast tip. A whip stands if it does with the links as planned; where the second miss matters, "
-        "plan with shorter links."
+        "does to a fast tip. It may be as large as what the plan itself leaves in doubt, and 3 mm in any case; where "
+        "that matters, plan with shorter links."
     )
 
 
