@@ -9,8 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hyperflex as hf
+from hyperflex.core.chain import Chain
 from hyperflex.core.contact_step import Kept, attempt, new_desk
-from hyperflex.core.drive import segment
+from hyperflex.core.drive import Drive, segment
 from hyperflex.winding import slip, wound
 from tests.reference.wrapping import ARM, laid
 
@@ -169,13 +170,19 @@ def test_energy_never_grows_where_a_cable_falls_on_pulleys(bearing: float) -> No
     assert run.attrs["contact_unsolved"] <= 0.005 * run.attrs["contact_steps"]
 
 
+def writable(values: tuple[object, ...]) -> list[object]:
+    """Arrays as a run has them, for which the kernels are compiled."""
+    return [np.array(value) if isinstance(value, np.ndarray) else value for value in values]
+
+
 @pytest.mark.parametrize("h", [0.0, 1e-4])
 def test_a_peg_takes_the_angular_momentum_that_contacts_give_it(h: float) -> None:
     """In one step, to rounding; and what sticks has the velocity of the peg."""
     rope, peg, q0 = hung(mu=0.3, inertia=1e-4)
-    setup = hf.Setup(rope, q0=q0, pegs=[peg, hf.Peg(1.0, 1.0, 0.1)])
-    chain, pegs, n = setup.chain(), setup.contacts(), rope.n_links
-    drive = hf.Setup(rope, hf.moving_point([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])).drive()
+    still = hf.moving_point([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])
+    setup = hf.Setup(rope, still, q0=q0, pegs=[peg, hf.Peg(1.0, 1.0, 0.1)])
+    pegs, n = setup.contacts(), rope.n_links
+    chain, drive = Chain(*writable(setup.chain())), Drive(*writable(setup.drive()))
     desk, kept = new_desk(n, pegs), Kept(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2), np.int64))
     desk.spin.before[0] = 0.3
     y = np.concatenate([q0, np.full(n, 2.0)])
