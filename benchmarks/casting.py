@@ -50,14 +50,14 @@ PATIENCE, TENFOLD = 60.0, 10.0  # s
 LEAST, GREATEST, MU = 0.02, 0.05, 0.3  # m, m
 GOAL = {"nominal": 0.85, "weighted": 0.90}
 HALF_TURN = 0.73  # s
-LONGEST = 300.0  # s by the clock for a judging run; one that takes more counts as a cast that fails
+LONGEST = 300.0  # s of processor time for a judging run; one that takes more counts as a cast that fails
 
 
 def thrower(rope: str, links: int = LINKS) -> Thrower:
     """The paper's cable, perhaps with a weight, on its arm, as so many links.
 
     It bends with the same friction per length whatever their number, and the hinge at the arm keeps its own, as
-    :func:`hyperflex.divided` has it.
+    :func:`hyperflex.model.divided` has it.
     """
     cable = hf.Rope.uniform(2.0, 0.125, links, 0.0025, tip_mass=TIP[rope])
     friction = np.full(links, FRICTION * links / LINKS)
@@ -127,14 +127,14 @@ def done(rope: str, numbers: list[int], patience: float, ours_alone: bool) -> It
         for number in numbers:
             peg = target(number)
             plan = plan_cast(thrower(rope).rope, casting_arm(), peg, patience=patience, regardless=True, seed=number)
-            waiting.append(judge.submit(row, number, rope, plan, ours_alone))
+            waiting.append(judge.submit(entry, number, rope, plan, ours_alone))
             while waiting and waiting[0].done():
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
 
 
-def row(number: int, rope: str, plan: CastPlan, ours_alone: bool) -> dict[str, Any]:
+def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool) -> dict[str, Any]:
     """What was planned, and what becomes of it and of the paper's ways."""
     peg, ways = plan.peg, {"ours": plan.motion}
     if not ours_alone:

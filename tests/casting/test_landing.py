@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.casting import MotorLimits, Throw, Thrower, flights, landing, strikes, success, verify
+from hyperflex.casting import MotorLimits, Throw, Thrower, landing, launch, strikes, success, verify
 from hyperflex.casting.landing import ENOUGH, HOPE, LAST, LATE, PASSING, SLIDING, TOGETHER, judge, land, settle
 from hyperflex.casting.launch import Flights
 from hyperflex.casting.outcome import WOUND
@@ -129,16 +129,16 @@ def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypa
     assert found.score[0] <= HOPE + PASSING * 2.0
 
 
-@pytest.mark.parametrize("module", [landing, strikes, flights])
-def test_a_batch_that_ctrl_c_cut_short_is_no_result(monkeypatch: pytest.MonkeyPatch, module: ModuleType) -> None:
+@pytest.mark.parametrize("what", ["swings", "landings", "drawn worlds"])
+def test_a_batch_that_ctrl_c_cut_short_is_no_result(monkeypatch: pytest.MonkeyPatch, what: str) -> None:
     """It would count what was cut off as lost."""
     strike = fly(THROWER, PEG, [WINDS])
-    cut = SimpleNamespace(status=("interrupted",))
-    monkeypatch.setattr(module, "simulate_batch", lambda *_, **__: cut)
+    for module in (launch, strikes):
+        monkeypatch.setattr(module, "simulate_batch", lambda *_, **__: SimpleNamespace(status=("interrupted",)))
     work = {
-        landing: lambda: land(THROWER, PEG, [WINDS], (strike.t, strike.q, strike.qd)),
-        strikes: lambda: fly(THROWER, PEG, [WINDS]),
-        flights: lambda: success(THROWER, PEG, WINDS, draws=2),
+        "swings": lambda: fly(THROWER, PEG, [WINDS]),
+        "landings": lambda: land(THROWER, PEG, [WINDS], (strike.t, strike.q, strike.qd)),
+        "drawn worlds": lambda: success(THROWER, PEG, WINDS, draws=2),
     }
     with pytest.raises(KeyboardInterrupt):
-        work[module]()
+        work[what]()

@@ -30,7 +30,7 @@ LONGEST, LEAST_LONG = 0.25, 5.0  # part of the patience, and processor time, s, 
 TRIES = 3  # throws verified at most between two generations
 STEADY = 0.4  # part of the slip allowed, beyond which a throw that holds is kept, but a better one sought
 GRIP = 1.0  # part of what the rope can bear, of which the same is true
-STANDS = 2  # verifications that succeed
+BOTH = 2  # verifications that succeed where a plan stands
 ALIKE_TURNS = 0.5  # by which the turns of both verifications may differ: beyond, one of them winds once more
 
 
@@ -82,7 +82,7 @@ class Course:
 
     def poor(self, score: float) -> bool:
         """Whether swings of this score should take longer."""
-        return self.longer and score < PROMISING and self.spent > EARLY * self.patience and not self.stands()
+        return self.longer and score < PROMISING and self.spent > EARLY * self.patience and not self.winds()
 
     def lengthen(self) -> None:
         """Begin anew with swings that take longer."""
@@ -101,13 +101,13 @@ class Course:
             self.search.try_ends()
         return score
 
-    def stands(self) -> bool:
+    def winds(self) -> bool:
         """Whether a throw that was verified winds and holds, if only on the rope as it is given."""
         return _rank(*self.best[1:])[0] > 0
 
     def done(self) -> bool:
         """Whether a plan stands, with something in hand."""
-        return _rank(*self.best[1:])[:3] == (STANDS, True, True)
+        return _rank(*self.best[1:])[:3] == (BOTH, True, True)
 
     def look(self) -> None:
         """Verify the best throws that were not verified yet, as many at once as there are threads."""
@@ -142,7 +142,7 @@ class Course:
                     return
         finally:
             if not self.done():
-                stands = [one for one in (*tried, before) if _rank(*one[1:])[0] == STANDS]
+                stands = [one for one in (*tried, before) if _rank(*one[1:])[0] == BOTH]
                 self.best = (*stands, *tried, before)[0]
 
     def fresh(self) -> list[Landing]:

@@ -9,13 +9,12 @@ import numpy as np
 
 from hyperflex.casting import landing, strikes
 from hyperflex.casting.landing import Landings
-from hyperflex.casting.launch import Flights, finished
+from hyperflex.casting.launch import Flights
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.uncertainty import Draw
 from hyperflex.checks import Array
 from hyperflex.model import Arm, Peg
-from hyperflex.simulation import simulate_batch
 
 AFTER = 0.5  # s after the arm has stopped within which a rope may still strike
 TOGETHER = 128  # flights at once; more would fill the memory
@@ -96,19 +95,8 @@ def fly(
     """Return samples of free flights: t (T,), q and qd (M, T, n); `at_end` just one, after the span."""
     t: Array = strikes.SAMPLE_TIME * np.arange(1.0, np.ceil(span / strikes.SAMPLE_TIME - 1e-9) + 1.0)
     t = np.array([span]) if at_end else t
-    batch = simulate_batch(
-        list(flights.ropes),
-        list(flights.motions),
-        arm=arm,
-        duration=float(t[-1]),
-        q0=flights.q,
-        qd0=flights.qd,
-        t_eval=t,
-        tol=strikes.COARSE_TOL,
-        keep=("q", "qd"),
-        threads=threads,
-    )
-    return t, finished(batch).q, batch.qd
+    batch = flights.run(arm, t, tol=strikes.COARSE_TOL, keep=("q", "qd"), threads=threads)
+    return t, batch.q, batch.qd
 
 
 def strike(thrower: Thrower, peg: Peg, throws: Sequence[Throw], *, threads: int | None = None) -> Array:

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hyperflex.casting.launch import Flights, finished
+from hyperflex.casting.launch import Flights
 from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.strikes import arm_tip
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
 from hyperflex.model import Arm, Peg
-from hyperflex.simulation import Batch, simulate_batch
+from hyperflex.simulation import Batch
 from hyperflex.winding import slid
 
 COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search; coarser ones of wound ropes took longer, not less
@@ -134,14 +134,9 @@ def _settle(flights: Flights, stops: Array, begin: Array, arm: Arm, patience: fl
 
 def _run(flights: Flights, t: Array, arm: Arm, patience: float, threads: int | None) -> Batch:
     """Run coarsely to the last of the times t (T,), s."""
-    batch = simulate_batch(
-        list(flights.ropes),
-        list(flights.motions),
-        arm=arm,
-        duration=float(t[-1]),
-        q0=flights.q,
-        qd0=flights.qd,
-        t_eval=t,
+    return flights.run(
+        arm,
+        t,
         tol=COARSE_TOL,
         contact_step=COARSE_STEP,
         refine=False,
@@ -150,7 +145,6 @@ def _run(flights: Flights, t: Array, arm: Arm, patience: float, threads: int | N
         patience=patience,
         threads=threads,
     )
-    return finished(batch)
 
 
 def _slid(flights: Flights, k: int, q: Array, t: Array, arm: Arm) -> float:

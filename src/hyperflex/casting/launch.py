@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from hyperflex.checks import Array
-from hyperflex.model import Peg, Rope
+from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.simulation import Batch
-
-INTERRUPTED = "interrupted"  # status of a member of a batch that Ctrl-C cut short
+from hyperflex.simulation import Batch, simulate_batch
+from hyperflex.simulation.patience import INTERRUPTED
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +42,20 @@ class Flights:
         ropes, pegs = [self.ropes[m] for m in rows], [self.pegs[m] for m in rows]
         motions = [self.motions[m] for m in rows]
         return Flights(ropes, pegs, motions, self.q[list(rows)], self.qd[list(rows)], self.since)
+
+    def run(self, arm: Arm, t: Array, **how: Any) -> Batch:
+        """Run all of them to the last of the times t (T,), s, with samples there; `how` as for ``simulate_batch``."""
+        batch = simulate_batch(
+            list(self.ropes),
+            list(self.motions),
+            arm=arm,
+            duration=float(t[-1]),
+            q0=self.q,
+            qd0=self.qd,
+            t_eval=t,
+            **how,
+        )
+        return finished(batch)
 
 
 def finished(batch: Batch) -> Batch:

@@ -64,10 +64,11 @@ class Search:
     peg: Peg
     seed: int = 0
     threads: int | None = None
-    swings: list[Swing] = field(default_factory=list)
-    landings: list[Landing] = field(default_factory=list)
-    runs: int = 0
-    left: Callable[[], float] | None = None  # s that the search may still take, if it is bounded
+    swings: list[Swing] = field(default_factory=list, init=False)
+    landings: list[Landing] = field(default_factory=list, init=False)
+    runs: int = field(default=0, init=False)
+    # s that the search may still take, if it is bounded
+    left: Callable[[], float] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)

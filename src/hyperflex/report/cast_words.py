@@ -23,16 +23,18 @@ Tiles = tuple[tuple[str, str], ...]
 
 def lead(plan: CastPlan) -> str:
     """Return what this is about, and where it comes from."""
-    if plan.success:
-        return (
-            "A rope that hangs from a motor-driven arm is thrown round a peg, so that it winds round it and holds. "
-            "Planned and verified by simulation; nothing here was measured."
-        )
-    how = "Searched for by simulation" if searched(plan) else "Judged beforehand, without a search"
+    thrown = "is thrown" if plan.success else "is to be thrown"
     return (
-        "A rope that hangs from a motor-driven arm is to be thrown round a peg, so that it winds round it and holds. "
-        f"{how}; nothing here was measured."
+        f"A rope that hangs from a motor-driven arm {thrown} round a peg, so that it winds round it and holds. "
+        f"{source(plan)}; nothing here was measured."
     )
+
+
+def source(plan: CastPlan | WhipPlan) -> str:
+    """Return where a plan comes from."""
+    if plan.success:
+        return "Planned and verified by simulation"
+    return "Searched for by simulation" if searched(plan) else "Judged beforehand, without a search"
 
 
 def title(plan: CastPlan) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.casting import Impact, Lash, Mark, WhipPlan
 from hyperflex.casting.blow import BLOW, RADIUS
 from hyperflex.casting.whip_aim import FRICTION, LENGTH, TIMING
-from hyperflex.report.cast_words import arm_words, rope_words
+from hyperflex.report.cast_words import arm_words, rope_words, source
 from hyperflex.report.tables import TextTable
 
 Tiles = tuple[tuple[str, str], ...]
@@ -17,10 +17,10 @@ Tiles = tuple[tuple[str, str], ...]
 
 def lead(plan: WhipPlan) -> str:
     """Return what this is about, and where it comes from."""
-    whipped, how = ("is", "Planned and verified") if plan.success else ("is to be", "Searched for")
+    whipped = "is whipped" if plan.success else "is to be whipped"
     return (
-        f"A rope that hangs from a motor-driven arm {whipped} whipped, so that its tip passes a point at a peak of its "
-        f"speed. {how} by simulation; nothing here was measured."
+        f"A rope that hangs from a motor-driven arm {whipped}, so that its tip passes a point at a peak of its speed. "
+        f"{source(plan)}; nothing here was measured."
     )
 
 

@@ -22,8 +22,9 @@ from hyperflex.core.steppers import scheme
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.beside_batch import INTERRUPTED, TURNS, beside_of, run_members
+from hyperflex.simulation.beside_batch import TURNS, beside_of, run_members
 from hyperflex.simulation.members import members_of, rows_of, setups_of, starts_of
+from hyperflex.simulation.patience import INTERRUPTED
 from hyperflex.simulation.rollouts import balanced, least_scale, progress_bar, stored
 
 if TYPE_CHECKING:

@@ -19,12 +19,12 @@ from hyperflex.motion import Motion
 from hyperflex.simulation.contact import beside, finer
 from hyperflex.simulation.inside import check_outside
 from hyperflex.simulation.outcome import conclude
+from hyperflex.simulation.patience import INTERRUPTED, OutOfPatience, impatient
 from hyperflex.simulation.patience import NAME as TOO_SLOW
-from hyperflex.simulation.patience import OutOfPatience, impatient
 from hyperflex.simulation.rollouts import limits, prepare, progress_bar
 from hyperflex.trajectory import Trajectory, swept
 
-TURNS, INTERRUPTED = "turns", "interrupted"
+TURNS = "turns"
 # name: shape of one sample, as dimensions
 SHAPES: dict[str, tuple[str, ...]] = {
     "tip": ("axis",),

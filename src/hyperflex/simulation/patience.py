@@ -1,4 +1,4 @@
-"""The processor time of a run, and what ends it when that is over."""
+"""What breaks a run off before its end: its processor time, or Ctrl-C."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from hyperflex.core.jit import compiling
 from hyperflex.errors import SimulationError
 
 NAME = "out of patience"  # status of a run that took too long
+INTERRUPTED = "interrupted"  # and of one that Ctrl-C ended
 
 
 class OutOfPatience(Exception):
@@ -30,11 +31,8 @@ def impatient(report: Callable[[float], None] | None, seconds: float | None) -> 
     """
     if seconds is None:
         return report
-    left, last, compiled = (
-        checks.number("patience", seconds, sign="positive", unit="s"),
-        time.thread_time(),
-        compiling(),
-    )
+    left = checks.number("patience", seconds, sign="positive", unit="s")
+    last, compiled = time.thread_time(), compiling()
 
     def heard(t: float) -> None:
         nonlocal left, last, compiled

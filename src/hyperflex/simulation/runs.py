@@ -21,8 +21,8 @@ from hyperflex.motion import Motion, hold
 from hyperflex.simulation.contact import beside, finer
 from hyperflex.simulation.events import Event
 from hyperflex.simulation.outcome import conclude, failure
+from hyperflex.simulation.patience import INTERRUPTED, OutOfPatience, impatient, too_slow
 from hyperflex.simulation.patience import NAME as TOO_SLOW
-from hyperflex.simulation.patience import OutOfPatience, impatient, too_slow
 from hyperflex.simulation.rollouts import (
     Control,
     Rollout,
@@ -38,7 +38,6 @@ from hyperflex.trajectory import State, Trajectory
 
 SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose
 MOST_OUTPUTS = 1e7  # of a run whose user has not chosen; more of them would fill the memory first
-INTERRUPTED = "interrupted"
 
 
 def simulate(
