@@ -11,7 +11,7 @@ import hyperflex as hf
 from hyperflex import winding
 from hyperflex.casting import Thrower, course, plan
 from hyperflex.casting.course import LONGER
-from hyperflex.casting.search import Search
+from hyperflex.casting.search import Search, Swing
 from hyperflex.errors import InvalidInput
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
@@ -231,22 +231,47 @@ def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypa
     assert [one.x[0] for one in work.fresh()] == [1.0, 2.0]
 
 
-@pytest.mark.parametrize(("score", "given", "factor"), [(0.5, None, LONGER), (1.5, None, 1.0), (0.5, 6.0, 1.0)])
-def test_swings_that_promise_too_little_may_take_longer_once(
-    monkeypatch: pytest.MonkeyPatch, score: float, given: float | None, factor: float
+@pytest.mark.parametrize(
+    ("score", "strike", "given", "factor"),
+    [(0.5, 0.9, None, LONGER), (1.5, 0.9, None, 1.0), (0.5, 0.9, 6.0, 1.0), (0.5, 0.2, None, 1.0)],
+)
+def test_late_swings_that_promise_too_little_may_take_longer_once(
+    monkeypatch: pytest.MonkeyPatch, score: float, strike: float, given: float | None, factor: float
 ) -> None:
-    """Unless the user has said how long."""
+    """Unless the user has said how long; swings that strike early do not lack time."""
     times = []
 
     def swing(self: course.Course) -> float:
         self.search.runs += 1
+        self.search.swings[:] = [Swing(score, 1, np.zeros(3), strike * self.search.thrower.time)]
         times.append(self.search.thrower.time)
         return score
 
     monkeypatch.setattr(course, "EARLY", 0.0)
     monkeypatch.setattr(course.Course, "swing", swing)
     monkeypatch.setattr(Search, "refine", lambda self: None)
+    monkeypatch.setattr(Search, "try_ends", lambda self: None)
     found = hf.plan_cast(CABLE, ARM, EASY, patience=0.2, time_limit=given)
     usual = given or Thrower(CABLE, ARM, hf.MotorLimits()).time
     assert (times[0], set(times)) == (usual, {usual, factor * usual})
     assert found.thrower.time == factor * usual
+
+
+@pytest.mark.parametrize(("strike", "tries"), [(0.9, 1), (0.2, 5)])
+def test_late_swings_are_tried_beside_the_peg_once_they_are_worth_it(
+    monkeypatch: pytest.MonkeyPatch, strike: float, tries: int
+) -> None:
+    """Those that strike early are tried at once."""
+    search = Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    work, scores, tried = course.Course(search, 1e3), [1.0, 1.1, 1.2, 1.3, 1.5], []
+
+    def swing(self: course.Course) -> float:
+        search.runs += 1
+        search.swings[:] = [Swing(scores[0], 1, np.zeros(3), strike * search.thrower.time)]
+        return scores.pop(0)
+
+    monkeypatch.setattr(course.Course, "swing", swing)
+    monkeypatch.setattr(Search, "try_ends", lambda self: tried.append(self.swings[0].score))
+    monkeypatch.setattr(course.Course, "done", lambda self: not scores)
+    work.go(None)
+    assert tried == [1.0, 1.1, 1.2, 1.3, 1.5][-tries:]

@@ -20,13 +20,16 @@ from hyperflex.model import divided
 
 GENERATIONS = 5  # of free swings in a round
 SETTLED, ROUNDS = 1.03, 2  # a round that gains less than this factor is idle; so many idle ones, and the peg is next
-EARLY, PROMISING, LONGER = 0.2, 0.9, 1.5  # part of the patience after which swings that score less may take longer
+PROMISING, WORTHY = 0.9, 1.4  # score of swings that need not take longer, and of those that are worth a try
+EARLY, LONGER = 0.1, 1.5  # part of the patience after which swings that promise less may take longer, and how much
+FREE = 0.3  # part of the patience in which swings that hurry are not tried beside the peg before they are worth it
 SWINGING = 0.5  # part of the patience after which the search goes on beside the peg in any case
 RESTART = 12  # generations beside the peg from one place
 ALIKE = 0.05  # points that differ by less are one
 FINER = 2  # pieces of each link in the second verification
 NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
-LONGEST, LEAST_LONG = 0.25, 5.0  # part of the patience, and processor time, s, that a verification may take
+SEARCHING = 0.85  # part of the patience after which nothing new is begun but verifications
+LONGEST, LEAST_LONG = 0.25, 3.0  # part of the patience, and processor time, s, that a verification may take
 TRIES = 3  # throws verified at most between two generations
 STEADY = 0.4  # part of the slip allowed, beyond which a throw that holds is kept, but a better one sought
 GRIP = 1.0  # part of what the rope can bear, of which the same is true
@@ -48,7 +51,7 @@ class Course:
 
     def __init__(self, search: Search, patience: float, *, longer: bool = False) -> None:
         self.search, self.patience, self.longer, self.clock = search, patience, longer, Clock()
-        search.left = lambda: patience - self.spent
+        search.left = lambda: SEARCHING * patience - self.spent
         thrower = search.thrower
         self.finer = replace(thrower, rope=divided(thrower.rope, FINER), time=thrower.time)
         self.checked: list[Landing] = []
@@ -62,17 +65,20 @@ class Course:
     def go(self, report: Callable[[float], None] | None) -> None:
         """Search until a plan stands or patience ends."""
         score, idle, close = 0.0, 0, 0
-        while not self.search.runs or (self.spent < self.patience and not self.done()):
-            beside = self.search.landings and (idle >= ROUNDS or self.spent > SWINGING * self.patience)
-            if beside and close % RESTART:
+        while not self.search.runs or (self.spent < SEARCHING * self.patience and not self.done()):
+            hurried = close > 0 and self.search.hurried
+            settled = idle >= ROUNDS * (2 if hurried and score < WORTHY else 1)
+            if hurried and score < PROMISING and self.longer and (settled or self.spent > EARLY * self.patience):
+                self.lengthen()
+                score, idle, close = 0.0, 0, 0
+            elif close % RESTART and self.search.landings and (settled or self.spent > SWINGING * self.patience):
                 self.search.refine()
                 close += 1
             else:
-                if close and self.poor(score):
-                    self.lengthen()
-                    score, idle = 0.0, 0
                 before, score = score, self.swing()
-                idle = idle + 1 if score < SETTLED * before + 0.01 else 0
+                idle = idle + 1 if 0.0 < score < SETTLED * before + 0.01 else 0
+                if self.due(score, settled):
+                    self.search.try_ends()
                 self.search.restart()
                 close = 1
             self.look()
@@ -80,9 +86,11 @@ class Course:
                 report(min(self.spent, self.patience))
         self.settle()
 
-    def poor(self, score: float) -> bool:
-        """Whether swings of this score should take longer."""
-        return self.longer and score < PROMISING and self.spent > EARLY * self.patience and not self.winds()
+    def due(self, score: float, settled: bool) -> bool:
+        """Whether the best swings are to be tried beside the peg now."""
+        if self.spent > SEARCHING * self.patience:
+            return not self.search.landings
+        return score >= WORTHY or settled or not self.search.hurried or self.spent > FREE * self.patience
 
     def lengthen(self) -> None:
         """Begin anew with swings that take longer."""
@@ -91,19 +99,13 @@ class Course:
         self.checked.clear()
 
     def swing(self) -> float:
-        """A round of free swings, the best of which are tried beside the peg."""
+        """A round of free swings; returns the best score so far."""
         score = 0.0
         for _ in range(GENERATIONS):
             score = max(score, self.search.swing())
-            if self.spent > self.patience:
+            if self.spent > SEARCHING * self.patience:
                 break
-        if self.search.swings:
-            self.search.try_ends()
         return score
-
-    def winds(self) -> bool:
-        """Whether a throw that was verified winds and holds, if only on the rope as it is given."""
-        return _rank(*self.best[1:])[0] > 0
 
     def done(self) -> bool:
         """Whether a plan stands, with something in hand."""
@@ -112,7 +114,7 @@ class Course:
     def look(self) -> None:
         """Verify the best throws that were not verified yet, as many at once as there are threads."""
         for _ in range(TRIES):
-            if self.done() or (self.spent > self.patience and self.best[0] is not None):
+            if self.done() or (self.spent > SEARCHING * self.patience and self.best[0] is not None):
                 return
             found = self.fresh()
             if not found:
@@ -168,11 +170,13 @@ class Course:
 
     def verified(self, found: Landing) -> tuple[Cast, Cast | None]:
         """Verify a throw on the rope as it is given; then, if it winds and holds, with finer links."""
-        search, left = self.search, self.patience - self.spent
-        longest = max(min(LONGEST * self.patience, left), LEAST_LONG)
-        motion = found.throw.motion(search.thrower.limits)
-        cast = verify(search.thrower, search.peg, motion, patience=longest)
-        return cast, verify(self.finer, search.peg, motion, patience=longest) if cast.success else None
+        thrower, peg = self.search.thrower, self.search.peg
+        motion = found.throw.motion(thrower.limits)
+        longest = min(LONGEST * self.patience, 0.5 * (self.patience - self.spent))
+        cast = verify(thrower, peg, motion, patience=max(longest, LEAST_LONG))
+        if not cast.success:
+            return cast, None
+        return cast, verify(self.finer, peg, motion, patience=max(self.patience - self.spent, LEAST_LONG))
 
 
 def steady(cast: Cast) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -27,6 +28,7 @@ TRIED = 4  # swings of a round that are tried beside the peg
 # What is tried after a strike: strokes still made, then the last move, in half turns, after a rest in periods
 MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
 RARE, LEAST = 10.0, 0.5  # of how many runs one takes very long; processor time that each may take in any case, s
+LATE = 0.5  # part of the time allowed
 NARROW = 0.25  # spread of a search beside the peg, in parts of the first one's
 
 
@@ -36,6 +38,7 @@ class Swing(NamedTuple):
     score: float
     side: int
     x: Array
+    t: float  # s, of the strike
 
 
 class Landing(NamedTuple):
@@ -100,18 +103,30 @@ class Search:
         """One generation of free swings from each side; returns the best score so far."""
         if not self.genes:
             raise InvalidInput("the rope starts inside the target on either side of the arm", got=self.peg)
-        for side, strategy in self._free.items():
-            points = strategy.ask()
-            found = strikes.fly(
-                self.thrower, self.peg, [self.genes[side].throw(x) for x in points], threads=self.threads
-            )
-            strategy.tell(points, list(-found.score))
+        asked = {side: strategy.ask() for side, strategy in self._free.items()}
+        each = max(1, self.workers // len(asked))
+
+        def flown(side: int) -> strikes.Strikes:
+            throws = [self.genes[side].throw(x) for x in asked[side]]
+            return strikes.fly(self.thrower, self.peg, throws, threads=each)
+
+        with ThreadPoolExecutor(len(asked)) as pool:
+            flights = dict(zip(asked, pool.map(flown, asked), strict=True))
+        for side, found in flights.items():
+            points = asked[side]
+            self._free[side].tell(points, list(-found.score))
             self.runs += len(points)
             for k in np.argsort(-found.score)[:KEPT]:
                 if found.score[k] > 0.0:
-                    self.swings.append(Swing(float(found.score[k]), side, np.asarray(points[k])))
+                    self.swings.append(Swing(float(found.score[k]), side, np.asarray(points[k]), float(found.t[k])))
         self.swings.sort(key=lambda one: -one.score)
         return self.swings[0].score if self.swings else strikes.NEVER
+
+    @property
+    def hurried(self) -> bool:
+        """Whether the best swings strike late in the time that they have, or none does at all."""
+        times = [one.t for one in self.swings[:KEPT]]
+        return not times or float(np.median(times)) > LATE * self.thrower.time
 
     def try_ends(self) -> None:
         """Run the best swings that were not tried yet beside the peg, with several last moves each."""
