@@ -10,8 +10,8 @@ rule (half turns as the tip passes below the shaft), both until the rope strikes
 and rests. Each is run with links 2.5 times as many, half the library's step beside pegs and a fifth of its tolerance;
 the planner's own verifications take the library's. Wound is a rope that makes 1.25 turns from the arm's tip to its end,
 held one that slips by less than 5 mm in 2 s after that. A slow pull at the arm's end then tells what it bears. All
-simulated; one target is judged while the next is planned. Rows are kept in casting.jsonl: the same command goes on
-where it stopped.
+simulated; targets are judged while the next are planned, at the lowest priority, so that the planner has all cores.
+Rows are kept in casting.jsonl: the same command goes on where it stopped.
 
 Anyone can take part: the ropes, the arm, the motor's limits and the targets are in ``thrower`` and ``targets``, which
 need nothing but numpy's generator; the judge is ``hyperflex.casting.verify`` on ``thrower(rope, 125)``.
@@ -22,6 +22,9 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
+import sys
+import threading
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -50,6 +53,7 @@ PATIENCE, TENFOLD = 60.0, 10.0  # s
 LEAST, GREATEST, MU = 0.02, 0.05, 0.3  # m, m
 GOAL = {"nominal": 0.85, "weighted": 0.90}
 HALF_TURN = 0.73  # s
+JUDGES = 2  # targets that are judged at once
 LONGEST = 300.0  # s of processor time for a judging run; one that takes more counts as a cast that fails
 
 
@@ -121,8 +125,8 @@ def read(log: Path | None, kind: str, patience: float) -> dict[int, dict[str, An
 
 
 def done(rope: str, numbers: list[int], patience: float, ours_alone: bool) -> Iterator[dict[str, Any]]:
-    """A row for each target: one is judged, on one core, while the next is planned."""
-    with ThreadPoolExecutor(1) as judge:
+    """A row for each target: one is judged, with what time the planner leaves, while the next is planned."""
+    with ThreadPoolExecutor(JUDGES, initializer=yielding) as judge:
         waiting: deque[Future[dict[str, Any]]] = deque()
         for number in numbers:
             peg = target(number)
@@ -132,6 +136,12 @@ def done(rope: str, numbers: list[int], patience: float, ours_alone: bool) -> It
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+
+
+def yielding() -> None:
+    """Let this thread run only when no other thread would (on Linux, where threads have priorities of their own)."""
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
 
 
 def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool) -> dict[str, Any]:
