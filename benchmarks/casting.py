@@ -36,8 +36,9 @@ from benchmarks import log as lines
 from benchmarks import machine
 
 import hyperflex as hf
-from hyperflex import files, winding
+from hyperflex import files
 from hyperflex.casting import Cast, CastPlan, MotorLimits, Thrower, plan_cast, reach, verify
+from hyperflex.casting.hold import holding
 from hyperflex.casting.strikes import look
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
@@ -183,16 +184,15 @@ def judged(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
         "torque": short(cast.torque),
         "reason": cast.reason,
     }
-    return row | (bears(fine, peg, cast) if cast.success else {})
+    return row | (bears(peg, cast) if cast.success else {})
 
 
-def bears(fine: Thrower, peg: hf.Peg, cast: Cast) -> dict[str, Any]:
+def bears(peg: hf.Peg, cast: Cast) -> dict[str, Any]:
     """Pull that a wound rope holds, N, and the weight of its tail times e^(mu theta), N."""
-    if cast.run is None:
+    held = None if cast.run is None else holding(cast.run, peg)
+    if held is None:
         return {}
-    pulled, wound = winding.tug(cast.run, peg), winding.wound(cast.run, peg)
-    limit = float(wound.after[-1] * math.exp(peg.mu * abs(wound.arc[-1])))
-    return {"hold": short(pulled.hold), "let go": pulled.slipped, "tail times e^(mu theta)": short(limit)}
+    return {"hold": short(held.force), "let go": held.tug.slipped, "tail times e^(mu theta)": short(held.rule)}
 
 
 def swinging() -> Motion:

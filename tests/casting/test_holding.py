@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,3 +33,8 @@ def test_a_tug_bears_at_least_what_the_rule_gives():
 
 def test_a_rope_off_the_peg_holds_nothing():
     assert holding(planned(winds=False).cast.run, PEG) is None
+
+
+def test_a_rope_that_ended_inside_the_peg_is_not_tugged():
+    run, wider = planned().cast.run, replace(PEG, radius=PEG.radius + 1e-3)
+    assert holding(replace(run, setup=replace(run.setup, pegs=(wider,))), wider) is None

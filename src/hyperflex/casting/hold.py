@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex import winding
-from hyperflex.errors import SimulationError
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.model import Peg
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import Tug
@@ -59,6 +59,6 @@ def holding(run: Trajectory, peg: Peg) -> Holding | None:
         return None
     try:
         pulled = winding.tug(run, peg)
-    except SimulationError:
+    except (InvalidInput, SimulationError):
         return None
     return Holding(tug=pulled, tail=float(wound.tail[-1]), angle=abs(float(wound.arc[-1])), mu=peg.mu)

@@ -117,10 +117,11 @@ def rates_at(found, motion, c):  # type: ignore[no-untyped-def]
 def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
 
-    A gap may be closed, not more. Where a link turns about the peg, its gap changes by a term of second order, which is
-    allowed for as the rates before the step predict it. Without `push` no contact moves the rope, so that none can give
-    it energy. `bounce` is the part of the restitution that takes place in an impact. Where an impact was made already
-    (`struck`), a link that touches is held by the step, however it moves: only links further away may be left free.
+    A gap may be closed, not more. Where the rope turns, gaps change by a term of second order, which is allowed for as
+    the rates before the step predict it: left out, it would let what is inside a peg sink at every step. Without `push`
+    that stays as deep as it is. `bounce` is the part of the restitution that takes place in an impact. Where an impact
+    was made already (`struck`), a link that touches is held by the step, however it moves: only links further away may
+    be left free.
     """
     found, impulses, motion = desk.found, desk.impulses, desk.motion
     n = motion.w.size
@@ -165,12 +166,10 @@ def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-
             wx = desk.ahead_speed[0, i] + lever * desk.ahead_trig[n + i]
             wy = desk.ahead_speed[1, i] + lever * desk.ahead_trig[i]
             impulses.lean[c] = 0.5 * ((wy * nx - wx * ny) - sliding)
-        out = RECOVERY
+        out = RECOVERY if push else 0.0
         if found.gap[c] > -DEEP:
-            out = min(RECOVERY, PUSH / (abs(kept.normal[i, p]) + SLIGHT_FORCE))
+            out = min(out, PUSH / (abs(kept.normal[i, p]) + SLIGHT_FORCE))
         impulses.target[c] = max(found.gap[c] / h, -out) + bend / h
-        if not push:
-            impulses.target[c], impulses.lean[c] = max(impulses.target[c], 0.0), 0.0
     return least
 
 

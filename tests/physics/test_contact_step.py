@@ -1,0 +1,63 @@
+"""One step beside a peg, by a reference that shares no line with the kernels: where the rope turns, gaps bend."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.checks import Array
+from hyperflex.core.chain import Chain
+from hyperflex.core.contact_step import Kept, attempt, new_desk
+from hyperflex.core.drive import Drive, segment
+from tests.reference.wrapping import laid
+
+RADIUS, TOP, DEEP, STEP = 0.05, 0.4, 5e-5, 1e-4  # m, m, m, s
+
+
+def gaps(rope: hf.Rope, radius: float, base: Array, q: Array) -> tuple[Array, Array]:
+    """Gaps (n,), m, of the links' lines to a peg at the origin, and how they change with the angles (n, n), m/rad."""
+    along, across = np.stack([np.sin(q), -np.cos(q)], axis=1), np.stack([np.cos(q), np.sin(q)], axis=1)
+    joints = base + np.concatenate([np.zeros((1, 2)), np.cumsum(rope.length[:, None] * along, axis=0)])
+    found, change = np.full(q.size, np.inf), np.zeros((q.size, q.size))
+    for i in range(q.size):
+        reach = -joints[i] @ along[i]
+        if 0.0 < reach < rope.length[i]:
+            normal = (joints[i] + reach * along[i]) / np.linalg.norm(joints[i] + reach * along[i])
+            found[i] = (joints[i] + reach * along[i]) @ normal - radius
+            change[i, :i] = rope.length[:i] * (across[:i] @ normal)
+            change[i, i] = reach * (across[i] @ normal)
+    return found, change
+
+
+@pytest.mark.parametrize("push", [True, False])
+def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(push: bool) -> None:
+    """It is pushed out, or stays as deep; without the second-order term it would sink by 0.1 mm a second."""
+    length = TOP + math.pi * RADIUS + 0.15
+    rope = hf.Rope.uniform(length, 0.05, round(length / 0.01), friction=1e-5, gravity=(0.0, 9.81))
+    base = np.array([-RADIUS + DEEP, TOP])
+    q = laid(rope.length, (base[0], base[1]), RADIUS - DEEP, math.pi)
+    still = hf.moving_point([0.0, 1.0], [base[0]] * 2, [base[1]] * 2)
+    setup = hf.Setup(rope, still, q0=q, pegs=[hf.Peg(0.0, 0.0, RADIUS, 0.3)])
+    deep, change = gaps(rope, RADIUS, base, q)
+    inside = deep < -0.5 * DEEP
+    assert inside.sum() > 10
+    w = np.random.default_rng(5).normal(0.0, 3.0, rope.n_links)
+    w -= np.linalg.pinv(change[inside]) @ (change[inside] @ w)  # along the peg
+    chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
+    kept = Kept(*(np.zeros((rope.n_links, 1), kind) for kind in (float, float, np.int64)))
+    desk, pegs = new_desk(rope.n_links, setup.contacts()), setup.contacts()
+    y = np.concatenate([q, w, np.zeros(2)])
+    attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, kept, desk, push, 0.0, True)
+    after, change = gaps(rope, RADIUS, base, desk.out[: rope.n_links])
+    leaving = (change @ desk.out[rope.n_links :])[inside & np.isfinite(after)]
+    bend = 0.5 * STEP * np.abs(w).max() ** 2 * length  # m/s, of that order is what the step allows for
+    assert bend > 1e-3
+    assert leaving.min() > (1e-3 if push else 0.0) - 0.01 * bend
+
+
+def own(value: object) -> object:
+    """An array as a run has it, for which the kernels are compiled."""
+    return np.array(value) if isinstance(value, np.ndarray) else value
