@@ -126,7 +126,7 @@ def read(log: Path | None, kind: str, patience: float) -> dict[int, dict[str, An
 
 
 def done(rope: str, numbers: list[int], patience: float, ours_alone: bool) -> Iterator[dict[str, Any]]:
-    """A row for each target: one is judged, with what time the planner leaves, while the next is planned."""
+    """A row for each target: some are judged, with what time the planner leaves, while the next is planned."""
     with ThreadPoolExecutor(JUDGES, initializer=yielding) as judge:
         waiting: deque[Future[dict[str, Any]]] = deque()
         for number in numbers:
