@@ -78,12 +78,14 @@ def joints(chain, trig, x0, y0, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def closest(chain, trig, place, i, x, y):  # type: ignore[no-untyped-def]
-    """Closest point of link i to the point (x, y): distance along the link, m; distance, m; unit vector to it."""
-    n = chain.length.size
-    sin, cos = trig[i], trig[n + i]
-    rx, ry = x - place[0, i], y - place[1, i]
-    s = min(max(rx * sin - ry * cos, 0.0), chain.length[i])
+def closest(link, x, y):  # type: ignore[no-untyped-def]
+    """Closest point of a link to the point (x, y): distance along the link, m; distance, m; unit vector to it.
+
+    `link`: x, y of its motor-side joint and of its far one, m; its length, m; sine and cosine of its angle.
+    """
+    x0, y0, _, _, length, sin, cos = link
+    rx, ry = x - x0, y - y0
+    s = min(max(rx * sin - ry * cos, 0.0), length)
     dx, dy = s * sin - rx, -s * cos - ry
     size = math.sqrt(dx * dx + dy * dy)
     if size < 1e-12:  # the axis runs through the centre: either side will do
@@ -92,27 +94,31 @@ def closest(chain, trig, place, i, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def joint_gap(pegs, place, i, p):  # type: ignore[no-untyped-def]
-    """Gap between the joint at the end of link i and face p, m, and the unit vector from the face to the joint."""
-    ux, uy = pegs.ux[p], pegs.uy[p]
-    rx, ry = place[0, i + 1] - pegs.x[p], place[1, i + 1] - pegs.y[p]
+def joint_gap(link, obstacle):  # type: ignore[no-untyped-def]
+    """Gap between the joint at the end of a link and a face, m, and the unit vector from the face to the joint."""
+    x, y, ux, uy, span, reach = obstacle
+    rx, ry = link[2] - x, link[3] - y
     along, across = rx * ux + ry * uy, ry * ux - rx * uy
-    if pegs.span[p] < np.inf:
-        if along < 0.0 or along > pegs.span[p]:
+    if span < np.inf:
+        if along < 0.0 or along > span:
             return NOWHERE, -uy, ux
         if across < 0.0:
-            return -across - pegs.reach[p], uy, -ux
-    return across - pegs.reach[p], -uy, ux
+            return -across - reach, uy, -ux
+    return across - reach, -uy, ux
 
 
 @kernel
-def nearest(chain, pegs, trig, place, i, p):  # type: ignore[no-untyped-def]
-    """Point of link i that may touch obstacle p: distance along the link, m; gap, m; unit vector to it."""
-    if pegs.span[p] > 0.0:
-        gap, nx, ny = joint_gap(pegs, place, i, p)
-        return chain.length[i], gap, nx, ny
-    s, size, nx, ny = closest(chain, trig, place, i, pegs.x[p], pegs.y[p])
-    return s, size - pegs.reach[p], nx, ny
+def nearest(link, obstacle):  # type: ignore[no-untyped-def]
+    """Point of a link that may touch an obstacle: distance along the link, m; gap, m; unit vector to it.
+
+    `link` as for ``closest``; `obstacle`: x, y, ux, uy, span, reach as in Pegs. Numbers, not arrays: to take these out
+    of their tuples behind a branch costs more than all the rest.
+    """
+    if obstacle[4] > 0.0:
+        gap, nx, ny = joint_gap(link, obstacle)
+        return link[4], gap, nx, ny
+    s, size, nx, ny = closest(link, obstacle[0], obstacle[1])
+    return s, size - obstacle[5], nx, ny
 
 
 @kernel
@@ -138,23 +144,27 @@ def find(chain, pegs, q, trig, place, margin, found):  # type: ignore[no-untyped
 
     Returns the smallest gap of all pairs, m; where that is above the margins, a lower bound of it.
     """
-    count = 0
+    count, n = 0, q.size
     least = np.inf
-    for i in range(pegs.first, q.size):
-        for p in range(pegs.x.size):
-            dx, dy = pegs.x[p] - place[0, i], pegs.y[p] - place[1, i]
-            far = pegs.reach[p] + chain.length[i] + margin[i]
+    length, x, y, ux, uy = chain.length, pegs.x, pegs.y, pegs.ux, pegs.uy
+    span, reach, mu = pegs.span, pegs.reach, pegs.mu
+    for i in range(pegs.first, n):
+        x0, y0, size = place[0, i], place[1, i], length[i]
+        link = (x0, y0, place[0, i + 1], place[1, i + 1], size, trig[i], trig[n + i])
+        for p in range(x.size):
+            dx, dy = x[p] - x0, y[p] - y0
+            far = reach[p] + size + margin[i]
             away = math.sqrt(dx * dx + dy * dy)
-            if away > far and pegs.span[p] == 0.0:
+            if away > far and span[p] == 0.0:
                 least = min(least, away - far + margin[i])
                 continue
-            s, gap, nx, ny = nearest(chain, pegs, trig, place, i, p)
+            s, gap, nx, ny = nearest(link, (x[p], y[p], ux[p], uy[p], span[p], reach[p]))
             least = min(least, gap)
             if gap < margin[i]:
                 found.link[count], found.peg[count] = i, p
                 found.place[count], found.nx[count], found.ny[count] = s, nx, ny
                 found.gap[count] = gap
-                found.mu[count] = pegs.mu[p] * (corner(q, i) if pegs.span[p] == 0.0 else 1.0)
+                found.mu[count] = mu[p] * (corner(q, i) if span[p] == 0.0 else 1.0)
                 count += 1
     found.total[0] = count
     return least

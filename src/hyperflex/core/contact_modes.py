@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from hyperflex.core.contact_arrays import AHEAD, BACK, OPEN, STICK
 from hyperflex.core.contact_point import hold, velocity
 from hyperflex.core.contact_spin import turn_pegs
@@ -21,10 +19,9 @@ STIFF = 1e3  # M in masses of the whole rope
 SOFTER, GROW, STIFFEST = 0.1, 10.0, 1e6  # where that is too stiff to find modes, and where too soft for small residuals
 TRIES = 16  # searches, of which each starts from the last that found modes
 LEAST = 1.4  # growth of M; where none is found for less, the search ends
-CLOSING = 1e-9  # m/s, at which an open contact closes, or one that slips turns
+CLOSING = 1e-9  # m/s, at which an open contact closes
 SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
-TOGETHER = 12  # rounds in which all modes that break the law change; then the first alone
-ROUNDS = 40
+ROUNDS = 12  # of one search; one that takes longer goes in a circle more often than not
 SETTLED = 1e-10  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
 USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
 SETTLING = 4  # rounds in which they settle anew
@@ -52,9 +49,10 @@ def put(found, impulses, motion, heavy):  # type: ignore[no-untyped-def]
 
 @kernel
 def judge_modes(found, impulses, motion, spin, heavy, change):  # type: ignore[no-untyped-def]
-    """Read velocities and impulses off the changes of the rates, and change modes that break the law.
+    """Read velocities and impulses off the changes of the rates; with `change`, change the modes that break the law.
 
-    `change`: 0: none, 1: the first alone, 2: all of them. Returns how many broke it.
+    What slips sticks again where P0 - M v is back inside the cone, by the same measure by which what sticks leaves it:
+    were it asked whether the velocity turns, P0 outside the cone would let neither hold. Returns how many broke it.
     """
     broke = 0
     for c in range(found.total[0]):
@@ -84,10 +82,10 @@ def judge_modes(found, impulses, motion, spin, heavy, change):  # type: ignore[n
                 impulses.tangent[c] = -sense * bound
                 if pn < 0.0:
                     wanted = OPEN
-                elif mu > 0.0 and sense * vt < -CLOSING:
+                elif mu > 0.0 and -sense * pt < bound:
                     wanted = STICK
         if wanted != mode:
-            if change == 2 or (change == 1 and broke == 0):
+            if change:
                 impulses.mode[c] = wanted
                 impulses.closed[c] += int(mode == OPEN)
             broke += 1
@@ -140,51 +138,20 @@ def round_of(chain, found, impulses, motion, spin, heavy, change):  # type: igno
 
 
 @kernel
-def named(found, impulses):  # type: ignore[no-untyped-def]
-    """A number that stands for the present modes; others have another, but for one in 1e9."""
-    name = 0
-    for c in range(found.total[0]):
-        name = (5 * name + impulses.mode[c]) % 1000000007
-    return name
-
-
-@kernel
-def visits(trail, begin, turn):  # type: ignore[no-untyped-def]
-    """How often the modes of round `turn` were tried since round `begin`, this time included."""
-    count = 0
-    for k in range(begin, turn + 1):
-        count += trail[k] == trail[turn]
-    return count
-
-
-@kernel
 def search(chain, found, impulses, motion, spin, h, heavy):  # type: ignore[no-untyped-def]
-    """Find modes that obey the law for one M = `heavy`, kg; returns the rounds, negative if there are too many.
-
-    Where the same modes come back a second time, the search goes in a circle: then one mode alone changes at a time,
-    and where that goes in a circle, too, it ends.
-    """
+    """Find modes that obey the law for one M = `heavy`, kg; returns the rounds, negative if there are too many."""
     settled = SETTLED * max(0.1, min(1.0, h / USUAL))
     for c in range(found.total[0]):
         impulses.closed[c] = 0
-    trail, begin, alone = np.zeros(ROUNDS, np.int64), 0, False
     for turn in range(ROUNDS):
-        trail[turn] = named(found, impulses)
-        if visits(trail, begin, turn) > 2:
-            if alone:
-                break
-            alone, begin = True, turn + 1
-        alone = alone or turn >= TOGETHER
         moved = centrifugal(chain, motion, h, chain.gx, chain.gy)
-        broke = round_of(chain, found, impulses, motion, spin, heavy, 1 if alone else 2)
-        if broke == 0:
-            if moved <= settled:
-                return turn + 1
-            begin = turn + 1
+        broke = round_of(chain, found, impulses, motion, spin, heavy, True)
+        if broke == 0 and moved <= settled:
+            return turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
             motion.change[:] = 0.0
-            break
-    return -(turn + 1)
+            return -(turn + 1)
+    return -ROUNDS
 
 
 @kernel
@@ -218,6 +185,10 @@ def proceed(found, impulses, heavy):  # type: ignore[no-untyped-def]
             worst, given = max(worst, left), given + left * abs(pn)
         if impulses.mode[c] == STICK:
             left = abs(pt - impulses.tangent0[c]) / heavy
+            worst, given = max(worst, left), given + left * abs(pt)
+        elif impulses.mode[c] != OPEN:
+            sense = 1.0 if impulses.mode[c] == AHEAD else -1.0
+            left = max(0.0, -sense * (impulses.vt[c] + impulses.lean[c]))
             worst, given = max(worst, left), given + left * abs(pt)
         impulses.normal0[c], impulses.tangent0[c] = pn, pt
     return worst, given
@@ -273,5 +244,5 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
         motion.change[:] = 0.0
         for _ in range(SETTLING):
             centrifugal(chain, motion, h, chain.gx, chain.gy)
-            round_of(chain, found, impulses, motion, spin, last if last > 0.0 else heavy, 0)
+            round_of(chain, found, impulses, motion, spin, last if last > 0.0 else heavy, False)
     return total if residual <= SLIGHT else -total

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperflex.core.chain import Array, energies, sincos, sines
+from hyperflex.core.chain import Array, energies, sines
 from hyperflex.core.contact_arrays import OPEN, Impulses, Motion, new_impulses, new_motion
 from hyperflex.core.contact_gaps import NOWHERE, Contacts, Index, find, joints, nearest, new_contacts, speeds
 from hyperflex.core.contact_modes import solve
@@ -144,7 +144,7 @@ def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-
         return least
     for i in range(n):
         desk.ahead_q[i] = desk.q[i] + h * motion.w[i]
-        desk.ahead_trig[i], desk.ahead_trig[n + i] = sincos(desk.ahead_q[i])
+    sines(desk.ahead_q, desk.ahead_trig, 0)
     x = desk.base[1, 7] + h * desk.base[0, 5]  # as the joints' velocities, which are those before the step
     y = desk.base[1, 8] + h * desk.base[0, 6]
     joints(chain, desk.ahead_trig, x, y, desk.ahead)
@@ -158,7 +158,9 @@ def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-
             impulses.target[c] = FREE
             desk.touch[0] = min(desk.touch[0], 0.0 if away <= TOUCH else -away / closing)
             continue
-        s, gap, nx, ny = nearest(chain, pegs, desk.ahead_trig, desk.ahead, i, p)
+        turned, tx, ty = desk.ahead_trig, desk.ahead[0], desk.ahead[1]
+        link = (tx[i], ty[i], tx[i + 1], ty[i + 1], chain.length[i], turned[i], turned[n + i])
+        s, gap, nx, ny = nearest(link, (pegs.x[p], pegs.y[p], pegs.ux[p], pegs.uy[p], pegs.span[p], pegs.reach[p]))
         bend = 0.0
         if found.gap[c] < NEAR and gap < NOWHERE:
             bend = max(-BEND, min(gap - found.gap[c] - h * closing, BEND))

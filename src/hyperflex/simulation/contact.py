@@ -30,7 +30,7 @@ from hyperflex.trajectory import State
 SHORTEST_FLIGHT = 0.01  # s; for less the hand-over does not pay
 FASTER, SUDDEN = 2.0, 2.0  # a flight allows for speeds so many times as large, and by so much more, m/s
 FLIGHT_TOL = 1e-3  # of the tolerance: with all of it a flight would gain and lose more energy than contact may
-CLEAR = 0.03  # m, gap at which a rope that was in contact has left
+CLEAR = 0.03  # m, gap at which a rope that was in contact has left, where it is not so fast that it would be back
 # Energy that may come from nowhere at the usual tolerance, in parts of the energy at stake for each second; and where
 # joint friction is so low that the rope's own motion, and not contact, sets the steps
 APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/rad
@@ -71,7 +71,7 @@ class Beside:
             clock[at.STEP], clock[at.DUE] = min(float(saved[STEP]), self.longest), 0.0
         run.spin = starting_spin(setup, state)
         self.course = at.Course(run.progress.y, clock, run.spin, kept)
-        self.flights, self.flown = 0, 0.0
+        self.flights, self.flown, self.clear = 0, 0.0, CLEAR
         run.seen = np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
 
     def finish(self, report: Callable[[float], None] | None = None) -> int:
@@ -99,10 +99,11 @@ class Beside:
             return status.LEFT
         gap, speed = core.clearance(*self.system, run.time, run.progress.y)
         bound = FASTER * speed + SUDDEN
-        span = gap / bound
-        if gap < CLEAR or span < SHORTEST_FLIGHT:
+        self.clear = max(CLEAR, SHORTEST_FLIGHT * bound)
+        if gap < self.clear:
             return status.LEFT
         y, before, begin, spin = run.progress.y.copy(), clock.copy(), run.time, self.course.spin.copy()
+        span = gap / bound
         run.limits = run.limits._replace(stop=min(begin + span, stop))
         code = status.RUNNING
         while code == status.RUNNING:
@@ -143,7 +144,7 @@ class Beside:
         always = bool(self.pull.any())  # free flight knows no force on the tip
         forced = run.time < least
         stop = min(run.limits.stop, least) if forced else run.limits.stop
-        clear = np.inf if always or forced else CLEAR
+        clear = np.inf if always or forced else self.clear
         bounds = at.Bounds(stop, self.longest, rate, clear, BUDGET)
         code = int(core.run(*self.system, self.pull, bounds, course, run.t, run.y, run.seen))
         index = course.clock[at.INDEX]
