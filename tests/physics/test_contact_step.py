@@ -48,7 +48,7 @@ def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(push: bool) 
     w -= np.linalg.pinv(change[inside]) @ (change[inside] @ w)  # along the peg
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
     kept = Kept(*(np.zeros((rope.n_links, 1), kind) for kind in (float, float, np.int64)))
-    desk, pegs = new_desk(rope.n_links, setup.contacts()), setup.contacts()
+    desk, pegs = new_desk(rope.n_links, setup.contacts(), 1e-6, 1e-4), setup.contacts()
     y = np.concatenate([q, w, np.zeros(2)])
     attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, kept, desk, push, 0.0, True)
     after, change = gaps(rope, RADIUS, base, desk.out[: rope.n_links])

@@ -29,6 +29,8 @@ class Impulses(NamedTuple):
     mode: Index
     good_mode: Index
     closed: Index  # how often each closed in this search
+    heavy: Array  # (1,) kg, mass M with which the next search starts; 0: the usual one
+    gift: float  # W, power that residual velocities may have
 
 
 class Motion(NamedTuple):
@@ -50,8 +52,8 @@ class Motion(NamedTuple):
 
 
 @kernel
-def new_impulses(most):  # type: ignore[no-untyped-def]
-    """Impulses of at most so many contacts."""
+def new_impulses(most, gift):  # type: ignore[no-untyped-def]
+    """Impulses of at most so many contacts, whose residual velocities may have the power `gift`, W."""
     ten = np.zeros((10, most))
     modes = np.zeros((3, most), np.int64)
     return Impulses(
@@ -68,6 +70,8 @@ def new_impulses(most):  # type: ignore[no-untyped-def]
         modes[0],
         modes[1],
         modes[2],
+        np.zeros(1),
+        gift,
     )
 
 

@@ -27,7 +27,7 @@ USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy 
 SETTLING = 4  # rounds in which they settle anew
 AGAIN = 4  # times that a solution with a slight residual starts the search anew
 SLIGHT = 1e-5  # m/s, residual velocity of a solution
-GIFT = 1e-6  # W, power of the residual velocities, above which they are made smaller
+RECOVERING = 1.3  # growth of M from one step to the next, after one that took a softer one
 INSTANT = 1e-6  # s, an impact may give as much as a step of this length
 
 
@@ -201,7 +201,7 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
     Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
     always, and each solution starts the search for a stiffer one, half as far on where that fails; so it goes until the
     residual (P - P0) / M is slight. The last solution that was found holds: its impulses obey Coulomb's law, its
-    velocities up to the residual.
+    velocities up to the residual. The next step starts with the M that did, and a little more.
 
     Parameters
     ----------
@@ -214,15 +214,16 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
     int : rounds, negative if the law is not obeyed to within SLIGHT.
     """
     store(found, impulses)
-    heavy, last, residual, given = STIFF * whole, 0.0, math.inf, math.inf
+    heavy = impulses.heavy[0] if impulses.heavy[0] > 0.0 else STIFF * whole
+    last, residual, given = 0.0, math.inf, math.inf
     total, again, rounds = 0, AGAIN, 0
-    for turn in range(TRIES):
+    for _ in range(TRIES):
         rounds = search(chain, found, impulses, motion, spin, h, heavy)
         total += abs(rounds)
         if rounds < 0:
             restore(found, impulses)
             if last == 0.0:
-                heavy = SOFTER * (whole if turn == 0 else heavy)
+                heavy = SOFTER * min(whole, heavy)
                 continue
             if heavy < LEAST * last:
                 break
@@ -233,7 +234,7 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
             heavy = min(GROW * heavy, STIFFEST * whole)
             continue
         again -= 1
-        if given <= GIFT * max(h, INSTANT) or again < 0:
+        if given <= impulses.gift * max(h, INSTANT) or again < 0:
             break
         heavy = max(heavy, min(GROW * heavy, STIFF * whole))
     if rounds < 0:
@@ -245,4 +246,5 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
         for _ in range(SETTLING):
             centrifugal(chain, motion, h, chain.gx, chain.gy)
             round_of(chain, found, impulses, motion, spin, last if last > 0.0 else heavy, False)
+    impulses.heavy[0] = min(RECOVERING * last, STIFF * whole)
     return total if residual <= SLIGHT else -total

@@ -190,7 +190,8 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
     """
     clock, kept = course.clock, course.kept
     n, m = chain.length.size, pegs.x.size
-    desk, aside = new_desk(n, pegs), new_desk(n, pegs)
+    rate, longest = bounds.rate, bounds.step
+    desk, aside = new_desk(n, pegs, rate, longest), new_desk(n, pegs, rate, longest)
     desk.spin.before[:] = course.spin[1]
     nothing = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
     part = segment(drive, clock[T])

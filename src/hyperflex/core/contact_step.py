@@ -14,13 +14,14 @@ from hyperflex.core.contact_spin import Spin, begin, lost_in_bearings, new_spin
 from hyperflex.core.drive import base_state
 from hyperflex.core.jit import kernel
 
-FAST = 0.01  # m/s; a link that closes faster meets the peg in an impact of its own, at the instant of touching
+FAST, FALL = 0.01, 100.0  # m/s, m/s^2; what closes faster than that, or than it may in a step, does so in an impact
 TOUCH = 1e-6  # m, gap that counts as touching there
 FREE = 1e9  # m/s, target of a link that nothing holds
 RECOVERY, PUSH = 1e-3, 5e-7  # m/s, W; at most so fast, and with so little power, a rope is pushed out of a peg
 DEEP = 2e-5  # m, penetration from which on it takes the power that it needs
 RELAXED = 0.99  # of the last step's forces is where the next step starts: what nothing asks for dies out
 SLIGHT_FORCE = 1e-6  # N
+GIFT = 0.25  # part of the power allowed from nowhere that the residual velocities of contacts may have
 NEAR = 1e-4  # m, gap below which a link is watched even at rest
 BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
@@ -55,15 +56,16 @@ class Desk(NamedTuple):
     base: Array  # (3, 9) motion of the first joint before, in the middle and after
     account: Array  # (3,)
     touch: Array  # (1,) s, from the beginning of the step until a link that is left free touches a peg
+    fast: float  # m/s; a link that closes faster meets the peg in an impact of its own, at the instant of touching
 
 
 @kernel
-def new_desk(n, pegs):  # type: ignore[no-untyped-def]
-    """Working arrays for n links and the Pegs `pegs`."""
+def new_desk(n, pegs, rate, longest):  # type: ignore[no-untyped-def]
+    """Working arrays for n links, the Pegs `pegs` and steps up to `longest`, s; energy may appear at `rate`, W."""
     most = n * pegs.reach.size
     return Desk(
         new_contacts(most),
-        new_impulses(most),
+        new_impulses(most, GIFT * rate),
         new_motion(n),
         new_spin(n, pegs),
         np.zeros(n),
@@ -78,6 +80,7 @@ def new_desk(n, pegs):  # type: ignore[no-untyped-def]
         np.zeros((3, 9)),
         np.zeros(3),
         np.zeros(1),
+        max(FAST, FALL * longest),
     )
 
 
@@ -139,7 +142,7 @@ def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-
             closing, _ = rates_at(found, motion, c)
             impulses.target[c] = FREE
             if found.gap[c] <= 2.0 * TOUCH:
-                impulses.target[c] = bounce * pegs.bounce[found.peg[c]] * (closing if closing < -FAST else 0.0)
+                impulses.target[c] = bounce * pegs.bounce[found.peg[c]] * (closing if closing < -desk.fast else 0.0)
             impulses.lean[c] = 0.0
         return least
     for i in range(n):
@@ -154,7 +157,7 @@ def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-
         closing, sliding = rates_at(found, motion, c)
         impulses.lean[c] = 0.0
         away = found.gap[c] - 0.5 * h * closing  # at the beginning of the step
-        if closing < -FAST and (away > TOUCH or not struck):
+        if closing < -desk.fast and (away > TOUCH or not struck):
             impulses.target[c] = FREE
             desk.touch[0] = min(desk.touch[0], 0.0 if away <= TOUCH else -away / closing)
             continue
