@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from hyperflex import winding
-from hyperflex.casting.hold import holding
+from hyperflex.casting import course
+from hyperflex.casting.hold import bearing, holding
+from hyperflex.casting.search import Search
 from tests.casting.known import CABLE, PEG, planned
 
 
@@ -38,3 +40,26 @@ def test_a_rope_off_the_peg_holds_nothing():
 def test_a_rope_that_ended_inside_the_peg_is_not_tugged():
     run, wider = planned().cast.run, replace(PEG, radius=PEG.radius + 1e-3)
     assert holding(replace(run, setup=replace(run.setup, pegs=(wider,))), wider) is None
+
+
+def test_a_cast_that_bears_less_than_is_asked_has_failed():
+    cast = planned().cast
+    force = holding(cast.run, PEG).force
+    assert bearing(cast, PEG, 0.9 * force) is cast
+    failed = bearing(cast, PEG, 1.1 * force)
+    assert (failed.wound, failed.held, failed.success) == (True, False, False)
+    assert failed.reason == f"it bears {force:.3g} N, and {1.1 * force:.3g} are asked"
+
+
+@pytest.mark.parametrize(("asked", "stands"), [(0.0, True), (0.9, True), (1.1, False)])
+def test_a_plan_is_asked_for_the_pull_by_a_tug(monkeypatch, asked, stands):
+    plan = planned()
+    force = holding(plan.finer.run, PEG).force
+    search = Search(plan.thrower, PEG, hold=asked * force)
+    work = course.Course(search, 60.0)
+    casts = [plan.cast, plan.finer]
+    monkeypatch.setattr(course, "verify", lambda *_, **__: casts.pop(0))
+    work.check([course.Landing(2.0, 2.0, 1, np.zeros(3), plan.throw)])
+    assert work.best[2].success is stands
+    reason = course.why_not(*work.best[1:], interrupted=False)
+    assert reason == "" if stands else reason.startswith("with links of half the length it bears")

@@ -195,7 +195,7 @@ def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, seco
 
 
 def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    search = SimpleNamespace(thrower=Thrower(CABLE, ARM, hf.MotorLimits()), peg=EASY, correct=lambda *_: None)
+    search = SimpleNamespace(thrower=Thrower(CABLE, ARM, hf.MotorLimits()), peg=EASY, hold=0.0, correct=lambda *_: None)
     work = course.Course(search, 1.0)  # type: ignore[arg-type]
     ends = {"slips": [(False, 3.2)], "stands": [(True, 1.4), (True, 1.4)], "once": [(True, 2.3), (False, 2.3)]}
     casts: list[object] = []

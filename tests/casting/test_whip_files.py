@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,15 @@ def test_the_motors_table_holds_the_planned_angles(tmp_path):
     names, rows = files.read_table(tmp_path / "motion.csv")
     assert names == ["t", "angle"]
     np.testing.assert_array_equal(rows[:, 1], plan.motion.angle(rows[:, 0]))
+
+
+def test_the_motors_table_says_that_a_whip_does_not_stand(tmp_path):
+    for plan, noted in ((planned_whip(), None), (planned_whip(meets=False), planned_whip(meets=False).reason)):
+        plan.to_csv(tmp_path / "motion.csv")
+        assert files.read_notes(tmp_path / "motion.csv").get("fails") == noted
+    missed = replace(planned_whip(meets=False), lash=None)
+    missed.to_csv(tmp_path / "motion.csv")
+    assert files.read_notes(tmp_path / "motion.csv")["not verified"] == missed.reason
 
 
 def test_what_is_no_whip_is_refused(tmp_path):

@@ -95,7 +95,7 @@ class CastPlan:
         rate : float
             Rows a second, Hz.
         """
-        tables.write_motion(path, tables.motion_of(self), rate, notes=tables.mark(self))
+        tables.write_motion(path, tables.motion_of(self), rate, notes=tables.note(self))
 
     def to_netcdf(self, path: str | Path) -> None:
         """Write the verified run to NetCDF.

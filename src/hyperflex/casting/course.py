@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex.casting.clock import Clock
+from hyperflex.casting.hold import bearing
 from hyperflex.casting.landing import SLIDING
 from hyperflex.casting.outcome import SLIP, WOUND, Cast, verify
 from hyperflex.casting.robust import Hardening
@@ -169,14 +170,15 @@ class Course:
                     self.best = (found.throw, cast, finer)
 
     def verified(self, found: Landing) -> tuple[Cast, Cast | None]:
-        """Verify a throw on the rope as it is given; then, if it winds and holds, with finer links."""
+        """Verify a throw on the rope as it is given; then, if it winds and holds, with finer links and by a tug."""
         thrower, peg = self.search.thrower, self.search.peg
         motion = found.throw.motion(thrower.limits)
         longest = min(LONGEST * self.patience, 0.5 * (self.patience - self.spent))
         cast = verify(thrower, peg, motion, patience=max(longest, LEAST_LONG))
         if not cast.success:
             return cast, None
-        return cast, verify(self.finer, peg, motion, patience=max(self.patience - self.spent, LEAST_LONG))
+        finer = verify(self.finer, peg, motion, patience=max(self.patience - self.spent, LEAST_LONG))
+        return cast, bearing(finer, peg, self.search.hold) if finer.success else finer
 
 
 def steady(cast: Cast) -> bool:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hyperflex import winding
+from hyperflex.casting.outcome import Cast
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.model import Peg
 from hyperflex.trajectory import Trajectory
@@ -62,3 +63,24 @@ def holding(run: Trajectory, peg: Peg) -> Holding | None:
     except (InvalidInput, SimulationError):
         return None
     return Holding(tug=pulled, tail=float(wound.tail[-1]), angle=abs(float(wound.arc[-1])), mu=peg.mu)
+
+
+def bearing(cast: Cast, peg: Peg, asked: float) -> Cast:
+    """Return a cast that winds and holds; it has failed where a tug tells that it bears less than `asked`, N.
+
+    Parameters
+    ----------
+    cast : Cast
+        That succeeded.
+    peg : Peg
+    asked : float
+        Pull, N.
+    """
+    if cast.run is None or asked <= 0.0:
+        return cast
+    held = holding(cast.run, peg)
+    if held is None:
+        return replace(cast, held=False, reason="what it bears could not be simulated")
+    if held.force < asked and held.tug.slipped:
+        return replace(cast, held=False, reason=f"it bears {held.force:.3g} N, and {asked:.3g} are asked")
+    return cast

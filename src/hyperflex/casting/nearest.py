@@ -133,7 +133,7 @@ def around(search: Search) -> Iterator[Search]:
             peg = _at(search.peg, np.array([search.peg.x, search.peg.y]) + way)
             if reach(thrower, peg).impossible:
                 continue
-            beside = Search(thrower, peg, search.seed, search.threads)
+            beside = Search(thrower, peg, search.seed, search.threads, search.hold)
             for side in (-1, 1):
                 points = [one.x for one in best if one.side == side]
                 if points:

@@ -132,8 +132,8 @@ def judge(thrower: Thrower, peg: Peg, run: Trajectory, stop: float) -> Cast:
     if not touched.any():
         reason = "the rope does not touch the peg"
     elif not enough:
-        most = float(np.abs(wound.turns).max())
-        reason = f"it winds {abs(turns[-1]):.2f} turns ({most:.2f} at most), and {WOUND:g} are asked"
+        least, most = max(0.0, float((sense * turns).min())), float(np.abs(wound.turns).max())
+        reason = f"it winds {least:.2f} turns ({most:.2f} at most), and {WOUND:g} are asked"
     elif not held:
         reason = "the rope leaves the peg" if not on else f"it slips by {1e3 * slipped:.1f} mm, {1e3 * SLIP:g} allowed"
     elif torque > thrower.limits.torque:

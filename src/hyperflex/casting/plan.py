@@ -54,7 +54,8 @@ def plan_cast(
         Within which the rope must strike, s; by default five periods of its swing, and half as many again where these
         do not seem to give it energy enough.
     hold : float
-        Pull that the wound rope should bear, N; only asked of what can be reached at all.
+        Pull that the wound rope should bear, N: asked of the target by a rule, before the search, and of a throw that
+        winds by a simulated tug.
     uncertainty : Uncertainty, optional
         Of what is given here. With it the plan is the throw that wins in most of the worlds drawn from it, and its
         success is stated from worlds drawn afresh.
@@ -102,8 +103,8 @@ def plan_cast(
     patience = checks.number("patience", patience, sign="positive", unit="s")
     thrower = Thrower(rope, arm, MotorLimits() if limits is None else limits, 0.0 if time_limit is None else time_limit)
     Setup(thrower.rope, arm=thrower.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
-    search = Search(thrower, target, checks.count("seed", seed, least=0), threads)
     known = reach(thrower, target, hold=hold)
+    search = Search(thrower, target, checks.count("seed", seed, least=0), threads, hold)
     if known.impossible or not (known.within or regardless):
         plan = CastPlan(thrower, target, known, None, None, None, known.reason, 0, 0.0)
     else:

@@ -61,12 +61,15 @@ class Search:
     peg : Peg
     seed : int
     threads : int, optional
+    hold : float
+        Pull that the wound rope should bear, N: for who verifies what was found.
     """
 
     thrower: Thrower
     peg: Peg
     seed: int = 0
     threads: int | None = None
+    hold: float = 0.0
     swings: list[Swing] = field(default_factory=list, init=False)
     landings: list[Landing] = field(default_factory=list, init=False)
     runs: int = field(default=0, init=False)

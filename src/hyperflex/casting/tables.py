@@ -53,7 +53,7 @@ def write_motion(
     files.write_table(path, ["t", "angle"], np.column_stack([t, motion.angle(t)]), notes={**(notes or {}), **told})
 
 
-def mark(plan: CastPlan) -> dict[str, str]:
+def note(plan: CastPlan) -> dict[str, str]:
     """Return the note on a throw that does not stand: whether it fails or was not verified, and why; else none."""
     if plan.success:
         return {}

@@ -108,6 +108,8 @@ class WhipPlan:
     def to_csv(self, path: PathLike, *, rate: float = tables.RATE) -> None:
         """Write what the arm does at a motor's rate to a CSV file that :func:`hyperflex.read_motion` reads.
 
+        A whip that does not stand is marked in the file's head, ``# not verified: ...`` or ``# fails: ...``.
+
         Parameters
         ----------
         path : path-like
@@ -115,7 +117,7 @@ class WhipPlan:
         rate : float
             Rows a second, Hz.
         """
-        tables.write_motion(path, whip_tables.motion_of(self), rate)
+        tables.write_motion(path, whip_tables.motion_of(self), rate, notes=whip_tables.note(self))
 
     def to_netcdf(self, path: str | Path) -> None:
         """Write the verified run to NetCDF.

@@ -35,6 +35,13 @@ def lash_of(plan: WhipPlan) -> Lash:
     return plan.lash
 
 
+def note(plan: WhipPlan) -> dict[str, str]:
+    """Return the note on a whip that does not stand: whether it fails or was not verified, and why; else none."""
+    if plan.success:
+        return {}
+    return {"not verified" if plan.lash is None else "fails": plan.reason}
+
+
 def write_whip(path: files.PathLike, plan: WhipPlan) -> None:
     """Write a plan to a TOML file: the verified run's set-up, and a table ``[plan]`` with what it was planned for.
 
