@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyperflex import winding
-from hyperflex.casting import course
+from hyperflex.casting import course, hold
 from hyperflex.casting.hold import bearing, holding
 from hyperflex.casting.search import Search
 from tests.casting.known import CABLE, PEG, planned
@@ -57,9 +57,18 @@ def test_a_plan_is_asked_for_the_pull_by_a_tug(monkeypatch, asked, stands):
     force = holding(plan.finer.run, PEG).force
     search = Search(plan.thrower, PEG, hold=asked * force)
     work = course.Course(search, 60.0)
-    casts = [plan.cast, plan.finer]
-    monkeypatch.setattr(course, "verify", lambda *_, **__: casts.pop(0))
+    monkeypatch.setattr(course, "verify", lambda *_, **__: plan.cast)
     work.check([course.Landing(2.0, 2.0, 1, np.zeros(3), plan.throw)])
-    assert work.best[2].success is stands
     reason = course.why_not(*work.best[1:], interrupted=False)
-    assert reason == "" if stands else reason.startswith("with links of half the length it bears")
+    assert reason == "" if stands else reason.startswith("it bears")
+    assert work.done() is stands
+
+
+def test_a_pull_that_is_less_than_is_asked_tells_nothing_of_more(monkeypatch):
+    cast = planned().cast
+    held = holding(cast.run, PEG)
+    monkeypatch.setattr(hold, "holding", lambda *_: replace(held, tug=replace(held.tug, slipped=False)))
+    assert bearing(cast, PEG, 2.0 * held.force).reason.startswith("it was pulled with")
+    monkeypatch.setattr(hold, "holding", lambda *_: None)
+    assert bearing(cast, PEG, 0.1).reason == "what it bears could not be simulated"
+    assert bearing(cast, PEG, 0.0) is cast

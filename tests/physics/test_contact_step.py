@@ -10,7 +10,8 @@ import pytest
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.chain import Chain
-from hyperflex.core.contact_step import Kept, attempt, new_desk
+from hyperflex.core.contact_modes import STIFF
+from hyperflex.core.contact_step import attempt, keep, new_desk, new_kept
 from hyperflex.core.drive import Drive, segment
 from tests.reference.wrapping import laid
 
@@ -47,7 +48,7 @@ def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(push: bool) 
     w = np.random.default_rng(5).normal(0.0, 3.0, rope.n_links)
     w -= np.linalg.pinv(change[inside]) @ (change[inside] @ w)  # along the peg
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
-    kept = Kept(*(np.zeros((rope.n_links, 1), kind) for kind in (float, float, np.int64)))
+    kept = new_kept(rope.n_links, 1)
     desk, pegs = new_desk(rope.n_links, setup.contacts(), 1e-6, 1e-4), setup.contacts()
     y = np.concatenate([q, w, np.zeros(2)])
     attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, kept, desk, push, 0.0, True)
@@ -61,3 +62,29 @@ def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(push: bool) 
 def own(value: object) -> object:
     """An array as a run has it, for which the kernels are compiled."""
     return np.array(value) if isinstance(value, np.ndarray) else value
+
+
+def test_a_sample_beside_a_peg_does_not_depend_on_the_others() -> None:
+    rope = hf.Rope.uniform(0.6, 0.04, 24, 0.0025, friction=5e-4)
+    how = {"q0": np.full(24, 1.2), "pegs": [hf.Peg(0.0, -0.2, 0.03, 0.3)], "duration": 0.8, "contact_step": 1e-3}
+    many = hf.simulate(rope, t_eval=np.linspace(0.0, 0.8, 81), **how)
+    few = hf.simulate(rope, t_eval=many.t[::8], **how)
+    assert many.contact_loss[-1] > 0.0
+    np.testing.assert_array_equal(few.q, many.q[::8])
+    np.testing.assert_array_equal(few.contact_force, many.contact_force[::8])
+
+
+def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> None:
+    """What a soft step remembers grows from step to step, also while nothing touches."""
+    rope, still = hf.Rope.uniform(0.5, 0.05, 10, friction=1e-4), hf.moving_point([0.0, 1.0], [0.0] * 2, [0.0] * 2)
+    setup = hf.Setup(rope, still, pegs=[hf.Peg(1.0, 1.0, 0.05)])
+    chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
+    pegs, kept = setup.contacts(), new_kept(10, 1)
+    desk, y = new_desk(10, pegs, 1e-6, 1e-4), np.zeros(22)
+    kept.heavy[0], known = 1e-3 * rope.total_mass, []
+    for _ in range(60):
+        attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, kept, desk, True, 0.0, True)
+        keep(kept, desk.found, desk.impulses, STEP)
+        known.append(kept.heavy[0])
+    assert np.all(np.diff(known) >= 0.0)
+    assert known[-1] == pytest.approx(STIFF * rope.total_mass, rel=1e-12)

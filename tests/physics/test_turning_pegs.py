@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import hyperflex as hf
 from hyperflex.core.chain import Chain
-from hyperflex.core.contact_step import Kept, attempt, new_desk
+from hyperflex.core.contact_step import attempt, new_desk, new_kept
 from hyperflex.core.drive import Drive, segment
 from hyperflex.winding import slip, wound
 from tests.reference.wrapping import ARM, laid
@@ -183,7 +183,7 @@ def test_a_peg_takes_the_angular_momentum_that_contacts_give_it(h: float) -> Non
     setup = hf.Setup(rope, still, q0=q0, pegs=[peg, hf.Peg(1.0, 1.0, 0.1)])
     pegs, n = setup.contacts(), rope.n_links
     chain, drive = Chain(*writable(setup.chain())), Drive(*writable(setup.drive()))
-    desk, kept = new_desk(n, pegs, 1e-6, 1e-4), Kept(np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2), np.int64))
+    desk, kept = new_desk(n, pegs, 1e-6, 1e-4), new_kept(n, 2)
     desk.spin.before[0] = 0.3
     y = np.concatenate([q0, np.full(n, 2.0)])
     attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, kept, desk, True, 0.0, True)

@@ -64,6 +64,19 @@ def test_a_rope_hangs_over_the_end_of_a_wall() -> None:
     assert run.attrs["contact_deepest"] < 2e-4
 
 
+def test_a_rope_slides_to_and_fro_on_a_floor_without_friction() -> None:
+    """Which way it slid before is of no account: a few steps more than with next to no friction, and none unsolved."""
+    rope, how = hf.Rope.uniform(0.6, 0.06, 15, RADIUS, friction=1e-3), {"q0": np.full(15, 1.6), "duration": 2.0}
+    facts = []
+    for mu in (0.0, 1e-9):
+        run = hf.simulate(rope, pegs=[hf.Ground(0.0, -0.3, mu=mu)], tol=1e-3, contact_step=1e-3, **how)
+        facts.append(run.attrs)
+        sliding = run.tip_velocity[run.contact_force[:, -1, 1] > 0.0, 0]
+        assert sliding.min() < -0.05 < 0.05 < sliding.max()
+    assert facts[0]["contact_unsolved"] == 0.0
+    assert facts[0]["contact_steps"] < 1.5 * facts[1]["contact_steps"]
+
+
 def test_a_fast_rope_does_not_pass_a_wall() -> None:
     rod = hf.Rope(length=[1.0], mass=[0.05], radius=RADIUS, gravity=(0.0, 0.0))
     wall = hf.Wall(0.6, -0.9, 0.6, -0.5, mu=0.0)

@@ -170,15 +170,15 @@ class Course:
                     self.best = (found.throw, cast, finer)
 
     def verified(self, found: Landing) -> tuple[Cast, Cast | None]:
-        """Verify a throw on the rope as it is given; then, if it winds and holds, with finer links and by a tug."""
+        """Verify a throw on the rope as it is given; then, if it winds and holds, with finer links."""
         thrower, peg = self.search.thrower, self.search.peg
         motion = found.throw.motion(thrower.limits)
         longest = min(LONGEST * self.patience, 0.5 * (self.patience - self.spent))
-        cast = verify(thrower, peg, motion, patience=max(longest, LEAST_LONG))
+        cast = bearing(verify(thrower, peg, motion, patience=max(longest, LEAST_LONG)), peg, self.search.hold)
         if not cast.success:
             return cast, None
         finer = verify(self.finer, peg, motion, patience=max(self.patience - self.spent, LEAST_LONG))
-        return cast, bearing(finer, peg, self.search.hold) if finer.success else finer
+        return cast, bearing(finer, peg, self.search.hold)
 
 
 def steady(cast: Cast) -> bool:

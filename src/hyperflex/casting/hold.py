@@ -66,21 +66,21 @@ def holding(run: Trajectory, peg: Peg) -> Holding | None:
 
 
 def bearing(cast: Cast, peg: Peg, asked: float) -> Cast:
-    """Return a cast that winds and holds; it has failed where a tug tells that it bears less than `asked`, N.
+    """Return a cast, which has failed where a tug tells that the wound rope bears less than is asked.
 
     Parameters
     ----------
     cast : Cast
-        That succeeded.
     peg : Peg
     asked : float
-        Pull, N.
+        Pull, N; where it is 0 nothing is asked.
     """
-    if cast.run is None or asked <= 0.0:
+    if asked <= 0.0 or not cast.success or cast.run is None:
         return cast
     held = holding(cast.run, peg)
     if held is None:
         return replace(cast, held=False, reason="what it bears could not be simulated")
-    if held.force < asked and held.tug.slipped:
-        return replace(cast, held=False, reason=f"it bears {held.force:.3g} N, and {asked:.3g} are asked")
-    return cast
+    if held.tug.holds(asked):
+        return cast
+    bears = f"it bears {held.force:.3g} N" if held.tug.slipped else f"it was pulled with {held.force:.3g} N at most"
+    return replace(cast, held=False, reason=f"{bears}, and {asked:.3g} are asked")

@@ -33,7 +33,7 @@ class Cast:
     ----------
     wound, held : bool
         Turned WOUND times or more about the peg; slipped by less than SLIP in WATCH seconds from SETTLING after the
-        arm stopped.
+        arm stopped; and bears the pull that a plan asked for, if it did.
     turns : float
         Signed turns from the arm's tip to the rope's end at the end of the run, positive counterclockwise.
     slipped : float

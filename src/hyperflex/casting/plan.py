@@ -55,7 +55,7 @@ def plan_cast(
         do not seem to give it energy enough.
     hold : float
         Pull that the wound rope should bear, N: asked of the target by a rule, before the search, and of a throw that
-        winds by a simulated tug.
+        winds by a simulated tug. What is stated of uncertain worlds does not ask for it.
     uncertainty : Uncertainty, optional
         Of what is given here. With it the plan is the throw that wins in most of the worlds drawn from it, and its
         success is stated from worlds drawn afresh.

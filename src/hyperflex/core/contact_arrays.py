@@ -14,7 +14,7 @@ OPEN, STICK, AHEAD, BACK = range(4)  # modes; the last two: the rope slips along
 
 
 class Impulses(NamedTuple):
-    """Of each of the contacts found, in their order."""
+    """Of each of the contacts found, in their order; and of the search for their modes."""
 
     normal: Array  # (K,) N s
     tangent: Array
@@ -29,7 +29,7 @@ class Impulses(NamedTuple):
     mode: Index
     good_mode: Index
     closed: Index  # how often each closed in this search
-    heavy: Array  # (1,) kg, mass M with which the next search starts; 0: the usual one
+    heavy: Array  # (1,) kg, mass M with which the search starts, then that for the next one; 0: the usual one
     gift: float  # W, power that residual velocities may have
 
 

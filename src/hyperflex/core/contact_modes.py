@@ -186,7 +186,7 @@ def proceed(found, impulses, heavy):  # type: ignore[no-untyped-def]
         if impulses.mode[c] == STICK:
             left = abs(pt - impulses.tangent0[c]) / heavy
             worst, given = max(worst, left), given + left * abs(pt)
-        elif impulses.mode[c] != OPEN:
+        elif impulses.mode[c] != OPEN and found.mu[c] > 0.0:
             sense = 1.0 if impulses.mode[c] == AHEAD else -1.0
             left = max(0.0, -sense * (impulses.vt[c] + impulses.lean[c]))
             worst, given = max(worst, left), given + left * abs(pt)

@@ -32,11 +32,11 @@ from hyperflex.core.contact_step import (
     CONTACT,
     FRICTION,
     WORK,
-    Kept,
     attempt,
     energy,
     keep,
     new_desk,
+    new_kept,
 )
 from hyperflex.core.drive import base_state, segment
 from hyperflex.core.jit import kernel
@@ -80,6 +80,7 @@ def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
 @kernel
 def forget(kept):  # type: ignore[no-untyped-def]
     """Forget the modes and forces of the last step."""
+    kept.heavy[0] = 0.0
     for i in range(kept.mode.shape[0]):
         for p in range(kept.mode.shape[1]):
             kept.normal[i, p] = kept.tangent[i, p] = 0.0
@@ -193,7 +194,7 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
     rate, longest = bounds.rate, bounds.step
     desk, aside = new_desk(n, pegs, rate, longest), new_desk(n, pegs, rate, longest)
     desk.spin.before[:] = course.spin[1]
-    nothing = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
+    nothing = new_kept(n, m)
     part = segment(drive, clock[T])
     had = math.nan  # energy before the step, where it is known
     for _ in range(bounds.budget):

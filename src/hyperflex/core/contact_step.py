@@ -14,7 +14,7 @@ from hyperflex.core.contact_spin import Spin, begin, lost_in_bearings, new_spin
 from hyperflex.core.drive import base_state
 from hyperflex.core.jit import kernel
 
-FAST, FALL = 0.01, 100.0  # m/s, m/s^2; what closes faster than that, or than it may in a step, does so in an impact
+FAST, FALL = 0.01, 50.0  # m/s, m/s^2; what closes faster than that, and than a step may make it, does so in an impact
 TOUCH = 1e-6  # m, gap that counts as touching there
 FREE = 1e9  # m/s, target of a link that nothing holds
 RECOVERY, PUSH = 1e-3, 5e-7  # m/s, W; at most so fast, and with so little power, a rope is pushed out of a peg
@@ -30,11 +30,12 @@ FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints an
 
 
 class Kept(NamedTuple):
-    """What the last step leaves for the next, by link and peg."""
+    """What the last step leaves for the next, by link and peg, and of its search for modes."""
 
     normal: Array  # (n, m) N
     tangent: Array
     mode: Index
+    heavy: Array  # (1,) kg, as in Impulses
 
 
 class Desk(NamedTuple):
@@ -87,7 +88,7 @@ def new_desk(n, pegs, rate, longest):  # type: ignore[no-untyped-def]
 @kernel
 def new_kept(n, pegs):  # type: ignore[no-untyped-def]
     """Nothing kept yet."""
-    return Kept(np.zeros((n, pegs)), np.zeros((n, pegs)), np.zeros((n, pegs), np.int64))
+    return Kept(np.zeros((n, pegs)), np.zeros((n, pegs)), np.zeros((n, pegs), np.int64), np.zeros(1))
 
 
 @kernel
@@ -181,6 +182,7 @@ def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-
 @kernel
 def recall(kept, found, impulses, h):  # type: ignore[no-untyped-def]
     """Start from the modes and forces of the last step."""
+    impulses.heavy[0] = kept.heavy[0]
     for c in range(found.total[0]):
         i, p = found.link[c], found.peg[c]
         impulses.mode[c] = kept.mode[i, p]
@@ -191,6 +193,7 @@ def recall(kept, found, impulses, h):  # type: ignore[no-untyped-def]
 @kernel
 def keep(kept, found, impulses, h):  # type: ignore[no-untyped-def]
     """Keep modes and forces for the next step."""
+    kept.heavy[0] = impulses.heavy[0]
     for i in range(kept.mode.shape[0]):
         for p in range(kept.mode.shape[1]):
             kept.normal[i, p] = kept.tangent[i, p] = 0.0

@@ -18,7 +18,7 @@ from hyperflex.core import contact_course as at
 from hyperflex.core import contact_run as core
 from hyperflex.core import status
 from hyperflex.core.chain import Chain, energies
-from hyperflex.core.contact_step import Kept
+from hyperflex.core.contact_step import new_kept
 from hyperflex.core.drive import Drive, base_state, segment
 from hyperflex.core.progress import INDEX, MARK, T
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refined
@@ -36,7 +36,7 @@ CLEAR = 0.03  # m, gap at which a rope that was in contact has left, where it is
 APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/rad
 BUDGET = 250  # steps between two looks at progress and Ctrl-C; some take milliseconds
 STEP = "contact_step"
-KEPT = ("contact_normal", "contact_tangent", "contact_mode")  # in a state's checkpoint
+KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_heavy")  # in a state's checkpoint
 
 
 class Beside:
@@ -62,11 +62,12 @@ class Beside:
         self.run, self.setup = run, setup
         self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), contacts)
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
-        kept = Kept(np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m), np.int64))
+        kept = new_kept(n, m)
         clock = np.zeros(at.CLOCK)
         clock[at.STEP], clock[at.DUE] = self.longest, 1.0
-        if all(name in saved and np.shape(saved[name]) == (n, m) for name in KEPT):
-            for name, array in zip(KEPT, kept, strict=True):
+        named = list(zip(KEPT, kept, strict=True))
+        if all(name in saved and np.shape(saved[name]) == array.shape for name, array in named):
+            for name, array in named:
                 array[:] = saved[name]
             clock[at.STEP], clock[at.DUE] = min(float(saved[STEP]), self.longest), 0.0
         run.spin = starting_spin(setup, state)
