@@ -6,7 +6,7 @@ python -m benchmarks.reach --count 4 --out -     a look; nothing is written
 
 Targets are those of ``benchmarks.casting`` from number 300 on, none of which that benchmark asks for. They are sorted
 by what the criterion says of them, and of each kind the first ones are planned for; a plan that stands (wound and held,
-also with links of half the length) makes a target windable. How many targets are of each kind is counted on 10,000, so
+also with shorter links) makes a target windable. How many targets are of each kind is counted on 10,000, so
 that the part of windable targets that are called out of reach follows. A search's time is the processor's, on one
 thread, so that other programs do not matter. Rows are kept in reach.jsonl: the same command goes on where it stopped.
 All simulated.

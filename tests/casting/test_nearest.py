@@ -164,7 +164,7 @@ def test_a_plan_that_stands_is_finished() -> None:
 
 
 def test_a_finer_run_that_took_too_long_is_not_the_targets_fault() -> None:
-    assert replace(planned(), finer=late().cast, reason="with links of half the length").unfinished
+    assert replace(planned(), finer=late().cast, reason="with shorter links").unfinished
 
 
 class Planner:

@@ -201,8 +201,8 @@ def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypa
     casts: list[object] = []
 
     def verify(*_: object, **__: object) -> object:
-        success, turns = casts.pop(0)  # type: ignore[misc]
-        return SimpleNamespace(success=success, turns=turns, slipped=0.0, grip=0.5)
+        success, turns = casts.pop(0) if len(casts) > 1 else casts[0]  # type: ignore[misc]
+        return SimpleNamespace(success=success, turns=turns, slipped=0.0, grip=0.5, run="a run")
 
     monkeypatch.setattr(course, "verify", verify)
     kept = []
@@ -213,6 +213,33 @@ def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypa
         kept.append(work.best[0].name)  # type: ignore[union-attr]
     assert kept == ["slips", "once", "once", "stands", "stands", "stands"]
     assert work.done()
+
+
+@pytest.mark.parametrize(
+    ("ends", "told"),
+    [
+        ([1.6, 1.5, 1.7], 1.5),  # the one that differs more
+        ([1.6, 1.7, 1.0], 1.0),  # one turn fewer: it fails
+        ([1.6, 1.5, None], 1.5),  # no time for the last: the others tell
+        ([1.6, None], None),
+        ([1.6, 0.4], 0.4),
+    ],
+)
+def test_a_throw_is_verified_with_shorter_and_shorter_links(
+    monkeypatch: pytest.MonkeyPatch, ends: list[float | None], told: float | None
+) -> None:
+    search, links = Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY), []
+
+    def verify(thrower: Thrower, *_: object, **__: object) -> object:
+        turns = ends[len(links)]
+        links.append(thrower.rope.n_links // CABLE.n_links)
+        return SimpleNamespace(success=turns is not None and turns > 1.25, turns=turns, run=turns)
+
+    monkeypatch.setattr(course, "verify", verify)
+    throw = SimpleNamespace(motion=lambda limits: None)
+    _, finer = course.Course(search, 60.0).verified(course.Landing(1.0, 2.0, 1, np.zeros(3), throw))  # type: ignore[arg-type]
+    assert finer is not None
+    assert (finer.turns, links) == (told, [1, 2, 3][: len(ends)])
 
 
 def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:

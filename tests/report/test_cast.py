@@ -50,7 +50,7 @@ def test_the_page_names_target_swings_turns_and_hold(tmp_path):
         f"{held.rule:.2f} N",
         "simulated",
         "8.61 rad/s",
-        "links of half the length",
+        "shorter links",
     ):
         assert told in page, told
     assert "counterclockwise" not in page
@@ -208,9 +208,7 @@ def test_a_pull_that_did_not_slip_is_a_lower_bound(held):
 
 
 def test_a_long_reason_has_room_in_a_film():
-    plan = dataclasses.replace(
-        planned(), reason="with links of half the length the simulation failed (out of patience)"
-    )
+    plan = dataclasses.replace(planned(), reason="with shorter links the simulation failed (out of patience)")
     lines = film_note(plan, None)(11.0).split("\n")
     assert "time allowed for it" in " ".join(lines)
     assert max(len(line) for line in lines) <= 90

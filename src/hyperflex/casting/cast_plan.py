@@ -35,7 +35,8 @@ class CastPlan:
     cast : Cast or None
         What became of it in a verified, simulated run; None where Ctrl-C came before that.
     finer : Cast or None
-        The same with links of half the length: what of it stands when the model is better.
+        The same with links of half or of a third of the length, of these the one that fails or differs more: what of it
+        stands when the model is better.
     reason : str
         Why the plan fails; empty if it does not.
     runs : int

@@ -27,7 +27,7 @@ FREE = 0.3  # part of the patience in which swings that hurry are not tried besi
 SWINGING = 0.5  # part of the patience after which the search goes on beside the peg in any case
 RESTART = 12  # generations beside the peg from one place
 ALIKE = 0.05  # points that differ by less are one
-FINER = 2  # pieces of each link in the second verification
+FINER = (2, 3)  # pieces of each link in the verifications after the first
 NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
 SEARCHING = 0.85  # part of the patience after which nothing new is begun but verifications
 LONGEST, LEAST_LONG = 0.25, 3.0  # part of the patience, and processor time, s, that a verification may take
@@ -54,7 +54,7 @@ class Course:
         self.search, self.patience, self.longer, self.clock = search, patience, longer, Clock()
         search.left = lambda: SEARCHING * patience - self.spent
         thrower = search.thrower
-        self.finer = replace(thrower, rope=divided(thrower.rope, FINER), time=thrower.time)
+        self.finer = [replace(thrower, rope=divided(thrower.rope, k), time=thrower.time) for k in FINER]
         self.checked: list[Landing] = []
         self.best: tuple[Throw | None, Cast | None, Cast | None] = (None, None, None)
 
@@ -72,7 +72,7 @@ class Course:
             if hurried and score < PROMISING and self.longer and (settled or self.spent > EARLY * self.patience):
                 self.lengthen()
                 score, idle, close = 0.0, 0, 0
-            elif close % RESTART and self.search.landings and (settled or self.spent > SWINGING * self.patience):
+            elif close % RESTART and self.near(hurried) and (settled or self.spent > SWINGING * self.patience):
                 self.search.refine()
                 close += 1
             else:
@@ -92,6 +92,11 @@ class Course:
         if self.spent > SEARCHING * self.patience:
             return not self.search.landings
         return score >= WORTHY or settled or not self.search.hurried or self.spent > FREE * self.patience
+
+    def near(self, hurried: bool) -> bool:
+        """Whether a throw beside the peg is worth being refined: better swings help more where all are hurried."""
+        landings = self.search.landings
+        return bool(landings) and (not hurried or landings[0].score >= PROMISING)
 
     def lengthen(self) -> None:
         """Begin anew with swings that take longer."""
@@ -170,15 +175,28 @@ class Course:
                     self.best = (found.throw, cast, finer)
 
     def verified(self, found: Landing) -> tuple[Cast, Cast | None]:
-        """Verify a throw on the rope as it is given; then, if it winds and holds, with finer links."""
+        """Verify a throw on the rope as it is given; then, if it winds and holds, with shorter and shorter links.
+
+        Of these the one that fails is returned, or the one whose turns differ most. What is left to chance differs from
+        one length of links to another, hardly from one step to another. The last may lack time: then the others tell.
+        """
         thrower, peg = self.search.thrower, self.search.peg
         motion = found.throw.motion(thrower.limits)
         longest = min(LONGEST * self.patience, 0.5 * (self.patience - self.spent))
         cast = bearing(verify(thrower, peg, motion, patience=max(longest, LEAST_LONG)), peg, self.search.hold)
         if not cast.success:
             return cast, None
-        finer = verify(self.finer, peg, motion, patience=max(self.patience - self.spent, LEAST_LONG))
-        return cast, bearing(finer, peg, self.search.hold)
+        worst: Cast | None = None
+        for each in self.finer:
+            finer = verify(each, peg, motion, patience=max(self.patience - self.spent, LEAST_LONG))
+            if worst is not None and finer.run is None:
+                break
+            finer = bearing(finer, peg, self.search.hold)
+            if not finer.success:
+                return cast, finer
+            if worst is None or abs(finer.turns - cast.turns) > abs(worst.turns - cast.turns):
+                worst = finer
+        return cast, worst
 
 
 def steady(cast: Cast) -> bool:
@@ -202,5 +220,5 @@ def why_not(cast: Cast | None, finer: Cast | None, interrupted: bool) -> str:
     if cast.reason:
         return cast.reason
     if finer is None:
-        return "interrupted before it was verified with finer links"
-    return f"with links of half the length {finer.reason}" if finer.reason else ""
+        return "interrupted before it was verified with shorter links"
+    return f"with shorter links {finer.reason}" if finer.reason else ""

@@ -56,8 +56,8 @@ def cast(
 ) -> None:
     """Plan how the arm casts its rope round a peg, winds it and holds.
 
-    The plan is verified in simulation, on the rope as given and with links of half the length. Writes a page, pictures,
-    a film, the motion for the motor (CSV), the verified run (NetCDF) and a set-up that simulate runs.
+    The plan is verified in simulation, on the rope as given and with links of half and of a third of the length. Writes
+    a page, pictures, a film, the motion for the motor (CSV), the verified run (NetCDF) and a set-up that simulate runs.
 
     Ctrl-C ends the search; the best so far is written, and said to be that.
 

@@ -209,9 +209,9 @@ def asked_of_motor(limits: MotorLimits, motion: Motion | None, run: Trajectory |
 
 
 def checks_table(plan: CastPlan) -> TextTable:
-    """Return what the verified runs say, with the links and with links of half the length."""
+    """Return what the verified runs say, with the links and with shorter ones."""
     rows = []
-    for name, cast in (("as planned", plan.cast), ("links of half the length", plan.finer)):
+    for name, cast in (("as planned", plan.cast), ("shorter links", plan.finer)):
         if cast is None:
             rows.append((name, "not run", "", "", "", ""))
             continue

@@ -16,7 +16,7 @@ from hyperflex.report.page import Section
 _FILM = "wound.gif"
 _OWN = (
     "The rope is planned with as it was identified, {coarse} links (cut shorter near the target); what it then does is "
-    "simulated with the same model, and again with links of half the length."
+    "simulated with the same model, and again with shorter links."
 )
 
 
