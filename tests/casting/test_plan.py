@@ -216,6 +216,18 @@ def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypa
 
 
 @pytest.mark.parametrize(
+    ("scores", "hurried", "worth"),
+    [([], False, False), ([0.5], False, True), ([0.5], True, False), ([1.0], True, True)],
+)
+def test_poor_throws_are_refined_only_where_swings_do_not_lack_time(
+    scores: list[float], hurried: bool, worth: bool
+) -> None:
+    search = Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY)
+    search.landings = [course.Landing(score, 1.0, 1, np.zeros(3), None) for score in scores]  # type: ignore[arg-type]
+    assert course.Course(search, 60.0).near(hurried) is worth
+
+
+@pytest.mark.parametrize(
     ("ends", "told"),
     [
         ([1.6, 1.5, 1.7], 1.5),  # the one that differs more

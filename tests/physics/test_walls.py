@@ -40,6 +40,15 @@ def test_a_rod_bounces_as_its_restitution_says(e: float) -> None:
     assert run.contact_loss[-1] == pytest.approx(lost, rel=1e-3, abs=1e-9)
 
 
+@pytest.mark.parametrize(("rate", "back"), [(0.11, 0.0), (0.14, -0.07)])
+def test_with_long_steps_what_closes_slowly_does_not_bounce(rate: float, back: float) -> None:
+    """At 1 ms the limit is 50 mm/s; the rod's end closes at 44 and at 56 mm/s."""
+    rod = hf.Rope(length=[0.5], mass=[0.05], radius=RADIUS, gravity=(0.0, 0.0))
+    wall = hf.Wall(0.3, -1.0, 0.3, 1.0, mu=0.0, restitution=0.5)
+    run = hf.simulate(rod, duration=7.0, q0=[0.0], qd0=[rate], pegs=[wall], contact_step=1e-3)
+    assert run.qd[-1, 0] == pytest.approx(back, abs=5e-3)  # pushed out at a millimetre a second at most
+
+
 def test_a_bouncing_rope_gains_no_energy() -> None:
     rope = hf.Rope.uniform(0.6, 0.06, 12, RADIUS, friction=1e-3)
     floor, peg = hf.Ground(0.0, -0.35, mu=0.4, restitution=0.8), hf.Peg(0.2, -0.2, 0.03, 0.4, restitution=0.8)
