@@ -48,7 +48,7 @@ def test_a_cast_that_bears_less_than_is_asked_has_failed():
     assert bearing(cast, PEG, 0.9 * force) is cast
     failed = bearing(cast, PEG, 1.1 * force)
     assert (failed.wound, failed.held, failed.success) == (True, False, False)
-    assert failed.reason == f"it bears {force:.3g} N, and {1.1 * force:.3g} are asked"
+    assert failed.reason == f"it bears {force:.3g} N, and {1.1 * force:.3g} N are asked"
 
 
 @pytest.mark.parametrize(("asked", "stands"), [(0.0, True), (0.9, True), (1.1, False)])

@@ -83,4 +83,4 @@ def bearing(cast: Cast, peg: Peg, asked: float) -> Cast:
     if held.tug.holds(asked):
         return cast
     bears = f"it bears {held.force:.3g} N" if held.tug.slipped else f"it was pulled with {held.force:.3g} N at most"
-    return replace(cast, held=False, reason=f"{bears}, and {asked:.3g} are asked")
+    return replace(cast, held=False, reason=f"{bears}, and {asked:.3g} N are asked")
