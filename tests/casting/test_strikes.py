@@ -61,6 +61,20 @@ def test_a_side_on_which_the_rope_starts_inside_the_peg_is_left_out() -> None:
         wide.swing()
 
 
+def test_a_search_that_starts_anew_keeps_what_it_found_and_asks_for_other_swings() -> None:
+    search, asked = Search(THROWER, hf.Peg(0.9, -0.9, 0.03), threads=2), []
+    for _ in range(2):
+        search.renew()
+        before = len(search.swings)
+        search.swing()
+        assert len(search.swings) > before
+        asked.append({side: one.mean for side, one in search._free.items()})
+    spread = search.genes[1].spreads()
+    for side, mean in asked[0].items():
+        assert np.abs(mean - asked[1][side]).max() > 0.05 * spread.max()
+        assert np.abs(mean - search.genes[side].centre()).max() < 3.0 * spread.max()  # one generation from the start
+
+
 def test_a_search_that_is_nearly_over_gives_no_run_much_time() -> None:
     search = Search(THROWER, hf.Peg(0.9, -0.9, 0.03), threads=2)
     assert search.allowance(60) == PATIENCE  # without an end
