@@ -314,25 +314,3 @@ def test_late_swings_are_tried_beside_the_peg_once_they_are_worth_it(
     monkeypatch.setattr(course.Course, "done", lambda self: not scores)
     work.go(None)
     assert tried == [1.0, 1.1, 1.2, 1.3, 1.5][-tries:]
-
-
-@pytest.mark.parametrize(("strike", "renewed"), [(0.9, [5, 9]), (0.2, [3, 5, 7, 9])])
-def test_a_search_that_gains_no_more_starts_anew(
-    monkeypatch: pytest.MonkeyPatch, strike: float, renewed: list[int]
-) -> None:
-    """After so many idle rounds, fewer where swings do not lack time; what counts is the best of all, as before."""
-    search = Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
-    work, rounds, anew = course.Course(search, 1e3), [], []
-
-    def swing(self: course.Course) -> float:
-        rounds.append(search.runs)
-        search.runs += 1
-        search.swings[:] = [Swing(1.0, 1, np.zeros(3), strike * search.thrower.time)]
-        return 1.0
-
-    monkeypatch.setattr(course.Course, "swing", swing)
-    monkeypatch.setattr(Search, "renew", lambda self: anew.append(len(rounds)))
-    monkeypatch.setattr(Search, "try_ends", lambda self: None)
-    monkeypatch.setattr(course.Course, "done", lambda self: len(rounds) == 10)
-    work.go(None)
-    assert anew == renewed

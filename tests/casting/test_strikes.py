@@ -12,7 +12,6 @@ from hyperflex.casting.landing import PATIENCE
 from hyperflex.casting.search import LEAST, Search
 from hyperflex.casting.strikes import NEAR, first, fly, promise
 from hyperflex.errors import InvalidInput
-from hyperflex.model import divided
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 THROWER = Thrower(CABLE, hf.Arm(length=0.105), MotorLimits())
@@ -60,36 +59,6 @@ def test_a_side_on_which_the_rope_starts_inside_the_peg_is_left_out() -> None:
     wide = Search(thrower, hf.Peg(0.0, -1.0, 0.6))
     with pytest.raises(InvalidInput, match="on either side"):
         wide.swing()
-
-
-def test_a_search_that_starts_anew_keeps_what_it_found_and_asks_for_other_swings() -> None:
-    search, asked = Search(THROWER, hf.Peg(0.9, -0.9, 0.03), threads=2), []
-    for _ in range(2):
-        search.renew()
-        before = len(search.swings)
-        search.swing()
-        assert len(search.swings) > before
-        asked.append({side: one.mean for side, one in search._free.items()})
-    spread = search.genes[1].spreads()
-    for side, mean in asked[0].items():
-        assert np.abs(mean - asked[1][side]).max() > 0.05 * spread.max()
-        assert np.abs(mean - search.genes[side].centre()).max() < 3.0 * spread.max()  # one generation from the start
-
-
-def test_a_swing_counts_what_it_promises_with_shorter_links_too() -> None:
-    """The lesser of the two; what strikes with links as given alone is no swing."""
-    peg = hf.Peg(0.6, -0.2, 0.03)
-    search, less = Search(THROWER, peg, threads=2), 0
-    shorter = Thrower(divided(CABLE, 2), THROWER.arm, THROWER.limits, THROWER.time)
-    for _ in range(6):
-        search.swing()
-    assert len(search.swings) >= 4
-    for one in search.swings:
-        throw = [search.genes[one.side].throw(one.x)]
-        scores = [fly(who, peg, throw).score[0] for who in (THROWER, shorter)]
-        assert one.score == min(scores) > 0.0
-        less += scores[1] < scores[0]
-    assert less
 
 
 def test_a_search_that_is_nearly_over_gives_no_run_much_time() -> None:

@@ -76,9 +76,6 @@ class Course:
                 self.search.refine()
                 close += 1
             else:
-                if settled:
-                    self.search.renew()
-                    idle = 0
                 before, score = score, self.swing()
                 idle = idle + 1 if 0.0 < score < SETTLED * before + 0.01 else 0
                 if self.due(score, settled):

@@ -126,7 +126,7 @@ def _settle(flights: Flights, stops: Array, begin: Array, arm: Arm, patience: fl
         further = _run(some, late, arm, patience, threads)
         whole = np.concatenate([turns[on], further.values["turns"][..., 0]], axis=1)
         ended = judge(np.append(early, after + late), whole, stops[on] + SETTLE, begin[on])
-        for k in np.flatnonzero(ended.turns >= HOPE):
+        for k in np.flatnonzero(ended.turns >= WOUND):
             ended.score[k] -= SLIDING * _slid(some, int(k), further.q[k], late, arm)
         found.score[on], found.turns[on] = ended.score, ended.turns
     return found

@@ -17,7 +17,7 @@ from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Peg, Setup, divided
+from hyperflex.model import Peg, Setup
 from hyperflex.motion import hold
 from hyperflex.simulation.inside import check_outside
 
@@ -33,10 +33,7 @@ NARROW = 0.25  # spread of a search beside the peg, in parts of the first one's
 
 
 class Swing(NamedTuple):
-    """A free swing that strikes the peg, and the lesser of its scores with links as given and with half as long ones.
-
-    After many strokes where a rope is depends on its links: what strikes well with some hardly does in earnest.
-    """
+    """A free swing that strikes the peg."""
 
     score: float
     side: int
@@ -91,16 +88,11 @@ class Search:
     def _begin(self) -> None:
         sides = [side for side in (-1, 1) if _clear(self.thrower, self.peg, side)]
         self.genes = {side: Genes(self.thrower, side) for side in sides}
-        self._finer = replace(self.thrower, rope=divided(self.thrower.rope, 2), time=self.thrower.time)
-        self.renew()
+        self._free = {side: self._evolution(g.centre(), 1.0, MEMBERS, g) for side, g in self.genes.items()}
         self.swings.clear()
         self.landings.clear()
         self._tried: list[Swing] = []
         self._close: tuple[int, Any] | None = None
-
-    def renew(self) -> None:
-        """Let the search on free swings start from its beginning, with other random numbers; what was found stays."""
-        self._free = {side: self._evolution(g.centre(), 1.0, MEMBERS, g) for side, g in self.genes.items()}
 
     def _evolution(self, centre: Array, size: float, members: int, genes: Genes) -> Any:
         return evolution(centre, size, genes.spreads(), members, self._random)
@@ -126,14 +118,10 @@ class Search:
         for side, found in flights.items():
             points = asked[side]
             self._free[side].tell(points, list(-found.score))
-            best = [int(k) for k in np.argsort(-found.score)[:KEPT] if found.score[k] > 0.0]
-            self.runs += len(points) + len(best)
-            if best:
-                throws = [self.genes[side].throw(points[k]) for k in best]
-                finer = strikes.fly(self._finer, self.peg, throws, threads=self.threads)
-                for k, other in zip(best, finer.score, strict=True):
-                    if (score := min(found.score[k], other)) > 0.0:
-                        self.swings.append(Swing(float(score), side, np.asarray(points[k]), float(found.t[k])))
+            self.runs += len(points)
+            for k in np.argsort(-found.score)[:KEPT]:
+                if found.score[k] > 0.0:
+                    self.swings.append(Swing(float(found.score[k]), side, np.asarray(points[k]), float(found.t[k])))
         self.swings.sort(key=lambda one: -one.score)
         return self.swings[0].score if self.swings else strikes.NEVER
 
