@@ -63,7 +63,7 @@ def main() -> None:
     print(text)
     if log.path is not None:
         name = f"robust-{options.rope}" + (f"-level-{options.level:g}" if options.level != 1.0 else "")
-        asked = {name: value for name, value in vars(options).items() if name != "out"}
+        asked = {option: value for option, value in vars(options).items() if option != "out"}
         told = {"machine": about, "options": asked, "rows": rows}
         files.write_text(log.path.with_name(f"{name}.json"), json.dumps(told, indent=1) + "\n")
         files.write_text(log.path.with_name(f"{name}.md"), text)
