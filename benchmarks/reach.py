@@ -87,7 +87,7 @@ def wanted(kinds: dict[int, str], count: int) -> list[int]:
 
 def _many(one: str, count: int) -> int:
     """Targets of a kind; fewer where the answer is nearly certain, or known from the benchmark itself."""
-    return math.ceil(count / {IN: 2, HIGH: 8}.get(one, 1))
+    return math.ceil(count / {IN: 2}.get(one, 1))
 
 
 def read(log: Path | None, rope: str, patience: float) -> dict[int, dict[str, Any]]:
