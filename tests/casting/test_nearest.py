@@ -13,10 +13,11 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.casting import MotorLimits, Thrower, elsewhere, nearest, reach
+from hyperflex.casting.candidates import Landing
 from hyperflex.casting.cast_plan import CastPlan
 from hyperflex.casting.genes import Genes
 from hyperflex.casting.remedies import remedies
-from hyperflex.casting.search import Landing, Search
+from hyperflex.casting.search import Search
 from tests.casting.known import CABLE, PEG, WINDS, late, planned, stopped, thrower, unreachable
 
 THROWER = thrower()

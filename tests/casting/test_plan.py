@@ -10,8 +10,9 @@ import pytest
 import hyperflex as hf
 from hyperflex import winding
 from hyperflex.casting import Thrower, course, plan
+from hyperflex.casting.candidates import Swing
 from hyperflex.casting.course import LONGER
-from hyperflex.casting.search import Search, Swing
+from hyperflex.casting.search import Search
 from hyperflex.errors import InvalidInput
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
@@ -79,7 +80,7 @@ def test_a_search_that_finds_nothing_says_so() -> None:
 
 
 def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) -> None:
-    landed = course.Landing(2.0, 2.0, 1, np.zeros(3), "a throw")  # type: ignore[arg-type]
+    landed = course.Landing(2.0, 2.0, 1, np.zeros(3), "a throw", firm=True)  # type: ignore[arg-type]
 
     def swing(self: Search) -> float:
         if self.landings:
@@ -90,6 +91,7 @@ def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) ->
     def verified(self: course.Course, found: course.Landing) -> object:
         return SimpleNamespace(success=False, turns=2.0, slipped=9e-3, reason="it slips"), None
 
+    monkeypatch.setattr(Search, "climb", swing)
     monkeypatch.setattr(Search, "swing", swing)
     monkeypatch.setattr(Search, "try_ends", lambda self: None)
     monkeypatch.setattr(course.Course, "verified", verified)
@@ -186,7 +188,7 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     ],
 )
 def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, second: dict, enough: bool) -> None:
-    search = SimpleNamespace(thrower=Thrower(CABLE, ARM, hf.MotorLimits()), landings=[])
+    search = SimpleNamespace(thrower=Thrower(CABLE, ARM, hf.MotorLimits()), peg=EASY, landings=[])
     work = course.Course(search, 1.0)  # type: ignore[arg-type]
     good = {"success": True, "turns": 2.3, "slipped": 1e-3, "grip": 0.8}
     pair = [SimpleNamespace(**(good | change)) for change in (first, second)]
@@ -256,8 +258,9 @@ def test_a_throw_is_verified_with_shorter_and_shorter_links(
 
 def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
     search = Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
-    motion = SimpleNamespace(motion=lambda limits: None)
-    search.landings = [course.Landing(3.0 - k, 2.0, 1, np.full(3, float(k)), motion) for k in range(3)]  # type: ignore[arg-type]
+    motion, strokes = SimpleNamespace(motion=lambda limits: None, count=2), search.genes[1].strokes
+    points = [np.full(2 * strokes + 4, float(k)) for k in range(3)]
+    search.landings = [course.Landing(3.0 - k, 2.0, 1, x, motion, firm=True) for k, x in enumerate(points)]  # type: ignore[arg-type]
     second, third = search.landings[1:]
     work = course.Course(search, 1.0)
     failed = SimpleNamespace(success=False, turns=0.4, slipped=np.nan, grip=np.nan)
@@ -302,7 +305,7 @@ def test_late_swings_are_tried_beside_the_peg_once_they_are_worth_it(
 ) -> None:
     """Those that strike early are tried at once."""
     search = Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
-    work, scores, tried = course.Course(search, 1e3), [1.0, 1.1, 1.2, 1.3, 1.5], []
+    work, scores, tried = course.Course(search, 1e3), [1.0, 1.1, 1.2, 1.3, 1.6], []
 
     def swing(self: course.Course) -> float:
         search.runs += 1
@@ -313,4 +316,4 @@ def test_late_swings_are_tried_beside_the_peg_once_they_are_worth_it(
     monkeypatch.setattr(Search, "try_ends", lambda self: tried.append(self.swings[0].score))
     monkeypatch.setattr(course.Course, "done", lambda self: not scores)
     work.go(None)
-    assert tried == [1.0, 1.1, 1.2, 1.3, 1.5][-tries:]
+    assert tried == [1.0, 1.1, 1.2, 1.3, 1.6][-tries:]

@@ -10,8 +10,9 @@ import pytest
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.casting import course, read_plan
+from hyperflex.casting.candidates import Landing
 from hyperflex.casting.outcome import SETTLING, WATCH
-from hyperflex.casting.search import Landing, Search
+from hyperflex.casting.search import Search
 from hyperflex.errors import InvalidInput
 from tests.casting.known import PEG, WINDS, late, planned, stopped, thrower, unreachable
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from hyperflex.casting import Uncertainty, flights
+from hyperflex.casting.candidates import Landing
 from hyperflex.casting.genes import Genes
 from hyperflex.casting.landing import Landings
 from hyperflex.casting.robust import HEATS, JUDGED, POOL, WORLDS, Hardening, Runner, _apart, worth
-from hyperflex.casting.search import Landing
 from tests.casting.test_landing import PEG, THROWER, WINDS
 
 

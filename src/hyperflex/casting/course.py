@@ -9,21 +9,26 @@ from dataclasses import replace
 
 import numpy as np
 
+from hyperflex.casting.candidates import Landing
 from hyperflex.casting.clock import Clock
 from hyperflex.casting.hold import bearing
 from hyperflex.casting.landing import SLIDING
 from hyperflex.casting.outcome import SLIP, WOUND, Cast, verify
 from hyperflex.casting.robust import Hardening
-from hyperflex.casting.search import Landing, Search
+from hyperflex.casting.search import Search
+from hyperflex.casting.strikes import TURNS_ENOUGH, USED
+from hyperflex.casting.targets import reach
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.uncertainty import Uncertainty
 from hyperflex.model import divided
 
 GENERATIONS = 5  # of free swings in a round
 SETTLED, ROUNDS = 1.03, 2  # a round that gains less than this factor is idle; so many idle ones, and the peg is next
-PROMISING, WORTHY = 0.9, 1.4  # score of swings that need not take longer, and of those that are worth a try
+PROMISING, WORTHY = 0.5, 0.8  # energy ratio of swings that need not take longer, and of those that are worth a try
+LEAST_TAIL = 0.5  # turns of tail that a swing is taken to have for that, at least
+NEARLY = 0.9  # score of a throw beside the peg that is worth being refined though all swings hurry
 EARLY, LONGER = 0.1, 1.5  # part of the patience after which swings that promise less may take longer, and how much
-FREE = 0.3  # part of the patience in which swings that hurry are not tried beside the peg before they are worth it
+FREE = 0.2  # part of the patience in which swings that hurry are not tried beside the peg before they are worth it
 SWINGING = 0.5  # part of the patience after which the search goes on beside the peg in any case
 RESTART = 12  # generations beside the peg from one place
 ALIKE = 0.05  # points that differ by less are one
@@ -55,6 +60,8 @@ class Course:
         search.left = lambda: SEARCHING * patience - self.spent
         thrower = search.thrower
         self.finer = [replace(thrower, rope=divided(thrower.rope, k), time=thrower.time) for k in FINER]
+        self.rounds = 0
+        self.tail = float(np.clip(reach(thrower, search.peg).room - USED, LEAST_TAIL, TURNS_ENOUGH))
         self.checked: list[Landing] = []
         self.best: tuple[Throw | None, Cast | None, Cast | None] = (None, None, None)
 
@@ -68,8 +75,13 @@ class Course:
         score, idle, close = 0.0, 0, 0
         while not self.search.runs or (self.spent < SEARCHING * self.patience and not self.done()):
             hurried = close > 0 and self.search.hurried
-            settled = idle >= ROUNDS * (2 if hurried and score < WORTHY else 1)
-            if hurried and score < PROMISING and self.longer and (settled or self.spent > EARLY * self.patience):
+            settled = idle >= ROUNDS * (2 if hurried and score < WORTHY * self.tail else 1)
+            if (
+                hurried
+                and score < PROMISING * self.tail
+                and self.longer
+                and (settled or self.spent > EARLY * self.patience)
+            ):
                 self.lengthen()
                 score, idle, close = 0.0, 0, 0
             elif close % RESTART and self.near(hurried) and (settled or self.spent > SWINGING * self.patience):
@@ -91,21 +103,24 @@ class Course:
         """Whether the best swings are to be tried beside the peg now."""
         if self.spent > SEARCHING * self.patience:
             return not self.search.landings
-        return score >= WORTHY or settled or not self.search.hurried or self.spent > FREE * self.patience
+        return score >= WORTHY * self.tail or settled or not self.search.hurried or self.spent > FREE * self.patience
 
     def near(self, hurried: bool) -> bool:
         """Whether a throw beside the peg is worth being refined: better swings help more where all are hurried."""
         landings = self.search.landings
-        return bool(landings) and (not hurried or landings[0].score >= PROMISING)
+        return bool(landings) and (not hurried or landings[0].score >= NEARLY)
 
     def lengthen(self) -> None:
         """Begin anew with swings that take longer."""
-        self.longer = False
+        self.longer, self.rounds = False, 0
         self.search.lengthen(LONGER)
         self.checked.clear()
 
     def swing(self) -> float:
-        """A round of free swings; returns the best score so far."""
+        """A round of free swings, by turns stroke by stroke and in whole; returns the best score so far."""
+        self.rounds += 1
+        if self.rounds % 2:
+            return self.search.climb()
         score = 0.0
         for _ in range(GENERATIONS):
             score = max(score, self.search.swing())
@@ -122,6 +137,7 @@ class Course:
         for _ in range(TRIES):
             if self.done() or (self.spent > SEARCHING * self.patience and self.best[0] is not None):
                 return
+            self.search.screen()
             found = self.fresh()
             if not found:
                 return
@@ -157,9 +173,13 @@ class Course:
         """Return throws that wind and are like none that was verified, nor like each other."""
         found: list[Landing] = []
         for one in self.search.landings:
-            if len(found) == self.search.workers or one.turns < WOUND:
+            if len(found) == self.search.workers:
                 break
-            if all(one.side != old.side or np.abs(one.x - old.x).max() > ALIKE for old in self.checked + found):
+            if (
+                one.firm
+                and one.turns >= WOUND
+                and all(one.side != old.side or np.abs(one.x - old.x).max() > ALIKE for old in self.checked + found)
+            ):
                 found.append(one)
         return found
 
@@ -170,7 +190,7 @@ class Course:
             for found, (cast, finer) in zip(some, pool.map(self.verified, some), strict=True):
                 worse = finer or cast
                 if not worse.success:
-                    self.search.correct(found, abs(worse.turns), SLIDING)
+                    self.search.correct(found, abs(worse.turns), abs(worse.turns) - SLIDING)
                 if self.best[0] is None or _rank(cast, finer) > _rank(*self.best[1:]):
                     self.best = (found.throw, cast, finer)
 

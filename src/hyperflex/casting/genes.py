@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +62,13 @@ class Genes:
         return np.concatenate(
             [np.full(k, self._usual_stroke / np.pi), np.full(k, self.rest / self.period), [0.5, 0.0, 0.05, 0.9]]
         )
+
+    def point(self, strokes: Sequence[float], rests: Sequence[float]) -> Array:
+        """Return the point that begins with given strokes, rad, and rests, s, and goes on as the centre does."""
+        x, k = self.centre(), min(self.strokes, len(strokes))
+        x[:k] = np.array(strokes[:k]) / np.pi
+        x[self.strokes : self.strokes + k] = np.array(rests[:k]) / self.period
+        return x
 
     def spreads(self) -> Array:
         """Standard deviations (2 k + 4,) at the start of a search."""

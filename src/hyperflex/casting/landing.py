@@ -13,8 +13,10 @@ from hyperflex.casting.strikes import arm_tip
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
-from hyperflex.model import Arm, Peg
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, Peg, Setup
 from hyperflex.simulation import Batch
+from hyperflex.simulation.inside import check_outside
 from hyperflex.winding import slid
 
 COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search; coarser ones of wound ropes took longer, not less
@@ -119,8 +121,10 @@ def _settle(flights: Flights, stops: Array, begin: Array, arm: Arm, patience: fl
     undone = np.maximum(np.minimum(found.turns, ENOUGH) - HOPE, 0.0)
     found = Landings(found.score - undone, np.minimum(found.turns, HOPE))
     on = np.flatnonzero(np.abs(np.nan_to_num(turns[:, -1])) >= HOPE)
+    after = float(early[-1])
+    on = np.array([k for k in on if _outside(flights, int(k), batch.q[k, -1], after, arm)], dtype=np.int64)
     if on.size:
-        some, after = flights.part(on.tolist()), float(early[-1])
+        some = flights.part(on.tolist())
         motions = [motion.shifted(-after) for motion in some.motions]
         some = replace(some, motions=motions, q=batch.q[on, -1], qd=batch.qd[on, -1])
         further = _run(some, late, arm, patience, threads)
@@ -130,6 +134,15 @@ def _settle(flights: Flights, stops: Array, begin: Array, arm: Arm, patience: fl
             ended.score[k] -= SLIDING * _slid(some, int(k), further.q[k], late, arm)
         found.score[on], found.turns[on] = ended.score, ended.turns
     return found
+
+
+def _outside(flights: Flights, k: int, q: Array, t: float, arm: Arm) -> bool:
+    """Whether the k-th rope at angles q keeps clear of its peg at time t, s: a coarse run may leave it too deep."""
+    try:
+        check_outside(Setup(flights.ropes[k], flights.motions[k], arm, pegs=(flights.pegs[k],)), t, q)
+    except InvalidInput:
+        return False
+    return True
 
 
 def _run(flights: Flights, t: Array, arm: Arm, patience: float, threads: int | None) -> Batch:

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from hyperflex.casting import flights
+from hyperflex.casting.candidates import Landing
 from hyperflex.casting.evolution import evolution
 from hyperflex.casting.genes import Genes
 from hyperflex.casting.landing import Landings
 from hyperflex.casting.outcome import WOUND
-from hyperflex.casting.search import Landing
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.casting.uncertainty import Draw, Uncertainty

@@ -8,7 +8,7 @@ its centre of mass over the top.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +17,12 @@ from hyperflex.casting.launch import finished
 from hyperflex.casting.throw import Throw
 from hyperflex.casting.thrower import Thrower
 from hyperflex.checks import Array
-from hyperflex.model import Arm, Peg
+from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.simulation import simulate_batch
 
 SAMPLE_TIME = 0.02  # s, between looks at a swing
-COARSE_TOL = 1e-3  # m, of swings in a search
+COARSE_TOL = 1e-4  # m, of swings in a search; with 1e-3, no more than a quarter faster, the best were often errors
 NEAR = 0.02  # m, gap from which on the rope is said to strike
 ENOUGH, TURNS_ENOUGH = 2.0, 2.0  # energy ratio, and turns of tail, beyond which more does not count
 USED = 0.7  # turns' worth of tail that hangs from the peg in the end, and does not wind
@@ -54,6 +54,10 @@ class Strikes:
     q: Array
     qd: Array
 
+    def part(self, rows: Sequence[int]) -> Strikes:
+        """Some of them, each as often as it is asked for."""
+        return Strikes(*(getattr(self, one.name)[list(rows)] for one in fields(self)))
+
 
 def fly(thrower: Thrower, peg: Peg, throws: Sequence[Throw], *, threads: int | None = None) -> Strikes:
     """Let the rope swing freely under each throw and look for its first strike on a peg."""
@@ -76,18 +80,17 @@ def look(thrower: Thrower, peg: Peg, motions: Sequence[Motion], *, threads: int 
         threads=threads,
     )
     finished(batch)
+    return found(thrower, peg, motions, t, batch.q, batch.qd)
+
+
+def found(thrower: Thrower, peg: Peg, motions: Sequence[Motion], t: Array, q: Array, qd: Array) -> Strikes:
+    """Find the first strikes in samples q, qd (M, T, n) at times t (T,) of free swings under motions (M,)."""
     base = np.stack([arm_tip(thrower.arm, motion, t) for motion in motions])
     base_velocity = np.stack([arm_tip_velocity(thrower.arm, motion, t) for motion in motions])
-    at, link, least = first(np.nan_to_num(batch.q), base, rope.length, peg, rope.radius)
-    struck = (at > 0) & np.isfinite(batch.q).all(axis=(1, 2))
+    at, link, least = first(np.nan_to_num(q), base, thrower.rope.length, peg, thrower.rope.radius)
+    struck = (at > 0) & np.isfinite(q).all(axis=(1, 2))
     rows, at = np.arange(len(motions)), np.where(struck, at, 1)
-    ratio, left = promise(
-        thrower,
-        peg,
-        (batch.q[rows, at], batch.qd[rows, at]),
-        (base[rows, at], base_velocity[rows, at]),
-        link,
-    )
+    ratio, left = promise(thrower, peg, (q[rows, at], qd[rows, at]), (base[rows, at], base_velocity[rows, at]), link)
     tail = np.clip(left - USED, 0.0, TURNS_ENOUGH)
     score = np.where(struck, np.minimum(ratio, ENOUGH) * tail, NEVER - least)
     return Strikes(
@@ -95,8 +98,8 @@ def look(thrower: Thrower, peg: Peg, motions: Sequence[Motion], *, threads: int 
         np.where(struck, ratio, 0.0),
         np.where(struck, left, 0.0),
         np.where(struck, t[at - 1], np.nan),
-        batch.q[rows, at - 1],
-        batch.qd[rows, at - 1],
+        q[rows, at - 1],
+        qd[rows, at - 1],
     )
 
 
@@ -152,6 +155,26 @@ def first(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) ->
     return at, link, np.maximum(gap.min(axis=(1, 2)), 0.0)
 
 
+def bodies(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
+    """Places and velocities of the links' centres of mass and of the tip (M, n + 1, 2), m, m/s.
+
+    Parameters
+    ----------
+    rope : Rope
+    q, qd : (M, n) rad, rad/s
+    base, velocity : (M, 2) m, m/s, of the first joint
+    """
+    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
+    across = np.stack([np.cos(q), np.sin(q)], axis=-1) * qd[..., None]
+    ends = base[:, None] + np.cumsum(rope.length[:, None] * along, axis=1)
+    speeds = velocity[:, None] + np.cumsum(rope.length[:, None] * across, axis=1)
+    back = (rope.length - rope.com)[:, None]
+    return (
+        np.concatenate([ends - back * along, ends[:, -1:]], axis=1),
+        np.concatenate([speeds - back * across, speeds[:, -1:]], axis=1),
+    )
+
+
 def promise(
     thrower: Thrower, peg: Peg, state: tuple[Array, Array], base: tuple[Array, Array], link: Array
 ) -> tuple[Array, Array]:
@@ -165,14 +188,9 @@ def promise(
     base : place and velocity of the first joint, (M, 2) each
     link : (M,) int64
     """
-    rope, (q, qd) = thrower.rope, state
-    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
-    across = np.stack([np.cos(q), np.sin(q)], axis=-1) * qd[..., None]
-    ends = base[0][:, None] + np.cumsum(rope.length[:, None] * along, axis=1) - np.array([peg.x, peg.y])
-    speeds = base[1][:, None] + np.cumsum(rope.length[:, None] * across, axis=1)
-    back = rope.length - rope.com
-    places = np.concatenate([ends - back[:, None] * along, ends[:, -1:]], axis=1)
-    speeds = np.concatenate([speeds - back[:, None] * across, speeds[:, -1:]], axis=1)
+    rope = thrower.rope
+    places, speeds = bodies(rope, *state, *base)
+    places -= np.array([peg.x, peg.y])
     mass = np.append(rope.mass, rope.tip_mass) * (np.arange(rope.n_links + 1) >= link[:, None])
     momentum = (mass * (places[..., 0] * speeds[..., 1] - places[..., 1] * speeds[..., 0])).sum(axis=1)
     inertia = (mass * (places**2).sum(axis=2)).sum(axis=1)
