@@ -67,13 +67,14 @@ def main() -> None:
     kinds = {number: kind(reach(thrower(options.rope), target(number))) for number in range(FIRST, FIRST + COUNTED)}
     known = read(log, options.rope, options.patience)
     lines.told(known.values())
-    for number in wanted(kinds, options.count):
+    asked = wanted(kinds, options.count)
+    for number in asked:
         if number not in known:
             known[number] = planned(options.rope, number, options.patience)
             print(kinds[number], known[number], flush=True)
             if log is not None:
                 lines.append(log, {"kernels": SOURCE_HASH, **known[number]})
-    page = f"# Reach: {options.rope}\n\n{text(kinds, known, options)}\n{machine.sentence(about)}\n"
+    page = f"# Reach: {options.rope}\n\n{text(kinds, {number: known[number] for number in asked}, options)}\n{machine.sentence(about)}\n"
     print(page)
     if log is not None:
         files.write_text(log.with_name(f"reach-{options.rope}.md"), page)

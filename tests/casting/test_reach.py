@@ -43,7 +43,7 @@ def test_the_energy_is_that_of_rods(far: float, aside: float) -> None:
         (at(1.8, 0.8), "turns is left beyond"),
         (at(0.08, 1.0), "inside the arm's circle"),
         (at(0.9, 0.0), "too little energy"),
-        (at(0.6, 2.5), "too little energy"),
+        (at(0.6, 2.5), "too little energy: it is higher than the rope swings"),
     ],
 )
 def test_what_is_out_of_reach_is_told_why(peg: hf.Peg, told: str) -> None:
