@@ -74,7 +74,8 @@ def main() -> None:
             print(kinds[number], known[number], flush=True)
             if log is not None:
                 lines.append(log, {"kernels": SOURCE_HASH, **known[number]})
-    page = f"# Reach: {options.rope}\n\n{text(kinds, {number: known[number] for number in asked}, options)}\n{machine.sentence(about)}\n"
+    rows = {number: known[number] for number in asked}
+    page = f"# Reach: {options.rope}\n\n{text(kinds, rows, options)}\n{machine.sentence(about)}\n"
     print(page)
     if log is not None:
         files.write_text(log.with_name(f"reach-{options.rope}.md"), page)

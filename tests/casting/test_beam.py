@@ -11,7 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.casting import MotorLimits, Thrower, beam, strikes
 from hyperflex.casting.beam import Beam
-from hyperflex.casting.candidates import APART, SCREENED, SHARED, Landing, Swing
+from hyperflex.casting.candidates import APART, SCREENED, SHARED, Landing, Swing, corrected
 from hyperflex.casting.genes import LAST, Genes
 from hyperflex.casting.landing import Landings
 from hyperflex.casting.outcome import WOUND
@@ -174,6 +174,20 @@ def test_throws_that_do_not_wind_with_shorter_links_lose_and_so_do_those_of_the_
     ran.clear()
     work.screen()
     assert not ran  # the best one that winds is sure
+
+
+def test_a_firm_throw_loses_only_by_what_was_firm_too() -> None:
+    """One that winds with shorter links is no worse for another of its swing that does not; but if it fails when it is
+    verified, so may the others."""
+    sure, other = (
+        one._replace(firm=firm) for one, firm in zip(landings(Search(THROWER, LEVEL), 2), (True, False), strict=True)
+    )
+    after = corrected([sure, other], other, 0.2, 0.3)
+    assert after[0] == sure
+    assert (after[1].turns, after[1].score, after[1].firm) == (0.2, 0.3, True)
+    third = other._replace(firm=True)
+    after = corrected([sure, third], sure, 0.2, -0.8)
+    assert [one.turns for one in after] == pytest.approx([third.turns - SHARED * (sure.turns - 0.2), 0.2])
 
 
 def test_a_throw_that_strikes_nothing_with_shorter_links_fails(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ from hyperflex.casting.landing import ENOUGH, HOPE, LAST, LATE, PASSING, SLIDING
 from hyperflex.casting.launch import Flights
 from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.strikes import fly
+from hyperflex.errors import InvalidInput
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 THROWER = Thrower(CABLE, hf.Arm(length=0.105), MotorLimits())
@@ -127,6 +128,22 @@ def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypa
     found = settle(both, np.zeros(2), arm=THROWER.arm)
     assert found.turns[0] <= HOPE
     assert found.score[0] <= HOPE + PASSING * 2.0
+
+
+def test_a_run_that_is_too_deep_in_the_peg_to_go_on_counts_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Coarse runs sink deeper than a run may begin: one throw of a search ended it with an error."""
+    strike = fly(THROWER, PEG, [WINDS])
+    state, asked = (strike.t, strike.q, strike.qd), []
+
+    def refuse(setup: hf.Setup, t: float, q: np.ndarray) -> None:
+        asked.append((t, q.shape))
+        raise InvalidInput("too deep")
+
+    monkeypatch.setattr(landing, "check_outside", refuse)
+    found = land(THROWER, PEG, [WINDS], state)
+    assert found.turns[0] == HOPE
+    assert found.score[0] < WOUND
+    assert [shape for _, shape in asked] == [(50,)]
 
 
 @pytest.mark.parametrize("what", ["swings", "landings", "drawn worlds"])

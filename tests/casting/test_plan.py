@@ -266,6 +266,11 @@ def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypa
     failed = SimpleNamespace(success=False, turns=0.4, slipped=np.nan, grip=np.nan)
     monkeypatch.setattr(course, "verify", lambda *_, **__: failed)
     assert work.fresh() == search.landings[:2]  # as many as threads
+    unsure = [one._replace(firm=k > 0) for k, one in enumerate(search.landings)]
+    monkeypatch.setattr(search, "landings", unsure)
+    assert work.fresh() == unsure[1:]  # throws that were run with shorter links
+    monkeypatch.undo()
+    monkeypatch.setattr(course, "verify", lambda *_, **__: failed)
     work.check(search.landings[:1])
     assert search.landings[0] is second
     assert search.landings[1] is third
