@@ -304,6 +304,19 @@ def test_late_swings_that_promise_too_little_may_take_longer_once(
     assert found.thrower.time == factor * usual
 
 
+def test_rounds_of_swings_are_stroke_by_stroke_and_in_whole_by_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With more time the swings at hand are continued first."""
+    work, made = course.Course(Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY), 60.0), []
+    monkeypatch.setattr(Search, "climb", lambda self: made.append("stroke by stroke") or 0.5)
+    monkeypatch.setattr(Search, "swing", lambda self: made.append("whole") or 0.7)
+    assert [work.swing() for _ in range(3)] == [0.5, 0.7, 0.5]
+    whole = ["whole"] * course.GENERATIONS
+    assert made == ["stroke by stroke", *whole, "stroke by stroke"]
+    work.lengthen()
+    work.swing()
+    assert made[-1] == "stroke by stroke"
+
+
 @pytest.mark.parametrize(("strike", "tries"), [(0.9, 1), (0.2, 5)])
 def test_late_swings_are_tried_beside_the_peg_once_they_are_worth_it(
     monkeypatch: pytest.MonkeyPatch, strike: float, tries: int

@@ -56,6 +56,10 @@ def test_a_slow_motor_is_told_from_little_energy() -> None:
     slow = replace(THROWER, limits=MotorLimits(speed=0.5, acceleration=5.0))
     assert reach(THROWER, at(0.9, 0.46)).within
     assert "motor is too slow" in reach(slow, at(0.9, 0.46)).reason
+    told = reach(slow, at(0.9, 1.5))
+    assert told.energy < 0.0
+    assert "motor is too slow" in told.reason
+    assert "higher than the rope swings" in told.reason
 
 
 def test_a_wider_swing_reaches_more() -> None:

@@ -24,14 +24,12 @@ from hyperflex.control import swing_period
 from hyperflex.model import Peg, Rope, divided
 from hyperflex.motion import Motion, moves
 
-WIDTH, EACH = (
-    12,
-    2,
-)  # swings of a side that are continued, and of those at most so many after the same strokes
+WIDTH, EACH = 12, 2  # swings of a side that are continued, and how many of them after the same strokes
 RESTS, LONGEST = 5, 0.6  # rests that are tried after a stroke, and the longest of them, in periods
 SIZES = ((1.0, 1.0), (0.5, 0.9), (0.15, 0.5))  # of the strokes that are tried after each rest, in usual ones
 WATCHED = 0.7  # periods after a stroke in which a strike is looked for
-FINER, ASTRAY = 3, 0.005  # pieces of each link; rope lengths by which the tip may then be elsewhere after a stroke
+FINER = 3  # pieces of each link, as in the last verification
+ASTRAY = 0.005  # rope lengths by which the tip may then be elsewhere after a stroke
 
 
 class Strike(NamedTuple):

@@ -172,14 +172,11 @@ class Course:
     def fresh(self) -> list[Landing]:
         """Return throws that wind and are like none that was verified, nor like each other."""
         found: list[Landing] = []
-        for one in self.search.landings:
+        sure = (one for one in self.search.landings if one.firm and one.turns >= WOUND)
+        for one in sure:
             if len(found) == self.search.workers:
                 break
-            if (
-                one.firm
-                and one.turns >= WOUND
-                and all(one.side != old.side or np.abs(one.x - old.x).max() > ALIKE for old in self.checked + found)
-            ):
+            if all(one.side != old.side or np.abs(one.x - old.x).max() > ALIKE for old in self.checked + found):
                 found.append(one)
         return found
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex.casting import landing, strikes
-from hyperflex.casting.beam import Beam
+from hyperflex.casting.beam import FINER, Beam
 from hyperflex.casting.candidates import Landing, Swing, apart, corrected, unsure
 from hyperflex.casting.evolution import evolution
 from hyperflex.casting.genes import LAST, Genes
@@ -32,7 +32,6 @@ MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
 RARE, LEAST = 10.0, 0.5  # of how many runs one takes very long; processor time that each may take in any case, s
 LATE = 0.5  # part of the time allowed
 FIRM = 32  # swings at once that are flown with shorter links too, and then kept
-FINER = 3  # pieces of each link there: as in the last verification
 NARROW = 0.25  # spread of a search beside the peg, in parts of the first one's
 
 

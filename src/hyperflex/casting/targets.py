@@ -92,12 +92,11 @@ def reach(thrower: Thrower, peg: Peg, *, hold: float = 0.0) -> Reach:
     energy = _energy(thrower, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
     bears = _hold(thrower, peg, room, _contact(far, aside, axis), _straight(far, axis))
     impossible, reason = _verdict(thrower, far, axis, room, needed)
-    if not reason and energy < 0.0:
-        reason = "out of reach: too little energy: it is higher than the rope swings"
     if not reason and energy < ENERGY:
         slow = _gain(thrower) < 0.5 * _gain(thrower, fast=True)
         why = "the motor is too slow to swing the rope up" if slow else "too little energy"
-        reason = f"out of reach: {why}: at the strike {energy:.2f} of what lifts the tail over it, {ENERGY:g} needed"
+        told = f"at the strike {energy:.2f} of what lifts the tail over it, {ENERGY:g} needed"
+        reason = f"out of reach: {why}: {'it is higher than the rope swings' if energy < 0.0 else told}"
     if not reason and bears < asked:
         reason = f"out of reach: wound it bears {bears:.3g} N at most, {asked:g} N asked"
     return Reach(room, needed, energy, bears, impossible, reason)
