@@ -27,7 +27,7 @@ def test_the_energy_is_that_of_rods(far: float, aside: float) -> None:
     """By quadrature along the rope, in place of sums over links."""
     slope, length = abs(aside), 2.0
     pendulum = 2.0 * length / 3.0  # of a rod
-    wide = min(slope - np.arcsin(0.0325 / far) + GAIN * 0.21 / pendulum, WIDEST)
+    wide = min(slope - np.arcsin(0.0325 / far) + GAIN * 0.21 / pendulum, WIDEST[0])
     drop = quad(lambda s: s * (np.cos(slope) - np.cos(wide)), 0.0, length)[0]
     share = quad(lambda s: s**2, far, length)[0] / quad(lambda s: s**2, 0.0, length)[0]
     lift = quad(lambda s: (s - far) * (1.0 + np.cos(slope)), far, length)[0]
@@ -60,6 +60,14 @@ def test_a_slow_motor_is_told_from_little_energy() -> None:
     assert told.energy < 0.0
     assert "motor is too slow" in told.reason
     assert "higher than the rope swings" in told.reason
+
+
+@pytest.mark.parametrize(("tip", "widest"), [(0.0, WIDEST[0]), (0.02, WIDEST[1]), (0.5, WIDEST[1])])
+def test_a_rope_with_a_weight_at_its_end_swings_less_far_beyond_level(tip: float, widest: float) -> None:
+    """Just below the widest swing there is energy left, just above it there is none."""
+    who = replace(THROWER, rope=CABLE.replace(tip_mass=tip))
+    assert reach(who, at(1.0, widest - 0.01)).energy > 0.0
+    assert reach(who, at(1.0, widest + 0.01)).energy < 0.0
 
 
 def test_a_wider_swing_reaches_more() -> None:

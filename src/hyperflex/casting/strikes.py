@@ -134,25 +134,25 @@ def first(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) ->
     least : (M,) float64
         Smallest gap, m.
     """
-    count, samples, n = q.shape
-    sin, cos = np.sin(q), np.cos(q)
+    links = np.moveaxis(q, 2, 0)
+    sin, cos = np.sin(links, order="C"), np.cos(links, order="C")
     x, y = peg.x - base[..., 0], peg.y - base[..., 1]  # from a link's motor-side joint to the peg
-    gap = np.empty((count, samples, n))
-    beside = np.empty((count, samples, n))
-    for i in range(n):
-        along = np.clip(x * sin[..., i] - y * cos[..., i], 0.0, length[..., i])
-        inside = (along > 0.0) & (along < length[..., i])
-        across = x * cos[..., i] + y * sin[..., i]
-        gap[..., i] = np.hypot(x - along * sin[..., i], y + along * cos[..., i])
-        beside[..., i] = np.where(inside, across, 0.0)
-        x, y = x - length[..., i] * sin[..., i], y + length[..., i] * cos[..., i]
+    gap, beside = np.empty_like(sin), np.empty_like(sin)
+    each = np.moveaxis(np.broadcast_to(length, (len(q), 1, q.shape[2])), 2, 0)
+    for i, (s, c, long) in enumerate(zip(sin, cos, each, strict=True)):
+        along = x * s - y * c
+        beside[i] = np.where((along > 0.0) & (along < long), x * c + y * s, 0.0)
+        along = np.clip(along, 0.0, long)
+        gap[i] = np.sqrt((x - along * s) ** 2 + (y + along * c) ** 2)
+        x, y = x - long * s, y + long * c
     gap -= peg.radius + rope_radius
-    near: npt.NDArray[np.bool_] = np.asarray((gap < NEAR).any(axis=2))
+    near: npt.NDArray[np.bool_] = np.asarray((gap < NEAR).any(axis=0))
     hit = near & np.logical_or.accumulate(~near, axis=1)  # a rope that hangs beside the peg leaves it before it strikes
-    hit[:, 1:] |= (beside[:, 1:] * beside[:, :-1] < 0.0).any(axis=2) & ~near[:, :-1]  # through it between two samples
+    through = (beside[..., 1:] * beside[..., :-1] < 0.0).any(axis=0)  # between two samples
+    hit[:, 1:] |= through & ~near[:, :-1]
     at = np.where(hit.any(axis=1), hit.argmax(axis=1), 0)
-    link = gap[np.arange(count), at].argmin(axis=1)
-    return at, link, np.maximum(gap.min(axis=(1, 2)), 0.0)
+    link = gap[:, np.arange(len(q)), at].argmin(axis=0)
+    return at, link, np.maximum(gap.min(axis=(0, 2)), 0.0)
 
 
 def bodies(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:

@@ -21,12 +21,14 @@ from hyperflex import checks
 from hyperflex.casting.outcome import WOUND
 from hyperflex.casting.thrower import Thrower
 from hyperflex.control import swing_period
-from hyperflex.model import Peg
+from hyperflex.model import Peg, Rope
 
 MARGIN = 0.05  # turns beyond WOUND that a plan aims at, since the tail still swings
 HANGING = 2.0  # radii of the target that the rope's end hangs from it, at least
 GAIN = 2.2  # by which one stroke widens a swing, in units of the arm tip's way over the length of an equal pendulum
-WIDEST = 1.7  # rad, to which a rope can be swung: not far beyond level, where it goes slack
+# How far out a rope's weight is (length of an equal pendulum over its own: 2/3 of a uniform rope, 1 of a bob), and to
+# which angle it can be swung then, rad. Beyond level it goes slack: a weight at its end jerks it when it is taut again
+OUTWARD, WIDEST = (2.0 / 3.0, 0.74), (2.2, 1.7)
 ENERGY = 0.2  # of what lifts the tail over the target: with less than this at the strike no throw was found that winds
 
 
@@ -152,12 +154,16 @@ def _needed(far: float, aside: float, axis: float) -> float:
 
 def _gain(thrower: Thrower, *, fast: bool = False) -> float:
     """Angle by which one stroke widens a swing, rad; `fast`: if the motor were as fast as one likes."""
-    period, (least, greatest) = swing_period(thrower.rope), thrower.limits.angles
-    pendulum = math.hypot(*thrower.rope.gravity) * (period / (2.0 * math.pi)) ** 2
+    least, greatest = thrower.limits.angles
     stroke = min(math.pi, greatest - least)
-    gain = GAIN * 2.0 * thrower.arm.length * math.sin(0.5 * stroke) / pendulum
+    gain = GAIN * 2.0 * thrower.arm.length * math.sin(0.5 * stroke) / _pendulum(thrower.rope)
     time = float(thrower.limits.fastest([stroke])[0][0])
-    return gain if fast else gain * min(1.0, 0.5 * period / time)
+    return gain if fast else gain * min(1.0, 0.5 * swing_period(thrower.rope) / time)
+
+
+def _pendulum(rope: Rope) -> float:
+    """Length of a pendulum that swings as a rope does, m."""
+    return math.hypot(*rope.gravity) * (swing_period(rope) / (2.0 * math.pi)) ** 2
 
 
 def _energy(thrower: Thrower, far: float, aside: float, axis: float) -> float:
@@ -165,7 +171,8 @@ def _energy(thrower: Thrower, far: float, aside: float, axis: float) -> float:
     rope, gain = thrower.rope, _gain(thrower)
     near = aside - math.asin(min(1.0, axis / far))
     strokes = thrower.time / (0.5 * swing_period(rope))
-    wide = min(near + gain, gain * strokes, WIDEST)
+    widest = float(np.interp(_pendulum(rope) / rope.total_length, OUTWARD, WIDEST))
+    wide = min(near + gain, gain * strokes, widest)
     mass = np.append(rope.mass, rope.tip_mass)
     along = np.append(np.cumsum(rope.length) - rope.length + rope.com, rope.total_length)
     tail = np.where(along > far, mass, 0.0)
