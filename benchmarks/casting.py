@@ -25,9 +25,8 @@ import math
 import os
 import sys
 import threading
-from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +111,7 @@ def main() -> None:
         print(line(found), flush=True)
         if log is not None:
             lines.append(log, {"kind": kind, "patience": patience, **found})
+    rows.sort(key=lambda row: int(row["number"]))
     page = f"# Casting: {kind}\n\n{text(rows, options.rope)}\n{machine.sentence(about)} {lines.kernels(rows)}\n"
     print(page)
     if log is not None:
@@ -126,17 +126,18 @@ def read(log: Path | None, kind: str, patience: float) -> dict[int, dict[str, An
 
 
 def done(rope: str, numbers: list[int], patience: float, ours_alone: bool) -> Iterator[dict[str, Any]]:
-    """A row for each target: some are judged, with what time the planner leaves, while the next is planned."""
+    """A row for each target as it is judged: with what time the planner leaves, while the next is planned."""
     with ThreadPoolExecutor(JUDGES, initializer=yielding) as judge:
-        waiting: deque[Future[dict[str, Any]]] = deque()
+        waiting: list[Future[dict[str, Any]]] = []
         for number in numbers:
             peg = target(number)
             plan = plan_cast(thrower(rope).rope, casting_arm(), peg, patience=patience, regardless=True, seed=number)
             waiting.append(judge.submit(entry, number, rope, plan, ours_alone))
-            while waiting and waiting[0].done():
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+            for one in [one for one in waiting if one.done()]:
+                waiting.remove(one)
+                yield one.result()
+        for one in as_completed(waiting):
+            yield one.result()
 
 
 def yielding() -> None:
