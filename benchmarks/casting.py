@@ -104,7 +104,7 @@ def main() -> None:
     log = None if options.out == "-" else Path(options.out) / "casting.jsonl"
     known = read(log, kind, patience)
     rows = [known[number] for number in numbers if number in known]
-    lines.told(rows)
+    lines.told(rows, planned=True)
     missing = [n for n in numbers if n not in known]
     for found in done(options.rope, missing, patience, ours_alone=options.outside or options.ours):
         rows.append(found)
@@ -112,7 +112,8 @@ def main() -> None:
         if log is not None:
             lines.append(log, {"kind": kind, "patience": patience, **found})
     rows.sort(key=lambda row: int(row["number"]))
-    page = f"# Casting: {kind}\n\n{text(rows, options.rope)}\n{machine.sentence(about)} {lines.kernels(rows)}\n"
+    by = f"{machine.sentence(about)} {lines.made(rows)} {lines.made(rows, 'planner')}"
+    page = f"# Casting: {kind}\n\n{text(rows, options.rope)}\n{by}\n"
     print(page)
     if log is not None:
         name = f"casting-{kind.replace(' ', '-')}"
@@ -166,6 +167,7 @@ def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool) -> dict[str,
         "planned": plan.success,
         "reason": plan.reason,
         "kernels": SOURCE_HASH,
+        "planner": lines.planner(),
     }
     return told | {way: judged(rope, peg, motion) for way, motion in ways.items()}
 
@@ -182,6 +184,7 @@ def judged(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
         "turns": short(cast.turns),
         "slipped": short(cast.slipped),
         "strike": short(cast.strike),
+        "bend": short(cast.bend),
         "torque": short(cast.torque),
         "reason": cast.reason,
     }

@@ -6,6 +6,7 @@ do not run together; a line that is no row all the same is left out.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 from collections import Counter
@@ -13,9 +14,18 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import hyperflex.casting
 from hyperflex.core.jit import SOURCE_HASH
 
 Row = dict[str, Any]
+
+
+def planner() -> str:
+    """A hash of the sources that plan casts, as ``SOURCE_HASH`` is one of the kernels."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(hyperflex.casting.__file__).parent.glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def read(path: Path | None) -> list[Row]:
@@ -55,16 +65,17 @@ def _whole(line: bytes) -> bool:
         return False
 
 
-def kernels(rows: Iterable[Row]) -> str:
-    """A sentence for a page: which kernels made how many rows."""
-    counted = Counter(str(row.get("kernels")) for row in rows)
-    return f"Rows by kernels' hash: {', '.join(f'{name} {count}' for name, count in counted.most_common())}."
+def made(rows: Iterable[Row], by: str = "kernels") -> str:
+    """A sentence for a page: which kernels, or which planner, made how many rows."""
+    counted = Counter(str(row.get(by, "not recorded")) for row in rows)
+    return f"Rows by {by}: {', '.join(f'{name} {count}' for name, count in counted.most_common())}."
 
 
-def told(rows: Iterable[Row]) -> None:
-    """Say how many of the rows that are used again were made with other kernels than the present ones."""
-    hashes = [row.get("kernels") for row in rows]
-    others = [each for each in hashes if each != SOURCE_HASH]
-    if others:
-        names = ", ".join(sorted({str(each) for each in others}))
-        sys.stderr.write(f"{len(others)} of {len(hashes)} rows used again come from other kernels: {names}\n")
+def told(rows: Iterable[Row], planned: bool = False) -> None:
+    """Say how many of the rows that are used again were made with other kernels, or planner, than the present ones."""
+    rows = list(rows)
+    for by, present in (("kernels", SOURCE_HASH), *((("planner", planner()),) if planned else ())):
+        others = [row.get(by) for row in rows if row.get(by) != present]
+        if others:
+            names = ", ".join(sorted({str(each) for each in others}))
+            sys.stderr.write(f"{len(others)} of {len(rows)} rows used again come from other {by}: {names}\n")

@@ -66,16 +66,17 @@ def main() -> None:
     about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "reach.jsonl"
     kinds = {number: kind(reach(thrower(options.rope), target(number))) for number in range(FIRST, FIRST + COUNTED)}
     known = read(log, options.rope, options.patience)
-    lines.told(known.values())
+    lines.told(known.values(), planned=True)
     asked = wanted(kinds, options.count)
     for number in asked:
         if number not in known:
             known[number] = planned(options.rope, number, options.patience)
             print(kinds[number], known[number], flush=True)
             if log is not None:
-                lines.append(log, {"kernels": SOURCE_HASH, **known[number]})
+                lines.append(log, known[number])
     rows = {number: known[number] for number in asked}
-    page = f"# Reach: {options.rope}\n\n{text(kinds, rows, options)}\n{machine.sentence(about)}\n"
+    by = f"{machine.sentence(about)} {lines.made(rows.values(), 'planner')}"
+    page = f"# Reach: {options.rope}\n\n{text(kinds, rows, options)}\n{by}\n"
     print(page)
     if log is not None:
         files.write_text(log.with_name(f"reach-{options.rope}.md"), page)
@@ -103,6 +104,8 @@ def planned(rope: str, number: int, patience: float) -> dict[str, Any]:
     who = thrower(rope)
     plan = plan_cast(who.rope, who.arm, target(number), patience=patience, regardless=True, seed=number, threads=1)
     return {
+        "kernels": SOURCE_HASH,
+        "planner": lines.planner(),
         "rope": rope,
         "number": number,
         "patience": patience,

@@ -58,8 +58,8 @@ def main() -> None:
         fine = len(rows) < options.fine
         rows.append({plan: Case(options, log, number, plan).row(fine) for plan in PLANS})
         print(line(number, rows[-1]), flush=True)
-    lines.told(log.used)
-    text = page(rows, vars(options)) + f"\n{machine.sentence(about)}\n"
+    lines.told(log.used, planned=True)
+    text = page(rows, vars(options)) + f"\n{machine.sentence(about)} {lines.made(log.used + log.made, 'planner')}\n"
     print(text)
     if log.path is not None:
         name = f"robust-{options.rope}" + (f"-level-{options.level:g}" if options.level != 1.0 else "")
@@ -95,6 +95,7 @@ class Log:
         self.known = {_name(each["key"]): each["found"] for each in rows}
         self.old = {_name(each["key"]): each for each in rows}
         self.used: list[dict[str, Any]] = []
+        self.made: list[dict[str, Any]] = []
 
     def once(self, key: dict[str, Any], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Return what is known of a piece of work, or do it and keep it."""
@@ -103,8 +104,10 @@ class Log:
             self.used.append(self.old[name])
         elif name not in self.known:
             found = self.known[name] = make()
+            row = {"key": key, "kernels": SOURCE_HASH, "planner": lines.planner(), "found": found}
+            self.made.append(row)
             if self.path is not None:
-                lines.append(self.path, {"key": key, "kernels": SOURCE_HASH, "found": found})
+                lines.append(self.path, row)
         return self.known[name]
 
 

@@ -147,7 +147,7 @@ def main() -> int:
         else:
             print(json.dumps(rows[-1]), flush=True)
     links = "links cut as the pegs need it" if options.fine else "50 links of 40 mm"
-    found = {"machine": machine.describe(), "links": links, "kernels": log.kernels(rows), "summary": summary(rows)}
+    found = {"machine": machine.describe(), "links": links, "kernels": log.made(rows), "summary": summary(rows)}
     print(json.dumps(found["summary"], indent=1))
     if options.out != "-":
         files.write_text(options.out, json.dumps(found | {"throws": rows}, indent=1) + "\n")

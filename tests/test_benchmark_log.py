@@ -49,6 +49,15 @@ def test_rows_of_other_kernels_are_told(capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr().err == "2 of 3 rows used again come from other kernels: 0ld\n"
 
 
+def test_rows_of_another_planner_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [{"kernels": SOURCE_HASH, "planner": log.planner()}, {"kernels": SOURCE_HASH}]
+    log.told(rows)
+    assert capsys.readouterr().err == ""
+    log.told(rows, planned=True)
+    assert capsys.readouterr().err == "1 of 2 rows used again come from other planner: None\n"
+    assert log.made(rows, "planner") == f"Rows by planner: {log.planner()} 1, not recorded 1."
+
+
 def test_throws_with_other_links_are_not_used_again(tmp_path: Path) -> None:
     path = tmp_path / "throws.jsonl"
     log.append(path, {"index": 0, "kernels": "0ld"})  # as rows were before they said it

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyperflex import winding
-from hyperflex.casting import course, hold
+from hyperflex.casting import course, hold, outcome
 from hyperflex.casting.hold import bearing, holding
 from hyperflex.casting.search import Search
 from tests.casting.known import CABLE, PEG, planned
@@ -72,3 +72,36 @@ def test_a_pull_that_is_less_than_is_asked_tells_nothing_of_more(monkeypatch):
     monkeypatch.setattr(hold, "holding", lambda *_: None)
     assert bearing(cast, PEG, 0.1).reason == "what it bears could not be simulated"
     assert bearing(cast, PEG, 0.0) is cast
+
+
+@pytest.mark.parametrize(
+    ("touched", "begins"),
+    [
+        ([], np.nan),
+        ([1.0], 1.0),
+        ([1.0, 1.1, 1.2, 3.0, 3.1, 3.2, 3.3], 3.0),  # it grazes, then comes for good
+        ([1.0, 1.2, 1.4, 1.6, 3.0, 3.1], 1.0),  # breaks of 0.2 s are bounces
+        ([1.0, 1.1, 2.0, 2.1], 1.0),
+    ],
+)
+def test_the_strike_begins_the_longest_stay(touched: list[float], begins: float) -> None:
+    t = np.round(np.arange(0.0, 4.0, 0.1), 1)
+    assert outcome._longest_stay(t, np.isin(t, touched)) == pytest.approx(begins, nan_ok=True)
+
+
+def test_contact_and_bend_are_those_of_the_run() -> None:
+    """By the places of the joints, in place of angles."""
+    cast = planned().cast
+    assert cast is not None
+    assert cast.run is not None
+    run = cast.run
+    links = np.diff(run.joints, axis=1) / np.linalg.norm(np.diff(run.joints, axis=1), axis=2)[..., None]
+    bend = np.arccos(np.clip((links[:, 1:] * links[:, :-1]).sum(axis=2), -1.0, 1.0)).max()
+    assert cast.bend == pytest.approx(bend, abs=1e-6)
+    assert not cast.folded
+    assert replace(cast, bend=3.2).folded
+    away = run.joints[-1] - [PEG.x, PEG.y]
+    lies = np.flatnonzero(np.hypot(*away.T) < PEG.radius + 0.0025 + 0.002)
+    angle = np.unwrap(np.arctan2(away[lies, 1], away[lies, 0]))
+    assert cast.contact == pytest.approx(abs(angle[-1] - angle[0]), abs=0.5)  # to the length of a link on the peg
+    assert cast.touch <= cast.strike

@@ -9,7 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import winding
-from hyperflex.casting import Thrower, course, plan
+from hyperflex.casting import MotorLimits, Thrower, course, plan
 from hyperflex.casting.candidates import Swing
 from hyperflex.casting.course import LONGER
 from hyperflex.casting.search import Search
@@ -302,6 +302,19 @@ def test_late_swings_that_promise_too_little_may_take_longer_once(
     usual = given or Thrower(CABLE, ARM, hf.MotorLimits()).time
     assert (times[0], set(times)) == (usual, {usual, factor * usual})
     assert found.thrower.time == factor * usual
+
+
+def test_other_directions_of_gravity_are_refused() -> None:
+    with pytest.raises(InvalidInput, match="gravity along -y"):
+        hf.plan_cast(CABLE.replace(gravity=(9.81, 0.0)), ARM, hf.Peg(1.1, 0.5, 0.03))
+
+
+def test_sides_are_those_from_which_the_motor_can_begin() -> None:
+    """A rope that hangs from the arm at half a radian, not at a quarter turn."""
+    limits, arm = MotorLimits(angles=(-0.5, 0.5)), hf.Arm(length=0.5)
+    who = Thrower(CABLE, arm, limits)
+    assert set(Search(who, hf.Peg(0.5, -0.6, 0.03)).genes) == {-1, 1}
+    assert set(Search(who, hf.Peg(0.5 * np.sin(0.5), -1.2, 0.03)).genes) == {-1}
 
 
 def test_rounds_of_swings_are_stroke_by_stroke_and_in_whole_by_turns(monkeypatch: pytest.MonkeyPatch) -> None:

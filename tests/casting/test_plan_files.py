@@ -101,7 +101,10 @@ def test_the_motors_table_says_whether_its_throw_was_verified(tmp_path, made, ma
 
 def test_the_motors_table_of_a_throw_that_stands_bears_no_mark(tmp_path):
     planned().to_csv(tmp_path / "motion.csv")
-    assert not {"not verified", "fails"} & set(files.read_notes(tmp_path / "motion.csv"))
+    notes = files.read_notes(tmp_path / "motion.csv")
+    assert not {"not verified", "fails"} & set(notes)
+    assert notes["target"] == f"x {PEG.x:g} m, y {PEG.y:g} m, radius 0.04 m, mu 0.3"
+    assert notes["arm"] == "0.105 m, begins at -1.5708 rad"
 
 
 def test_an_interrupt_leaves_the_best_throw_that_was_not_verified(tmp_path, monkeypatch):

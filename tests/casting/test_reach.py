@@ -70,6 +70,27 @@ def test_a_rope_with_a_weight_at_its_end_swings_less_far_beyond_level(tip: float
     assert reach(who, at(1.0, widest + 0.01)).energy < 0.0
 
 
+def test_a_motor_that_cannot_hold_the_hanging_rope_is_refused_before_a_search() -> None:
+    asked = 0.125 * 9.81 * 0.105  # N m, weight times arm
+    weak = replace(THROWER, limits=MotorLimits(torque=0.99 * asked))
+    told = reach(weak, at(0.9, 0.46))
+    assert told.impossible
+    assert "too weak" in told.reason
+    assert "0.129 N m" in told.reason
+    assert reach(replace(THROWER, limits=MotorLimits(torque=1.01 * asked)), at(0.9, 0.46)).within
+    low = MotorLimits(torque=0.99 * asked, angles=(-1.0, 1.0))  # the arm begins 1 rad from hanging
+    assert reach(replace(THROWER, limits=low), at(0.9, 0.46)).within
+
+
+def test_the_pull_borne_is_that_of_the_end_that_hangs() -> None:
+    """With a fourth of the mass in its outer half, of which the end is a part, it bears a fourth."""
+    mass = np.repeat([1.0, 0.25], 25) * 0.0025
+    light = hf.Rope(length=np.full(50, 0.04), mass=mass, friction=np.full(50, 5e-4), radius=0.0025)
+    assert reach(replace(THROWER, rope=light), at(1.5, 0.9)).hold == pytest.approx(
+        0.25 * reach(THROWER, at(1.5, 0.9)).hold
+    )
+
+
 def test_a_wider_swing_reaches_more() -> None:
     energies = [reach(THROWER, at(1.0, a)).energy for a in (0.1, 0.3, 0.6, 0.9)]
     assert np.all(np.diff(energies) > 0.0)

@@ -61,6 +61,14 @@ def test_a_side_on_which_the_rope_starts_inside_the_peg_is_left_out() -> None:
         wide.swing()
 
 
+def test_a_rod_beside_the_peg_that_swings_through_it_strikes() -> None:
+    """It is near the peg before, and has not left it."""
+    base, length, peg = np.zeros((1, 3, 2)), np.array([1.0]), hf.Peg(0.0, -0.5, 0.001)
+    for angles, strike in (([0.03, -0.03, -0.06], 1), ([0.03, 0.001, 0.03], 1), ([0.03, 0.02, 0.03], 0)):
+        at, _, _ = first(np.array(angles)[None, :, None], base, length, peg, 0.0)
+        assert at[0] == strike
+
+
 def test_a_search_that_is_nearly_over_gives_no_run_much_time() -> None:
     search = Search(THROWER, hf.Peg(0.9, -0.9, 0.03), threads=2)
     assert search.allowance(60) == PATIENCE  # without an end

@@ -14,10 +14,10 @@ import hyperflex as hf
 from hyperflex.casting.hold import holding
 from hyperflex.casting.nearest import Nearest
 from hyperflex.report.animation import animate
-from hyperflex.report.cast import film_note, write_cast
+from hyperflex.report.cast import FILES, film_note, write_cast
 from hyperflex.report.cast_figures import course_figure, strike_figure, tug_figure
 from hyperflex.report.cast_place import place_figure
-from hyperflex.report.cast_words import instead, story, tiles, verdict
+from hyperflex.report.cast_words import folds, instead, story, tiles, verdict
 from hyperflex.report.style import png
 from tests.casting.known import PEG, late, planned, stopped, unreachable
 
@@ -90,7 +90,7 @@ def test_what_was_not_run_to_its_end_is_not_known(tmp_path, made):
     page = words_of(path)
     assert "not known strike, turns and hold" in page
     assert 'class="bad"' not in path.read_text("utf-8")
-    for invented in ("never", "0.00", "not on the target"):
+    for invented in ("never", "0.00", "does not stay"):
         assert invented not in page
     assert "does is not known" in page
 
@@ -104,6 +104,26 @@ def test_a_target_in_reach_that_is_not_to_blame_comes_with_advice(tmp_path, made
     assert "Nearest" not in page
     assert "No place was found" not in page
     assert f"took {plan.seconds:.0f} s and 4321 simulated runs" in page
+
+
+def test_a_graze_and_a_fold_are_told(tmp_path):
+    plan = planned()
+    assert "grazes" not in " ".join(story(plan, None))
+    assert folds(plan) == ""
+    cast = dataclasses.replace(plan.cast, touch=plan.cast.strike - 2.0, bend=4.0)
+    plan = dataclasses.replace(plan, cast=cast)
+    told = " ".join(story(plan, None))
+    assert f"grazes the target at {plan.cast.touch:.2f} s and comes off again. The rope strikes" in told
+    assert "folds by 229 degrees" in told
+
+
+def test_files_of_an_earlier_cast_go_with_it(tmp_path):
+    write_cast(tmp_path, planned())
+    assert (tmp_path / "motion.csv").exists()
+    (tmp_path / "notes.txt").write_text("mine")
+    write_cast(tmp_path, stopped(None))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "report.html"]
+    assert set(FILES) >= {path.name for path in write_cast(tmp_path / "new", planned())[0].values()}
 
 
 def test_a_target_in_reach_that_no_throw_winds_is_not_said_to_be_out_of_reach():

@@ -40,6 +40,33 @@ def test_an_existing_folder_keeps_its_other_files(tmp_path):
     assert not [path for path in tmp_path.iterdir() if path.is_dir()]
 
 
+def test_files_of_an_earlier_report_go(tmp_path):
+    for name in ("b", "old", "mine"):
+        (tmp_path / name).write_text("earlier")
+    with whole_folder(tmp_path, ("a", "b", "old", "never")) as stage:
+        fill(stage)
+        assert (tmp_path / "old").read_text() == "earlier"
+    assert content(tmp_path) == {"a": "new", "b": "new", "c": "new", "mine": "earlier"}
+
+
+@pytest.mark.parametrize("last", range(1, 6))
+def test_files_of_an_earlier_report_stay_if_the_new_one_fails(tmp_path, monkeypatch, last):
+    for name in ("b", "old"):
+        (tmp_path / name).write_text("earlier")
+    rename, calls = Path.rename, []
+
+    def failing(self: Path, to: Path) -> Path:
+        calls.append(self)
+        if len(calls) == last:  # a to its place, b out of the way, b to its place, c to its place, old out of the way
+            raise KeyboardInterrupt
+        return rename(self, to)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    with pytest.raises(KeyboardInterrupt), whole_folder(tmp_path, ("old",)) as stage:
+        fill(stage)
+    assert content(tmp_path) == {"b": "earlier", "old": "earlier"}
+
+
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left on device")])
 @pytest.mark.parametrize("last", range(1, 5))
 def test_a_move_that_fails_halfway_is_undone(tmp_path, monkeypatch, failure, last):

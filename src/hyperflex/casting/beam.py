@@ -8,7 +8,7 @@ it does then is left to chance.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -88,19 +88,19 @@ class Beam:
         self.thrower, self.peg, self.threads, self.runs = thrower, peg, threads, 0
         self._random, self._period = random, swing_period(thrower.rope)
         hanging = np.full((1, thrower.rope.n_links), thrower.rope.hanging_angle)
-        least, greatest = thrower.limits.angles
         self._struck: list[Strike] = []
-        start = {side: float(np.clip(side * 0.5 * np.pi, least, greatest)) for side in sides}
         still = np.zeros_like(hanging)
-        self._swings = [_Swing(0.0, side, (), (), start[side], 0.0, 0.0, hanging, still) for side in sides]
+        self._swings = [
+            _Swing(0.0, side, (), (), thrower.limits.start(side), 0.0, 0.0, hanging, still) for side in sides
+        ]
 
     def ready(self, time: float, most: int) -> bool:
         """Whether there are swings of less than so many strokes whose last one ends before a time, s."""
         return any(_ready(one, time, most) for one in self._swings)
 
-    def go(self, time: float, most: int) -> list[Strike]:
-        """Continue all swings that are ready; return the strikes before a time, s, best first."""
-        while self.ready(time, most):
+    def go(self, time: float, most: int, left: Callable[[], float] | None = None) -> list[Strike]:
+        """Continue all swings that are ready while time is left, s; return the strikes before a time, s, best first."""
+        while self.ready(time, most) and (left is None or left() > 0.0):
             later = [one for one in self._swings if not _ready(one, time, most)]
             struck, onward = self._continue([one for one in self._swings if _ready(one, time, most)])
             self._struck += struck
@@ -135,9 +135,9 @@ class Beam:
                 struck.append(Strike(float(seen.score[k]), swing.side, strokes, rests, at))
             first = int(ended[k])
             last = t.size if np.isnan(seen.t[k]) else round(float(seen.t[k]) / step) + 1
-            if first < last and np.isfinite(energy[k]):
+            some = q[k, first:last].copy(), qd[k, first:last].copy()
+            if first < last and all(np.isfinite(each).all() for each in some):
                 late, spent = float(t[first]) - time, swing.spent + rest + time
-                some = q[k, first:last].copy(), qd[k, first:last].copy()
                 new = _Swing(float(energy[k]), swing.side, strokes, rests, end, spent, late, *some)
                 onward.append((k, new))
         likely = _best(onward, 2 * WIDTH)
@@ -167,15 +167,18 @@ class Beam:
     def _tries(self, swing: _Swing) -> list[_Try]:
         """Strokes that are tried after a swing, as many as its rests until a strike allow."""
         limits, step, tries = self.thrower.limits, strikes.SAMPLE_TIME, []
+        usual = min(STROKE, limits.angles[1] - limits.angles[0])
         sense = -swing.side * (1 if len(swing.strokes) % 2 == 0 else -1)
         rests = (np.arange(RESTS) + self._random.uniform()) * LONGEST * self._period / RESTS
         rests = rests if swing.strokes else np.zeros(1)
         for rest in rests:
             at = int(rest / step)
+            ends: set[float] = set()
             for low, high in SIZES if at < len(swing.q) else ():
-                way = self._random.uniform(low, high) * STROKE
+                way = self._random.uniform(low, high) * usual
                 end = float(np.clip(swing.angle + sense * way, *limits.angles))
-                if sense * (end - swing.angle) > LEAST_STROKE:
+                if sense * (end - swing.angle) > LEAST_STROKE and end not in ends:
+                    ends.add(end)
                     (time,), ramp = limits.fastest([end - swing.angle])
                     motion = moves([swing.angle, end], [0.0], [time], ramp)
                     tries.append(_Try(swing, swing.late + at * step, at, end, float(time), motion))

@@ -96,7 +96,7 @@ class CastPlan:
         rate : float
             Rows a second, Hz.
         """
-        tables.write_motion(path, tables.motion_of(self), rate, notes=tables.note(self))
+        tables.write_motion(path, tables.motion_of(self), rate, notes=tables.notes(self))
 
     def to_netcdf(self, path: str | Path) -> None:
         """Write the verified run to NetCDF.

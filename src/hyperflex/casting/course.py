@@ -59,7 +59,7 @@ class Course:
         self.search, self.patience, self.longer, self.clock = search, patience, longer, Clock()
         search.left = lambda: SEARCHING * patience - self.spent
         thrower = search.thrower
-        self.finer = [replace(thrower, rope=divided(thrower.rope, k), time=thrower.time) for k in FINER]
+        self.finer = [replace(thrower, rope=divided(thrower.rope, k)) for k in FINER]
         self.rounds = 0
         self.tail = float(np.clip(reach(thrower, search.peg).room - USED, LEAST_TAIL, TURNS_ENOUGH))
         self.checked: list[Landing] = []
@@ -150,7 +150,8 @@ class Course:
 
     def harden(self, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
         """Look for the throw that wins in most worlds, for what patience is left, and verify the best ones."""
-        search, until = self.search, time.monotonic() + self.patience / NOMINAL - self.spent
+        self.patience /= NOMINAL
+        search, until = self.search, time.monotonic() + self.patience - self.spent
         work = Hardening(
             search.thrower, search.peg, search.genes, uncertainty, seed=search.seed, threads=search.threads
         )
@@ -233,7 +234,7 @@ def _rank(cast: Cast | None, finer: Cast | None) -> tuple[int, bool, bool, float
 def why_not(cast: Cast | None, finer: Cast | None, interrupted: bool) -> str:
     """Say why a cast fails, "" if it does not."""
     if cast is None:
-        return "interrupted before any throw was verified" if interrupted else "too little energy: no throw strikes it"
+        return "interrupted before any throw was verified" if interrupted else "no throw was found that strikes it"
     if cast.reason:
         return cast.reason
     if finer is None:

@@ -63,11 +63,13 @@ class Genes:
             [np.full(k, self._usual_stroke / np.pi), np.full(k, self.rest / self.period), [0.5, 0.0, 0.05, 0.9]]
         )
 
-    def point(self, strokes: Sequence[float], rests: Sequence[float]) -> Array:
-        """Return the point that begins with given strokes, rad, and rests, s, and goes on as the centre does."""
+    def point(self, strokes: Sequence[float], rests: Sequence[float], rest: float) -> Array:
+        """Return the point that begins with given strokes, rad, and rests, s, and after a rest, s, goes on as usual."""
         x, k = self.centre(), min(self.strokes, len(strokes))
         x[:k] = np.array(strokes[:k]) / np.pi
         x[self.strokes : self.strokes + k] = np.array(rests[:k]) / self.period
+        if k < self.strokes:
+            x[self.strokes + k] = rest / self.period
         return x
 
     def spreads(self) -> Array:

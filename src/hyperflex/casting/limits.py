@@ -58,6 +58,16 @@ class MotorLimits:
         object.__setattr__(self, "torque", torque)
         object.__setattr__(self, "angles", (least, greatest))
 
+    def start(self, side: int) -> float:
+        """Return the arm angle at which a cast begins, rad: a quarter turn, or what the motor's angles allow of it.
+
+        Parameters
+        ----------
+        side : {-1, 1}
+            Left or right.
+        """
+        return float(np.clip(side * 0.5 * np.pi, *self.angles))
+
     def fastest(self, ways: npt.ArrayLike, speed: npt.ArrayLike = 1.0) -> tuple[Array, Array]:
         """Return time and ramp of the fastest moves, as :func:`hyperflex.moves` takes them.
 

@@ -134,7 +134,7 @@ def around(search: Search) -> Iterator[Search]:
             if reach(thrower, peg).impossible:
                 continue
             beside = Search(thrower, peg, search.seed, search.threads, search.hold)
-            for side in (-1, 1):
+            for side in beside.genes:
                 points = [one.x for one in best if one.side == side]
                 if points:
                     beside.land(side, points)

@@ -22,6 +22,7 @@ SETTLING = 1.0  # s after the last move before the watch begins
 WATCH = 2.0  # s, for which the rope must hold
 SLIP = 5e-3  # m, by which it may slip meanwhile
 SAMPLE_TIME = 0.01  # s
+BOUNCE = 0.3  # s, off the peg that do not end a stay on it
 CALM = 0.1  # s, over which forces are means where a grip is judged: single steps jerk
 
 
@@ -42,7 +43,14 @@ class Cast:
         Greatest pull of the arm's side in the watch over what Capstan's rule lets the rope bear: below 1 with
         something in hand. NaN where the rope is not on the peg.
     strike : float
-        When the rope first touches the peg, s; NaN if it does not.
+        When the rope comes to the peg for its longest stay, s, breaks of BOUNCE left out; NaN if it never touches it.
+    touch : float
+        When it first touches the peg, s: before `strike` where it grazes it and comes off again.
+    contact : float
+        Angle about the peg from the first to the last link that lies on it at the end of the run, rad, >= 0.
+    bend : float
+        Sharpest bend between neighbouring links, rad: with more than pi the rope is folded through itself, which a
+        simulation without contact of the rope with itself allows and a real rope does not.
     torque : float
         Greatest torque that the arm's motion asks of the motor for the rope, N m.
     reason : str
@@ -57,6 +65,9 @@ class Cast:
     slipped: float
     grip: float
     strike: float
+    touch: float
+    contact: float
+    bend: float
     torque: float
     reason: str
     run: Trajectory | None
@@ -65,6 +76,11 @@ class Cast:
     def success(self) -> bool:
         """Wound and held."""
         return self.wound and self.held and not self.reason
+
+    @property
+    def folded(self) -> bool:
+        """Whether the rope is folded through itself somewhere on the way."""
+        return self.bend > np.pi
 
 
 def verify(
@@ -111,7 +127,9 @@ def verify(
             patience=patience,
         )
     except SimulationError as error:
-        return Cast(False, False, 0.0, np.nan, np.nan, np.nan, np.nan, f"the simulation failed ({error.status})", None)
+        nothing = dict.fromkeys(("slipped", "grip", "strike", "touch", "contact", "bend", "torque"), float("nan"))
+        reason = f"the simulation failed ({error.status})"
+        return Cast(wound=False, held=False, turns=0.0, **nothing, reason=reason, run=None)
     return judge(thrower, peg, run, stop)
 
 
@@ -138,8 +156,30 @@ def judge(thrower: Thrower, peg: Peg, run: Trajectory, stop: float) -> Cast:
         reason = "the rope leaves the peg" if not on else f"it slips by {1e3 * slipped:.1f} mm, {1e3 * SLIP:g} allowed"
     elif torque > thrower.limits.torque:
         reason = f"it asks {torque:.3g} N m of a motor that gives {thrower.limits.torque:.3g}"
-    strike = float(run.t[touched.argmax()]) if touched.any() else float("nan")
-    return Cast(enough, held, float(turns[-1]), slipped, grip, strike, torque, reason, run)
+    return Cast(
+        wound=enough,
+        held=held,
+        turns=float(turns[-1]),
+        slipped=slipped,
+        grip=grip,
+        strike=_longest_stay(run.t, touched),
+        touch=float(run.t[touched.argmax()]) if touched.any() else float("nan"),
+        contact=abs(float(wound.arc[-1])),
+        bend=float(np.abs(np.diff(run.q, axis=1)).max(initial=0.0)),
+        torque=torque,
+        reason=reason,
+        run=run,
+    )
+
+
+def _longest_stay(t: Array, touched: npt.NDArray[np.bool_]) -> float:
+    """When the longest stay on the peg begins, s; NaN where there is none. Breaks of BOUNCE do not end it."""
+    there = t[touched]
+    if not there.size:
+        return float("nan")
+    apart = np.flatnonzero(np.diff(there) > BOUNCE)
+    begins, ends = there[np.append(0, apart + 1)], there[np.append(apart, there.size - 1)]
+    return float(begins[(ends - begins).argmax()])
 
 
 def gripped(wound: Winding, watched: npt.NDArray[np.bool_], peg: Peg) -> float:

@@ -94,7 +94,7 @@ def plan_cast(
     >>> round(near.peg.x, 1), round(near.away, 1), near.plan
     (1.6, 0.9, None)
     >>> far.remedies
-    ('a rope of 2.92 m',)
+    ('a rope of 2.94 m',)
     """
     if not isinstance(target, Peg):
         raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
@@ -103,6 +103,8 @@ def plan_cast(
     patience = checks.number("patience", patience, sign="positive", unit="s")
     thrower = Thrower(rope, arm, MotorLimits() if limits is None else limits, 0.0 if time_limit is None else time_limit)
     Setup(thrower.rope, arm=thrower.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
+    if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
+        raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
     known = reach(thrower, target, hold=hold)
     search = Search(thrower, target, checks.count("seed", seed, least=0), threads, hold)
     if known.impossible or not (known.within or regardless):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -37,28 +38,40 @@ def remedies(thrower: Thrower, peg: Peg, *, hold: float = 0.0) -> tuple[str, ...
         return _least(lambda factor: reach(*changed(factor), hold=hold).within, most)
 
     factors = {
-        "motor": least(lambda f: (replace(thrower, limits=_faster(limits, f)), peg), FASTEST),
+        "speed": least(lambda f: (replace(thrower, limits=_faster(limits, f, 1.0)), peg), FASTEST),
+        "acceleration": least(lambda f: (replace(thrower, limits=_faster(limits, 1.0, f)), peg), FASTEST),
+        "motor": least(lambda f: (replace(thrower, limits=_faster(limits, f, f**2)), peg), FASTEST),
         "arm": least(lambda f: (replace(thrower, arm=replace(arm, length=f * arm.length)), peg)),
         "rope": least(lambda f: (replace(thrower, rope=_longer(rope, f)), peg)),
         "time": least(lambda f: (replace(thrower, time=f * thrower.time), peg)),
         "peg": least(lambda f: (thrower, replace(peg, radius=peg.radius / f))),
     }
-    fast = _faster(limits, factors["motor"])
+    if min(factors["speed"], factors["acceleration"]) < np.inf:
+        factors["motor"] = np.inf  # the other is enough as it is
+    faster, acceleration = factors["motor"] * limits.speed, factors["motor"] ** 2 * limits.acceleration
     words = {
-        "motor": f"a motor of {fast.speed:.3g} rad/s and {fast.acceleration:.3g} rad/s^2",
-        "arm": f"an arm of {1e3 * factors['arm'] * arm.length:.3g} mm",
-        "rope": f"a rope of {factors['rope'] * rope.total_length:.3g} m",
-        "time": f"{factors['time'] * thrower.time:.3g} s to strike",
-        "peg": f"a peg of {1e3 * peg.radius / factors['peg']:.3g} mm radius",
+        "speed": f"a motor of {_up(factors['speed'] * limits.speed)} rad/s",
+        "acceleration": f"a motor of {_up(factors['acceleration'] * limits.acceleration)} rad/s^2",
+        "motor": f"a motor of {_up(faster)} rad/s and {_up(acceleration)} rad/s^2",
+        "arm": f"an arm of {_up(1e3 * factors['arm'] * arm.length)} mm",
+        "rope": f"a rope of {_up(factors['rope'] * rope.total_length)} m",
+        "time": f"{_up(factors['time'] * thrower.time)} s to strike",
+        "peg": f"a peg of {_up(1e3 * peg.radius / factors['peg'], -1)} mm radius",
     }
     return tuple(words[name] for name, factor in factors.items() if 1.0 < factor < np.inf)
 
 
-def _faster(limits: MotorLimits, factor: float) -> MotorLimits:
-    """Limits of a motor that makes each move in 1 / `factor` of the time."""
-    if not np.isfinite(factor):
-        return limits
-    return replace(limits, speed=factor * limits.speed, acceleration=factor**2 * limits.acceleration)
+def _up(value: float, sense: int = 1) -> str:
+    """Write a value with three digits, rounded up (-1: down), so that what is told is enough."""
+    if not 0.0 < value < np.inf:
+        return str(value)
+    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return f"{sense * math.ceil(sense * value / unit - 1e-9) * unit:.3g}"
+
+
+def _faster(limits: MotorLimits, speed: float, acceleration: float) -> MotorLimits:
+    """Limits of a motor with so many times the speed and acceleration."""
+    return replace(limits, speed=speed * limits.speed, acceleration=acceleration * limits.acceleration)
 
 
 def _longer(rope: Rope, factor: float) -> Rope:
@@ -69,7 +82,7 @@ def _longer(rope: Rope, factor: float) -> Rope:
 
 def _least(good: Callable[[float], bool], most: float) -> float:
     """Return the least factor from 1 on that is good, rounded up to CLOSE; inf if there is none."""
-    tried: Array = np.geomspace(1.0, most, round(np.log(most) / 0.05))
+    tried: Array = np.geomspace(1.0, most, math.ceil(math.log(most) / math.log(1.05)) + 1)
     first = next((k for k, factor in enumerate(tried) if good(float(factor))), None)
     if first is None:
         return float("inf")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex.casting import landing, strikes
-from hyperflex.casting.beam import FINER, Beam
+from hyperflex.casting.beam import FINER, WATCHED, Beam, Strike
 from hyperflex.casting.candidates import Landing, Swing, apart, corrected, unsure
 from hyperflex.casting.evolution import evolution
 from hyperflex.casting.genes import LAST, Genes
@@ -71,7 +71,6 @@ class Search:
         self._begin()
 
     def _begin(self) -> None:
-        self._finer = replace(self.thrower, rope=divided(self.thrower.rope, FINER))
         sides = [side for side in (-1, 1) if _clear(self.thrower, self.peg, side)]
         self.genes = {side: Genes(self.thrower, side) for side in sides}
         self._free = {side: self._evolution(g.centre(), 1.0, MEMBERS, g) for side, g in self.genes.items()}
@@ -82,6 +81,11 @@ class Search:
 
     def _evolution(self, centre: Array, size: float, members: int, genes: Genes) -> Any:
         return evolution(centre, size, genes.spreads(), members, self._random)
+
+    @property
+    def _finer(self) -> Thrower:
+        """The same with shorter links."""
+        return replace(self.thrower, rope=divided(self.thrower.rope, FINER))
 
     @property
     def workers(self) -> int:
@@ -98,11 +102,14 @@ class Search:
         if self._beam is None or not self._beam.ready(time, most):
             self._beam = Beam(self.thrower, self.peg, list(self.genes), self._random, self.threads)
         before = self._beam.runs
-        found = self._beam.go(time, most)
+        found = self._beam.go(time, most, self.left)
         self.runs += self._beam.runs - before
-        return self._keep(
-            [Swing(one.score, one.side, self.genes[one.side].point(one.strokes, one.rests), one.t) for one in found]
-        )
+        rest = WATCHED * self.genes[found[0].side].period if found else 0.0  # the arm rests until the strike
+
+        def swing(one: Strike) -> Swing:
+            return Swing(one.score, one.side, self.genes[one.side].point(one.strokes, one.rests, rest), one.t)
+
+        return self._keep(list(map(swing, found)))
 
     def _keep(self, found: list[Swing]) -> float:
         """Keep the best of some swings that are not alike, as far as they do the same with shorter links.
@@ -181,7 +188,7 @@ class Search:
 
     def screen(self) -> None:
         """Run the best throws that wind again with shorter links, until the best one winds with these too."""
-        while some := unsure(self.landings):
+        while (self.left is None or self.left() > 0.0) and (some := unsure(self.landings)):
             throws = [one.throw for one in some]
             found = strikes.fly(self._finer, self.peg, throws, threads=self.threads)
             self.runs += 2 * len(some)
@@ -242,7 +249,7 @@ class Search:
 def _clear(thrower: Thrower, peg: Peg, side: int) -> bool:
     """Whether a rope that hangs from the arm on one side keeps clear of the peg."""
     try:
-        check_outside(Setup(thrower.rope, hold(side * 0.5 * np.pi), thrower.arm, pegs=(peg,)))
+        check_outside(Setup(thrower.rope, hold(thrower.limits.start(side)), thrower.arm, pegs=(peg,)))
     except InvalidInput:
         return False
     return True

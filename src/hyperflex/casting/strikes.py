@@ -148,8 +148,8 @@ def first(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) ->
     gap -= peg.radius + rope_radius
     near: npt.NDArray[np.bool_] = np.asarray((gap < NEAR).any(axis=0))
     hit = near & np.logical_or.accumulate(~near, axis=1)  # a rope that hangs beside the peg leaves it before it strikes
-    through = (beside[..., 1:] * beside[..., :-1] < 0.0).any(axis=0)  # between two samples
-    hit[:, 1:] |= through & ~near[:, :-1]
+    hit[:, 1:] |= (gap[..., 1:] < 0.0).any(axis=0)  # or swings into it
+    hit[:, 1:] |= (beside[..., 1:] * beside[..., :-1] < 0.0).any(axis=0)  # through it between two samples
     at = np.where(hit.any(axis=1), hit.argmax(axis=1), 0)
     link = gap[:, np.arange(len(q)), at].argmin(axis=0)
     return at, link, np.maximum(gap.min(axis=(0, 2)), 0.0)

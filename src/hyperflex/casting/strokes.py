@@ -41,7 +41,7 @@ class Strokes:
     def angles(self, limits: MotorLimits) -> Array:
         """Arm angles at the start and after each stroke (k + 1,), rad."""
         least, greatest = limits.angles
-        angles = [float(np.clip(self.side * 0.5 * np.pi, least, greatest))]
+        angles = [limits.start(self.side)]
         for end in np.clip(self.ends, least, greatest):
             way = end - angles[-1]
             if abs(way) < LEAST_WAY:

@@ -53,12 +53,16 @@ def write_motion(
     files.write_table(path, ["t", "angle"], np.column_stack([t, motion.angle(t)]), notes={**(notes or {}), **told})
 
 
-def note(plan: CastPlan) -> dict[str, str]:
-    """Return the note on a throw that does not stand: whether it fails or was not verified, and why; else none."""
+def notes(plan: CastPlan) -> dict[str, str]:
+    """Return what a throw is for, first whether it fails or was not verified, and why, if it does not stand."""
+    peg, rope = plan.peg, plan.thrower.rope
+    told = {"target": f"x {peg.x:g} m, y {peg.y:g} m, radius {peg.radius:g} m, mu {peg.mu:g}"}
+    told["rope"] = f"{rope.total_length:.4g} m, {rope.total_mass:.4g} kg"
+    told["arm"] = f"{plan.thrower.arm.length:g} m, begins at {motion_of(plan).angle(0.0):.4f} rad"
     if plan.success:
-        return {}
+        return told
     failed = any(cast is not None and cast.run is not None and cast.reason for cast in (plan.cast, plan.finer))
-    return {"fails" if failed else "not verified": plan.reason}
+    return {"fails" if failed else "not verified": plan.reason, **told}
 
 
 def write_plan(path: files.PathLike, plan: CastPlan) -> None:
@@ -174,6 +178,9 @@ def _outcome(cast: Cast) -> dict[str, Any]:
         "slipped_m": cast.slipped,
         "grip": cast.grip,
         "strike_s": cast.strike,
+        "first_touch_s": cast.touch,
+        "contact_rad": cast.contact,
+        "sharpest_bend_rad": cast.bend,
         "torque_Nm": cast.torque,
         "links": cast.run.q.shape[1],
         "reason": cast.reason,

@@ -29,7 +29,7 @@ GAIN = 2.2  # by which one stroke widens a swing, in units of the arm tip's way 
 # How far out a rope's weight is (length of an equal pendulum over its own: 2/3 of a uniform rope, 1 of a bob), and to
 # which angle it can be swung then, rad. Beyond level it goes slack: a weight at its end jerks it when it is taut again
 OUTWARD, WIDEST = (2.0 / 3.0, 0.74), (2.2, 1.7)
-ENERGY = 0.2  # of what lifts the tail over the target: with less than this at the strike no throw was found that winds
+ENERGY = 0.2  # of what lifts the tail over the target, at the strike
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,15 @@ def reach(thrower: Thrower, peg: Peg, *, hold: float = 0.0) -> Reach:
     energy = _energy(thrower, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
     bears = _hold(thrower, peg, room, _contact(far, aside, axis), _straight(far, axis))
     impossible, reason = _verdict(thrower, far, axis, room, needed)
+    if (torque := _holding(thrower)) > thrower.limits.torque:
+        impossible = True
+        reason = f"the motor is too weak: the rope that hangs from the arm asks {torque:.3g} N m of it at the start"
     if not reason and energy < ENERGY:
         slow = _gain(thrower) < 0.5 * _gain(thrower, fast=True)
         why = "the motor is too slow to swing the rope up" if slow else "too little energy"
+        high = f"it is higher than the rope swings, {math.degrees(_widest(rope)):.0f} degrees from hanging"
         told = f"at the strike {energy:.2f} of what lifts the tail over it, {ENERGY:g} needed"
-        reason = f"out of reach: {why}: {'it is higher than the rope swings' if energy < 0.0 else told}"
+        reason = f"out of reach: {why}: {high if energy < 0.0 else told}"
     if not reason and bears < asked:
         reason = f"out of reach: wound it bears {bears:.3g} N at most, {asked:g} N asked"
     return Reach(room, needed, energy, bears, impossible, reason)
@@ -120,6 +124,15 @@ def _verdict(thrower: Thrower, far: float, axis: float, room: float, needed: flo
             f"out of reach: rope for {max(room, 0.0):.2f} turns is left beyond the target, {needed:.2f} needed",
         )
     return False, ""
+
+
+def _holding(thrower: Thrower) -> float:
+    """Torque that holds the hanging rope before the cast, N m: the lesser of the two sides."""
+    rope = thrower.rope
+    gx, gy = rope.gravity
+    starts = [thrower.limits.start(side) for side in (-1, 1)]
+    lever = thrower.arm.length * min(abs(math.cos(angle) * gx + math.sin(angle) * gy) for angle in starts)
+    return float(rope.total_mass * lever)
 
 
 def _most(thrower: Thrower, far: float, axis: float) -> float:
@@ -161,6 +174,11 @@ def _gain(thrower: Thrower, *, fast: bool = False) -> float:
     return gain if fast else gain * min(1.0, 0.5 * swing_period(thrower.rope) / time)
 
 
+def _widest(rope: Rope) -> float:
+    """Angle to which a rope can be swung, rad."""
+    return float(np.interp(_pendulum(rope) / rope.total_length, OUTWARD, WIDEST))
+
+
 def _pendulum(rope: Rope) -> float:
     """Length of a pendulum that swings as a rope does, m."""
     return math.hypot(*rope.gravity) * (swing_period(rope) / (2.0 * math.pi)) ** 2
@@ -171,8 +189,7 @@ def _energy(thrower: Thrower, far: float, aside: float, axis: float) -> float:
     rope, gain = thrower.rope, _gain(thrower)
     near = aside - math.asin(min(1.0, axis / far))
     strokes = thrower.time / (0.5 * swing_period(rope))
-    widest = float(np.interp(_pendulum(rope) / rope.total_length, OUTWARD, WIDEST))
-    wide = min(near + gain, gain * strokes, widest)
+    wide = min(near + gain, gain * strokes, _widest(rope))
     mass = np.append(rope.mass, rope.tip_mass)
     along = np.append(np.cumsum(rope.length) - rope.length + rope.com, rope.total_length)
     tail = np.where(along > far, mass, 0.0)
@@ -186,10 +203,12 @@ def _hold(thrower: Thrower, peg: Peg, room: float, contact: float, straight: flo
     """Greatest pull that a wound rope bears, N, of all the turns that it has room for."""
     rope, axis = thrower.rope, peg.radius + thrower.rope.radius
     weight = math.hypot(*rope.gravity)
+    # Mass beyond each joint over the length of rope there, from the tip on
+    beyond = np.cumsum(np.append(0.0, rope.length[::-1])), np.cumsum(np.append(rope.tip_mass, rope.mass[::-1]))
     best, hanging = 0.0, axis * (2.0 * math.pi * room - straight - contact)
     while hanging > 0.0:
         if contact > 0.0:
-            mass = rope.total_mass / rope.total_length * hanging + rope.tip_mass
+            mass = float(np.interp(hanging, *beyond))
             best = max(best, mass * weight * math.exp(min(peg.mu * contact, 700.0)))
         contact += 2.0 * math.pi
         hanging -= 2.0 * math.pi * axis

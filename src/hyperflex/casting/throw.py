@@ -51,7 +51,7 @@ class Throw:
     def angles(self, limits: MotorLimits) -> Array:
         """Arm angles (count + 2,) at the start and after each move, rad."""
         least, greatest = limits.angles
-        angles = [float(np.clip(self.side * 0.5 * np.pi, least, greatest))]
+        angles = [limits.start(self.side)]
         sense = -self.side
         for stroke in self.strokes[: self.count]:
             target = float(np.clip(angles[-1] + sense * max(float(stroke), LEAST_STROKE), least, greatest))

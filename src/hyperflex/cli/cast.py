@@ -56,8 +56,10 @@ def cast(
 ) -> None:
     """Plan how the arm casts its rope round a peg, winds it and holds.
 
-    The plan is verified in simulation, on the rope as given and with links of half and of a third of the length. Writes
-    a page, pictures, a film, the motion for the motor (CSV), the verified run (NetCDF) and a set-up that simulate runs.
+    A rope is wound with 1.25 turns or more, counted from the arm's tip to its end, and holds if it slips by less than
+    5 mm in 2 s. The plan is verified in simulation, with links near the target cut shorter, then with all links of half
+    and of a third of the length. Writes a page, pictures, a film, the motion for the motor (CSV), the verified run
+    (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
 
     Ctrl-C ends the search; the best so far is written, and said to be that.
 
@@ -130,14 +132,15 @@ def _verdict(plan: CastPlan) -> str:
 
 def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertain: Uncertainty | None) -> None:
     """Print what was planned and what to look at."""
-    from hyperflex.report.cast_words import instead, swings_words, target_words
+    from hyperflex.report.cast_words import folds, instead, swings_words, target_words
 
     pairs = [("target", target_words(plan.peg))]
     if plan.throw is not None:
         pairs.append(("the arm makes", f"{swings_words(plan)} and a last move"))
     if plan.cast is not None and math.isfinite(plan.cast.strike):
         pairs.append(("strikes", f"{plan.cast.strike:.2f} s after the start"))
-        pairs.append(("turns in the end", f"{abs(plan.cast.turns):.2f}"))
+        pairs.append(("turns in the end", f"{abs(plan.cast.turns):.2f}, from the arm's tip to the rope's end"))
+        pairs.append(("rope on the target", f"{math.degrees(plan.cast.contact):.0f} degrees of it"))
     if plan.throw is not None and (plan.cast is None or plan.cast.run is None):
         pairs.append(("strike, turns, hold", "not known: the throw was not verified to its end"))
     if held is not None:
@@ -148,7 +151,8 @@ def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertai
     if plan.stated is not None:
         pairs.append(("wins in uncertain worlds", str(plan.stated)))
     output.print_pairs("Cast (simulated)", pairs)
-    output.console().print("\n".join((_verdict(plan), *instead(plan))), markup=False)
+    told = (_verdict(plan), folds(plan), *instead(plan))
+    output.console().print("\n".join(line for line in told if line), markup=False)
     words = {
         "page": "the whole story on one page",
         "film": "the cast as a film",

@@ -11,6 +11,7 @@ import numpy as np
 from hyperflex import winding
 from hyperflex.casting import CastPlan
 from hyperflex.casting.hold import Holding, holding
+from hyperflex.casting.outcome import SLIP
 from hyperflex.casting.tables import RATE, run_of
 from hyperflex.report import cast_words as words
 from hyperflex.report.animation import animate
@@ -23,6 +24,18 @@ from hyperflex.report.style import png
 _FILM_RATE, _FILM_WIDTH = 20, 560  # frames a second, pixels
 _LINE = 90  # letters that fit beside each other in a film
 _TOLD = 2.0  # s of the end of a film in which the hold force is shown
+# All that a cast may leave; an earlier one's motion beside another's page would be taken for its own
+FILES = (
+    "report.html",
+    "motion.csv",
+    "cast.toml",
+    "nearest.toml",
+    "cast.nc",
+    "cast.gif",
+    "strike.png",
+    "course.png",
+    "tug.png",
+)
 _CAPTIONS = {
     "film": "The cast as it is planned, simulated: arm (white), rope (yellow), target (red).",
     "strike": "The rope about the strike, early instants dark, late ones bright; simulated.",
@@ -39,7 +52,8 @@ def write_cast(
     Parameters
     ----------
     directory : str or Path
-        Folder to write to, whole or not at all; made if it is not there, other files in it stay.
+        Folder to write to, whole or not at all; made if it is not there. Files of an earlier cast are replaced or,
+        where this one has none of the kind, removed; others stay.
     plan : CastPlan
         One without a throw leaves no more than a page with the reason and where the target is.
     rate : float
@@ -52,14 +66,14 @@ def write_cast(
     files : dict of str to Path
         By what they are: "page", "film", "motion", "plan", "run", "nearest" (the plan for the nearest target), ...
     held : Holding or None
-        What the wound rope bore; None where it is not on the target.
+        What the wound rope bore; None where it is not on the target, or slips without being pulled.
 
     Raises
     ------
     FileProblem
         The folder cannot be made or written to.
     """
-    with whole_folder(directory) as stage:
+    with whole_folder(directory, FILES) as stage:
         held = None
         names, pictures = {"page": "report.html"}, {}
         if plan.motion is not None:
@@ -71,7 +85,8 @@ def write_cast(
             plan.nearest.plan.to_toml(stage / "nearest.toml")
         if plan.cast is not None and plan.cast.run is not None:
             tell("tugging at the rope")
-            held = holding(plan.cast.run, plan.peg) if plan.cast.wound else None
+            stays = plan.cast.wound and plan.cast.slipped < SLIP
+            held = holding(plan.cast.run, plan.peg) if stays else None
             names["run"] = "cast.nc"
             plan.to_netcdf(stage / "cast.nc")
             pictures = draw(stage, plan, held, tell)

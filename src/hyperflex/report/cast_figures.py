@@ -68,15 +68,16 @@ def tug_figure(held: Holding) -> Figure:
     with look():
         figure = new_figure(8.6, 4.0)
         pull, slip = figure.subplots(2, 1, sharex=True)
-        pull.plot(way, winding.tension(run)[:, 0], color=BLUE, lw=1.0, label="pull at the rope's first joint")
+        pulled = winding.tension(run)[:, 0]
+        pull.plot(way, pulled, color=BLUE, lw=1.0, label="pull at the rope's first joint")
         least = "" if held.tug.slipped else "at least "
         pull.axhline(held.force, color=GREEN, ls="--", lw=1.2, label=f"hold force {least}{held.force:.2f} N")
         pull.axhline(held.rule, color=GREY, ls=":", lw=1.4, label=f"tail weight x e^(mu angle) {held.rule:.2f} N")
-        pull.set(ylabel="pull, N", ylim=(0.0, 1.15 * max(held.force, held.rule)))
+        pull.set(ylabel="pull, N", ylim=(0.0, 1.05 * max(held.force, held.rule, float(pulled.max()))))
         pull.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8.0)
         slip.plot(way, 1e3 * np.abs(held.tug.slip), color=RED)
         slip.axhline(_ALLOWED, color=GREY, ls="--", lw=1.0)
-        slip.text(way[0], _ALLOWED, f" {_ALLOWED:g} mm: has slipped", va="top", fontsize=8.0, color="#5a6472")
+        slip.text(way[0], _ALLOWED, f" {_ALLOWED:g} mm: has slipped", va="bottom", fontsize=8.0, color="#5a6472")
         slip.set(ylabel="slip, mm", xlabel="way of the pull away from the target, mm")
         title = "A tug at the wound rope, simulated"
         figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK)

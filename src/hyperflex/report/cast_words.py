@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperflex.casting import CastPlan, MotorLimits, Thrower, WhipPlan
 from hyperflex.casting.hold import Holding
-from hyperflex.casting.outcome import SLIP, WATCH, WOUND
+from hyperflex.casting.outcome import BOUNCE, SLIP, WATCH, WOUND, Cast
 from hyperflex.model import Peg
 from hyperflex.motion import Motion
 from hyperflex.report.cast_figures import way
@@ -115,7 +115,11 @@ def tiles(plan: CastPlan, held: Holding | None) -> Tiles:
         strike = f"{plan.cast.strike:.2f} s" if struck else "never"
         shown.append((strike, f"{'after the start ' if struck else ''}the rope strikes the target"))
         if struck:
-            shown.append((f"{abs(plan.cast.turns):.2f} turns", f"in the end, {way(plan)}; {WOUND:g} are asked"))
+            counted = f"in the end, {way(plan)}, from the arm's tip to the rope's end; {WOUND:g} are asked"
+            shown.append((f"{abs(plan.cast.turns):.2f} turns", counted))
+            shown.append(
+                (f"{math.degrees(plan.cast.contact):.0f}\N{DEGREE SIGN}", "of the target has rope on it in the end")
+            )
     elif plan.throw is not None:
         shown.append((_NOT_KNOWN, "strike, turns and hold: the throw was not verified to its end"))
     if held is not None:
@@ -144,6 +148,8 @@ def story(plan: CastPlan, held: Holding | None) -> tuple[str, ...]:
         told.append(_outcome(plan))
     else:
         told.append("What the rope then does is not known: the throw was not verified to its end.")
+    if warning := folds(plan):
+        told.append(warning)
     if held is not None:
         told.append(_hold(held))
     if plan.stated is not None:
@@ -158,14 +164,36 @@ def _outcome(plan: CastPlan) -> str:
     cast = plan.cast
     if cast is None or not math.isfinite(cast.strike):
         return "The rope does not touch the target."
+    struck = f"{grazes(cast)}The rope strikes the target at {cast.strike:.2f} s"
     if not math.isfinite(cast.slipped):
-        return f"The rope strikes the target at {cast.strike:.2f} s and does not stay on it."
+        return f"{struck} and does not stay wound on it: {plain(cast.reason)}."
     return (
-        f"The rope strikes the target at {cast.strike:.2f} s, winds {way(plan)}, and lies round it with "
+        f"{struck}, winds {way(plan)}, and lies round it with "
         f"{abs(cast.turns):.2f} turns: the angle swept about the target's centre from the arm's tip along the rope to "
-        f"its end, so straight parts and the hanging tail count beside what lies on the target, and a tail that swings "
+        f"its end, so straight parts and the hanging tail count beside what lies on the target "
+        f"({math.degrees(cast.contact):.0f} degrees of it), and a tail that swings "
         f"changes it. In the last {WATCH:g} s the rope slips on the target by {1e3 * cast.slipped:.2g} mm; "
         f"{1e3 * SLIP:g} mm are allowed."
+    )
+
+
+def grazes(cast: Cast) -> str:
+    """Return a sentence about a touch that does not last, which comes before the strike."""
+    if cast.strike - cast.touch <= BOUNCE:
+        return ""
+    return f"The rope grazes the target at {cast.touch:.2f} s and comes off again. "
+
+
+def folds(plan: CastPlan) -> str:
+    """Return a warning of a rope that is folded through itself on the way, else nothing."""
+    folded = [cast for cast in (plan.cast, plan.finer) if cast is not None and cast.folded]
+    if not folded:
+        return ""
+    bend = math.degrees(max(cast.bend for cast in folded))
+    return (
+        f"On the way the simulated rope folds by {bend:.0f} degrees from one link to the next, through itself: its "
+        "contact with itself is not simulated. A real rope makes a loop or a kink there, so what comes after is less "
+        "sure."
     )
 
 
@@ -176,7 +204,7 @@ def _hold(held: Holding) -> str:
         else f"the rope bore {held.force:.2f} N and had not slipped when the pull ended, so it holds more"
     )
     return (
-        f"Hold force (mean over 0.1 s): pulled slowly away from the target, {bore}. For comparison, the tail that "
+        f"Hold force (mean over 0.1 s): pulled away from the target at 20 mm/s, {bore}. For comparison, the tail that "
         f"hangs beyond the target weighs {held.tail:.3f} N; times e^(mu angle), with mu = {held.mu:g} and "
         f"{held.angle:.1f} rad of contact, that is {held.rule:.2f} N. This rule leaves out the weight of the rope on "
         "the target and of the rope between target and arm, which the pull bears as well."
@@ -219,7 +247,7 @@ def checks_table(plan: CastPlan) -> TextTable:
             rows.append((name, "not finished", _NOT_KNOWN, _NOT_KNOWN, _NOT_KNOWN, _NOT_KNOWN))
             continue
         links = str(cast.run.q.shape[1])
-        slip = f"{1e3 * cast.slipped:.2g} mm" if math.isfinite(cast.slipped) else "not on the target"
+        slip = f"{1e3 * cast.slipped:.2g} mm" if math.isfinite(cast.slipped) else "does not stay"
         strike = f"{cast.strike:.2f} s" if math.isfinite(cast.strike) else "never"
         turns = f"{abs(cast.turns):.2f}" if math.isfinite(cast.strike) else "none"
         rows.append((name, links, strike, turns, slip, "yes" if cast.success else "no"))

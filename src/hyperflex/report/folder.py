@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,7 +30,7 @@ def write_figures(folder: Path, figures: dict[str, Figure]) -> dict[str, Path]:
 
 
 @contextmanager
-def whole_folder(directory: str | Path) -> Iterator[Path]:
+def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Path]:
     """Give a temporary folder to write to; move its files to `directory` when the block ends well.
 
     Parameters
@@ -38,6 +38,8 @@ def whole_folder(directory: str | Path) -> Iterator[Path]:
     directory : str or Path
         Where the files shall stand in the end; made with its parents if need be. Other files there stay, files of the
         same names are replaced at the end.
+    own : sequence of str, optional
+        Names of files that are removed there at the end if the block writes none of the name: an earlier report's.
 
     Yields
     ------
@@ -54,7 +56,7 @@ def whole_folder(directory: str | Path) -> Iterator[Path]:
     stage = _stage(target)
     try:
         yield stage
-        _move(stage, target)
+        _move(stage, target, own)
     except FileProblem as error:
         raise FileProblem(str(error).replace(str(stage), str(target))) from error
     finally:
@@ -76,9 +78,10 @@ def _stage(target: Path) -> Path:
     return stage
 
 
-def _move(stage: Path, target: Path) -> None:
-    """Put the files of `stage` in place; on any failure put everything back as it was."""
+def _move(stage: Path, target: Path, own: Sequence[str]) -> None:
+    """Put the files of `stage` in place of `own` ones; on any failure put everything back as it was."""
     names = sorted(path.name for path in stage.iterdir())
+    old = [name for name in own if name not in names]
     for name in names:
         if (target / name).is_dir():
             raise FileProblem(f"{target / name} is a folder where a file shall go. Nothing was written. Move it away.")
@@ -92,20 +95,23 @@ def _move(stage: Path, target: Path) -> None:
             if os.path.lexists(target / name):
                 (target / name).rename(stage / "earlier" / name)
             (stage / name).rename(target / name)
+        for name in old:
+            if (target / name).is_file():
+                (target / name).rename(stage / "earlier" / name)
     except OSError as error:
-        _put_back(names, stage, target)
+        _put_back(names, old, stage, target)
         raise _problem(target, error) from error
     except BaseException:
-        _put_back(names, stage, target)
+        _put_back(names, old, stage, target)
         raise
 
 
-def _put_back(names: list[str], stage: Path, target: Path) -> None:
+def _put_back(names: list[str], old: list[str], stage: Path, target: Path) -> None:
     """Undo as much of a move as was done, by what stands where."""
     if not stage.exists():  # interrupted just after it became the target: whole
         return
-    for name in names:
-        if not (stage / name).exists():
+    for name in (*names, *old):
+        if name in names and not (stage / name).exists():
             (target / name).replace(stage / name)
         if os.path.lexists(stage / "earlier" / name):
             (stage / "earlier" / name).replace(target / name)
