@@ -28,7 +28,7 @@ HANGING = 2.0  # radii of the target that the rope's end hangs from it, at least
 GAIN = 2.2  # by which one stroke widens a swing, in units of the arm tip's way over the length of an equal pendulum
 # How far out a rope's weight is (length of an equal pendulum over its own: 2/3 of a uniform rope, 1 of a bob), and to
 # which angle it can be swung then, rad. Beyond level it goes slack: a weight at its end jerks it when it is taut again
-OUTWARD, WIDEST = (2.0 / 3.0, 0.74), (2.2, 1.7)
+OUTWARD, WIDEST = (2.0 / 3.0, 0.74), (2.3, 1.7)
 ENERGY = 0.2  # of what lifts the tail over the target, at the strike
 
 
