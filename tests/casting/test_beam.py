@@ -66,7 +66,9 @@ def test_swings_gain_energy_far_from_any_target() -> None:
 
 def test_no_swing_strikes_before_it_is_continued_and_all_keep_to_the_motor() -> None:
     slow = replace(THROWER, limits=MotorLimits(angles=(-2.0, 1.0)))
-    for one in searched(LEVEL, 5.0, thrower=slow)._swings:
+    swings = searched(LEVEL, 5.0, thrower=slow)._swings
+    assert swings
+    for one in swings:
         angles = one.side * np.pi / 2 if one.side < 0 else 1.0
         for k, stroke in enumerate(one.strokes):
             angles += -one.side * (-1) ** k * stroke
