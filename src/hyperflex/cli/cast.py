@@ -140,7 +140,7 @@ def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertai
     if plan.cast is not None and math.isfinite(plan.cast.strike):
         pairs.append(("strikes", f"{plan.cast.strike:.2f} s after the start"))
         pairs.append(("turns in the end", f"{abs(plan.cast.turns):.2f}, from the arm's tip to the rope's end"))
-        pairs.append(("rope on the target", f"{math.degrees(plan.cast.contact):.0f} degrees of it"))
+        pairs.append(("rope on the target", f"{math.degrees(plan.cast.contact):.0f} degrees"))
     if plan.throw is not None and (plan.cast is None or plan.cast.run is None):
         pairs.append(("strike, turns, hold", "not known: the throw was not verified to its end"))
     if held is not None:

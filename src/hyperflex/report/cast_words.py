@@ -115,11 +115,11 @@ def tiles(plan: CastPlan, held: Holding | None) -> Tiles:
         strike = f"{plan.cast.strike:.2f} s" if struck else "never"
         shown.append((strike, f"{'after the start ' if struck else ''}the rope strikes the target"))
         if struck:
-            counted = f"in the end, {way(plan)}, from the arm's tip to the rope's end; {WOUND:g} are asked"
-            shown.append((f"{abs(plan.cast.turns):.2f} turns", counted))
-            shown.append(
-                (f"{math.degrees(plan.cast.contact):.0f}\N{DEGREE SIGN}", "of the target has rope on it in the end")
+            counted = (
+                f"in the end, {way(plan)}, from the arm's tip to the rope's end, "
+                f"{math.degrees(plan.cast.contact):.0f}\N{DEGREE SIGN} of it on the target; {WOUND:g} are asked"
             )
+            shown.append((f"{abs(plan.cast.turns):.2f} turns", counted))
     elif plan.throw is not None:
         shown.append((_NOT_KNOWN, "strike, turns and hold: the throw was not verified to its end"))
     if held is not None:
@@ -171,7 +171,7 @@ def _outcome(plan: CastPlan) -> str:
         f"{struck}, winds {way(plan)}, and lies round it with "
         f"{abs(cast.turns):.2f} turns: the angle swept about the target's centre from the arm's tip along the rope to "
         f"its end, so straight parts and the hanging tail count beside what lies on the target "
-        f"({math.degrees(cast.contact):.0f} degrees of it), and a tail that swings "
+        f"({math.degrees(cast.contact):.0f} degrees), and a tail that swings "
         f"changes it. In the last {WATCH:g} s the rope slips on the target by {1e3 * cast.slipped:.2g} mm; "
         f"{1e3 * SLIP:g} mm are allowed."
     )
