@@ -115,10 +115,13 @@ def test_a_swing_that_fails_later_is_not_continued(monkeypatch: pytest.MonkeyPat
 
 def test_a_motor_that_turns_little_makes_each_stroke_once() -> None:
     narrow = replace(THROWER, limits=MotorLimits(angles=(-0.5, 0.5)))
-    swings = searched(FAR, 60.0, most=3, thrower=narrow)._swings
-    assert len(swings) > 3
-    assert len({(one.side, one.strokes, one.rests) for one in swings}) == len(swings)
-    assert max(max(one.strokes) for one in swings) <= 1.0 + 1e-9
+    found = searched(FAR, 60.0, most=3, thrower=narrow)
+    assert len(found._swings) > 3
+    assert max(max(one.strokes) for one in found._swings) <= 1.0 + 1e-9
+    for one in found._swings:
+        sense = -one.side * (-1) ** len(one.strokes)
+        tries = found._tries(one._replace(angle=0.3 * sense))  # most strokes end where the motor does
+        assert len({(each.rest, each.end) for each in tries}) == len(tries) > 0
 
 
 def test_swings_left_to_chance_are_not_continued(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,6 +135,9 @@ def test_a_search_climbs_anew_or_goes_on_if_time_was_added() -> None:
     score = work.climb()
     assert score == work.swings[0].score
     assert all(one.t < THROWER.time for one in work.swings)
+    throws = [work.genes[one.side].throw(one.x).cut(THROWER.time, THROWER.limits) for one in work.swings]
+    flown = strikes.fly(THROWER, LEVEL, throws)  # also those that strike late after their last stroke
+    assert flown.t == pytest.approx([one.t for one in work.swings], abs=2.0 * strikes.SAMPLE_TIME)
     work = Search(replace(THROWER, time=3.0), FAR)
     assert work.climb() == strikes.NEVER
     first, runs = work._beam, work.runs

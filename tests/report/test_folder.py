@@ -49,22 +49,25 @@ def test_files_of_an_earlier_report_go(tmp_path):
     assert content(tmp_path) == {"a": "new", "b": "new", "c": "new", "mine": "earlier"}
 
 
-@pytest.mark.parametrize("last", range(1, 6))
+@pytest.mark.parametrize("last", range(1, 7))
 def test_files_of_an_earlier_report_stay_if_the_new_one_fails(tmp_path, monkeypatch, last):
-    for name in ("b", "old"):
+    for name in ("b", "old", "older"):
         (tmp_path / name).write_text("earlier")
     rename, calls = Path.rename, []
 
     def failing(self: Path, to: Path) -> Path:
         calls.append(self)
-        if len(calls) == last:  # a to its place, b out of the way, b to its place, c to its place, old out of the way
+        if (
+            len(calls) == last
+        ):  # a to its place, b out of the way, b to its place, c to its place, both old ones out of it
             raise KeyboardInterrupt
         return rename(self, to)
 
     monkeypatch.setattr(Path, "rename", failing)
-    with pytest.raises(KeyboardInterrupt), whole_folder(tmp_path, ("old",)) as stage:
+    with pytest.raises(KeyboardInterrupt), whole_folder(tmp_path, ("old", "older")) as stage:
         fill(stage)
-    assert content(tmp_path) == {"b": "earlier", "old": "earlier"}
+    assert len(calls) == last
+    assert content(tmp_path) == {"b": "earlier", "old": "earlier", "older": "earlier"}
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left on device")])
