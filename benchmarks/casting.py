@@ -241,6 +241,13 @@ def text(rows: list[dict[str, Any]], rope: str) -> str:
     seconds = np.array([row["seconds"] for row in rows])
     lines += ["", f"Planning: median {np.median(seconds):.0f} s, at most {seconds.max():.0f} s a target."]
     lines += [f"Goal: {GOAL[rope]:.0%} wound and held. Plans that fail say so: {told(rows)}.", ""]
+    bends = [row["ours"]["bend"] for row in rows if row["ours"].get("bend") is not None and row["ours"]["success"]]
+    if bends:
+        folded = sum(bend > math.pi for bend in bends)
+        lines[-1:] = [
+            f"Of {len(bends)} held ropes whose sharpest bend was kept {folded} had folded through themselves.",
+            "",
+        ]
     head = ("number", "x", "y", "radius", "room", "energy", "planned", "s", "judged", "turns", "hold", "tail e^(mu th)")
     lines += ["| " + " | ".join(head) + " | why not |", "|" + "---|" * (len(head) + 1)]
     for row in rows:

@@ -131,7 +131,13 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
     def verified(self: course.Course, found: course.Landing) -> object:
         good = found.throw not in fails
         cast = SimpleNamespace(
-            success=good, turns=2.0, slipped=slipped, grip=0.5, reason="" if good else "it slips", run="a run"
+            success=good,
+            turns=2.0,
+            slipped=slipped,
+            grip=0.5,
+            folded=False,
+            reason="" if good else "it slips",
+            run="a run",
         )
         return cast, cast if good else None
 
@@ -182,6 +188,7 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     [
         ({}, {}, True),
         ({"slipped": 3e-3}, {}, False),  # 5 mm are allowed
+        ({"folded": True}, {}, False),  # through itself: a real rope does not
         ({}, {"grip": 1.2}, False),  # pulled with more than Capstan's rule lets it bear
         ({}, {"turns": 1.3}, False),  # one turn fewer with finer links: left to chance
         ({}, {"success": False}, False),
@@ -190,7 +197,7 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
 def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, second: dict, enough: bool) -> None:
     search = SimpleNamespace(thrower=Thrower(CABLE, ARM, hf.MotorLimits()), peg=EASY, landings=[])
     work = course.Course(search, 1.0)  # type: ignore[arg-type]
-    good = {"success": True, "turns": 2.3, "slipped": 1e-3, "grip": 0.8}
+    good = {"success": True, "turns": 2.3, "slipped": 1e-3, "grip": 0.8, "folded": False}
     pair = [SimpleNamespace(**(good | change)) for change in (first, second)]
     work.best = ("a throw", *pair)  # type: ignore[assignment]
     assert work.done() is enough
@@ -204,7 +211,7 @@ def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypa
 
     def verify(*_: object, **__: object) -> object:
         success, turns = casts.pop(0) if len(casts) > 1 else casts[0]  # type: ignore[misc]
-        return SimpleNamespace(success=success, turns=turns, slipped=0.0, grip=0.5, run="a run")
+        return SimpleNamespace(success=success, turns=turns, slipped=0.0, grip=0.5, folded=False, run="a run")
 
     monkeypatch.setattr(course, "verify", verify)
     kept = []
@@ -263,7 +270,7 @@ def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypa
     search.landings = [course.Landing(3.0 - k, 2.0, 1, x, motion, firm=True) for k, x in enumerate(points)]  # type: ignore[arg-type]
     second, third = search.landings[1:]
     work = course.Course(search, 1.0)
-    failed = SimpleNamespace(success=False, turns=0.4, slipped=np.nan, grip=np.nan)
+    failed = SimpleNamespace(success=False, turns=0.4, slipped=np.nan, grip=np.nan, folded=False)
     monkeypatch.setattr(course, "verify", lambda *_, **__: failed)
     assert work.fresh() == search.landings[:2]  # as many as threads
     unsure = [one._replace(firm=k > 0) for k, one in enumerate(search.landings)]

@@ -218,8 +218,8 @@ class Course:
 
 
 def steady(cast: Cast) -> bool:
-    """Whether a rope that holds is far from slipping."""
-    return cast.slipped <= STEADY * SLIP and cast.grip <= GRIP
+    """Whether a rope that holds is far from slipping, and did not fold through itself on the way."""
+    return cast.slipped <= STEADY * SLIP and cast.grip <= GRIP and not cast.folded
 
 
 def _rank(cast: Cast | None, finer: Cast | None) -> tuple[int, bool, bool, float]:
