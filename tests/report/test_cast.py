@@ -106,6 +106,24 @@ def test_a_target_in_reach_that_is_not_to_blame_comes_with_advice(tmp_path, made
     assert f"took {plan.seconds:.0f} s and 4321 simulated runs" in page
 
 
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"held": False, "slipped": 0.077}, "winds but slips: with more friction"),
+        ({"torque": 0.4}, "a motor of 0.4 N m is needed; 0.3 N m are given"),
+        ({"wound": False}, "another --seed may help"),
+    ],
+)
+def test_advice_is_about_what_failed(change, told):
+    plan = planned()
+    who = dataclasses.replace(plan.thrower, limits=hf.MotorLimits(torque=0.3))
+    cast = dataclasses.replace(plan.cast, **({"torque": 0.1} | change))
+    failed = dataclasses.replace(plan, thrower=who, cast=cast, reason="it fails", nearest=Nearest(PEG, 0.0))
+    advice = " ".join(instead(failed))
+    assert told in advice
+    assert ("--seed" in advice) == ("--seed" in told)
+
+
 def test_a_graze_and_a_fold_are_told(tmp_path):
     plan = planned()
     assert "grazes" not in " ".join(story(plan, None))

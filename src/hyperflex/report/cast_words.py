@@ -6,18 +6,16 @@ import math
 
 import numpy as np
 
-from hyperflex.casting import CastPlan, MotorLimits, Thrower, WhipPlan
+from hyperflex.casting import CastPlan, WhipPlan
 from hyperflex.casting.hold import Holding
 from hyperflex.casting.outcome import BOUNCE, SLIP, WATCH, WOUND, Cast
 from hyperflex.model import Peg
-from hyperflex.motion import Motion
 from hyperflex.report.cast_figures import way
 from hyperflex.report.tables import TextTable
+from hyperflex.report.thrower_words import NOT_KNOWN, arm_words, asked_of_motor, rope_words
 from hyperflex.simulation.patience import NAME as OUT_OF_PATIENCE
-from hyperflex.trajectory import Trajectory
 
 _TOO_LONG = f"the simulation failed ({OUT_OF_PATIENCE})"
-_NOT_KNOWN = "not known"
 Tiles = tuple[tuple[str, str], ...]
 
 
@@ -96,11 +94,27 @@ def instead(plan: CastPlan) -> tuple[str, ...]:
     if plan.unfinished:
         on = "to let the search go on" if plan.interrupted else "a longer --patience, less load on the machine"
         told.append(f"By a rule of thumb the target itself is in reach. What may help: {on}, another --seed.")
+    elif lacking := _lacks(plan):
+        told.append(lacking)
     elif plan.reach.within:
         told.append("By the same rule this target is in reach, too: a longer --patience or another --seed may help.")
     if plan.remedies:
         told.append(f"By the same rule this target would be in reach with {' or '.join(plan.remedies)}.")
     return tuple(told)
+
+
+def _lacks(plan: CastPlan) -> str:
+    """Return what a throw that winds lacks, where more searching is not what helps; else nothing."""
+    cast, given = plan.cast, plan.thrower.limits.torque
+    if cast is None or not cast.wound:
+        return ""
+    if cast.torque > given:
+        return f"For this throw a motor of {cast.torque:.3g} N m is needed; {given:.3g} N m are given."
+    if SLIP <= cast.slipped < math.inf:
+        return (
+            "The rope winds but slips: with more friction on the target, or a weight at the rope's end, it would hold."
+        )
+    return ""
 
 
 def tiles(plan: CastPlan, held: Holding | None) -> Tiles:
@@ -121,7 +135,7 @@ def tiles(plan: CastPlan, held: Holding | None) -> Tiles:
             )
             shown.append((f"{abs(plan.cast.turns):.2f} turns", counted))
     elif plan.throw is not None:
-        shown.append((_NOT_KNOWN, "strike, turns and hold: the throw was not verified to its end"))
+        shown.append((NOT_KNOWN, "strike, turns and hold: the throw was not verified to its end"))
     if held is not None:
         least = "" if held.tug.slipped else "at least "
         shown.append(
@@ -217,25 +231,6 @@ def motor_table(plan: CastPlan) -> TextTable:
     return asked_of_motor(plan.thrower.limits, plan.motion, run)
 
 
-def asked_of_motor(limits: MotorLimits, motion: Motion | None, run: Trajectory | None) -> TextTable:
-    """Return what a motion asks of the motor, and the rope in a run of it, beside what the motor can do."""
-    if motion is None:
-        return TextTable(("motor", "asked", "limit"), ())
-    t = np.linspace(0.0, float(motion.breaks[-1]), 4001)
-    torque = _NOT_KNOWN if run is None else f"{np.abs(run.motor_torque).max():.3g} N m"
-    most = f"{limits.torque:.3g} N m" if math.isfinite(limits.torque) else "none given"
-    rows = (
-        ("greatest speed", f"{np.abs(motion.rate(t)).max():.3g} rad/s", f"{limits.speed:.3g} rad/s"),
-        (
-            "greatest acceleration",
-            f"{np.abs(motion.acceleration(t)).max():.3g} rad/s²",
-            f"{limits.acceleration:.3g} rad/s²",
-        ),
-        ("greatest torque for the rope", torque, most),
-    )
-    return TextTable(("motor", "asked", "limit"), rows)
-
-
 def checks_table(plan: CastPlan) -> TextTable:
     """Return what the verified runs say, with the links and with shorter ones."""
     rows = []
@@ -244,7 +239,7 @@ def checks_table(plan: CastPlan) -> TextTable:
             rows.append((name, "not run", "", "", "", ""))
             continue
         if cast.run is None:
-            rows.append((name, "not finished", _NOT_KNOWN, _NOT_KNOWN, _NOT_KNOWN, _NOT_KNOWN))
+            rows.append((name, "not finished", NOT_KNOWN, NOT_KNOWN, NOT_KNOWN, NOT_KNOWN))
             continue
         links = str(cast.run.q.shape[1])
         slip = f"{1e3 * cast.slipped:.2g} mm" if math.isfinite(cast.slipped) else "does not stay"
@@ -276,19 +271,3 @@ def setup_words(plan: CastPlan) -> tuple[str, ...]:
         f"{arm_words(plan.thrower)} Target: a round peg at {target_words(peg)}, friction mu = {peg.mu:g}."
     )
     return (words,)
-
-
-def rope_words(thrower: Thrower) -> str:
-    """Return what the rope is, without a full stop."""
-    rope = thrower.rope
-    name = f" ({rope.name})" if rope.name else ""
-    tip = f", tip weight {1e3 * rope.tip_mass:.3g} g" if rope.tip_mass else ""
-    return (
-        f"Rope{name}: {rope.total_length:.4g} m, {1e3 * rope.total_mass:.4g} g, radius {1e3 * rope.radius:.3g} mm, "
-        f"{rope.n_links} links{tip}"
-    )
-
-
-def arm_words(thrower: Thrower) -> str:
-    """Return how long the arm is."""
-    return f"Arm: {1e3 * thrower.arm.length:.4g} mm."

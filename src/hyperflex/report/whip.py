@@ -10,9 +10,10 @@ from hyperflex.casting.tables import RATE
 from hyperflex.casting.whip_tables import lash_of
 from hyperflex.report import whip_words as words
 from hyperflex.report.animation import animate
-from hyperflex.report.cast_words import asked_of_motor, search_words
+from hyperflex.report.cast_words import search_words
 from hyperflex.report.folder import Tell, whole_folder, write_figures
 from hyperflex.report.page import Picture, Section, write_page
+from hyperflex.report.thrower_words import asked_of_motor
 from hyperflex.report.whip_figures import course_figure, passing_figure, peak_figure
 
 _FILM_RATE, _FILM_WIDTH, _SLOW = 20, 560, 0.5  # frames a second, pixels, part of real time

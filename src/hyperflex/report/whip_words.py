@@ -9,8 +9,9 @@ import numpy as np
 from hyperflex.casting import Impact, Lash, Mark, WhipPlan
 from hyperflex.casting.blow import BLOW, RADIUS
 from hyperflex.casting.whip_aim import FRICTION, LENGTH, TIMING
-from hyperflex.report.cast_words import arm_words, rope_words, source
+from hyperflex.report.cast_words import source
 from hyperflex.report.tables import TextTable
+from hyperflex.report.thrower_words import arm_words, rope_words
 
 Tiles = tuple[tuple[str, str], ...]
 
