@@ -41,8 +41,7 @@ def test_a_strike_is_that_of_the_whole_flight_from_rest() -> None:
     genes = {side: Genes(patient, side) for side in (-1, 1)}
     some = [one for one in found if len(one.strokes) <= genes[1].strokes]
     assert len(some) > 10
-    rest = beam.WATCHED * genes[1].period
-    throws = [genes[one.side].throw(genes[one.side].point(one.strokes, one.rests, rest)) for one in some]
+    throws = [genes[one.side].throw(genes[one.side].point(one.strokes, one.rests, one.after + 0.04)) for one in some]
     whole = strikes.fly(patient, LEVEL, [throw.cut(patient.time, patient.limits) for throw in throws])
     close = np.abs(whole.t - [one.t for one in some]) < 2.0 * strikes.SAMPLE_TIME  # samples of both begin elsewhere
     assert close.all()

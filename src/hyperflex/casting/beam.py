@@ -40,6 +40,7 @@ class Strike(NamedTuple):
     strokes: tuple[float, ...]  # rad
     rests: tuple[float, ...]  # s, before each
     t: float  # s
+    after: float  # s since the last stroke's end; below 0 where it comes in that stroke
 
 
 class _Swing(NamedTuple):
@@ -132,7 +133,7 @@ class Beam:
             strokes, rests = (*swing.strokes, abs(end - swing.angle)), (*swing.rests, rest)
             if np.isfinite(seen.t[k]):
                 at = swing.spent + rest + float(seen.t[k])
-                struck.append(Strike(float(seen.score[k]), swing.side, strokes, rests, at))
+                struck.append(Strike(float(seen.score[k]), swing.side, strokes, rests, at, float(seen.t[k]) - time))
             first = int(ended[k])
             last = t.size if np.isnan(seen.t[k]) else round(float(seen.t[k]) / step) + 1
             some = q[k, first:last].copy(), qd[k, first:last].copy()

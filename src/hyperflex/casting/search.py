@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex.casting import landing, strikes
-from hyperflex.casting.beam import FINER, WATCHED, Beam, Strike
+from hyperflex.casting.beam import FINER, Beam, Strike
 from hyperflex.casting.candidates import Landing, Swing, apart, corrected, unsure
 from hyperflex.casting.evolution import evolution
 from hyperflex.casting.genes import LAST, Genes
@@ -30,6 +30,7 @@ TRIED = 4  # swings of a round that are tried beside the peg
 # What is tried after a strike: strokes still made, then the last move, in half turns, after a rest in periods
 MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
 RARE, LEAST = 10.0, 0.5  # of how many runs one takes very long; processor time that each may take in any case, s
+UNTIL = 2.0 * strikes.SAMPLE_TIME  # s after a strike, until which the arm rests that rested before it
 LATE = 0.5  # part of the time allowed
 FIRM = 32  # swings at once that are flown with shorter links too, and then kept
 NARROW = 0.25  # spread of a search beside the peg, in parts of the first one's
@@ -104,10 +105,11 @@ class Search:
         before = self._beam.runs
         found = self._beam.go(time, most, self.left)
         self.runs += self._beam.runs - before
-        rest = WATCHED * self.genes[found[0].side].period if found else 0.0  # the arm rests until the strike
 
         def swing(one: Strike) -> Swing:
-            return Swing(one.score, one.side, self.genes[one.side].point(one.strokes, one.rests, rest), one.t)
+            genes = self.genes[one.side]
+            rest = max(genes.rest, one.after + UNTIL)
+            return Swing(one.score, one.side, genes.point(one.strokes, one.rests, rest), one.t)
 
         return self._keep(list(map(swing, found)))
 
