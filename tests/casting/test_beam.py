@@ -129,14 +129,20 @@ def test_swings_left_to_chance_are_not_continued(monkeypatch: pytest.MonkeyPatch
     assert not searched(FAR, 3.0)._swings
 
 
+def test_a_swing_of_a_search_strikes_when_it_was_found_to() -> None:
+    """Also those that strike long after their last stroke: the next one waits."""
+    patient = replace(THROWER, time=11.0)
+    work = Search(patient, LEVEL, seed=2)
+    work.climb()
+    throws = [work.genes[one.side].throw(one.x).cut(patient.time, patient.limits) for one in work.swings]
+    assert strikes.fly(patient, LEVEL, throws).t == pytest.approx([one.t for one in work.swings])
+
+
 def test_a_search_climbs_anew_or_goes_on_if_time_was_added() -> None:
     work = Search(THROWER, LEVEL, seed=3)
     score = work.climb()
     assert score == work.swings[0].score
     assert all(one.t < THROWER.time for one in work.swings)
-    throws = [work.genes[one.side].throw(one.x).cut(THROWER.time, THROWER.limits) for one in work.swings]
-    flown = strikes.fly(THROWER, LEVEL, throws)  # also those that strike late after their last stroke
-    assert flown.t == pytest.approx([one.t for one in work.swings], abs=2.0 * strikes.SAMPLE_TIME)
     work = Search(replace(THROWER, time=3.0), FAR)
     assert work.climb() == strikes.NEVER
     first, runs = work._beam, work.runs
