@@ -129,6 +129,17 @@ def test_swings_left_to_chance_are_not_continued(monkeypatch: pytest.MonkeyPatch
     assert not searched(FAR, 3.0)._swings
 
 
+def test_a_search_whose_time_is_over_begins_nothing() -> None:
+    found = Beam(THROWER, LEVEL, (-1, 1), np.random.default_rng(1))
+    assert found.go(8.0, 20, lambda: 0.0) == []
+    assert found.runs == 0
+    work = Search(THROWER, LEVEL)
+    work.left = lambda: 0.0
+    work.landings = [Landing(2.0, 2.0, 1, work.genes[1].centre(), work.genes[1].throw(work.genes[1].centre()))]
+    work.screen()
+    assert work.runs == 0
+
+
 def test_a_swing_of_a_search_strikes_when_it_was_found_to() -> None:
     """Also those that strike long after their last stroke: the next one waits."""
     patient = replace(THROWER, time=11.0)

@@ -136,10 +136,10 @@ class Beam:
                 struck.append(Strike(float(seen.score[k]), swing.side, strokes, rests, at, float(seen.t[k]) - time))
             first = int(ended[k])
             last = t.size if np.isnan(seen.t[k]) else round(float(seen.t[k]) / step) + 1
-            some = q[k, first:last].copy(), qd[k, first:last].copy()
+            some = q[k, first:last], qd[k, first:last]
             if first < last and all(np.isfinite(each).all() for each in some):
                 late, spent = float(t[first]) - time, swing.spent + rest + time
-                new = _Swing(float(energy[k]), swing.side, strokes, rests, end, spent, late, *some)
+                new = _Swing(float(energy[k]), swing.side, strokes, rests, end, spent, late, *map(np.copy, some))
                 onward.append((k, new))
         likely = _best(onward, 2 * WIDTH)
         firm = self._firm(flights, [k for k, _ in onward if k in likely], ended, q)

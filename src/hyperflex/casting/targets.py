@@ -2,11 +2,12 @@
 
 A rope that swings as far as the target lets it is taken as a rigid rod, and its tail beyond the target as another; a
 wound rope as one that runs straight to the target, round it and down. MARGIN, HANGING, GAIN, WIDEST and ENERGY were
-chosen by hand: searches of two minutes of one processor wound all targets of ``benchmarks/reach.py`` in reach, up to
-127 degrees from hanging, and none higher; 4 of 16 with too little energy, all of them more than 15 degrees aside, and 2
-of 16 with too little rope. With 20 g at the tip of the same rope they wound two of nine between 92 and 108 degrees: its
-swings beyond level differ from those of shorter links, or gain less. ``benchmarks/results`` has the
-counts, and the part of the targets that a search winds though they are called out of reach.
+chosen by hand: searches of two minutes of one processor found plans that stand for all targets of
+``benchmarks/reach.py`` in reach, up to 127 degrees from hanging, and for none higher; for 4 of 16 with too little
+energy, all of them more than 15 degrees aside, and for 2 of 16 with too little rope. With 20 g at the tip of the same
+rope they found some for two of nine between 92 and 108 degrees: its swings beyond level differ from those of shorter
+links, or gain less. ``benchmarks/results`` has the counts, and the part of the targets that a search winds though they
+are called out of reach.
 """
 
 from __future__ import annotations
