@@ -99,9 +99,11 @@ def test_energy_never_grows_in_random_throws(seed: int) -> None:
     assert run.attrs["contact_steps"] > 0
 
 
-@pytest.mark.parametrize(("number", "duration", "limit"), [(277, 1.75, 1e-3), (750, 0.33, 1e-5), (864, 1.29, 1e-5)])
+@pytest.mark.parametrize(
+    ("number", "duration", "limit"), [(277, 1.75, 1e-3), (750, 0.33, 1e-5), (760, 0.77, 1e-5), (864, 1.29, 1e-5)]
+)
 def test_a_throw_that_went_wrong_once_keeps_the_goals(number: int, duration: float, limit: float) -> None:
-    """A link that touched hid another that came (277), samples within long steps (750), modes not found (864)."""
+    """A link that touched hid another (277), samples in long steps (750) or lossy ones (760), no modes (864)."""
     kind, rope, how = draw(number, duration)
     run = hf.simulate(rope, refine=False, **how)
     # The goals of the project: 1e-5 J with joint friction of 1e-4 N m s/rad and more, 1e-3 J with less.

@@ -10,6 +10,7 @@ from hyperflex.core.jit import kernel
 
 MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they would be mostly rounding
 SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step however short: rounding of large forces
+LOSS = 10.0  # how many times more energy may vanish in a step than appear
 
 # T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
 # found that obey the law. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest
@@ -41,3 +42,9 @@ class Course(NamedTuple):
 def allowance(bounds, h):  # type: ignore[no-untyped-def]
     """Energy that may appear from nowhere in a step, J."""
     return bounds.rate * max(h, SLIGHT) + ROUNDING
+
+
+@kernel
+def balanced(surplus, allowed):  # type: ignore[no-untyped-def]
+    """Whether the energy that appears from nowhere in a step, J, or vanishes where it is negative, may do so."""
+    return -LOSS * allowed <= surplus <= allowed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hyperflex.core.contact_arrays import OPEN
-from hyperflex.core.contact_course import INDEX, LOST, MOMENT, T, allowance
+from hyperflex.core.contact_course import INDEX, LOST, MOMENT, T, allowance, balanced
 from hyperflex.core.contact_spin import turning_energy
 from hyperflex.core.contact_step import CONTACT, FRICTION, WORK, attempt, energy
 from hyperflex.core.jit import kernel
@@ -11,10 +11,10 @@ from hyperflex.core.jit import kernel
 
 @kernel
 def part_way(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, x, had):  # type: ignore[no-untyped-def]
-    """Take the part x of the step of the desk to the desk `aside`; False if that does not keep the energy, `had`, J.
+    """Take the part x of the step of the desk to the desk `aside`; False if the run would not take such a step.
 
     The rates are off the straight line between the ends of a step by a term of second order, and their energy with
-    them, so a sample within a step is a shorter step.
+    them, so a sample within a step is a shorter step. `had` is the energy before it, J.
     """
     if x * h <= MOMENT:
         return False
@@ -23,7 +23,7 @@ def part_way(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, x, 
     _, rounds = attempt(chain, drive, part, pegs, pull, t, x * h, y, course.kept, aside, True, 0.0, True)
     taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]
     has = energy(chain, aside.out, aside.base[2]) + turning_energy(aside.spin, aside.spin.after)
-    return rounds > 0 and abs(has - had + taken) <= allowance(bounds, h)
+    return rounds > 0 and balanced(has - had + taken, allowance(bounds, h))
 
 
 @kernel

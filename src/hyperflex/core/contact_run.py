@@ -24,6 +24,7 @@ from hyperflex.core.contact_course import (
     UNSOLVED,
     T,
     allowance,
+    balanced,
 )
 from hyperflex.core.contact_gaps import find, joints, new_contacts, speeds
 from hyperflex.core.contact_output import write
@@ -46,7 +47,6 @@ SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
 GROWTH = 1.5
 EASY = 0.2  # part of the energy allowed, below which steps grow
-LOSS = 10.0  # how many times more energy may vanish than appear
 SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a step
 GENEROUS = 100.0  # how many times more energy than may appear contacts may give a rope that they push out
 DEEPER = 5e-5  # m, penetration at which a step is tried again at half its length
@@ -162,7 +162,7 @@ def choose(chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wan
             had = energy(chain, y, desk.base[0]) + turning_energy(desk.spin, desk.spin.before)
         has = energy(chain, desk.out, desk.base[2]) + turning_energy(desk.spin, desk.spin.after)
         surplus = has - had + desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
-        good = -LOSS * allowed <= surplus <= allowed and rounds > 0 and h <= longest
+        good = balanced(surplus, allowed) and rounds > 0 and h <= longest
         good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
             return h, wanted, least, touch, rounds, surplus, has, good
