@@ -141,9 +141,9 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
         )
         return cast, cast if good else None
 
-    def harden(self: course.Hardening, found: list, until: float, report: object) -> None:
+    def race(self: course.Hardening, found: list) -> None:
         seen["raced"] = [one.throw for one in found]
-        self.order = [SimpleNamespace(landing=landed[k]) for k in (2, 1)]  # type: ignore[misc]
+        self.order = [course.Runner(landed[k], worth=[0.5 * k]) for k in (2, 1)]
 
     def success(thrower: object, peg: object, throw: object, *_: object, **__: object) -> hf.casting.Success:
         seen["stated"] = throw
@@ -151,7 +151,8 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
 
     monkeypatch.setattr(course.Course, "go", go)
     monkeypatch.setattr(course.Course, "verified", verified)
-    monkeypatch.setattr(course.Hardening, "go", harden)
+    monkeypatch.setattr(course.Hardening, "race", race)
+    monkeypatch.setattr(course.Hardening, "go", lambda self, report=None: None)
     monkeypatch.setattr(plan, "success", success)
     found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=hf.casting.Uncertainty())
     assert sorted(seen["raced"]) == ["throw 0", "throw 1", "throw 2"]  # type: ignore[arg-type, call-overload]
@@ -159,6 +160,70 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
     assert (found.throw, found.success, found.stated) == (planned, planned not in fails, hf.casting.Success(30, 40))
     nominal = hf.plan_cast(CABLE, ARM, EASY)
     assert (nominal.throw, nominal.stated) == ("throw 0", None)
+
+
+@pytest.mark.parametrize(
+    ("worths", "loose", "fails", "patience", "planned", "rounds"),
+    [
+        ([1.0, 0.6, 0.5], set(), {0}, 60.0, 1, 2),  # what does not stand is dropped, and the rest refined
+        ([1.0, 0.6, 0.5], set(), {0, 1}, 60.0, 2, 2),
+        ([1.0, 0.8, 0.5], {0}, set(), 60.0, 1, 2),  # nothing in hand: it would have to win much more often
+        ([1.0, 0.6, 0.5], {0}, set(), 60.0, 0, 2),
+        ([1.0, 0.6, 0.5], set(), {0, 1}, 1e-9, "nominal", 1),  # no time for a third
+        ([1.0, 0.6, 0.5], set(), set(), 60.0, 0, 1),
+    ],
+)
+def test_the_race_goes_on_without_throws_that_do_not_stand(
+    monkeypatch: pytest.MonkeyPatch,
+    worths: list[float],
+    loose: set[int],
+    fails: set[int],
+    patience: float,
+    planned: int | str,
+    rounds: int,
+) -> None:
+    """Three throws that were raced; two are verified at once."""
+    search = SimpleNamespace(
+        thrower=None, peg=None, genes=None, seed=0, threads=2, workers=2, runs=0, landings=[], hold=0.0
+    )
+    good = SimpleNamespace(success=True, turns=2.0, slipped=1e-3, grip=0.5, folded=False)
+    asked: list[list[int]] = []
+
+    class Race:
+        runs, champion = 5, property(lambda self: self.order[0])
+
+        def __init__(self, *_: object, until: float, **__: object) -> None:
+            self.until, self.order = until, [course.Runner(k, worth=[w]) for k, w in enumerate(worths)]  # type: ignore[arg-type]
+
+        def race(self, found: list) -> None:
+            for one in self.order:
+                one.landing = SimpleNamespace(throw=one.landing)  # type: ignore[assignment]
+
+        def go(self, report: object) -> None:
+            asked.append([one.landing.throw for one in self.order])  # type: ignore[misc]
+
+        drop = course.Hardening.drop
+
+    def outcomes(self: course.Course, some: list) -> list:
+        return [
+            (one.throw, *(2 * [SimpleNamespace(**vars(good) | {"folded": one.throw in loose})]))
+            if one.throw not in fails
+            else (one.throw, SimpleNamespace(success=False, turns=0.0), None)
+            for one in some
+        ]
+
+    monkeypatch.setattr(course, "Hardening", Race)
+    monkeypatch.setattr(course.Course, "outcomes", outcomes)
+    monkeypatch.setattr(course, "reach", lambda *_: SimpleNamespace(room=2.0))
+    monkeypatch.setattr(course, "replace", lambda thrower, **_: thrower)
+    monkeypatch.setattr(course, "divided", lambda rope, k: rope)
+    search.thrower = SimpleNamespace(rope=None)
+    work = course.Course(search, course.NOMINAL * patience)  # type: ignore[arg-type]
+    work.best = ("nominal", good, good)  # type: ignore[assignment]
+    work.harden(hf.casting.Uncertainty(), None)
+    assert work.best[0] == planned
+    assert len(asked) == rounds
+    assert search.runs == 5
 
 
 def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_then(
@@ -172,12 +237,13 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     def verified(self: course.Course, found: course.Landing) -> object:
         raise KeyboardInterrupt
 
-    def harden(self: course.Hardening, *_: object) -> None:
-        self.order = [SimpleNamespace(landing=landed)]  # type: ignore[list-item]
+    def race(self: course.Hardening, found: list) -> None:
+        self.order = [course.Runner(landed)]
 
     monkeypatch.setattr(course.Course, "go", go)
     monkeypatch.setattr(course.Course, "verified", verified)
-    monkeypatch.setattr(course.Hardening, "go", harden)
+    monkeypatch.setattr(course.Hardening, "race", race)
+    monkeypatch.setattr(course.Hardening, "go", lambda self, report=None: None)
     found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=hf.casting.Uncertainty())
     assert found.interrupted
     assert (found.throw, found.stated) == ("nominal", None)

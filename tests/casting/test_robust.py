@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import count, pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from hyperflex.casting import Uncertainty, flights
+from hyperflex.casting import Uncertainty, flights, robust
 from hyperflex.casting.candidates import Landing
 from hyperflex.casting.genes import Genes
 from hyperflex.casting.landing import Landings
-from hyperflex.casting.robust import HEATS, JUDGED, POOL, WORLDS, Hardening, Runner, _apart, worth
+from hyperflex.casting.robust import EACH, HEATS, JUDGED, POOL, WORLDS, Hardening, Runner, _apart, worth
 from tests.casting.test_landing import PEG, THROWER, WINDS
 
 
@@ -38,7 +39,14 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return sizes
 
 
-def hardening(**changes: int) -> Hardening:
+def near_centre(work: Hardening, end: float) -> Landing:
+    """A throw that can be refined: that of the centre of what is searched, with another end."""
+    x = work.genes[-1].centre()
+    x[-3] = end / 3.0
+    return Landing(1.0, 2.0, -1, x, work.genes[-1].throw(x))
+
+
+def hardening(**changes: float) -> Hardening:
     return Hardening(THROWER, PEG, {s: Genes(THROWER, s) for s in (-1, 1)}, Uncertainty(), **changes)
 
 
@@ -105,10 +113,7 @@ def test_a_challenger_that_wins_by_luck_does_not_take_the_place(monkeypatch: pyt
 
 def test_a_refinement_takes_the_place_only_if_it_is_better(made_up: list[int]) -> None:
     work = hardening()
-    genes = work.genes[-1]
-    x = genes.centre()
-    x[-3] = 0.2  # end of 0.6 rad
-    start = Landing(1.0, 2.0, -1, x, genes.throw(x))
+    start = near_centre(work, 0.6)
     work.race([start])
     means = [work.champion.mean]
     for _ in range(12):
@@ -118,6 +123,36 @@ def test_a_refinement_takes_the_place_only_if_it_is_better(made_up: list[int]) -
     assert work.champion.landing.throw.end > start.throw.end
     first = next(one for one in work.order if one.landing is start)
     assert np.mean(work.champion.wins) > np.mean(first.wins)
+
+
+def test_nothing_is_begun_that_would_end_too_late(made_up: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each look at the clock is a second."""
+    seconds = count(1.0)
+    monkeypatch.setattr(robust, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
+    work = hardening(until=0.5)
+    work.race([landing(end) for end in (0.1, 0.5, 0.9)])
+    assert made_up == [3 * HEATS[0]]  # one heat must be
+    work.go()
+    assert work.generations == 0
+    work, seconds = hardening(until=3.5), count(0.0)
+    work.order = [Runner(near_centre(work, 0.1))]
+    work.go()  # it begins at 1 s, ends at 2 s; the next would end at 4 s
+    assert work.generations == 1
+
+
+def test_what_is_dropped_is_refined_no_more(made_up: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    work = hardening()
+    work.race([near_centre(work, 0.3), near_centre(work, 2.4)])
+    first, second = work.order
+    work.drop([first])
+    assert work.champion is second
+    points: list[np.ndarray] = []
+    landings = work.landings
+    monkeypatch.setattr(work, "landings", lambda side, some: points.extend(some) or landings(side, some))
+    work.refine()
+    mean = np.mean([x[-3] for x in points])
+    assert abs(mean - second.landing.x[-3]) < abs(mean - first.landing.x[-3])  # about what is left
+    assert first not in work.order
 
 
 def test_worth_is_a_win_and_a_little_for_the_score() -> None:
@@ -131,3 +166,14 @@ def test_throws_that_wind_are_raced_first_and_at_most_so_many() -> None:
     assert len(chosen) == POOL
     assert all(one.turns >= 1.25 for one in chosen)
     assert chosen[0].score == 3 * POOL - 1
+
+
+def test_swings_that_fail_together_are_not_the_whole_field() -> None:
+    """Throws of one swing differ in what comes after its strokes alone."""
+    better = [landing(1.0, score=9.0 - 0.1 * k) for k in range(2 * POOL)]
+    better = [one._replace(x=np.append(one.x[:-1], 1.0 + 0.1 * k)) for k, one in enumerate(better)]
+    others = [landing(2.0 + 0.3 * k, score=1.0 - 0.1 * k) for k in range(6)]
+    chosen = _apart(better + others)
+    assert [one.score for one in chosen[:EACH]] == [9.0, 8.9, 8.8, 8.7]
+    assert [one.score for one in chosen[EACH : EACH + 6]] == [one.score for one in others]
+    assert len(chosen) == POOL  # and more of the best where there is room

@@ -52,6 +52,7 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     assert (asked["target"], asked["arm"]) == (hf.Peg(-0.83, -1.07, 0.04, 0.4), hf.Arm(length=0.2))
     assert asked["limits"] == hf.MotorLimits(speed=5.0, torque=2.0)
     assert (asked["patience"], asked["seed"], asked["uncertainty"]) == (7.0, 3, None)
+    assert (asked["time_limit"], asked["regardless"]) == (None, False)
     assert told["success"]
     assert (told["source"], told["reason"]) == ("simulated", "")
     assert told["strokes"] == 6
@@ -102,6 +103,12 @@ def test_a_target_out_of_reach_comes_with_the_nearest_one_and_with_remedies(
     for words in (f"x = {near['x_m']:.4g} m", "not planned for", f"in reach with {told['remedies'][0]}"):
         assert words in " ".join(out.split())
         assert words in page
+
+
+def test_a_target_out_of_reach_is_searched_for_if_one_insists(hyperflex_json, rope_file, ready, tmp_path):
+    asked = ready("misses")
+    hyperflex_json(*arguments(rope_file, tmp_path / "out", "--regardless", "--time-limit", "9.5"))
+    assert (asked["regardless"], asked["time_limit"]) == (True, 9.5)
 
 
 def test_a_plan_for_the_nearest_target_is_written(hyperflex, rope_file, ready, tmp_path):
@@ -158,12 +165,14 @@ def test_a_target_of_one_number_is_told_to_need_two(hyperflex, rope_file, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("target", "words"), [(("2.5", "0"), "out of reach"), (("0.05", "0"), "arm"), (("0", "0"), "arm")]
+    ("target", "words"),
+    [(("2.5", "0"), "out of reach"), (("0", "1"), "rule of thumb"), (("0.05", "0"), "arm"), (("0", "0"), "arm")],
 )
 def test_a_target_that_cannot_be_wound_is_told_at_once(hyperflex, rope_file, tmp_path, target, words):
     code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", target=target))
     assert code == 4
     assert words in out
+    assert ("--regardless" in out) == (words == "rule of thumb")  # for the others no search helps
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["report.html"]
     assert words in (tmp_path / "out" / "report.html").read_text()
 
@@ -181,6 +190,7 @@ def test_a_target_that_cannot_be_wound_is_told_at_once(hyperflex, rope_file, tmp
         ({}, ("--torque", "0"), "motor torque"),
         ({}, ("--arm-length", "0"), "--arm-length"),
         ({}, ("--patience", "0"), "patience"),
+        ({}, ("--time-limit", "0"), "--time-limit"),
         ({}, ("--rate", "0"), "--rate"),
         ({}, ("--hold", "-1"), "hold"),
         ({}, ("--seed", "-1"), "seed"),

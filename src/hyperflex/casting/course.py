@@ -14,7 +14,7 @@ from hyperflex.casting.clock import Clock
 from hyperflex.casting.hold import bearing
 from hyperflex.casting.landing import SLIDING
 from hyperflex.casting.outcome import SLIP, WOUND, Cast, verify
-from hyperflex.casting.robust import Hardening
+from hyperflex.casting.robust import Hardening, Runner
 from hyperflex.casting.search import Search
 from hyperflex.casting.strikes import TURNS_ENOUGH, USED
 from hyperflex.casting.targets import reach
@@ -34,6 +34,8 @@ RESTART = 12  # generations beside the peg from one place
 ALIKE = 0.05  # points that differ by less are one
 FINER = (2, 3)  # pieces of each link in the verifications after the first
 NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
+HARDENING = 0.8  # part of it after which that search only verifies
+HAZARD = 0.3  # by which a throw with nothing in hand must win more often than one with, to be the plan
 SEARCHING = 0.85  # part of the patience after which nothing new is begun but verifications
 LONGEST, LEAST_LONG = 0.25, 3.0  # part of the patience, and processor time, s, that a verification may take
 TRIES = 3  # throws verified at most between two generations
@@ -41,6 +43,8 @@ STEADY = 0.4  # part of the slip allowed, beyond which a throw that holds is kep
 GRIP = 1.0  # part of what the rope can bear, of which the same is true
 BOTH = 2  # verifications that succeed where a plan stands
 ALIKE_TURNS = 0.5  # by which the turns of both verifications may differ: beyond, one of them winds once more
+
+Verified = tuple[Throw | None, Cast | None, Cast | None]  # a throw as it is given, and on shorter links
 
 
 class Course:
@@ -63,7 +67,7 @@ class Course:
         self.rounds = 0
         self.tail = float(np.clip(reach(thrower, search.peg).room - USED, LEAST_TAIL, TURNS_ENOUGH))
         self.checked: list[Landing] = []
-        self.best: tuple[Throw | None, Cast | None, Cast | None] = (None, None, None)
+        self.best: Verified = (None, None, None)
 
     @property
     def spent(self) -> float:
@@ -130,7 +134,7 @@ class Course:
 
     def done(self) -> bool:
         """Whether a plan stands, with something in hand."""
-        return _rank(*self.best[1:])[:3] == (BOTH, True, True)
+        return _secure(self.best)
 
     def look(self) -> None:
         """Verify the best throws that were not verified yet, as many at once as there are threads."""
@@ -149,26 +153,35 @@ class Course:
             self.check(self.search.landings[:1])
 
     def harden(self, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
-        """Look for the throw that wins in most worlds, for what patience is left, and verify the best ones."""
+        """Look for the throw that wins in most worlds, for what patience is left; what does not stand is dropped."""
         self.patience /= NOMINAL
-        search, until = self.search, time.monotonic() + self.patience - self.spent
+        search, known = self.search, dict[Runner, Verified]()
         work = Hardening(
-            search.thrower, search.peg, search.genes, uncertainty, seed=search.seed, threads=search.threads
+            search.thrower,
+            search.peg,
+            search.genes,
+            uncertainty,
+            until=time.monotonic() + HARDENING * self.patience - self.spent,
+            seed=search.seed,
+            threads=search.threads,
         )
-        work.go(search.landings, until, None if report is None else lambda: report(self.spent))
-        search.runs += work.runs
-        before, tried = self.best, []
         try:
-            for found in work.order[:TRIES]:
-                self.best = (None, None, None)
-                self.check([found.landing])
-                tried.append(self.best)
-                if self.done():
-                    return
+            work.race(search.landings)
+            if _stands(self.best):
+                known |= {one: self.best for one in work.order if one.landing.throw is self.best[0]}
+            while work.order:
+                work.go(None if report is None else lambda: report(self.spent))
+                if work.champion not in known:
+                    fresh = [one for one in work.order[: search.workers] if one not in known]
+                    known |= zip(fresh, self.outcomes([one.landing for one in fresh]), strict=True)
+                if _secure(known[work.champion]) or time.monotonic() > work.until:
+                    break
+                work.drop(one for one, found in known.items() if not _secure(found))
         finally:
-            if not self.done():
-                stands = [one for one in (*tried, before) if _rank(*one[1:])[0] == BOTH]
-                self.best = (*stands, *tried, before)[0]
+            search.runs += work.runs
+            chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
+            if chosen is not None and (_stands(known[chosen]) or not _stands(self.best)):
+                self.best = known[chosen]
 
     def fresh(self) -> list[Landing]:
         """Return throws that wind and are like none that was verified, nor like each other."""
@@ -183,14 +196,20 @@ class Course:
 
     def check(self, some: Sequence[Landing]) -> None:
         """Verify throws and keep one that is better than the best until now; what fails counts less in the search."""
+        for found, (throw, cast, finer) in zip(some, self.outcomes(some), strict=True):
+            worse = finer or cast
+            if worse is not None and not worse.success:
+                self.search.correct(found, abs(worse.turns), abs(worse.turns) - SLIDING)
+            if self.best[0] is None or _rank(cast, finer) > _rank(*self.best[1:]):
+                self.best = (throw, cast, finer)
+
+    def outcomes(self, some: Sequence[Landing]) -> list[Verified]:
+        """Verify throws at once."""
         self.checked += some
+        if not some:
+            return []
         with ThreadPoolExecutor(len(some)) as pool:
-            for found, (cast, finer) in zip(some, pool.map(self.verified, some), strict=True):
-                worse = finer or cast
-                if not worse.success:
-                    self.search.correct(found, abs(worse.turns), abs(worse.turns) - SLIDING)
-                if self.best[0] is None or _rank(cast, finer) > _rank(*self.best[1:]):
-                    self.best = (found.throw, cast, finer)
+            return [(one.throw, *found) for one, found in zip(some, pool.map(self.verified, some), strict=True)]
 
     def verified(self, found: Landing) -> tuple[Cast, Cast | None]:
         """Verify a throw on the rope as it is given; then, if it winds and holds, with shorter and shorter links.
@@ -220,6 +239,21 @@ class Course:
 def steady(cast: Cast) -> bool:
     """Whether a rope that holds is far from slipping, and did not fold through itself on the way."""
     return cast.slipped <= STEADY * SLIP and cast.grip <= GRIP and not cast.folded
+
+
+def _stands(found: Verified) -> bool:
+    """Whether all verifications of a throw succeed."""
+    return _rank(*found[1:])[0] == BOTH
+
+
+def _secure(found: Verified) -> bool:
+    """Whether a throw stands, with something in hand."""
+    return _rank(*found[1:])[:3] == (BOTH, True, True)
+
+
+def _value(runner: Runner, found: Verified) -> tuple[bool, float]:
+    """What a throw that was raced is worth as a plan."""
+    return _stands(found), runner.mean - (0.0 if _secure(found) else HAZARD)
 
 
 def _rank(cast: Cast | None, finer: Cast | None) -> tuple[int, bool, bool, float]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from hyperflex.casting import flights
-from hyperflex.casting.candidates import Landing
+from hyperflex.casting.candidates import Landing, same_swing
 from hyperflex.casting.evolution import evolution
 from hyperflex.casting.genes import Genes
 from hyperflex.casting.landing import Landings
@@ -22,6 +23,7 @@ from hyperflex.checks import Array
 from hyperflex.model import Peg
 
 POOL, HEATS = 16, (4, 4, 8)  # throws that are raced, and the worlds of each heat; the better half goes on
+EACH = 4  # throws of one swing that are raced while there are others: they mostly fail in the same worlds
 MEMBERS, WORLDS = 8, 6  # of a generation of the refinement
 JUDGED = 16  # worlds in which a challenger meets the champion
 NARROW = 0.1  # spread of the refinement, in parts of the nominal search's first one
@@ -55,6 +57,8 @@ class Hardening:
     genes : dict of int to Genes
         Of each side, as the nominal search has them.
     uncertainty : Uncertainty
+    until : float
+        On the monotonic clock, s: no heat after the first is begun later, nor a generation that would end later.
     seed : int
     threads : int, optional
 
@@ -73,28 +77,37 @@ class Hardening:
         genes: dict[int, Genes],
         uncertainty: Uncertainty,
         *,
+        until: float = math.inf,
         seed: int = 0,
         threads: int | None = None,
     ) -> None:
         self.thrower, self.peg, self.genes, self.uncertainty = thrower, peg, genes, uncertainty
-        self.seed, self.threads = seed, threads
+        self.until, self.seed, self.threads = until, seed, threads
         self.worlds = uncertainty.draws(max(sum(HEATS), JUDGED), thrower, peg, seed=[RACE, seed])
         self.order: list[Runner] = []  # best first
         self.runs = self.generations = 0
         self._evolution: Any = None
+        self._took = 0.0  # s, of the last generation
 
     @property
     def champion(self) -> Runner:
         """The best until now."""
         return self.order[0]
 
-    def go(self, found: Sequence[Landing], until: float, report: Callable[[], None] | None = None) -> None:
-        """Race `found` and refine until the monotonic clock shows `until`, s, or the champion wins every time."""
-        self.race(found)
-        while self.order and time.monotonic() < until and not self.sure():
+    def go(self, report: Callable[[], None] | None = None) -> None:
+        """Refine until the time is over or the champion wins every time."""
+        while self.order and time.monotonic() + self._took < self.until and not self.sure():
+            begin = time.monotonic()
             self.refine()
+            self._took = time.monotonic() - begin
             if report is not None:
                 report()
+
+    def drop(self, some: Iterable[Runner]) -> None:
+        """Take throws out: what is refined next is the best of those left."""
+        gone = set(some)
+        self.order = [one for one in self.order if one not in gone]
+        self._evolution = None
 
     def sure(self) -> bool:
         """Whether the champion has won in all the worlds that it has met."""
@@ -105,6 +118,8 @@ class Hardening:
         runners = [Runner(landing) for landing in _apart(found)]
         met = 0
         for worlds in HEATS:
+            if met and time.monotonic() > self.until:
+                break
             self.meet(runners, self.worlds[met : met + worlds])
             met += worlds
             runners.sort(key=lambda one: -one.mean)
@@ -116,7 +131,7 @@ class Hardening:
         """One generation about the champion, in fresh worlds; its best may take the champion's place."""
         side = self.champion.landing.side
         if self._evolution is None:
-            random = np.random.default_rng([REFINE, self.seed])
+            random = np.random.default_rng([REFINE, self.seed, self.generations])
             spreads = self.genes[side].spreads()
             self._evolution = evolution(self.champion.landing.x, NARROW, spreads, MEMBERS, random)
         points = self._evolution.ask()
@@ -170,11 +185,13 @@ def worth(found: Landings) -> Array:
 
 
 def _apart(found: Sequence[Landing]) -> list[Landing]:
-    """Return the best throws that differ, those first that wind."""
+    """Return the best throws that differ, those first that wind; EACH of a swing, more of it where there is room."""
     chosen: list[Landing] = []
+    spare: list[Landing] = []
     for one in sorted(found, key=lambda one: (one.turns < WOUND, -one.score)):
-        if all(one.side != other.side or np.abs(one.x - other.x).max() > ALIKE for other in chosen):
-            chosen.append(one)
+        if all(one.side != other.side or np.abs(one.x - other.x).max() > ALIKE for other in chosen + spare):
+            crowded = sum(same_swing(one, other) for other in chosen) >= EACH
+            (spare if crowded else chosen).append(one)
         if len(chosen) == POOL:
             break
-    return chosen
+    return (chosen + spare)[:POOL]

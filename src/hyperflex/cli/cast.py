@@ -34,6 +34,10 @@ def cast(
     ] = None,
     torque: Annotated[float | None, typer.Option(help="Greatest torque, N m. [default: not looked at]")] = None,
     hold: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(help="Within which the rope must strike, s. [default: five periods of its swing, or more]"),
+    ] = None,
     robust: Annotated[
         bool,
         typer.Option(
@@ -48,6 +52,9 @@ def cast(
             "--elsewhere",
             help="If no cast is found, plan for the nearest targets until one works; takes up to five times as long.",
         ),
+    ] = False,
+    regardless: Annotated[
+        bool, typer.Option("--regardless", help="Search even for a target that is called out of reach.")
     ] = False,
     rate: Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz.")] = 200.0,
     patience: Annotated[float, typer.Option(help="Time to search, s; a plan that stands ends it.")] = 60.0,
@@ -76,6 +83,8 @@ def cast(
         raise FileProblem(f"{out} is a file, not a folder. Give another name with -o.")
     rate = number("--rate", rate, sign="positive", unit="Hz")
     arm_length = number("--arm-length", arm_length, sign="positive", unit="m")
+    if time_limit is not None:
+        time_limit = number("--time-limit", time_limit, sign="positive", unit="s")
     given: dict[str, Any] = {"speed": speed, "acceleration": acceleration, "torque": torque}
     uncertain = Uncertainty.of_file(rope) if robust else None
     limits = MotorLimits(**{name: value for name, value in given.items() if value is not None})
@@ -84,9 +93,11 @@ def cast(
         Arm(length=arm_length),
         Peg(*target, radius, mu),
         limits,
+        time_limit=time_limit,
         hold=hold,
         uncertainty=uncertain,
         patience=patience,
+        regardless=regardless,
         elsewhere=elsewhere,
         seed=seed,
         progress=output.watched(json),

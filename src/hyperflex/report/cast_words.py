@@ -100,6 +100,8 @@ def instead(plan: CastPlan) -> tuple[str, ...]:
         told.append("By the same rule this target is in reach, too: a longer --patience or another --seed may help.")
     if plan.remedies:
         told.append(f"By the same rule this target would be in reach with {' or '.join(plan.remedies)}.")
+    if not (searched(plan) or plan.reach.impossible):
+        told.append("Near its edge the rule may be wrong: --regardless searches all the same.")
     return tuple(told)
 
 
