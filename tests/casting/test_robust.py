@@ -143,8 +143,10 @@ def test_nothing_is_begun_that_would_end_too_late(made_up: list[int], monkeypatc
 def test_what_is_dropped_is_refined_no_more(made_up: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     work = hardening()
     work.race([near_centre(work, 0.3), near_centre(work, 2.4)])
-    first, second = work.order
-    work.drop([first])
+    second = work.order[1]
+    work.refine()  # about the first
+    first = work.champion
+    work.drop([one for one in work.order if one is not second])
     assert work.champion is second
     points: list[np.ndarray] = []
     landings = work.landings
