@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import count, pairwise
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from hyperflex.casting import Uncertainty, flights, robust
+from hyperflex.casting import Uncertainty, flights
 from hyperflex.casting.candidates import Landing
 from hyperflex.casting.genes import Genes
 from hyperflex.casting.landing import Landings
@@ -46,7 +46,7 @@ def near_centre(work: Hardening, end: float) -> Landing:
     return Landing(1.0, 2.0, -1, x, work.genes[-1].throw(x))
 
 
-def hardening(**changes: float) -> Hardening:
+def hardening(**changes: Any) -> Hardening:
     return Hardening(THROWER, PEG, {s: Genes(THROWER, s) for s in (-1, 1)}, Uncertainty(), **changes)
 
 
@@ -125,19 +125,37 @@ def test_a_refinement_takes_the_place_only_if_it_is_better(made_up: list[int]) -
     assert np.mean(work.champion.wins) > np.mean(first.wins)
 
 
-def test_nothing_is_begun_that_would_end_too_late(made_up: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_begun_that_would_end_too_late(made_up: list[int]) -> None:
     """Each look at the clock is a second."""
-    seconds = count(1.0)
-    monkeypatch.setattr(robust, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
-    work = hardening(until=0.5)
+    seconds = count(0.0, -1.0)
+    work = hardening(left=lambda: next(seconds))
     work.race([landing(end) for end in (0.1, 0.5, 0.9)])
     assert made_up == [3 * HEATS[0]]  # one heat must be
     work.go()
     assert work.generations == 0
-    work, seconds = hardening(until=3.5), count(0.0)
+    seconds = count(2.0, -1.0)
     work.order = [Runner(near_centre(work, 0.1))]
-    work.go()  # it begins at 1 s, ends at 2 s; the next would end at 4 s
+    work.go()  # it begins with 2 s left and takes one; the next would begin with none
     assert work.generations == 1
+
+
+def test_a_race_of_nothing_has_no_champion(made_up: list[int]) -> None:
+    work = hardening()
+    work.race([])
+    work.go()
+    assert (work.order, made_up) == ([], [])
+
+
+def test_the_best_are_of_other_swings_and_have_met_the_common_worlds(made_up: list[int]) -> None:
+    work = hardening()
+    first, second, other = (near_centre(work, end) for end in (2.4, 2.3, 0.6))
+    other.x[0] += 0.5  # another stroke
+    work.race([first, second, other])
+    assert [one.landing for one in work.order] == [first, second, other]
+    assert [one.landing for one in work.best(2)] == [first, other]
+    assert [one.landing for one in work.best(3)] == [first, other, second]
+    assert len({len(one.worth) for one in work.best(3)}) == 1
+    assert len(work.order[2].worth) == JUDGED
 
 
 def test_what_is_dropped_is_refined_no_more(made_up: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,10 +190,15 @@ def test_throws_that_wind_are_raced_first_and_at_most_so_many() -> None:
 
 def test_swings_that_fail_together_are_not_the_whole_field() -> None:
     """Throws of one swing differ in what comes after its strokes alone."""
-    better = [landing(1.0, score=9.0 - 0.1 * k) for k in range(2 * POOL)]
+    better = [landing(1.0, score=9.0 - 0.1 * k) for k in range(8)]
     better = [one._replace(x=np.append(one.x[:-1], 1.0 + 0.1 * k)) for k, one in enumerate(better)]
     others = [landing(2.0 + 0.3 * k, score=1.0 - 0.1 * k) for k in range(6)]
-    chosen = _apart(better + others)
-    assert [one.score for one in chosen[:EACH]] == [9.0, 8.9, 8.8, 8.7]
-    assert [one.score for one in chosen[EACH : EACH + 6]] == [one.score for one in others]
-    assert len(chosen) == POOL  # and more of the best where there is room
+    fail = [landing(5.0 + 0.3 * k, score=0.5 - 0.1 * k, turns=1.0) for k in range(2 * POOL)]
+    chosen = [one.score for one in _apart(better + others + fail)]
+    assert chosen[:EACH] == [one.score for one in better[:EACH]]
+    assert chosen[EACH : EACH + 6] == [one.score for one in others]
+    assert chosen[EACH + 6 : EACH + 10] == [one.score for one in better[EACH:]]  # before any that does not wind
+    assert chosen[EACH + 10 :] == [0.5, 0.4]
+    assert len(chosen) == POOL
+    assert _apart(better + others + fail, fail[-1:])[0] is fail[-1]  # as is asked
+    assert len(_apart(fail + fail, fail[:1])) == POOL

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -35,7 +34,7 @@ ALIKE = 0.05  # points that differ by less are one
 FINER = (2, 3)  # pieces of each link in the verifications after the first
 NOMINAL = 0.5  # part of the patience that a search for a robust plan gives to the world that is expected
 HARDENING = 0.8  # part of it after which that search only verifies
-HAZARD = 0.3  # by which a throw with nothing in hand must win more often than one with, to be the plan
+HAZARD = 0.3  # by which a throw with nothing in hand must be worth more than one with, to be the plan
 SEARCHING = 0.85  # part of the patience after which nothing new is begun but verifications
 LONGEST, LEAST_LONG = 0.25, 3.0  # part of the patience, and processor time, s, that a verification may take
 TRIES = 3  # throws verified at most between two generations
@@ -44,6 +43,7 @@ GRIP = 1.0  # part of what the rope can bear, of which the same is true
 BOTH = 2  # verifications that succeed where a plan stands
 ALIKE_TURNS = 0.5  # by which the turns of both verifications may differ: beyond, one of them winds once more
 
+NONE = (False, False, 0.0)  # value of no throw
 Verified = tuple[Throw | None, Cast | None, Cast | None]  # a throw as it is given, and on shorter links
 
 
@@ -67,6 +67,7 @@ class Course:
         self.rounds = 0
         self.tail = float(np.clip(reach(thrower, search.peg).room - USED, LEAST_TAIL, TURNS_ENOUGH))
         self.checked: list[Landing] = []
+        self.seen: list[Verified] = []
         self.best: Verified = (None, None, None)
 
     @property
@@ -153,30 +154,33 @@ class Course:
             self.check(self.search.landings[:1])
 
     def harden(self, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
-        """Look for the throw that wins in most worlds, for what patience is left; what does not stand is dropped."""
+        """Look for the throw that wins in most worlds, for what patience is left; what is not secure is dropped."""
         self.patience /= NOMINAL
-        search, known = self.search, dict[Runner, Verified]()
+        search, known, some = self.search, dict[Runner, Verified](), list[Runner]()
         work = Hardening(
             search.thrower,
             search.peg,
             search.genes,
             uncertainty,
-            until=time.monotonic() + HARDENING * self.patience - self.spent,
+            left=lambda: HARDENING * self.patience - self.spent,
             seed=search.seed,
             threads=search.threads,
         )
         try:
-            work.race(search.landings)
-            if _stands(self.best):
-                known |= {one: self.best for one in work.order if one.landing.throw is self.best[0]}
-            while work.order:
+            work.race(search.landings, [one for one in self.checked if one.throw is self.best[0]])
+            seen = [found for found in self.seen if not _unfinished(found)]
+            known |= {one: found for one in work.order for found in seen if found[0] is one.landing.throw}
+            work.judge([one for one, found in known.items() if _stands(found)])
+            while True:
+                work.drop([one for one, found in known.items() if not _secure(found)])
                 work.go(None if report is None else lambda: report(self.spent))
-                if work.champion not in known:
-                    fresh = [one for one in work.order[: search.workers] if one not in known]
-                    known |= zip(fresh, self.outcomes([one.landing for one in fresh]), strict=True)
-                if _secure(known[work.champion]) or time.monotonic() > work.until:
+                if not work.order or work.champion in known or (some and self.spent > self.patience):
                     break
-                work.drop(one for one, found in known.items() if not _secure(found))
+                if max((_value(*each) for each in known.items()), default=NONE) >= (True, True, work.champion.mean):
+                    break
+                some = [one for one in work.best(search.workers) if one not in known]
+                for one, found in zip(some, self.outcomes([one.landing for one in some]), strict=True):
+                    known[one] = found
         finally:
             search.runs += work.runs
             chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
@@ -203,13 +207,13 @@ class Course:
             if self.best[0] is None or _rank(cast, finer) > _rank(*self.best[1:]):
                 self.best = (throw, cast, finer)
 
-    def outcomes(self, some: Sequence[Landing]) -> list[Verified]:
+    def outcomes(self, some: Sequence[Landing]) -> Iterator[Verified]:
         """Verify throws at once."""
         self.checked += some
-        if not some:
-            return []
-        with ThreadPoolExecutor(len(some)) as pool:
-            return [(one.throw, *found) for one, found in zip(some, pool.map(self.verified, some), strict=True)]
+        with ThreadPoolExecutor(max(1, len(some))) as pool:
+            for one, found in zip(some, pool.map(self.verified, some), strict=True):
+                self.seen.append((one.throw, *found))
+                yield self.seen[-1]
 
     def verified(self, found: Landing) -> tuple[Cast, Cast | None]:
         """Verify a throw on the rope as it is given; then, if it winds and holds, with shorter and shorter links.
@@ -251,9 +255,14 @@ def _secure(found: Verified) -> bool:
     return _rank(*found[1:])[:3] == (BOTH, True, True)
 
 
-def _value(runner: Runner, found: Verified) -> tuple[bool, float]:
+def _unfinished(found: Verified) -> bool:
+    """Whether a throw was not verified to its end for want of time."""
+    return any(cast is not None and cast.run is None for cast in found[1:])
+
+
+def _value(runner: Runner, found: Verified) -> tuple[bool, bool, float]:
     """What a throw that was raced is worth as a plan."""
-    return _stands(found), runner.mean - (0.0 if _secure(found) else HAZARD)
+    return _stands(found), not _unfinished(found), runner.judged - (0.0 if _secure(found) else HAZARD)
 
 
 def _rank(cast: Cast | None, finer: Cast | None) -> tuple[int, bool, bool, float]:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,7 +29,7 @@ NARROW = 0.1  # spread of the refinement, in parts of the nominal search's first
 SHADE = 0.2  # what a good score counts beside a win
 BEST = 3.0  # score from which on more does not count
 ALIKE = 0.02  # points that differ by less are one
-RACE, REFINE, CONFIRM = 9001, 9002, 9003  # streams of random numbers
+RACE, REFINE, CONFIRM, EVOLVE = 9001, 9002, 9003, 9004  # streams of random numbers
 
 
 @dataclass(eq=False)
@@ -46,6 +45,11 @@ class Runner:
         """Mean worth; wins count one."""
         return float(np.mean(self.worth)) if self.worth else -1.0
 
+    @property
+    def judged(self) -> float:
+        """The same in the common worlds alone, of which all meet the same ones first."""
+        return float(np.mean(self.worth[:JUDGED]))
+
 
 class Hardening:
     """A race of the throws that a nominal search found, then CMA-ES about the best, all in common worlds.
@@ -57,8 +61,8 @@ class Hardening:
     genes : dict of int to Genes
         Of each side, as the nominal search has them.
     uncertainty : Uncertainty
-    until : float
-        On the monotonic clock, s: no heat after the first is begun later, nor a generation that would end later.
+    left : function, optional
+        Returns the time that is left, s: without any no second heat is begun, nor a generation that takes more.
     seed : int
     threads : int, optional
 
@@ -77,12 +81,12 @@ class Hardening:
         genes: dict[int, Genes],
         uncertainty: Uncertainty,
         *,
-        until: float = math.inf,
+        left: Callable[[], float] = lambda: math.inf,
         seed: int = 0,
         threads: int | None = None,
     ) -> None:
         self.thrower, self.peg, self.genes, self.uncertainty = thrower, peg, genes, uncertainty
-        self.until, self.seed, self.threads = until, seed, threads
+        self.left, self.seed, self.threads = left, seed, threads
         self.worlds = uncertainty.draws(max(sum(HEATS), JUDGED), thrower, peg, seed=[RACE, seed])
         self.order: list[Runner] = []  # best first
         self.runs = self.generations = 0
@@ -96,29 +100,43 @@ class Hardening:
 
     def go(self, report: Callable[[], None] | None = None) -> None:
         """Refine until the time is over or the champion wins every time."""
-        while self.order and time.monotonic() + self._took < self.until and not self.sure():
-            begin = time.monotonic()
+        while self.order and (left := self.left()) > self._took and not self.sure():
             self.refine()
-            self._took = time.monotonic() - begin
+            self._took = max(0.0, left - self.left()) if left < math.inf else 0.0
             if report is not None:
                 report()
 
-    def drop(self, some: Iterable[Runner]) -> None:
+    def drop(self, some: Collection[Runner]) -> None:
         """Take throws out: what is refined next is the best of those left."""
-        gone = set(some)
-        self.order = [one for one in self.order if one not in gone]
-        self._evolution = None
+        if any(one in some for one in self.order):
+            self.order = [one for one in self.order if one not in some]
+            self._evolution = None
+
+    def best(self, count: int) -> list[Runner]:
+        """Return the champion and others, `count` at most, of other swings first; all have met the common worlds."""
+        some: list[Runner] = []
+        for one in self.order:
+            if not any(same_swing(one.landing, other.landing) for other in some):
+                some.append(one)
+        some = [*some[:count], *(one for one in self.order if one not in some)][:count]
+        self.judge(some)
+        return some
+
+    def judge(self, some: Sequence[Runner]) -> None:
+        """Let each meet the common worlds that it has not met yet."""
+        for one in some:
+            self.meet([one], self.worlds[len(one.worth) : JUDGED])
 
     def sure(self) -> bool:
         """Whether the champion has won in all the worlds that it has met."""
         return len(self.champion.wins) >= JUDGED and all(self.champion.wins)
 
-    def race(self, found: Sequence[Landing]) -> None:
-        """Let throws run in heats; the better half of each goes on."""
-        runners = [Runner(landing) for landing in _apart(found)]
+    def race(self, found: Sequence[Landing], seeded: Sequence[Landing] = ()) -> None:
+        """Let throws run in heats, those that are `seeded` among them; the better half of each goes on."""
+        runners = [Runner(landing) for landing in _apart(found, seeded)]
         met = 0
         for worlds in HEATS:
-            if met and time.monotonic() > self.until:
+            if not runners or (met and self.left() <= 0.0):
                 break
             self.meet(runners, self.worlds[met : met + worlds])
             met += worlds
@@ -131,7 +149,7 @@ class Hardening:
         """One generation about the champion, in fresh worlds; its best may take the champion's place."""
         side = self.champion.landing.side
         if self._evolution is None:
-            random = np.random.default_rng([REFINE, self.seed, self.generations])
+            random = np.random.default_rng([EVOLVE, self.seed, self.generations])
             spreads = self.genes[side].spreads()
             self._evolution = evolution(self.champion.landing.x, NARROW, spreads, MEMBERS, random)
         points = self._evolution.ask()
@@ -167,6 +185,8 @@ class Hardening:
 
     def meet(self, runners: Sequence[Runner], worlds: Sequence[Draw]) -> None:
         """Let each runner meet each world."""
+        if not (runners and worlds):
+            return
         pairs: list[tuple[Throw, Draw]] = [(one.landing.throw, world) for one in runners for world in worlds]
         found = flights.ends(
             flights.from_rest(self.thrower, pairs), self.thrower.arm, self.thrower.time, threads=self.threads
@@ -184,14 +204,18 @@ def worth(found: Landings) -> Array:
     return np.asarray((found.turns >= WOUND) + SHADE * np.clip(found.score / BEST, -1.0, 1.0))
 
 
-def _apart(found: Sequence[Landing]) -> list[Landing]:
-    """Return the best throws that differ, those first that wind; EACH of a swing, more of it where there is room."""
-    chosen: list[Landing] = []
-    spare: list[Landing] = []
+def _apart(found: Sequence[Landing], seeded: Sequence[Landing] = ()) -> list[Landing]:
+    """Return throws that differ: those seeded, the best that wind, EACH of a swing, then more of these, then others."""
+    chosen: list[Landing] = list(seeded)
+    more: list[Landing] = []
+    others: list[Landing] = []
     for one in sorted(found, key=lambda one: (one.turns < WOUND, -one.score)):
-        if all(one.side != other.side or np.abs(one.x - other.x).max() > ALIKE for other in chosen + spare):
-            crowded = sum(same_swing(one, other) for other in chosen) >= EACH
-            (spare if crowded else chosen).append(one)
-        if len(chosen) == POOL:
-            break
-    return (chosen + spare)[:POOL]
+        crowded = sum(same_swing(one, other) for other in chosen) >= EACH
+        among = others if one.turns < WOUND else more if crowded else chosen
+        if len(among) < POOL and not any(_alike(one, other) for other in chosen + more + others):
+            among.append(one)
+    return (chosen + more + others)[:POOL]
+
+
+def _alike(one: Landing, other: Landing) -> bool:
+    return one.side == other.side and bool(np.abs(one.x - other.x).max() <= ALIKE)

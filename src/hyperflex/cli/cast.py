@@ -54,7 +54,7 @@ def cast(
         ),
     ] = False,
     regardless: Annotated[
-        bool, typer.Option("--regardless", help="Search even for a target that is called out of reach.")
+        bool, typer.Option("--regardless", help="Search even for a target that a rule of thumb calls out of reach.")
     ] = False,
     rate: Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz.")] = 200.0,
     patience: Annotated[float, typer.Option(help="Time to search, s; a plan that stands ends it.")] = 60.0,
