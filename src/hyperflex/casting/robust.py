@@ -136,7 +136,7 @@ class Hardening:
         runners = [Runner(landing) for landing in _apart(found, seeded)]
         met = 0
         for worlds in HEATS:
-            if not runners or (met and self.left() <= 0.0):
+            if met and self.left() <= 0.0:
                 break
             self.meet(runners, self.worlds[met : met + worlds])
             met += worlds
