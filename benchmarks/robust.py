@@ -55,8 +55,8 @@ def main() -> None:
     log = Log(None if options.out == "-" else Path(options.out) / "robust.jsonl")
     rows = []
     for number in targets(options.rope, options.count):
-        fine = len(rows) < options.fine
-        rows.append({plan: Case(options, log, number, plan).row(fine) for plan in PLANS})
+        fine, closed = len(rows) < options.fine, len(rows) < options.closed
+        rows.append({plan: Case(options, log, number, plan).row(fine, closed) for plan in PLANS})
         print(line(number, rows[-1]), flush=True)
     lines.told(log.used, planned=True)
     text = page(rows, vars(options)) + f"\n{machine.sentence(about)} {lines.made(log.used + log.made, 'planner')}\n"
@@ -78,7 +78,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--patience", type=float, default=90.0, help="s of robust planning a target (90)")
     parser.add_argument("--nominal", type=float, default=30.0, help="s of nominal planning a target (30)")
     parser.add_argument("--draws", type=int, default=40, help="worlds in which each plan is made (40)")
-    parser.add_argument("--closed-draws", type=int, default=40, help="of these in closed loop (40)")
+    parser.add_argument("--closed", type=int, default=30, help="targets where closed loops follow (the first 30)")
+    parser.add_argument("--closed-draws", type=int, default=40, help="of the worlds, in closed loop (40)")
     parser.add_argument("--closed-nominal", type=int, default=0, help="the same for the nominal plan (0)")
     parser.add_argument("--fine", type=int, default=0, help="targets that are judged on finer links too (0)")
     parser.add_argument("--fine-draws", type=int, default=10, help="draws for that (10)")
@@ -128,7 +129,7 @@ class Case:
         self.peg, self.known = target(self.number), thrower(self.options.rope)
         self.uncertainty = uncertainty(self.options.level)
 
-    def row(self, fine: bool) -> dict[str, Any]:
+    def row(self, fine: bool, closed: bool) -> dict[str, Any]:
         """Everything about it."""
         options, peg = self.options, self.peg
         robust = self.plan == "robust"
@@ -139,8 +140,8 @@ class Case:
         if made["throw"] is None:
             return row
         throw = read(made["throw"])
-        closed = options.closed_draws if robust else options.closed_nominal
-        for work, count in (("open", options.draws), ("closed", closed), ("fine", options.fine_draws * fine)):
+        loops = closed * (options.closed_draws if robust else options.closed_nominal)
+        for work, count in (("open", options.draws), ("closed", loops), ("fine", options.fine_draws * fine)):
             if count:
                 of = key | {"work": work, "draws": count, "throw": made["throw"]}
                 row[work] = self.log.once(of, lambda work=work, count=count: getattr(self, work)(throw, count))
