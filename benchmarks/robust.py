@@ -1,6 +1,6 @@
 """Casting a rope that is not known exactly: what a plan states, what becomes of it, and what the closed loop adds.
 
-python -m benchmarks.robust --count 30           the first 30 targets of benchmarks.casting; an hour and a half or so
+python -m benchmarks.robust --count 30           the first 30 targets of benchmarks.casting; two hours and more
 python -m benchmarks.robust --level 2            twice the standard deviations
 python -m benchmarks.robust --count 30 --fine 4  the first 4 judged on finer links too, in --fine-draws draws
 python -m benchmarks.robust --count 2 --out -    a look; nothing is written
