@@ -16,7 +16,7 @@ from clock import NOTE, alternately
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.core import chain as kernels
+from hyperflex.core.chain import articulated_body as kernels
 
 SIZES = (10, 25, 50, 100, 200, 400, 1000, 2000)
 QUICK = (10, 50)

@@ -14,7 +14,7 @@ simulated; targets are judged while the next are planned, at the lowest priority
 Rows are kept in casting.jsonl: the same command goes on where it stopped.
 
 Anyone can take part: the ropes, the arm, the motor's limits and the targets are in ``thrower`` and ``targets``, which
-need nothing but numpy's generator; the judge is ``hyperflex.casting.verify`` on ``thrower(rope, 125)``.
+need nothing but numpy's generator; the judge is ``hyperflex.planning.verify`` on ``thrower(rope, 125)``.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from benchmarks import machine
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.casting import Cast, CastPlan, MotorLimits, Thrower, plan_cast, reach, verify
-from hyperflex.casting.hold import holding
-from hyperflex.casting.strikes import look
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.motion import Motion
 from hyperflex.paper import T_REST, casting_arm
+from hyperflex.planning import Cast, CastPlan, MotorLimits, Thrower, plan_cast, reach, verify
+from hyperflex.planning.search.strikes import look
+from hyperflex.planning.wind.holding import holding
 
 RESULTS = Path(__file__).parent / "results"
 LINKS, FINE_LINKS = 50, 125

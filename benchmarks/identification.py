@@ -12,12 +12,12 @@ from clock import NOTE, alternately
 
 import hyperflex as hf
 from hyperflex.identification import identify, revise
-from hyperflex.identification._measured import measure as measured
-from hyperflex.identification._names import parse
-from hyperflex.identification._parameters import Parameters
-from hyperflex.identification._plant import Plant
-from hyperflex.identification._stages import Measured, fit_in_stages
-from hyperflex.identification._windows import usual_length
+from hyperflex.identification.fit.stages import Measured, fit_in_stages
+from hyperflex.identification.fit.windows import usual_length
+from hyperflex.identification.measurements import measure as measured
+from hyperflex.identification.model.names import parse
+from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.model.plant import Plant
 
 RATE = 7.5  # frames a second
 # The paper's identification rope, as far as it can be inferred: 1.0 m, cylinder moment for a first guess

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import hyperflex.casting
+import hyperflex.planning
 from hyperflex.core.jit import SOURCE_HASH
 
 Row = dict[str, Any]
@@ -23,7 +23,7 @@ Row = dict[str, Any]
 def planner() -> str:
     """A hash of the sources that plan casts, as ``SOURCE_HASH`` is one of the kernels."""
     digest = hashlib.sha256()
-    for path in sorted(Path(hyperflex.casting.__file__).parent.glob("*.py")):
+    for path in sorted(Path(hyperflex.planning.__file__).parent.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 

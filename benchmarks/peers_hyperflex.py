@@ -9,7 +9,7 @@ from cast import Cast, Contestant
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.core.rollout import TAKEN
+from hyperflex.core.integrate.rollout import TAKEN
 from hyperflex.model import Setup
 from hyperflex.simulation.rollouts import finish, limits, prepare
 from hyperflex.simulation.stability import runge_kutta_limit

@@ -16,7 +16,7 @@ from cast import Cast, Contestant, Stretch
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.core.steppers import scheme
+from hyperflex.core.integrate.steps import scheme
 from hyperflex.simulation.stability import runge_kutta_limit
 
 NAME = "Pinocchio"

@@ -11,8 +11,8 @@ from cast import Cast, Contestant
 from scipy.integrate import ode, odeint, solve_ivp
 
 from hyperflex.checks import Array
-from hyperflex.core import chain as kernels
-from hyperflex.core.drive import base_state, segment
+from hyperflex.core.chain import articulated_body as kernels
+from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.model import Setup
 
 NAME = "scipy"

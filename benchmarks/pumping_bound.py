@@ -23,11 +23,11 @@ import numpy as np
 from benchmarks import log, machine
 
 from hyperflex import files
-from hyperflex.casting.evolution import evolution
 from hyperflex.checks import Array
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.paper import T_MOVE, cable, casting_arm
 from hyperflex.paper.pumping import WANTED, caster
+from hyperflex.planning.search.evolution import evolution
 from hyperflex.simulation import simulate_batch
 
 RESULTS = Path(__file__).parent / "results" / "pumping-bound.jsonl"

@@ -26,9 +26,9 @@ from benchmarks import machine
 from benchmarks.casting import RESULTS, TIP, target, thrower
 
 from hyperflex import files
-from hyperflex.casting import Reach, plan_cast, reach
-from hyperflex.casting.targets import ENERGY
 from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.planning import Reach, plan_cast, reach
+from hyperflex.planning.wind.reachability import ENERGY
 
 FIRST, COUNTED = 300, 10_000
 PATIENCE, COUNT = 110.0, 16  # s, targets of a kind

@@ -7,8 +7,8 @@ python -m benchmarks.robust --count 2 --out -    a look; nothing is written
 
 Each target is planned twice: for uncertain parameters (--patience, s), and for the expected ones alone (--nominal, s).
 Both plans are then made in the same fresh draws of rope, peg, motor lag and timing, as a realistic identification
-leaves them (``hyperflex.casting.Uncertainty``), none of which a planner has seen; in open loop, and the robust plan in
-closed loop too (``hyperflex.casting.follow`` on the true state of the drawn rope; simulated time stands still while it
+leaves them (``hyperflex.planning.Uncertainty``), none of which a planner has seen; in open loop, and the robust plan in
+closed loop too (``hyperflex.planning.follow`` on the true state of the drawn rope; simulated time stands still while it
 decides). A draw is won as the stated success has it: see WON. Whether the rope is also held is told beside it: HELD.
 
 All simulated. What was planned and judged is kept line by line in robust.jsonl: the same command goes on where it
@@ -35,12 +35,12 @@ from benchmarks.robust_page import page
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.casting import DrawnWorld, Throw, Thrower, Uncertainty, follow, plan_cast, success, verify
-from hyperflex.casting.chance import wins
-from hyperflex.casting.outcome import SAMPLE_TIME, SETTLING, WATCH, judge
-from hyperflex.casting.uncertainty import Draw
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.errors import HyperflexError, SimulationError
+from hyperflex.planning import DrawnWorld, Throw, Thrower, Uncertainty, follow, plan_cast, success, verify
+from hyperflex.planning.robust.success_probability import wins
+from hyperflex.planning.robust.uncertainty import Draw
+from hyperflex.planning.wind.outcome import SAMPLE_TIME, SETTLING, WATCH, judge
 
 RESULTS = Path(__file__).parent / "results"
 STREAM = 31337  # of the draws; planner, stated success and closed loop have others

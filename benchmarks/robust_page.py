@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from hyperflex.casting import Success
-from hyperflex.casting.chance import difference
-from hyperflex.casting.landing import LAST, SETTLE
-from hyperflex.casting.outcome import SLIP, WATCH, WOUND
+from hyperflex.planning import Success
+from hyperflex.planning.robust.success_probability import difference
+from hyperflex.planning.search.contact_phase import LAST, SETTLE
+from hyperflex.planning.wind.outcome import SLIP, WATCH, WOUND
 
 RESAMPLES, STREAM = 10_000, 4711  # of the bootstrap over targets
 AIM, AGREES, APART = 0.75, 0.9, 0.05  # success; targets with 0 inside; stated less observed overall

@@ -31,17 +31,17 @@ from benchmarks import log, machine
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.casting import MotorLimits, Strokes, Thrower, WhipMap, plan_whip, reach_whip, whip_map
-from hyperflex.casting.blow import impact
-from hyperflex.casting.lash import Mark
-from hyperflex.casting.whip_reach import NEAR, WhipReach
-from hyperflex.casting.whip_strike import lash
 from hyperflex.control import swing_period
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.identification import identify
 from hyperflex.model import divided
 from hyperflex.model.stretch import stretched
 from hyperflex.motion import lagged
+from hyperflex.planning import MotorLimits, Strokes, Thrower, WhipMap, plan_whip, reach_whip, whip_map
+from hyperflex.planning.whip.impact import impact
+from hyperflex.planning.whip.outcome import lash
+from hyperflex.planning.whip.reachability import NEAR, WhipReach
+from hyperflex.planning.whip.tip_target import Mark
 
 RESULTS = Path(__file__).parent / "results"
 TARGETS = Path(__file__).parent / "whip-targets.json"

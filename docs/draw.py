@@ -9,10 +9,11 @@ import numpy as np
 
 import hyperflex as hf
 from hyperflex import paper
-from hyperflex.report import casting, revision_figures
+from hyperflex.paper.report import casting_figures as casting
+from hyperflex.paper.report import identification_figures as revision_figures
 from hyperflex.report.animation import animate
-from hyperflex.report.fit_figures import prediction_figure
-from hyperflex.report.fitted import beside
+from hyperflex.report.identification.figures import prediction_figure
+from hyperflex.report.identification.fitted import beside
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import BLUE, GREY, RED, look, new_figure, save_png
 

@@ -11,14 +11,14 @@ from scipy.optimize import brentq
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.core import steppers
-from hyperflex.core.drive import Segment, base_state, segment
-from hyperflex.core.lanes import COLUMNS, load, rows, set_grip
-from hyperflex.core.progress import JOINT, LENGTH, MODES
-from hyperflex.core.stick import QUICK
+from hyperflex.core.chain.drive import Segment, base_state, segment
+from hyperflex.core.chain.lanes import COLUMNS, load, rows, set_grip
+from hyperflex.core.integrate import steps as steppers
+from hyperflex.core.integrate.progress import JOINT, LENGTH, MODES
+from hyperflex.core.stiction.constraint_torques import QUICK
 from hyperflex.simulation.rollouts import TABLES, Rollout, limits
-from hyperflex.simulation.sensitivity import along, recorded
-from hyperflex.simulation.wanted import Wanted, wanted
+from hyperflex.simulation.sensitivity.directions import Wanted, wanted
+from hyperflex.simulation.sensitivity.sensitivity import along, recorded
 from tests.reference import dense
 
 # an eighth-order difference: its truncation is far below the rounding, which is some 1e-15 over the spacing

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.core import batch as core
-from hyperflex.core import members
+from hyperflex.core.batch import members
+from hyperflex.core.batch import rollouts as core
 from hyperflex.errors import InvalidInput
-from hyperflex.simulation import batch as simulation_batch
+from hyperflex.simulation.batch import batch as simulation_batch
 
 ARM = hf.Arm(length=0.1)
 

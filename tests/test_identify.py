@@ -15,23 +15,23 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import Identification, identify, lumped, ratios
-from hyperflex.identification._names import parse
-from hyperflex.identification._noise import autocorrelation
-from hyperflex.identification._parameters import Parameters
-from hyperflex.identification._plant import Plant
-from hyperflex.identification._prediction import HeldOut, predict
-from hyperflex.identification._scale import scaling
-from hyperflex.identification._shooting import Fit, Linear, fit, fit_state
-from hyperflex.identification._stages import Measured
-from hyperflex.identification._uncertainty import Information, judge, ratio_spread
-from hyperflex.identification._verdict import (
+from hyperflex.identification.fit.multiple_shooting import Fit, Linear, fit, fit_state
+from hyperflex.identification.fit.stages import Measured
+from hyperflex.identification.fit.windows import Window, cut, thin, usual_length
+from hyperflex.identification.model.names import parse
+from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model.scale import scaling
+from hyperflex.identification.prediction import HeldOut, predict
+from hyperflex.identification.uncertainty.covariance import Information, judge, ratio_spread
+from hyperflex.identification.uncertainty.noise import autocorrelation
+from hyperflex.identification.verdict import (
     failed_predictions,
     not_arrived,
     not_noise,
     other_lengths,
     verdict,
 )
-from hyperflex.identification._windows import Window, cut, thin, usual_length
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import swings
 from hyperflex.recording import Recording
@@ -528,7 +528,7 @@ def test_a_prediction_that_diverges_counts_as_infinitely_wrong(free_swing: Recor
 
 
 def test_failed_predictions_are_in_the_verdict(free_swing: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperflex.identification._identify.Plant", Wild)
+    monkeypatch.setattr("hyperflex.identification.pipeline.Plant", Wild)
     result = identify(free_swing, DOUBLE, ["friction"], train=4.0)
     assert any("held-out predictions failed" in text for text in result.verdict)
     assert result.summary()["held_out"]["rms"] == [None, None]  # JSON has no infinity

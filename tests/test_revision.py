@@ -8,13 +8,13 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import (
-    _simplex,
     cylinder_inertia,
     natural_frequency_inertia,
     natural_period,
     squared_error,
     swing_period,
 )
+from hyperflex.identification.baselines import simplex as _simplex
 
 T = np.arange(41) / 7.5
 ROPE = hf.Rope.uniform(0.6, 0.06, 3, inertia=2e-5, friction=2e-3)

@@ -13,11 +13,11 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.core.drive import segment
+from hyperflex.core.chain.drive import segment
 from hyperflex.simulation import Slopes
 from hyperflex.simulation.rollouts import Rollout, limits
-from hyperflex.simulation.sensitivity import along, recorded
-from hyperflex.simulation.wanted import wanted
+from hyperflex.simulation.sensitivity.directions import wanted
+from hyperflex.simulation.sensitivity.sensitivity import along, recorded
 
 N, DURATION = 6, 1.6
 # none at a switch, where the derivative is one-sided; some within the step behind one, which is sampled in its own way

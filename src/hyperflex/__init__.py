@@ -10,16 +10,6 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
-    from hyperflex.casting import (
-        CastPlan,
-        MotorLimits,
-        Uncertainty,
-        WhipPlan,
-        follow,
-        plan_cast,
-        plan_whip,
-        read_plan,
-    )
     from hyperflex.identification import (
         Bootstrap,
         Design,
@@ -48,6 +38,16 @@ if TYPE_CHECKING:
         swings,
         torque_profile,
     )
+    from hyperflex.planning import (
+        CastPlan,
+        MotorLimits,
+        Uncertainty,
+        WhipPlan,
+        follow,
+        plan_cast,
+        plan_whip,
+        read_plan,
+    )
     from hyperflex.recording import Recording, read_recording
     from hyperflex.simulation import (
         Batch,
@@ -69,14 +69,14 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "CastPlan": "casting",
-    "MotorLimits": "casting",
-    "Uncertainty": "casting",
-    "WhipPlan": "casting",
-    "follow": "casting",
-    "plan_cast": "casting",
-    "plan_whip": "casting",
-    "read_plan": "casting",
+    "CastPlan": "planning",
+    "MotorLimits": "planning",
+    "Uncertainty": "planning",
+    "WhipPlan": "planning",
+    "follow": "planning",
+    "plan_cast": "planning",
+    "plan_whip": "planning",
+    "read_plan": "planning",
     "Arm": "model",
     "Batch": "simulation",
     "Bootstrap": "identification",

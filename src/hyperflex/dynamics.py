@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core import chain as core
-from hyperflex.core.modes import decide
-from hyperflex.core.stick import bench
+from hyperflex.core.chain import articulated_body as core
+from hyperflex.core.stiction.constraint_torques import bench
+from hyperflex.core.stiction.slip_modes import decide
 from hyperflex.model import Arm, Rope
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.drive import base_state, segment
+from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import moving_point

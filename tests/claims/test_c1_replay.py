@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import hyperflex as hf
-from hyperflex.core.drive import TORQUE
+from hyperflex.core.chain.drive import TORQUE
 from hyperflex.dynamics import partial_linearization, torque_from_input
 from hyperflex.motion.piecewise import CHANNELS, POWERS
 

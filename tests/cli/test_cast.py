@@ -7,11 +7,11 @@ import dataclasses
 import pytest
 
 import hyperflex as hf
-from hyperflex import casting, files
-from hyperflex.casting.chance import Success
-from hyperflex.casting.nearest import Nearest
-from hyperflex.casting.uncertainty import Uncertainty
-from tests.casting.known import CABLE, late, planned, stopped
+from hyperflex import files, planning
+from hyperflex.planning.robust.success_probability import Success
+from hyperflex.planning.robust.uncertainty import Uncertainty
+from hyperflex.planning.wind.nearest_target import Nearest
+from tests.planning.known import CABLE, late, planned, stopped
 
 NAMES = {"report.html", "cast.gif", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "cast.nc"}
 
@@ -33,7 +33,7 @@ def ready(monkeypatch):
             known = {"winds": planned, "late": late, "stopped": stopped}.get(name, lambda: planned(winds=False))
             return dataclasses.replace(known(), **changes)
 
-        monkeypatch.setattr(casting, "plan_cast", give)
+        monkeypatch.setattr(planning, "plan_cast", give)
         return asked
 
     return plan
@@ -118,7 +118,7 @@ def test_a_plan_for_the_nearest_target_is_written(hyperflex, rope_file, ready, t
     assert (code, asked["elsewhere"]) == (4, True)
     assert "Nearest target that works: x = -0.8338 m, y = -1.074 m, 7.12 cm away" in " ".join(out.split())
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES - {"tug.png"} | {"nearest.toml"}
-    assert casting.read_plan(tmp_path / "out" / "nearest.toml")[1] == planned().peg
+    assert planning.read_plan(tmp_path / "out" / "nearest.toml")[1] == planned().peg
     outcome = files.read_toml(tmp_path / "out" / "cast.toml")["plan"]["outcome"]
     assert (outcome["nearest"]["planned"], outcome["nearest"]["tried_in_vain"]) == (True, 1)
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hyperflex.report import demo
+from hyperflex.demo import report as demo
 
 
 @pytest.fixture
@@ -70,6 +70,6 @@ def test_a_bug_is_one_json_object_and_a_traceback_on_standard_error(hyperflex, m
 
 def test_a_fit_that_was_interrupted_is_no_demo(hyperflex, monkeypatch, tmp_path):
     half = SimpleNamespace(status="interrupted")
-    monkeypatch.setattr("hyperflex.paper.demo.identify", lambda *_, **__: half)
+    monkeypatch.setattr("hyperflex.demo.run.identify", lambda *_, **__: half)
     assert hyperflex("demo", "-o", tmp_path)[:2] == (130, "")
     assert list(tmp_path.iterdir()) == []

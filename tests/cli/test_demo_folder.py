@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.demo.figures import prediction_figure
+from hyperflex.demo.report import held_out_rms, write_demo
 from hyperflex.errors import FileProblem
-from hyperflex.report.demo import held_out_rms, write_demo
-from hyperflex.report.identified import prediction_figure
 
 
 def test_the_folder_is_complete(demo_report):

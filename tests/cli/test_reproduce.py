@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hyperflex.report import casting
+from hyperflex.paper.report import casting_figures as casting
 
 
 def test_reproduce_writes_files_and_prints_verdicts(hyperflex, tmp_path):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex import casting
-from tests.casting.known_whip import ROPE, far_whip, planned_whip
+from hyperflex import planning
+from tests.planning.known_whip import ROPE, far_whip, planned_whip
 
 NAMES = {"report.html", "whip.gif", "peak.png", "passing.png", "course.png", "motion.csv", "whip.toml", "whip.nc"}
 
@@ -31,7 +31,7 @@ def ready(monkeypatch):
             asked.update(rope=rope, arm=arm, point=point, direction=direction, limits=limits, **options)
             return dataclasses.replace(found, **changes)
 
-        monkeypatch.setattr(casting, "plan_whip", give)
+        monkeypatch.setattr(planning, "plan_whip", give)
         return asked
 
     return plan

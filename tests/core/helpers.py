@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from hyperflex.core import chain as kernels
+from hyperflex.core.chain import articulated_body as kernels
 from tests.reference.cases import State
 from tests.reference.dense import Real
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.core import chain as kernels
+from hyperflex.core.chain import articulated_body as kernels
 from tests.core.helpers import chain_of, senses, sweep
 from tests.reference import dense
 from tests.reference.cases import random_grip, random_links, random_state

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.core import contact_gaps as gaps
-from hyperflex.core import contact_sweep as sweeps
+from hyperflex.core.contact import gaps
+from hyperflex.core.contact import sweep as sweeps
 from tests.core.helpers import chain_of
 from tests.reference import dense
 from tests.reference.cases import random_links, random_state

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hyperflex as hf
-from hyperflex.core.drive import base_state, segment
+from hyperflex.core.chain.drive import base_state, segment
 from tests.core.helpers import EXAMPLES
 from tests.reference.arm import bang_bang_swings
 

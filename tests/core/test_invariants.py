@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyperflex.core import chain as kernels
+from hyperflex.core.chain import articulated_body as kernels
 from tests.core.helpers import EXAMPLES, chain_of, senses, sweep
 from tests.reference import dense
 from tests.reference.cases import State, random_links, random_state

@@ -7,7 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hyperflex.core import events, modes, stick
+from hyperflex.core.integrate import event_search as events
+from hyperflex.core.stiction import constraint_torques as stick
+from hyperflex.core.stiction import slip_modes as modes
 from tests.core.helpers import chain_of
 from tests.reference import dense
 from tests.reference.cases import State, random_grip, random_links, random_state

@@ -10,9 +10,9 @@ import numba
 import numpy as np
 import pytest
 
-from hyperflex.core import lanes as ln
-from hyperflex.core import tangent as tg
-from hyperflex.core.chain import MUTUAL, PRINTED, Chain
+from hyperflex.core.chain import lanes as ln
+from hyperflex.core.chain.articulated_body import MUTUAL, PRINTED, Chain
+from hyperflex.core.tangent import step as tg
 from tests.reference import dense
 from tests.reference.cases import State, random_links, random_state
 from tests.reference.dense import Real

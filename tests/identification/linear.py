@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification._loss import Loss, LossName
-from hyperflex.identification._names import parse
-from hyperflex.identification._parameters import Parameters
-from hyperflex.identification._plant import Plant, Seen
-from hyperflex.identification._shooting import fit
-from hyperflex.identification._uncertainty import Basis, judge
-from hyperflex.identification._windows import Window
+from hyperflex.identification.fit.loss import Loss, LossName
+from hyperflex.identification.fit.multiple_shooting import fit
+from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.model.names import parse
+from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.model.plant import Plant, Seen
+from hyperflex.identification.uncertainty.covariance import Basis, judge
 from hyperflex.model import Rope
 
 ROPE = Rope(length=[1.0], mass=[1.0], com=[0.5], inertia=[1.0], friction=[1.0])

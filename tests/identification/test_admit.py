@@ -8,7 +8,7 @@ import pytest
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import identify, revise
-from hyperflex.identification._admit import check_motion, check_times
+from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate

@@ -7,14 +7,14 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.identification import _identify
-from hyperflex.identification._band import Doubt, spread
-from hyperflex.identification._identify import identify
-from hyperflex.identification._names import parse
-from hyperflex.identification._parameters import Parameters
-from hyperflex.identification._plant import Plant
-from hyperflex.identification._shooting import fit_state
-from hyperflex.identification._windows import Window
+from hyperflex.identification import pipeline as _identify
+from hyperflex.identification.fit.multiple_shooting import fit_state
+from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.model.names import parse
+from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.pipeline import identify
+from hyperflex.identification.uncertainty.prediction_band import Doubt, spread
 
 ROPE = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
 NOISE = 2e-3

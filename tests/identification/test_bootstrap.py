@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import Identification, _bootstrap, bootstrap, identify
-from hyperflex.identification._bootstrap import Bootstrap, _Noise
-from hyperflex.identification._noise import correlations
-from hyperflex.identification._shooting import Fit, fit
-from hyperflex.identification._uncertainty import Basis
+from hyperflex.identification import Identification, bootstrap, identify
+from hyperflex.identification.fit.multiple_shooting import Fit, fit
+from hyperflex.identification.uncertainty import bootstrap as _bootstrap
+from hyperflex.identification.uncertainty.bootstrap import Bootstrap, _Noise
+from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.identification.uncertainty.noise import correlations
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate

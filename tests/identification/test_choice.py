@@ -13,14 +13,14 @@ import hyperflex as hf
 from hyperflex import compare_models
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import _choice
-from hyperflex.identification._candidates import candidates, recut
-from hyperflex.identification._evidence import Evidence, criteria, error, recommend, worse
-from hyperflex.identification._identify import identify
-from hyperflex.identification._noise import Piece
-from hyperflex.identification._parameters import lumped
-from hyperflex.identification._prediction import HeldOut
-from hyperflex.identification._whiteness import whiteness
+from hyperflex.identification.comparison import compare as _choice
+from hyperflex.identification.comparison.candidates import candidates, recut
+from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend, worse
+from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification.pipeline import identify
+from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.uncertainty.noise import Piece
+from hyperflex.identification.uncertainty.whiteness import whiteness
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate

@@ -10,9 +10,9 @@ import pytest
 
 from hyperflex import Arm, Experiment, Recording, Rope, design, identify, simulate, swings
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import _design
-from hyperflex.identification._experiments import motions, variations
-from hyperflex.identification._foresight import foresee
+from hyperflex.identification.experiment_design import choice as _design
+from hyperflex.identification.experiment_design.experiments import motions, variations
+from hyperflex.identification.experiment_design.fisher_information import foresee
 
 SINGLE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
 DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])

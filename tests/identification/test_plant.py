@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from hyperflex.checks import Array
-from hyperflex.identification._names import parse
-from hyperflex.identification._parameters import Parameters
-from hyperflex.identification._plant import Plant, pivot_places
-from hyperflex.identification._sensors import Angles, Places
+from hyperflex.identification.model.names import parse
+from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.model.plant import Plant, pivot_places
+from hyperflex.identification.model.sensors import Angles, Places
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import swings
 from hyperflex.simulation import simulate

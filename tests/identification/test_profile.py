@@ -14,13 +14,15 @@ from scipy.stats import f, norm
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import Identification, _intervals, _profile, identify, profile
-from hyperflex.identification._intervals import all_intervals, skewed
-from hyperflex.identification._loss import Loss
-from hyperflex.identification._plant import Seen
-from hyperflex.identification._profile import profiled
-from hyperflex.identification._shooting import fit
-from hyperflex.identification._threshold import _draws, _rise, quantile, threshold
+from hyperflex.identification import Identification, identify, profile
+from hyperflex.identification.fit.loss import Loss
+from hyperflex.identification.fit.multiple_shooting import fit
+from hyperflex.identification.model.plant import Seen
+from hyperflex.identification.uncertainty import intervals as _intervals
+from hyperflex.identification.uncertainty import profile as _profile
+from hyperflex.identification.uncertainty.intervals import all_intervals, skewed
+from hyperflex.identification.uncertainty.profile import profiled
+from hyperflex.identification.uncertainty.threshold import _draws, _rise, quantile, threshold
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate

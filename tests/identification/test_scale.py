@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from hyperflex.identification import Identification, identify
-from hyperflex.identification._intervals import of_ratios
-from hyperflex.identification._names import parse
-from hyperflex.identification._parameters import Parameters
-from hyperflex.identification._scale import growing, scaling
+from hyperflex.identification.model.names import parse
+from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.model.scale import growing, scaling
+from hyperflex.identification.uncertainty.intervals import of_ratios
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate

@@ -11,9 +11,9 @@ import pytest
 from hyperflex import Arm, Identification, Recording, Rope, Trajectory, compare_models, hold, identify, simulate, swings
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification._identify import planned
-from hyperflex.identification._plant import Plant
-from hyperflex.identification._torque import MotorTorque
+from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model.torque import MotorTorque
+from hyperflex.identification.pipeline import planned
 from tests.reference import dense
 from tests.reference.arm import bang_bang_swings, links_of
 

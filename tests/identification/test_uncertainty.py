@@ -8,11 +8,19 @@ from scipy.stats import binom
 
 from hyperflex.checks import Array
 from hyperflex.identification import identify
-from hyperflex.identification._loss import LossName
-from hyperflex.identification._noise import Piece, autoregression, coloured, correlations, expected, partial, terms_of
-from hyperflex.identification._threshold import quantile
-from hyperflex.identification._verdict import noise_unknown, not_noise, too_large
-from hyperflex.identification._whiteness import whiteness
+from hyperflex.identification.fit.loss import LossName
+from hyperflex.identification.uncertainty.noise import (
+    Piece,
+    autoregression,
+    coloured,
+    correlations,
+    expected,
+    partial,
+    terms_of,
+)
+from hyperflex.identification.uncertainty.threshold import quantile
+from hyperflex.identification.uncertainty.whiteness import whiteness
+from hyperflex.identification.verdict import noise_unknown, not_noise, too_large
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate

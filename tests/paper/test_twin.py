@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.paper import twin
+from hyperflex.demo import twin
 
 
 def test_the_bundled_file_is_what_the_generator_makes():

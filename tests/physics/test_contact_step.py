@@ -9,10 +9,10 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.core.chain import Chain
-from hyperflex.core.contact_modes import STIFF
-from hyperflex.core.contact_step import attempt, keep, new_desk, new_kept
-from hyperflex.core.drive import Drive, segment
+from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import Drive, segment
+from hyperflex.core.contact.modes import STIFF
+from hyperflex.core.contact.step import attempt, keep, new_desk, new_kept
 from tests.reference.wrapping import laid
 
 RADIUS, TOP, DEEP, STEP = 0.05, 0.4, 5e-5, 1e-4  # m, m, m, s

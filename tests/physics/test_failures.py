@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.core import rollout
+from hyperflex.core.integrate import rollout
 from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.simulation import patience
+from hyperflex.simulation import time_budget as patience
 from hyperflex.simulation.rollouts import TABLES, limits
 
 ARM = hf.Arm(length=0.105, inertia=1e-3)

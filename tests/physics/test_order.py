@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.core.drive import segment
-from hyperflex.core.lanes import COLUMNS, load, rows
-from hyperflex.core.steppers import extrapolate, scheme
+from hyperflex.core.chain.drive import segment
+from hyperflex.core.chain.lanes import COLUMNS, load, rows
+from hyperflex.core.integrate.steps import extrapolate, scheme
 from hyperflex.errors import InvalidInput
 from tests.reference.arm import cast, links_of, still
 

@@ -9,7 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.simulation.chaos import _first_nudges, _measures
+from hyperflex.simulation.lyapunov import _first_nudges, _measures
 from tests.reference.arm import cast, links_of, still
 
 MASS, COM, ABOUT_JOINT = 0.3, 0.4, 0.02 + 0.3 * 0.4**2

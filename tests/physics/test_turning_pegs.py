@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hyperflex as hf
-from hyperflex.core.chain import Chain
-from hyperflex.core.contact_step import attempt, new_desk, new_kept
-from hyperflex.core.drive import Drive, segment
+from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import Drive, segment
+from hyperflex.core.contact.step import attempt, new_desk, new_kept
 from hyperflex.winding import slip, wound
 from tests.reference.wrapping import ARM, laid
 

@@ -19,7 +19,7 @@ from hyperflex.trajectory import Trajectory
 Real = npt.NDArray[np.float64]
 
 LOCATED = 1e-9  # s
-SHARE = 0.02  # s, as in hyperflex.core.rollout
+SHARE = 0.02  # s, as in hyperflex.core.integrate.rollout
 BLUNT = 5e-3  # s; an event that the promise leaves open by more than this is grazing, or beside the point
 SOON = 0.3  # s; an event is chosen about here, where the promise is still sharp
 PERIOD = 0.3  # s, time constant of the phases

@@ -34,7 +34,7 @@ Real = npt.NDArray[np.float64]
 
 K = 3.0  # see above
 USUAL = 30.0
-SHARE = 0.02  # s, as in hyperflex.core.rollout
+SHARE = 0.02  # s, as in hyperflex.core.integrate.rollout
 SMALL = 0.02  # of the rope's length
 TIGHTER = 100.0
 SAMPLES = 101

@@ -11,15 +11,15 @@ import pytest
 from PIL import Image
 
 import hyperflex as hf
-from hyperflex.casting.hold import holding
-from hyperflex.casting.nearest import Nearest
+from hyperflex.planning.wind.holding import holding
+from hyperflex.planning.wind.nearest_target import Nearest
 from hyperflex.report.animation import animate
-from hyperflex.report.cast import FILES, film_note, write_cast
-from hyperflex.report.cast_figures import course_figure, strike_figure, tug_figure
-from hyperflex.report.cast_place import place_figure
-from hyperflex.report.cast_words import folds, instead, story, tiles, verdict
+from hyperflex.report.cast.figures import course_figure, strike_figure, tug_figure
+from hyperflex.report.cast.folder import FILES, film_note, write_cast
+from hyperflex.report.cast.place import place_figure
+from hyperflex.report.cast.words import folds, instead, story, tiles, verdict
 from hyperflex.report.style import png
-from tests.casting.known import PEG, late, planned, stopped, unreachable
+from tests.planning.known import PEG, late, planned, stopped, unreachable
 
 
 def opened(path):

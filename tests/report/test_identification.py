@@ -13,20 +13,20 @@ import pytest
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.identification import Identification, correlogram
-from hyperflex.identification._verdict import not_noise
+from hyperflex.identification.verdict import not_noise
 from hyperflex.recording import Recording
-from hyperflex.report import identification
-from hyperflex.report.fit_figures import (
+from hyperflex.report.identification import page as identification
+from hyperflex.report.identification.figures import (
     fit_figure,
     history_figure,
     multiples_figure,
     prediction_figure,
     residual_figure,
 )
-from hyperflex.report.fitted import beside
-from hyperflex.report.identification import identification_page, write_identification
-from hyperflex.report.parameters import numbers, parameters_table, ratios_table, rope_table, ties
-from hyperflex.report.setting import fit_table, lead, recording_table
+from hyperflex.report.identification.fitted import beside
+from hyperflex.report.identification.page import identification_page, write_identification
+from hyperflex.report.identification.parameters import numbers, parameters_table, ratios_table, rope_table, ties
+from hyperflex.report.identification.setting import fit_table, lead, recording_table
 from hyperflex.report.units import readable, rounded, short
 
 NOISE = 2e-3

@@ -7,8 +7,9 @@ import pytest
 
 from hyperflex import files, paper
 from hyperflex.paper import SMALL, SWINGS, WIDE, Claim, Swing, identification_figures, methods, record, revised
-from hyperflex.report import identification_part, revision_figures
-from hyperflex.report.reproduce import reproduce
+from hyperflex.paper.report import identification as identification_part
+from hyperflex.paper.report import identification_figures as revision_figures
+from hyperflex.paper.report.reproduce import reproduce
 from hyperflex.report.tables import verdicts
 
 

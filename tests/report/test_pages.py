@@ -9,8 +9,8 @@ import pytest
 from hyperflex import files
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.paper import READINGS, Claim
+from hyperflex.paper.report.reproduce import reproduce
 from hyperflex.report.page import Picture, Section, write_page
-from hyperflex.report.reproduce import reproduce
 from hyperflex.report.tables import TextTable, markdown, verdicts
 
 PNG = b"\x89PNG\r\n\x1a\n"

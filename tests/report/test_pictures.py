@@ -12,9 +12,9 @@ from PIL import Image
 import hyperflex as hf
 from hyperflex import paper
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.report import casting
+from hyperflex.paper.report import casting_figures as casting
 from hyperflex.report.animation import animate
-from hyperflex.report.between import shapes
+from hyperflex.report.shapes import shapes
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import png, save_png
 

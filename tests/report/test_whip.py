@@ -12,9 +12,9 @@ from PIL import Image
 from hyperflex.report.animation import animate
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import png
-from hyperflex.report.whip import film_note, write_whip
-from hyperflex.report.whip_figures import course_figure, passing_figure, peak_figure
-from tests.casting.known_whip import far_whip, planned_whip
+from hyperflex.report.whip.figures import course_figure, passing_figure, peak_figure
+from hyperflex.report.whip.folder import film_note, write_whip
+from tests.planning.known_whip import far_whip, planned_whip
 
 
 def words_of(path):

@@ -12,9 +12,9 @@ from hyperflex.cli import output
 from hyperflex.errors import FileProblem
 
 if TYPE_CHECKING:
-    from hyperflex.casting import CastPlan
-    from hyperflex.casting.hold import Holding
-    from hyperflex.casting.uncertainty import Uncertainty
+    from hyperflex.planning import CastPlan
+    from hyperflex.planning.robust.uncertainty import Uncertainty
+    from hyperflex.planning.wind.holding import Holding
 
 
 def cast(
@@ -73,11 +73,11 @@ def cast(
     The exit code is 4 if no cast that winds and holds was found; the best throw is written all the same, with the
     reason and with the nearest target that should work.
     """
-    from hyperflex.casting import MotorLimits, plan_cast
-    from hyperflex.casting.uncertainty import Uncertainty
     from hyperflex.checks import number
     from hyperflex.model import Arm, Peg, Rope
-    from hyperflex.report.cast import write_cast
+    from hyperflex.planning import MotorLimits, plan_cast
+    from hyperflex.planning.robust.uncertainty import Uncertainty
+    from hyperflex.report.cast.folder import write_cast
 
     if out.exists() and not out.is_dir():
         raise FileProblem(f"{out} is a file, not a folder. Give another name with -o.")
@@ -117,7 +117,7 @@ def _figures(
     plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertain: Uncertainty | None
 ) -> dict[str, Any]:
     """Return the plan for JSON."""
-    from hyperflex.casting.tables import summary
+    from hyperflex.planning.files import summary
 
     peg = plan.peg
     told = summary(plan)
@@ -136,14 +136,14 @@ def _figures(
 
 
 def _verdict(plan: CastPlan) -> str:
-    from hyperflex.report.cast_words import verdict
+    from hyperflex.report.cast.words import verdict
 
     return verdict(plan)
 
 
 def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertain: Uncertainty | None) -> None:
     """Print what was planned and what to look at."""
-    from hyperflex.report.cast_words import folds, instead, swings_words, target_words
+    from hyperflex.report.cast.words import folds, instead, swings_words, target_words
 
     pairs = [("target", target_words(plan.peg))]
     if plan.throw is not None:

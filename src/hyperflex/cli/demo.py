@@ -10,7 +10,7 @@ import typer
 from hyperflex.cli import output
 
 if TYPE_CHECKING:
-    from hyperflex.report.demo import DemoReport
+    from hyperflex.demo.report import DemoReport
 
 _SHOWN = ("parameter", "identified", "95 % interval", "mapped truth", "inside")
 
@@ -23,7 +23,7 @@ def demo(
 
     The recording comes with the package and is simulated, with a finer chain than the one identified, and noise.
     """
-    from hyperflex.report.demo import write_demo
+    from hyperflex.demo.report import write_demo
 
     with output.spinner(json) as tell:
         report = write_demo(out, tell)
@@ -35,8 +35,8 @@ def demo(
 
 def _figures(report: DemoReport) -> dict[str, Any]:
     """Return what the demo found, for JSON."""
-    from hyperflex.casting.tables import summary
-    from hyperflex.report.demo import held_out_rms
+    from hyperflex.demo.report import held_out_rms
+    from hyperflex.planning.files import summary
 
     found = report.demo
     parameters = {

@@ -180,7 +180,7 @@ def _write(out: Path, measured: Recording, found: Identification, guess: Rope, a
     if not _folder(out):
         found.to_toml(out)
         return {"rope": out}
-    from hyperflex.report.identification import write_identification
+    from hyperflex.report.identification.page import write_identification
 
     with output.spinner(as_json) as tell:
         tell("drawing the report")
@@ -189,7 +189,7 @@ def _write(out: Path, measured: Recording, found: Identification, guess: Rope, a
 
 def _show(found: Identification, files: dict[str, Path]) -> None:
     """Print what was found and what to look at."""
-    from hyperflex.report.parameters import parameters_table, ratios_table
+    from hyperflex.report.identification.parameters import parameters_table, ratios_table
     from hyperflex.report.units import readable
 
     unit = readable(found.unit, found.residual_rms)

@@ -24,7 +24,7 @@ def reproduce(
     Fig. 13 on timing control (C5).
     Writes PNG and CSV for each figure, CSV for each table, a Markdown table of the claims and a page that shows it all.
     """
-    from hyperflex.report.reproduce import reproduce as run
+    from hyperflex.paper.report.reproduce import reproduce as run
     from hyperflex.report.tables import verdicts
 
     with output.spinner(json) as tell:

@@ -12,7 +12,7 @@ from hyperflex.cli import output
 from hyperflex.errors import FileProblem
 
 if TYPE_CHECKING:
-    from hyperflex.casting import Impact, WhipPlan
+    from hyperflex.planning import Impact, WhipPlan
 
 
 def whip(
@@ -52,10 +52,10 @@ def whip(
 
     The exit code is 4 if no whip that meets the target was found; the best is written all the same, with the reason.
     """
-    from hyperflex.casting import MotorLimits, plan_whip
     from hyperflex.checks import number
     from hyperflex.model import Arm, Rope
-    from hyperflex.report.whip import write_whip
+    from hyperflex.planning import MotorLimits, plan_whip
+    from hyperflex.report.whip.folder import write_whip
 
     if out.exists() and not out.is_dir():
         raise FileProblem(f"{out} is a file, not a folder. Give another name with -o.")
@@ -90,7 +90,7 @@ def whip(
 
 def _figures(plan: WhipPlan, blow: Impact | None, files: dict[str, Path]) -> dict[str, Any]:
     """Return the plan for JSON."""
-    from hyperflex.casting.whip_tables import summary
+    from hyperflex.planning.whip.files import summary
 
     mark = plan.mark
     told = summary(plan)
@@ -110,14 +110,14 @@ def _figures(plan: WhipPlan, blow: Impact | None, files: dict[str, Path]) -> dic
 
 
 def _verdict(plan: WhipPlan) -> str:
-    from hyperflex.report.whip_words import verdict
+    from hyperflex.report.whip.words import verdict
 
     return verdict(plan)
 
 
 def _show(plan: WhipPlan, blow: Impact | None, files: dict[str, Path]) -> None:
     """Print what was planned and what to look at."""
-    from hyperflex.report.whip_words import strokes_words, target_words
+    from hyperflex.report.whip.words import strokes_words, target_words
 
     pairs = [("target", target_words(plan.mark))]
     if plan.strokes is not None:

@@ -6,10 +6,10 @@ sees the earlier file or the complete new one, never a part: not after a full di
 
 from __future__ import annotations
 
-from hyperflex.files._reading import read_bytes, read_text
-from hyperflex.files._tables import read_notes, read_table, write_table
-from hyperflex.files._toml import dumps_toml, loads_toml, read_toml, write_toml
-from hyperflex.files._writing import PathLike, as_path, atomic, atomic_path, write_text
+from hyperflex.files.reading import read_bytes, read_text
+from hyperflex.files.tables import read_notes, read_table, write_table
+from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, write_toml
+from hyperflex.files.writing import PathLike, as_path, atomic, atomic_path, write_text
 
 __all__ = [
     "PathLike",

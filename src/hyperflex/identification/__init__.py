@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from hyperflex.identification._baselines import (
+from hyperflex.identification.baselines.natural_frequency import (
     cylinder_inertia,
     natural_frequency_inertia,
     natural_period,
     swing_period,
 )
-from hyperflex.identification._bootstrap import Bootstrap, bootstrap
-from hyperflex.identification._choice import compare_models
-from hyperflex.identification._comparison import FittedModel, ModelComparison
-from hyperflex.identification._correlogram import correlogram
-from hyperflex.identification._design import Design, Plan, design
-from hyperflex.identification._experiments import Experiment
-from hyperflex.identification._identify import identify
-from hyperflex.identification._intervals import Interval
-from hyperflex.identification._parameters import lumped
-from hyperflex.identification._prediction import BAND, HeldOut
-from hyperflex.identification._profile import Profile, profile
-from hyperflex.identification._regression import LeastSquares, Regression, regression
-from hyperflex.identification._result import Identification
-from hyperflex.identification._revision import Revision, RevisionProfile, Round, revise
-from hyperflex.identification._simplex import InitialState, initial_state, squared_error
-from hyperflex.identification._uncertainty import ratios
+from hyperflex.identification.baselines.regression import LeastSquares, Regression, regression
+from hyperflex.identification.baselines.revision import Revision, RevisionProfile, Round, revise
+from hyperflex.identification.baselines.simplex import InitialState, initial_state, squared_error
+from hyperflex.identification.comparison.compare import compare_models
+from hyperflex.identification.comparison.result import FittedModel, ModelComparison
+from hyperflex.identification.experiment_design.choice import Design, Plan, design
+from hyperflex.identification.experiment_design.experiments import Experiment
+from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification.pipeline import identify
+from hyperflex.identification.prediction import BAND, HeldOut
+from hyperflex.identification.result import Identification
+from hyperflex.identification.uncertainty.bootstrap import Bootstrap, bootstrap
+from hyperflex.identification.uncertainty.correlogram import correlogram
+from hyperflex.identification.uncertainty.covariance import ratios
+from hyperflex.identification.uncertainty.intervals import Interval
+from hyperflex.identification.uncertainty.profile import Profile, profile
 
 __all__ = [
     "BAND",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex import checks
-from hyperflex.core.chain import Chain
+from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.errors import InvalidInput
 from hyperflex.model.rope import Rope
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperflex.core.contact_gaps import Pegs
+from hyperflex.core.contact.gaps import Pegs
 from hyperflex.model.peg import FIXED, Peg, pegs_from_table, pegs_table
 from hyperflex.model.wall import Ground, Wall, obstacles_from_table, obstacles_table
 

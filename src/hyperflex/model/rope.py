@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
-from hyperflex.core.chain import MUTUAL, PRINTED, Chain
+from hyperflex.core.chain.articulated_body import MUTUAL, PRINTED, Chain
 from hyperflex.errors import InvalidInput
 from hyperflex.model.rope_table import LINK_FIELDS, MOST_LINKS, from_table, to_table
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
-from hyperflex.core.chain import Chain
-from hyperflex.core.contact_gaps import Pegs
-from hyperflex.core.drive import TORQUE, Drive, X, Y
+from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import TORQUE, Drive, X, Y
+from hyperflex.core.contact.gaps import Pegs
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle, obstacles_of, packed, tables

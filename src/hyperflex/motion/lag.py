@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.drive import ANGLE
+from hyperflex.core.chain.drive import ANGLE
 from hyperflex.errors import InvalidInput
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 

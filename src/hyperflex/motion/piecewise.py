@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.drive import ANGLE, TORQUE, X, Y
+from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y
 from hyperflex.errors import InvalidInput
 
 CHANNELS = 4  # arm angle, pivot x, pivot y, torque

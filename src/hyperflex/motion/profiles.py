@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.core.drive import ANGLE, TORQUE, X, Y
+from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y
 from hyperflex.errors import InvalidInput
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.core.drive import ANGLE
+from hyperflex.core.chain.drive import ANGLE
 from hyperflex.errors import InvalidInput
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 from hyperflex.motion.profiles import move_pieces

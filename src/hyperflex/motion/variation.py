@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.core.drive import ANGLE
+from hyperflex.core.chain.drive import ANGLE
 from hyperflex.errors import InvalidInput
 from hyperflex.motion.piecewise import Motion
 from hyperflex.motion.profiles import move_pieces, moving_point, sampled, swing_pieces, torque_profile

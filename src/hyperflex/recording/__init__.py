@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hyperflex.recording._read import read_recording
-from hyperflex.recording._recording import Recording, unwrap
+from hyperflex.recording.read import read_recording
+from hyperflex.recording.recording import Recording, unwrap
 
 __all__ = ["Recording", "read_recording", "unwrap"]

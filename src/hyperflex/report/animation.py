@@ -13,7 +13,7 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.report.between import pegs_of, shapes, widened
+from hyperflex.report.shapes import pegs_of, shapes, widened
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg
-from hyperflex.report.between import Shapes, pegs_of, shapes, widened
+from hyperflex.report.shapes import Shapes, pegs_of, shapes, widened
 from hyperflex.report.style import look, new_figure
 from hyperflex.trajectory import Trajectory
 

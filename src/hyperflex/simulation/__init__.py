@@ -10,27 +10,27 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
-    from hyperflex.simulation.batch import Batch, simulate_batch
-    from hyperflex.simulation.chaos import Predictability, predictability
+    from hyperflex.simulation.batch.batch import Batch, simulate_batch
     from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
+    from hyperflex.simulation.lyapunov import Predictability, predictability
     from hyperflex.simulation.runs import angles, simulate
-    from hyperflex.simulation.sensitivity import Sensitivities, Slopes, sensitivities
+    from hyperflex.simulation.sensitivity.sensitivity import Sensitivities, Slopes, sensitivities
     from hyperflex.simulation.stability import runge_kutta_limit
 
 _HOMES = {
-    "Batch": "batch",
+    "Batch": "batch.batch",
     "Event": "events",
-    "Predictability": "chaos",
-    "Sensitivities": "sensitivity",
-    "Slopes": "sensitivity",
+    "Predictability": "lyapunov",
+    "Sensitivities": "sensitivity.sensitivity",
+    "Slopes": "sensitivity.sensitivity",
     "angle_reached": "events",
     "angles": "runs",
     "phase_reached": "events",
-    "predictability": "chaos",
+    "predictability": "lyapunov",
     "runge_kutta_limit": "stability",
-    "sensitivities": "sensitivity",
+    "sensitivities": "sensitivity.sensitivity",
     "simulate": "runs",
-    "simulate_batch": "batch",
+    "simulate_batch": "batch.batch",
     "tip_crosses": "events",
     "tip_speed_peak": "events",
 }

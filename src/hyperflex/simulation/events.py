@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.core.until import ANGLE, CROSSES, PEAK, PHASE, Until
+from hyperflex.core.integrate.end_conditions import ANGLE, CROSSES, PEAK, PHASE, Until
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.core import output, status
+from hyperflex.core import status
+from hyperflex.core.integrate import dense_output as output
 from hyperflex.errors import SimulationError
 from hyperflex.model import Setup
-from hyperflex.simulation.contact import split
+from hyperflex.simulation.contact.runs import split
+from hyperflex.simulation.contact.turning_pegs import shown, spin_energy
 from hyperflex.simulation.rollouts import Rollout, balanced, final_state, least_scale, starting_clock, stored
-from hyperflex.simulation.turning_pegs import shown, spin_energy
 from hyperflex.trajectory import State, Trajectory
 
 

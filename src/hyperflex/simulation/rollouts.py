@@ -15,18 +15,19 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core import rollout, status
-from hyperflex.core.chain import Chain
-from hyperflex.core.drive import TORQUE, Drive
+from hyperflex.core import status
+from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import TORQUE, Drive
+from hyperflex.core.integrate import rollout
+from hyperflex.core.integrate.end_conditions import NEVER, Until
+from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNSETTLED, Limits, Progress, T, switched
+from hyperflex.core.integrate.step_size import FIRST_STEP
+from hyperflex.core.integrate.steps import scheme
 from hyperflex.core.jit import announce_compilation
-from hyperflex.core.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNSETTLED, Limits, Progress, T, switched
-from hyperflex.core.steppers import scheme
-from hyperflex.core.stepsize import FIRST_STEP
-from hyperflex.core.until import NEVER, Until
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope, Setup
+from hyperflex.simulation.contact.turning_pegs import shown
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
-from hyperflex.simulation.turning_pegs import shown
 from hyperflex.trajectory import State
 
 # Orders that a run chooses from, step by step: seven fills four lanes without a gap, lower ones save no time, and eight

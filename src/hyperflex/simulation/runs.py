@@ -13,16 +13,14 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import status
-from hyperflex.core.drive import TORQUE
-from hyperflex.core.until import NEVER, Until
+from hyperflex.core.chain.drive import TORQUE
+from hyperflex.core.integrate.end_conditions import NEVER, Until
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion, hold
-from hyperflex.simulation.contact import beside, finer
+from hyperflex.simulation.contact.runs import beside, finer
 from hyperflex.simulation.events import Event
 from hyperflex.simulation.outcome import conclude, failure
-from hyperflex.simulation.patience import INTERRUPTED, OutOfPatience, impatient, too_slow
-from hyperflex.simulation.patience import NAME as TOO_SLOW
 from hyperflex.simulation.rollouts import (
     Control,
     Rollout,
@@ -34,6 +32,8 @@ from hyperflex.simulation.rollouts import (
     progress_bar,
     resume,
 )
+from hyperflex.simulation.time_budget import INTERRUPTED, OutOfPatience, impatient, too_slow
+from hyperflex.simulation.time_budget import NAME as TOO_SLOW
 from hyperflex.trajectory import State, Trajectory
 
 SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose

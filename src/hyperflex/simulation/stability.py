@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.core.chain import MUTUAL, Chain, mass_matrix
+from hyperflex.core.chain.articulated_body import MUTUAL, Chain, mass_matrix
 
 
 def runge_kutta_limit(chain: Chain) -> float:

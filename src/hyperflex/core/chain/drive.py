@@ -1,0 +1,128 @@
+"""What moves the chain: arm angle, pivot position and motor torque as piecewise polynomials of time."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.core.chain.articulated_body import sincos
+from hyperflex.core.jit import inlined, kernel
+
+ANGLE, X, Y, TORQUE = 0, 1, 2, 3  # channels of Drive.coef
+ROUNDING = 1e-12  # relative; some thousand times that of the arithmetic
+
+
+class Drive(NamedTuple):
+    """Piecewise polynomials of arm angle (rad), pivot x, y (m) and torque (N m).
+
+    Piece j holds from breaks[j] to breaks[j + 1] with coefficients coef[j]: 4 channels, 6 ascending powers of the time
+    since breaks[j]. After the last break the pieces from `loop` on repeat for ever; where `loop` is negative, and
+    before the first break, the end values stand still.
+    """
+
+    breaks: npt.NDArray[np.float64]  # (k + 1,), s
+    coef: npt.NDArray[np.float64]  # (k, 4, 6)
+    switch: npt.NDArray[np.bool_]  # (k + 1,) where acceleration or torque jumps: integration restarts there
+    loop: int  # first piece of those that repeat, -1: none
+    arm_length: float  # m, from the pivot to the first joint
+    torque_limit: float  # N m
+
+
+class Segment(NamedTuple):
+    """The smooth stretch of a drive around a time: between two switches."""
+
+    start: float
+    end: float  # s, absolute; may be inf
+    offset: float  # s, of the period's beginning
+    first: int  # pieces first..last; first > last where the drive stands still
+    last: int
+
+
+@kernel
+def segment(drive, t):  # type: ignore[no-untyped-def]
+    """Return the Segment that begins at or before t and ends after it; at a switch, within rounding, the later."""
+    breaks = drive.breaks
+    k = breaks.size - 1
+    t += ROUNDING * (1.0 + abs(t))  # cycles are sums and products: the same instant comes out in several ways
+    if t < breaks[0]:
+        return Segment(-np.inf, breaks[0], 0.0, 0, -1)
+    offset = 0.0
+    begin = 0
+    if t >= breaks[k]:
+        if drive.loop < 0:
+            return Segment(breaks[k], np.inf, 0.0, k, k - 1)
+        begin = drive.loop
+        period = breaks[k] - breaks[begin]
+        cycle = np.floor((t - breaks[begin]) / period)
+        if cycle * period + breaks[k] <= t:  # the division rounded down at the very end of a cycle
+            cycle += 1.0
+        offset = cycle * period
+    j = begin
+    while j < k - 1 and offset + breaks[j + 1] <= t:
+        j += 1
+    first = j
+    while first > begin and not drive.switch[first]:
+        first -= 1
+    last = j
+    while last < k - 1 and not drive.switch[last + 1]:
+        last += 1
+    end = offset + breaks[last + 1]
+    if last == k - 1 and drive.loop < 0 and not drive.switch[k]:  # it comes to rest without a jump
+        end = np.inf
+    return Segment(offset + breaks[first], end, offset, first, last)
+
+
+@kernel
+def within(drive, part, t):  # type: ignore[no-untyped-def]
+    """Find the piece j that holds at time t within Segment `part`, the time s into it, and whether all stands still.
+
+    Before the first break and after the last one s is where the drive stands still.
+    """
+    k = drive.breaks.size - 1
+    if part.first == 0 and part.last < 0:
+        return 0, 0.0, True
+    if part.last < part.first or (drive.loop < 0 and t > drive.breaks[k]):
+        return k - 1, drive.breaks[k] - drive.breaks[k - 1], True
+    j = part.first
+    while j < part.last and part.offset + drive.breaks[j + 1] <= t:
+        j += 1
+    return j, t - (part.offset + drive.breaks[j]), False
+
+
+@inlined
+def polynomial(c, t):  # type: ignore[no-untyped-def]
+    """Value, first and second derivative at t of the polynomial with ascending coefficients c (6,)."""
+    value = c[0] + t * (c[1] + t * (c[2] + t * (c[3] + t * (c[4] + t * c[5]))))
+    rate = c[1] + t * (2.0 * c[2] + t * (3.0 * c[3] + t * (4.0 * c[4] + t * 5.0 * c[5])))
+    second = 2.0 * c[2] + t * (6.0 * c[3] + t * (12.0 * c[4] + t * 20.0 * c[5]))
+    return value, rate, second
+
+
+@kernel
+def base_state(drive, part, t, base):  # type: ignore[no-untyped-def]
+    """Motion of the first joint at time t within the Segment `part`.
+
+    Writes ``base`` (9,): acceleration x, y (m/s^2); alpha, rate, angle of the arm (rad/s^2, rad/s, rad); velocity x, y
+    (m/s); position x, y (m). Returns the motor torque, N m.
+    """
+    j, s, still = within(drive, part, t)
+    angle, rate, alpha = polynomial(drive.coef[j, ANGLE], s)
+    x, vx, ax = polynomial(drive.coef[j, X], s)
+    y, vy, ay = polynomial(drive.coef[j, Y], s)
+    torque, _, _ = polynomial(drive.coef[j, TORQUE], s)
+    if still:
+        rate = alpha = vx = ax = vy = ay = torque = 0.0
+    sin, cos = sincos(angle)
+    length = drive.arm_length
+    base[0] = ax + length * (cos * alpha - sin * rate * rate)
+    base[1] = ay + length * (sin * alpha + cos * rate * rate)
+    base[2] = alpha
+    base[3] = rate
+    base[4] = angle
+    base[5] = vx + length * cos * rate
+    base[6] = vy + length * sin * rate
+    base[7] = x + length * sin
+    base[8] = y - length * cos
+    return min(max(torque, -drive.torque_limit), drive.torque_limit)

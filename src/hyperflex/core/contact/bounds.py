@@ -1,0 +1,50 @@
+"""Where a run beside pegs is, and what bounds it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from hyperflex.core.chain.articulated_body import Array
+from hyperflex.core.contact.step import Kept
+from hyperflex.core.jit import kernel
+
+MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they would be mostly rounding
+SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step however short: rounding of large forces
+LOSS = 10.0  # how many times more energy may vanish in a step than appear
+
+# T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
+# found that obey the law. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest
+# penetration, m. FORCED: steps taken though their energy rose by more than is allowed. APPEARED: energy that came from
+# nowhere, J. DUE: 1.0 where a link touches and an impact is due.
+T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST, DEEPEST, FORCED, APPEARED, DUE, CLOCK = range(13)
+
+
+class Bounds(NamedTuple):
+    """What bounds a run beside pegs."""
+
+    stop: float  # s
+    step: float  # s, longest step
+    rate: float  # W, at which energy may appear from nowhere
+    clear: float  # m, smallest gap at which the rope has left the pegs
+    budget: int  # steps of one call
+
+
+class Course(NamedTuple):
+    """Where a run is; all arrays are changed in place."""
+
+    y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
+    clock: Array  # (CLOCK,)
+    spin: Array  # (2, m) angles, rad, and rates, rad/s, of the pegs; 0 of fixed ones
+    kept: Kept
+
+
+@kernel
+def allowance(bounds, h):  # type: ignore[no-untyped-def]
+    """Energy that may appear from nowhere in a step, J."""
+    return bounds.rate * max(h, SLIGHT) + ROUNDING
+
+
+@kernel
+def balanced(surplus, allowed):  # type: ignore[no-untyped-def]
+    """Whether the energy that appears from nowhere in a step, J, or vanishes where it is negative, may do so."""
+    return -LOSS * allowed <= surplus <= allowed

@@ -1,0 +1,180 @@
+"""Where a rope is near obstacles: the closest point of each link, its gap, and how fast the gap closes.
+
+A link touches a peg with its axis at the distance ``reach`` (peg radius plus rope radius) from the peg's centre. Of a
+straight face only the joints can come near, so each link answers for the joint at its end; the ends of a face are pegs
+of no radius. The
+contact force acts on the axis: the rope is thin in so far as the lever of friction about the axis is left out, so that
+the capstan law of a thin rope holds (docs/models.md).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.core.chain.articulated_body import Array
+from hyperflex.core.jit import kernel
+
+Index = npt.NDArray[np.int64]
+NOWHERE = 1e9  # m, gap of what cannot touch
+LARGEST_TURN = 1.5  # rad, that a single contact stands for; more is a kink, not an arc
+
+
+class Pegs(NamedTuple):
+    """Obstacles, one entry each: round pegs, and straight faces."""
+
+    x: Array  # m, centre of a peg, first end of a face
+    y: Array
+    ux: Array  # unit vector along a face; what is solid without end lies on its right
+    uy: Array
+    span: Array  # m, length of a face; 0 for a peg, infinite where one side is solid
+    reach: Array  # m, peg radius plus rope radius
+    mu: Array  # Coulomb's coefficient
+    bounce: Array  # coefficient of restitution
+    inertia: Array  # kg m^2, of a peg that turns; infinite of what is fixed
+    bearing: Array  # N m s, viscous friction of its axle
+    first: int  # first link that may touch: 1 where link 0 is the arm
+
+
+class Contacts(NamedTuple):
+    """Links that are near a peg, in the order of the links; the first ``total[0]`` entries hold."""
+
+    total: Index  # (1,)
+    link: Index  # (K,)
+    peg: Index
+    place: Array  # m, of the closest point along the link from its motor-side joint
+    nx: Array  # unit vector from the peg to the link; the tangent is (-ny, nx)
+    ny: Array
+    gap: Array  # m, negative: penetration
+    mu: Array  # coefficient of friction, made up for the corners of the polygon
+
+
+@kernel
+def new_contacts(most):  # type: ignore[no-untyped-def]
+    """Contacts for at most so many pairs of a link and a peg."""
+    return Contacts(
+        np.zeros(1, np.int64),
+        np.zeros(most, np.int64),
+        np.zeros(most, np.int64),
+        np.zeros(most),
+        np.zeros(most),
+        np.zeros(most),
+        np.zeros(most),
+        np.zeros(most),
+    )
+
+
+@kernel
+def joints(chain, trig, x0, y0, out):  # type: ignore[no-untyped-def]
+    """Positions of the joints, m: ``out`` (2, n + 1), from the first at (x0, y0); `trig` (2 n,) sines, cosines."""
+    n = chain.length.size
+    out[0, 0], out[1, 0] = x0, y0
+    for i in range(n):
+        out[0, i + 1] = out[0, i] + chain.length[i] * trig[i]
+        out[1, i + 1] = out[1, i] - chain.length[i] * trig[n + i]
+
+
+@kernel
+def closest(link, x, y):  # type: ignore[no-untyped-def]
+    """Closest point of a link to the point (x, y): distance along the link, m; distance, m; unit vector to it.
+
+    `link`: x, y of its motor-side joint and of its far one, m; its length, m; sine and cosine of its angle.
+    """
+    x0, y0, _, _, length, sin, cos = link
+    rx, ry = x - x0, y - y0
+    s = min(max(rx * sin - ry * cos, 0.0), length)
+    dx, dy = s * sin - rx, -s * cos - ry
+    size = math.sqrt(dx * dx + dy * dy)
+    if size < 1e-12:  # the axis runs through the centre: either side will do
+        return s, size, cos, sin
+    return s, size, dx / size, dy / size
+
+
+@kernel
+def joint_gap(link, obstacle):  # type: ignore[no-untyped-def]
+    """Gap between the joint at the end of a link and a face, m, and the unit vector from the face to the joint."""
+    x, y, ux, uy, span, reach = obstacle
+    rx, ry = link[2] - x, link[3] - y
+    along, across = rx * ux + ry * uy, ry * ux - rx * uy
+    if span < np.inf:
+        if along < 0.0 or along > span:
+            return NOWHERE, -uy, ux
+        if across < 0.0:
+            return -across - reach, uy, -ux
+    return across - reach, -uy, ux
+
+
+@kernel
+def nearest(link, obstacle):  # type: ignore[no-untyped-def]
+    """Point of a link that may touch an obstacle: distance along the link, m; gap, m; unit vector to it.
+
+    `link` as for ``closest``; `obstacle`: x, y, ux, uy, span, reach as in Pegs. Numbers, not arrays: to take these out
+    of their tuples behind a branch costs more than all the rest.
+    """
+    if obstacle[4] > 0.0:
+        gap, nx, ny = joint_gap(link, obstacle)
+        return link[4], gap, nx, ny
+    s, size, nx, ny = closest(link, obstacle[0], obstacle[1])
+    return s, size - obstacle[5], nx, ny
+
+
+@kernel
+def corner(q, i):  # type: ignore[no-untyped-def]
+    """Factor on the friction of link i, which stands for the arc between the middles of its two corners.
+
+    Tangential forces meet the hinges of a polygon outside the circle: a wrapped polygon of corners d holds
+    exp(mu theta sin(d) / d) in place of exp(mu theta). With d / sin(d) times the friction it holds as much as the rope.
+    """
+    n = q.size
+    turn = 0.0
+    if i > 0:
+        turn += 0.5 * abs(q[i] - q[i - 1])
+    if i < n - 1:
+        turn += 0.5 * abs(q[i + 1] - q[i])
+    turn = min(turn, LARGEST_TURN)
+    return 1.0 if turn < 1e-6 else turn / math.sin(turn)
+
+
+@kernel
+def find(chain, pegs, q, trig, place, margin, found):  # type: ignore[no-untyped-def]
+    """Collect the pairs of a link and a peg whose gap is below `margin` (n,), m, into the Contacts `found`.
+
+    Returns the smallest gap of all pairs, m; where that is above the margins, a lower bound of it.
+    """
+    count, n = 0, q.size
+    least = np.inf
+    length, x, y, ux, uy = chain.length, pegs.x, pegs.y, pegs.ux, pegs.uy
+    span, reach, mu = pegs.span, pegs.reach, pegs.mu
+    for i in range(pegs.first, n):
+        x0, y0, size = place[0, i], place[1, i], length[i]
+        link = (x0, y0, place[0, i + 1], place[1, i + 1], size, trig[i], trig[n + i])
+        for p in range(x.size):
+            dx, dy = x[p] - x0, y[p] - y0
+            far = reach[p] + size + margin[i]
+            away = math.sqrt(dx * dx + dy * dy)
+            if away > far and span[p] == 0.0:
+                least = min(least, away - far + margin[i])
+                continue
+            s, gap, nx, ny = nearest(link, (x[p], y[p], ux[p], uy[p], span[p], reach[p]))
+            least = min(least, gap)
+            if gap < margin[i]:
+                found.link[count], found.peg[count] = i, p
+                found.place[count], found.nx[count], found.ny[count] = s, nx, ny
+                found.gap[count] = gap
+                found.mu[count] = mu[p] * (corner(q, i) if span[p] == 0.0 else 1.0)
+                count += 1
+    found.total[0] = count
+    return least
+
+
+@kernel
+def speeds(chain, trig, w, vx, vy, out):  # type: ignore[no-untyped-def]
+    """Velocities of the joints, m/s: ``out`` (2, n + 1), from that of the first, (vx, vy); `trig` as in ``joints``."""
+    n = w.size
+    out[0, 0], out[1, 0] = vx, vy
+    for i in range(n):
+        out[0, i + 1] = out[0, i] + chain.length[i] * trig[n + i] * w[i]
+        out[1, i + 1] = out[1, i] + chain.length[i] * trig[i] * w[i]

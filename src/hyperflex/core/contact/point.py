@@ -1,0 +1,43 @@
+"""One contact of the sweep: the velocity of its point, and its rows, which answer that velocity by an impulse."""
+
+from __future__ import annotations
+
+from hyperflex.core.contact.arrays import AHEAD, STICK
+from hyperflex.core.contact.sweep import add_contact
+from hyperflex.core.jit import kernel
+
+
+@kernel
+def hold(found, impulses, motion, c, heavy, pn, pt):  # type: ignore[no-untyped-def]
+    """Add contact c, in its present mode, to ``motion.touch``: impulses pn, pt, N s, at rest; `heavy` is M, kg.
+
+    What slips has the tangential impulse that goes with the normal one; pt is of no account then.
+    """
+    i, s = found.link[c], found.place[c]
+    sin, cos = motion.trig[i], motion.trig[motion.w.size + i]
+    nx, ny = found.nx[c], found.ny[c]
+    if impulses.mode[c] == STICK:
+        b = (heavy, 0.0, 0.0, heavy)
+        add_contact(motion.touch, i, s, sin, cos, b, (pn * nx - pt * ny, pn * ny + pt * nx))
+    else:
+        drag = drag_of(found, impulses, c)
+        fx, fy = nx - drag * ny, ny + drag * nx
+        b = (heavy * fx * nx, heavy * fx * ny, heavy * fy * nx, heavy * fy * ny)
+        add_contact(motion.touch, i, s, sin, cos, b, (pn * fx, pn * fy))
+
+
+@kernel
+def drag_of(found, impulses, c):  # type: ignore[no-untyped-def]
+    """Tangential impulse of a contact that slips, in parts of the normal one."""
+    return -found.mu[c] if impulses.mode[c] == AHEAD else found.mu[c]
+
+
+@kernel
+def velocity(found, motion, c):  # type: ignore[no-untyped-def]
+    """Velocity of the point of contact c after the step, m/s: along its normal, and along its tangent."""
+    n = motion.w.size
+    i = found.link[c]
+    lever = found.place[c] * (motion.w[i] + motion.change[i])
+    vx = motion.speed[0, i] + motion.turned[0, i] + motion.place[0, i] + lever * motion.trig[n + i]
+    vy = motion.speed[1, i] + motion.turned[1, i] + motion.place[1, i] + lever * motion.trig[i]
+    return vx * found.nx[c] + vy * found.ny[c], vy * found.nx[c] - vx * found.ny[c]

@@ -1,0 +1,293 @@
+"""One step of a rope in contact: Moreau and Jean's, with angles in the middle of a step and rates at its ends."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.core.chain.articulated_body import Array, energies, sines
+from hyperflex.core.chain.drive import base_state
+from hyperflex.core.contact.arrays import OPEN, Impulses, Motion, new_impulses, new_motion
+from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joints, nearest, new_contacts, speeds
+from hyperflex.core.contact.modes import solve
+from hyperflex.core.contact.turning_pegs import Spin, begin, lost_in_bearings, new_spin
+from hyperflex.core.jit import kernel
+
+FAST, FALL = 0.01, 50.0  # m/s, m/s^2; what closes faster than that, and than a step may make it, does so in an impact
+TOUCH = 1e-6  # m, gap that counts as touching there
+FREE = 1e9  # m/s, target of a link that nothing holds
+RECOVERY, PUSH = 1e-3, 5e-7  # m/s, W; at most so fast, and with so little power, a rope is pushed out of a peg
+DEEP = 2e-5  # m, penetration from which on it takes the power that it needs
+RELAXED = 0.99  # of the last step's forces is where the next step starts: what nothing asks for dies out
+SLIGHT_FORCE = 1e-6  # N
+GIFT = 0.25  # part of the power allowed from nowhere that the residual velocities of contacts may have
+NEAR = 1e-4  # m, gap below which a link is watched even at rest
+BEND = 2e-5  # m, by which a gap may change more than its rate says
+FASTER = 2.0  # how many times faster than before a step links may be after it
+
+FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints and axles, by contacts, put in; J
+
+
+class Kept(NamedTuple):
+    """What the last step leaves for the next, by link and peg, and of its search for modes."""
+
+    normal: Array  # (n, m) N
+    tangent: Array
+    mode: Index
+    heavy: Array  # (1,) kg, as in Impulses
+
+
+class Desk(NamedTuple):
+    """Working arrays of the stepper for a chain of n links."""
+
+    found: Contacts
+    impulses: Impulses
+    motion: Motion
+    spin: Spin
+    q: Array  # (n,) in the middle of the step
+    xy: Array  # (2, n + 1) joints there
+    ahead: Array  # (2, n + 1) and where they would be a step later
+    ahead_q: Array
+    ahead_trig: Array
+    ahead_speed: Array  # (2, n + 1)
+    margin: Array  # (n,)
+    trend: Array  # (n,) rad/s^2, accelerations of the last step: where the next one begins to search
+    out: Array  # (2 n,) angles and rates after the step
+    base: Array  # (3, 9) motion of the first joint before, in the middle and after
+    account: Array  # (3,)
+    touch: Array  # (1,) s, from the beginning of the step until a link that is left free touches a peg
+    fast: float  # m/s; a link that closes faster meets the peg in an impact of its own, at the instant of touching
+
+
+@kernel
+def new_desk(n, pegs, rate, longest):  # type: ignore[no-untyped-def]
+    """Working arrays for n links, the Pegs `pegs` and steps up to `longest`, s; energy may appear at `rate`, W."""
+    most = n * pegs.reach.size
+    return Desk(
+        new_contacts(most),
+        new_impulses(most, GIFT * rate),
+        new_motion(n),
+        new_spin(n, pegs),
+        np.zeros(n),
+        np.zeros((2, n + 1)),
+        np.zeros((2, n + 1)),
+        np.zeros(n),
+        np.zeros(2 * n),
+        np.zeros((2, n + 1)),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(2 * n),
+        np.zeros((3, 9)),
+        np.zeros(3),
+        np.zeros(1),
+        max(FAST, FALL * longest),
+    )
+
+
+@kernel
+def new_kept(n, pegs):  # type: ignore[no-untyped-def]
+    """Nothing kept yet."""
+    return Kept(np.zeros((n, pegs)), np.zeros((n, pegs)), np.zeros((n, pegs), np.int64), np.zeros(1))
+
+
+@kernel
+def load_joints(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped-def]
+    """Angular impulses of the joints: implicit friction, springs at the mean of the angles before and after.
+
+    `q` (n,) are angles in the middle of the step, `w` (n,) rates before; `base` (3, 9); ``joint`` (n, 2) out.
+    """
+    for i in range(w.size):
+        rate = w[i] - (w[i - 1] if i > 0 else base[0, 3])
+        angle = q[i] - (q[i - 1] if i > 0 else base[1, 4])
+        k = chain.stiffness[i]
+        joint[i, 0] = -h * (chain.viscous[i] * rate + k * (angle - chain.rest[i]))
+        joint[i, 1] = h * chain.viscous[i] + 0.25 * h * h * k
+    joint[0, 0] += h * torque
+
+
+@kernel
+def rates_at(found, motion, c):  # type: ignore[no-untyped-def]
+    """Velocity of the point of contact c before the step, m/s: along its normal, and along its tangent."""
+    n = motion.w.size
+    i = found.link[c]
+    lever = found.place[c] * motion.w[i]
+    vx = motion.speed[0, i] + lever * motion.trig[n + i]
+    vy = motion.speed[1, i] + lever * motion.trig[i]
+    return vx * found.nx[c] + vy * found.ny[c], vy * found.nx[c] - vx * found.ny[c]
+
+
+@kernel
+def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-untyped-def]
+    """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
+
+    A gap may be closed, not more. Where the rope turns, gaps change by a term of second order, which is allowed for as
+    the rates before the step predict it: left out, it would let what is inside a peg sink at every step. Without `push`
+    that stays as deep as it is. `bounce` is the part of the restitution that takes place in an impact. Where an impact
+    was made already (`struck`), a link that touches is held by the step, however it moves: only links further away may
+    be left free.
+    """
+    found, impulses, motion = desk.found, desk.impulses, desk.motion
+    n = motion.w.size
+    desk.touch[0] = np.inf
+    for i in range(n):
+        a = max(abs(motion.speed[0, i]), abs(motion.speed[1, i]))
+        b = max(abs(motion.speed[0, i + 1]), abs(motion.speed[1, i + 1]))
+        desk.margin[i] = NEAR + 1.5 * FASTER * h * max(a, b)
+    least = find(chain, pegs, desk.q, motion.trig, desk.xy, desk.margin, found)
+    count = found.total[0]
+    if count == 0:
+        return least
+    if h == 0.0:
+        for c in range(count):
+            closing, _ = rates_at(found, motion, c)
+            impulses.target[c] = FREE
+            if found.gap[c] <= 2.0 * TOUCH:
+                impulses.target[c] = bounce * pegs.bounce[found.peg[c]] * (closing if closing < -desk.fast else 0.0)
+            impulses.lean[c] = 0.0
+        return least
+    for i in range(n):
+        desk.ahead_q[i] = desk.q[i] + h * motion.w[i]
+    sines(desk.ahead_q, desk.ahead_trig, 0)
+    x = desk.base[1, 7] + h * desk.base[0, 5]  # as the joints' velocities, which are those before the step
+    y = desk.base[1, 8] + h * desk.base[0, 6]
+    joints(chain, desk.ahead_trig, x, y, desk.ahead)
+    speeds(chain, desk.ahead_trig, motion.w, desk.base[0, 5], desk.base[0, 6], desk.ahead_speed)
+    for c in range(count):
+        i, p = found.link[c], found.peg[c]
+        closing, sliding = rates_at(found, motion, c)
+        impulses.lean[c] = 0.0
+        away = found.gap[c] - 0.5 * h * closing  # at the beginning of the step
+        if closing < -desk.fast and (away > TOUCH or not struck):
+            impulses.target[c] = FREE
+            desk.touch[0] = min(desk.touch[0], 0.0 if away <= TOUCH else -away / closing)
+            continue
+        turned, tx, ty = desk.ahead_trig, desk.ahead[0], desk.ahead[1]
+        link = (tx[i], ty[i], tx[i + 1], ty[i + 1], chain.length[i], turned[i], turned[n + i])
+        s, gap, nx, ny = nearest(link, (pegs.x[p], pegs.y[p], pegs.ux[p], pegs.uy[p], pegs.span[p], pegs.reach[p]))
+        bend = 0.0
+        if found.gap[c] < NEAR and gap < NOWHERE:
+            bend = max(-BEND, min(gap - found.gap[c] - h * closing, BEND))
+            lever = s * motion.w[i]
+            wx = desk.ahead_speed[0, i] + lever * desk.ahead_trig[n + i]
+            wy = desk.ahead_speed[1, i] + lever * desk.ahead_trig[i]
+            impulses.lean[c] = 0.5 * ((wy * nx - wx * ny) - sliding)
+        out = RECOVERY if push else 0.0
+        if found.gap[c] > -DEEP:
+            out = min(out, PUSH / (abs(kept.normal[i, p]) + SLIGHT_FORCE))
+        impulses.target[c] = max(found.gap[c] / h, -out) + bend / h
+    return least
+
+
+@kernel
+def recall(kept, found, impulses, h):  # type: ignore[no-untyped-def]
+    """Start from the modes and forces of the last step."""
+    impulses.heavy[0] = kept.heavy[0]
+    for c in range(found.total[0]):
+        i, p = found.link[c], found.peg[c]
+        impulses.mode[c] = kept.mode[i, p]
+        impulses.normal0[c] = RELAXED * h * kept.normal[i, p]
+        impulses.tangent0[c] = RELAXED * h * kept.tangent[i, p]
+
+
+@kernel
+def keep(kept, found, impulses, h):  # type: ignore[no-untyped-def]
+    """Keep modes and forces for the next step."""
+    kept.heavy[0] = impulses.heavy[0]
+    for i in range(kept.mode.shape[0]):
+        for p in range(kept.mode.shape[1]):
+            kept.normal[i, p] = kept.tangent[i, p] = 0.0
+            kept.mode[i, p] = OPEN
+    for c in range(found.total[0]):
+        i, p = found.link[c], found.peg[c]
+        kept.mode[i, p] = impulses.mode[c]
+        kept.normal[i, p], kept.tangent[i, p] = impulses.normal[c] / h, impulses.tangent[c] / h
+
+
+@kernel
+def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, struck):  # type: ignore[no-untyped-def]
+    """Take a step from y (2 n or more,) at time t to ``desk.out``; h = 0.0: an impact, in which nothing else acts.
+
+    Parameters
+    ----------
+    chain, drive, part, pegs : Chain, Drive, Segment that holds t..t + h, Pegs
+    pull : (2,) force on the tip beside gravity, N
+    kept, desk : Kept (not changed), Desk, on which the rates of the pegs before the step are
+    push : bool, whether contacts may push the rope out of a peg
+    bounce : float, part of the restitution that takes place in an impact
+    struck : bool, an impact was made already at time t
+
+    Returns
+    -------
+    least : float, smallest gap in the middle of the step, m
+    rounds : int, of the search for the modes; negative if it failed
+    """
+    motion, base = desk.motion, desk.base
+    n = motion.w.size
+    torque = base_state(drive, part, t + 0.5 * h, base[1])
+    base_state(drive, part, t, base[0])
+    base_state(drive, part, t + h, base[2])
+    whole = chain.tip_mass
+    for i in range(n):
+        whole += chain.mass[i]
+        motion.w[i] = y[n + i]
+        desk.q[i] = y[i] + 0.5 * h * y[n + i]
+        motion.change[i] = h * desk.trend[i]
+    motion.rho[:] = 0.0
+    sines(desk.q, motion.trig, 0)
+    joints(chain, motion.trig, base[1, 7], base[1, 8], desk.xy)
+    speeds(chain, motion.trig, motion.w, base[0, 5], base[0, 6], motion.speed)
+    load_joints(chain, desk.q, motion.w, base, h, torque, motion.joint)
+    motion.base[0] = base[2, 5] - base[0, 5] - h * chain.gx
+    motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
+    motion.base[2] = base[2, 3] - base[0, 3]
+    motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
+    least = watch(chain, pegs, kept, desk, h, push, bounce, struck)
+    recall(kept, desk.found, desk.impulses, h)
+    begin(desk.spin, motion, h)
+    rounds = solve(chain, desk.found, desk.impulses, motion, desk.spin, h, whole)
+    for i in range(n):
+        rate = motion.w[i] + motion.change[i]
+        desk.out[i] = desk.q[i] + 0.5 * h * rate
+        desk.out[n + i] = rate
+    settle_account(chain, desk, torque, h)
+    return least, rounds
+
+
+@kernel
+def settle_account(chain, desk, torque, h):  # type: ignore[no-untyped-def]
+    """Energy that joints, axles and contacts took in a step, and work put in: impulses times mean velocities."""
+    motion, base, found, impulses, spin = desk.motion, desk.base, desk.found, desk.impulses, desk.spin
+    n = motion.w.size
+    taken = 0.0
+    for i in range(n):
+        before = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
+        after = desk.out[n + i] - (desk.out[n + i - 1] if i > 0 else base[2, 3])
+        taken += h * chain.viscous[i] * after * 0.5 * (before + after)
+    desk.account[FRICTION] = taken + lost_in_bearings(spin)
+    taken = 0.0
+    for c in range(found.total[0]):
+        if impulses.mode[c] == OPEN:
+            continue
+        closing, sliding = rates_at(found, motion, c)
+        sliding -= spin.reach[found.peg[c]] * spin.before[found.peg[c]]
+        taken -= 0.5 * impulses.normal[c] * (closing + impulses.vn[c])
+        taken -= 0.5 * impulses.tangent[c] * (sliding + impulses.vt[c])
+    desk.account[CONTACT] = taken
+    work = 0.5 * (motion.load[0] * (base[0, 5] + base[2, 5]) + motion.load[1] * (base[0, 6] + base[2, 6]))
+    work += 0.5 * motion.load[2] * (base[0, 3] + base[2, 3])
+    work += 0.5 * h * torque * (motion.w[0] + desk.out[n])
+    vx, vy = base[2, 5], base[2, 6]
+    for i in range(n):
+        vx += chain.length[i] * motion.trig[n + i] * desk.out[n + i]
+        vy += chain.length[i] * motion.trig[i] * desk.out[n + i]
+    work += 0.5 * (motion.tip[0] * (motion.speed[0, n] + vx) + motion.tip[1] * (motion.speed[1, n] + vy))
+    desk.account[WORK] = work
+
+
+@kernel
+def energy(chain, y, base):  # type: ignore[no-untyped-def]
+    """Kinetic and potential energy of angles and rates y (2 n or more,), J; `base` (9,) motion of the first joint."""
+    n = chain.length.size
+    kinetic, potential = energies(chain, y[:n], y[n : 2 * n], (base[7], base[8], base[5], base[6], base[4], base[3]))
+    return kinetic + potential

@@ -1,0 +1,203 @@
+"""Pegs that turn: their rates after a step, together with the rope's.
+
+A contact sees the tangential velocity of its point less that of the peg, ``reach`` times the peg's rate, and its
+tangential impulse turns the peg with the same lever: contacts act on the rope's axis, so peg and rope exchange no more
+than action and reaction in one point. With fixed modes the rope's answer is linear in the rates of the pegs. One more
+sweep for each peg that a link sticks to, and one equation a peg, give them all.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.core.chain.articulated_body import Array
+from hyperflex.core.contact.arrays import OPEN, STICK
+from hyperflex.core.contact.gaps import Index
+from hyperflex.core.contact.point import drag_of, hold, velocity
+from hyperflex.core.contact.sweep import changes, clear
+from hyperflex.core.jit import kernel
+
+
+class Spin(NamedTuple):
+    """Pegs that turn, k of m, and the answer of n links to each."""
+
+    which: Index  # (k,) pegs that turn
+    row: Index  # (m,) where each stands in `which`; -1 if it is fixed
+    reach: Array  # (m,) m, lever of the rope's axis about the axle
+    inertia: Array  # (m,) kg m^2
+    bearing: Array  # (m,) N m s, viscous friction of the axle
+    before: Array  # (m,) rad/s, rates before the step; 0 of fixed ones
+    after: Array  # (m,) and after it
+    stay: Array  # (m,) part of its rate that a peg keeps in the step where nothing touches it
+    heavy: Array  # (m,) kg m^2, angular impulse over the change of the rate that it makes
+    system: Array  # (k, k + 1) equations of the rates after the step
+    change: Array  # (k, n) answers to a rate of 1 rad/s: of the links' rates
+    place: Array  # (k, 2, n) of the joints' velocities
+    load: Array  # (k, 3) of the impulse at the first joint
+    joint: Array  # (n, 2) angular impulse of each joint in these answers: 0, and its slope
+    none: Array  # (n + 3,) nothing
+
+
+@kernel
+def new_spin(n, pegs):  # type: ignore[no-untyped-def]
+    """Working arrays for n links and the Pegs `pegs`, all at rest."""
+    m = pegs.reach.size
+    row, k = np.full(m, -1), 0
+    which = np.zeros(m, np.int64)
+    for p in range(m):
+        if pegs.inertia[p] < np.inf:
+            row[p], which[k] = k, p
+            k += 1
+    links = n if k > 0 else 0
+    return Spin(
+        which[:k].copy(),
+        row,
+        pegs.reach,
+        pegs.inertia,
+        pegs.bearing,
+        np.zeros(m),
+        np.zeros(m),
+        np.zeros(m),
+        np.zeros(m),
+        np.zeros((k, k + 1)),
+        np.zeros((k, links)),
+        np.zeros((k, 2, links)),
+        np.zeros((k, 3)),
+        np.zeros((links, 2)),
+        np.zeros(links + 3),
+    )
+
+
+@kernel
+def coasting(inertia, bearing, h):  # type: ignore[no-untyped-def]
+    """Part of its rate that a free peg keeps for h s, and angular impulse over change of rate, kg m^2; both exact."""
+    x = bearing * h / inertia
+    if x == 0.0:
+        return 1.0, inertia
+    return math.exp(-x), -bearing * h / math.expm1(-x)
+
+
+@kernel
+def begin(spin, motion, h):  # type: ignore[no-untyped-def]
+    """Prepare a step h, s; 0.0: an impact."""
+    for p in spin.which:
+        spin.stay[p], spin.heavy[p] = coasting(spin.inertia[p], spin.bearing[p], h)
+    if spin.which.size > 0:
+        spin.joint[:, 1] = motion.joint[:, 1]
+
+
+@kernel
+def answer(chain, found, impulses, motion, spin, heavy, k):  # type: ignore[no-untyped-def]
+    """Find what a rate of 1 rad/s of turning peg k alone does to the rope, with the present modes; `heavy` is M, kg."""
+    p, n = spin.which[k], motion.w.size
+    clear(motion.touch, found.link, found.total[0])
+    sticks = False
+    for c in range(found.total[0]):
+        if impulses.mode[c] != OPEN:
+            here = impulses.mode[c] == STICK and found.peg[c] == p
+            sticks = sticks or here
+            hold(found, impulses, motion, c, heavy, 0.0, heavy * spin.reach[p] if here else 0.0)
+    if not sticks:
+        spin.change[k] = spin.load[k] = 0.0
+        spin.place[k] = 0.0
+        return
+    rho, base, tip = spin.none[:n], spin.none[:3], spin.none[:2]
+    spin.load[k, 0], spin.load[k, 1], spin.load[k, 2] = changes(
+        chain, motion.trig, spin.joint, rho, motion.touch, base, tip, spin.change[k], spin.place[k], motion.work
+    )
+
+
+@kernel
+def enter(found, impulses, motion, spin, heavy, c):  # type: ignore[no-untyped-def]
+    """Enter the tangential impulse of contact c into the equation of its peg, at present rates and per rad/s of each.
+
+    ``motion`` holds the rope's answer to pegs at rest.
+    """
+    n, last = motion.w.size, spin.which.size
+    i, k, lever = found.link[c], spin.row[found.peg[c]], spin.reach[found.peg[c]]
+    nx, ny = found.nx[c], found.ny[c]
+    vn, vt = velocity(found, motion, c)
+    sticks, drag = impulses.mode[c] == STICK, drag_of(found, impulses, c)
+    if sticks:
+        pt = impulses.tangent0[c] - heavy * (vt + impulses.lean[c])
+        spin.system[k, k] += lever * heavy * lever
+    else:
+        pt = drag * (impulses.normal0[c] - heavy * (vn + impulses.target[c]))
+    spin.system[k, last] -= lever * pt
+    for j in range(last):
+        turn = found.place[c] * spin.change[j, i]
+        vx = spin.place[j, 0, i] + turn * motion.trig[n + i]
+        vy = spin.place[j, 1, i] + turn * motion.trig[i]
+        along = vy * nx - vx * ny if sticks else drag * (vx * nx + vy * ny)
+        spin.system[k, j] -= lever * heavy * along
+
+
+@kernel
+def eliminate(system):  # type: ignore[no-untyped-def]
+    """Solve equations (k, k + 1), the right-hand side last, which becomes the solution."""
+    k = system.shape[0]
+    for i in range(k):
+        best = i
+        for j in range(i + 1, k):
+            if abs(system[j, i]) > abs(system[best, i]):
+                best = j
+        for col in range(k + 1):
+            system[i, col], system[best, col] = system[best, col], system[i, col]
+        for j in range(k):
+            if j != i:
+                factor = system[j, i] / system[i, i]
+                for col in range(i, k + 1):
+                    system[j, col] -= factor * system[i, col]
+    for i in range(k):
+        system[i, k] /= system[i, i]
+
+
+@kernel
+def turn_pegs(chain, found, impulses, motion, spin, heavy):  # type: ignore[no-untyped-def]
+    """Find the pegs' rates after the step with the present modes, and add what they do to the rope.
+
+    ``motion`` holds the rope's answer to pegs at rest; what ``motion.touch`` holds is lost.
+    """
+    last = spin.which.size
+    for k in range(last):
+        p = spin.which[k]
+        answer(chain, found, impulses, motion, spin, heavy, k)
+        spin.system[k] = 0.0
+        spin.system[k, k] = spin.heavy[p]
+        spin.system[k, last] = spin.heavy[p] * spin.stay[p] * spin.before[p]
+    for c in range(found.total[0]):
+        if impulses.mode[c] != OPEN and spin.row[found.peg[c]] >= 0:
+            enter(found, impulses, motion, spin, heavy, c)
+    eliminate(spin.system)
+    for k in range(last):
+        rate = spin.system[k, last]
+        spin.after[spin.which[k]] = rate
+        for i in range(motion.w.size):
+            motion.change[i] += rate * spin.change[k, i]
+            motion.place[0, i] += rate * spin.place[k, 0, i]
+            motion.place[1, i] += rate * spin.place[k, 1, i]
+        for j in range(3):
+            motion.load[j] += rate * spin.load[k, j]
+
+
+@kernel
+def lost_in_bearings(spin):  # type: ignore[no-untyped-def]
+    """Energy that the axles took in the step, J: their angular impulse times the mean rate."""
+    taken = 0.0
+    for p in spin.which:
+        heavy, inertia, before, after = spin.heavy[p], spin.inertia[p], spin.before[p], spin.after[p]
+        impulse = (heavy - inertia) * after + (inertia - heavy * spin.stay[p]) * before
+        taken += impulse * 0.5 * (before + after)
+    return taken
+
+
+@kernel
+def turning_energy(spin, rate):  # type: ignore[no-untyped-def]
+    """Kinetic energy of the pegs that turn at rates (m,), J."""
+    total = 0.0
+    for p in spin.which:
+        total += 0.5 * spin.inertia[p] * rate[p] * rate[p]
+    return total

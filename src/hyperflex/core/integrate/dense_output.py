@@ -1,0 +1,100 @@
+"""What a run looks like between its steps, and everything that is seen at its samples."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hyperflex.core.chain.articulated_body import Array, accelerations, energies
+from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.jit import kernel
+from hyperflex.core.stiction.constraint_torques import bench
+from hyperflex.core.stiction.slip_modes import decide
+
+
+def _hermite(derivatives: int) -> Array:
+    """Coefficients (basis, power) of the Hermite basis on -1, 0, 1 with the given derivatives (0..k) at each node."""
+    count = 3 * (derivatives + 1)
+    rows = [
+        [math.perm(power, d) * node ** (power - d) if power >= d else 0.0 for power in range(count)]
+        for d in range(derivatives + 1)
+        for node in (-1.0, 0.0, 1.0)
+    ]
+    return np.linalg.inv(np.array(rows)).T.copy()
+
+
+_ANGLES = _hermite(2)  # (9, 9): value, first and second derivative at three nodes
+_SUMS = _hermite(1)  # (6, 6): value and first derivative
+
+
+@kernel
+def basis(order, theta, weight):  # type: ignore[no-untyped-def]
+    """Derivative of the given order of the interpolation's basis (9,) at theta; of values, rates and accelerations."""
+    for b in range(9):
+        total = 0.0
+        for k in range(order, 9):
+            factor = 1.0
+            for m in range(order):
+                factor *= k - m
+            total += _ANGLES[b, k] * factor * theta ** (k - order)
+        weight[b] = total
+
+
+@kernel
+def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
+    """State at theta in -1..1 within a step from its values ys (3, 2 n + 2) and derivatives dys at -1, 0, 1.
+
+    Angles follow the polynomial of degree 8 through angles, rates and accelerations; rates are its derivative; work
+    and dissipation follow one of degree 5. Not for the step behind a switch, where friction settles (docs/models.md).
+    """
+    n = (ys.shape[1] - 2) // 2
+    half = 0.5 * step
+    value = np.empty(9)
+    slope = np.empty(9)
+    basis(0, theta, value)
+    basis(1, theta, slope)
+    for i in range(n):
+        q = w = 0.0
+        for k in range(3):
+            rate = half * ys[k, n + i]
+            bend = half * half * dys[k, n + i]
+            q += value[k] * ys[k, i] + value[3 + k] * rate + value[6 + k] * bend
+            w += slope[k] * ys[k, i] + slope[3 + k] * rate + slope[6 + k] * bend
+        out[i] = q
+        out[n + i] = w / half
+    for i in range(2 * n, 2 * n + 2):
+        total = 0.0
+        for b in range(6):
+            node = b % 3
+            weight = 0.0
+            for k in range(6):
+                weight += _SUMS[b, k] * theta**k
+            total += weight * (ys[node, i] if b < 3 else half * dys[node, i])
+        out[i] = total
+
+
+@kernel
+def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-untyped-def]
+    """What a run looks like at given states: accelerations, base motion, energies, motor torque.
+
+    Parameters
+    ----------
+    t : (m,) times, s; y : (m, 2 n + 2) states; at each, dry friction holds what it can (``modes.decide``)
+    qdd : (m, n) out, rad/s^2
+    base_out : (m, 9) out, motion of the first joint (``drive.base_state``)
+    scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m
+    """
+    n = chain.length.size
+    has_dry = chain.dry.any()
+    grip, room = np.ones(n), bench(n)
+    for k in range(t.size):
+        base = base_out[k]
+        torque = base_state(drive, segment(drive, t[k]), t[k], base)
+        q, w = y[k, :n], y[k, n : 2 * n]
+        if has_dry:
+            decide(chain, q, w, base[:7], torque, 1.0, grip, room)
+        fx, fy, moment = accelerations(chain, q, w, grip, base[:7], torque, 0.0, qdd[k], room.work)
+        kinetic, potential = energies(chain, q, w, (base[7], base[8], base[5], base[6], base[4], base[3]))
+        scalars[k, 0], scalars[k, 1] = kinetic, potential
+        scalars[k, 2], scalars[k, 3], scalars[k, 4] = fx, fy, moment + torque

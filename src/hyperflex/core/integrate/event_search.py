@@ -1,0 +1,200 @@
+"""The search for the first event of a step, which then ends there.
+
+Every event is a margin that falls from above zero to zero: of each joint with dry friction (``stick.margins``), and in
+the last column of what is to end the run. A margin comes with its slope where that is known.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.core.chain.articulated_body import Array
+from hyperflex.core.jit import kernel
+from hyperflex.core.stiction.constraint_torques import INSTANT, QUICK, STILL
+
+DONE, EVENT, AGAIN = range(3)
+LOW, HIGH, TRIES, SIDE = range(4)  # of Search.span: s, s, attempts so far, end of the span that moved last
+LOOKS = 16  # at a margin's course within a step
+GLANCES = 3  # attempts that are searched for hidden events; later ones only if they end at an event
+SOON = 0.125  # part of a span: where a margin grows at first, a cubic's zero before this is but a joint that came loose
+PATIENCE = 40  # attempts after which the span is halved, whatever the margins say; twice that ends the search
+
+
+class Search(NamedTuple):
+    """Margins and their slopes (2, n + 1) at several lengths of the same step; inf where there is nothing to watch."""
+
+    span: Array  # (4,) the first event lies between LOW and HIGH
+    low: Array  # at LOW, where there is no event; at first the beginning of the step
+    high: Array  # at HIGH, where there is one, if HIGH is finite
+    here: Array  # of the present attempt
+    middle: Array  # in the middle of the present attempt, inf where not known
+
+
+@kernel
+def new_search(n):  # type: ignore[no-untyped-def]
+    """A search over the margins of n joints."""
+    four = np.full((4, 2, n + 1), np.inf)
+    return Search(np.array([0.0, np.inf, 0.0, 0.0]), four[0], four[1], four[2], four[3])
+
+
+@kernel
+def begin(search):  # type: ignore[no-untyped-def]
+    """Forget earlier attempts; ``low`` holds the margins at the beginning of the step."""
+    span = search.span
+    span[LOW], span[HIGH], span[TRIES], span[SIDE] = 0.0, np.inf, 0.0, 0.0
+    search.middle[:] = np.inf
+
+
+@kernel
+def course(low, high, i, length, x):  # type: ignore[no-untyped-def]
+    """Margin i at the part x in (0, 1] of an interval, s, divided by x: the cubic through both ends' (value, slope)."""
+    v0, s0, v1, s1 = low[0, i], low[1, i] * length, high[0, i], high[1, i] * length
+    return (v0 / x + s0) + x * (3.0 * (v1 - v0) - 2.0 * s0 - s1 + x * (2.0 * (v0 - v1) + s0 + s1))
+
+
+@kernel
+def falls(low, high, i, length):  # type: ignore[no-untyped-def]
+    """First part of an interval at which the course of margin i is at or below zero, its beginning aside; 1.0: none."""
+    before, at = 0.0, 0.0
+    for k in range(1, LOOKS + 1):
+        if course(low, high, i, length, k / LOOKS) <= 0.0:
+            at = k / LOOKS
+            break
+        before = k / LOOKS
+    if at == 0.0:
+        return 1.0
+    for _ in range(52):
+        x = 0.5 * (before + at)
+        if course(low, high, i, length, x) > 0.0:
+            before = x
+        else:
+            at = x
+    return at
+
+
+@kernel
+def hidden(locked, search, length):  # type: ignore[no-untyped-def]
+    """Part of the length, s, from LOW to the end of an attempt at which an event may hide; else 1.0.
+
+    Margins with slopes by the cubics through both ends and the middle, those of stuck joints by the parabola. Those
+    that tell of an event at the end do not count.
+    """
+    part = 1.0
+    for i in range(locked.size):
+        v0, v1, vm = search.low[0, i], search.here[0, i], search.middle[0, i]
+        if v0 == np.inf or v1 == np.inf or late(locked, search.here, i):
+            continue
+        if locked[i] == 0.0:
+            for k in range(1, LOOKS):
+                x = k / LOOKS
+                if vm == np.inf:
+                    value = course(search.low, search.here, i, length, x)
+                elif x <= 0.5:
+                    value = course(search.low, search.middle, i, 0.5 * length, 2.0 * x)
+                else:
+                    value = course(search.middle, search.here, i, 0.5 * length, 2.0 * x - 1.0)
+                if value < 0.0:
+                    part = min(part, x)
+        elif vm < 0.0:
+            part = min(part, 0.5)
+        elif vm < np.inf:
+            bend, slope = 2.0 * (v0 - 2.0 * vm + v1), 4.0 * vm - 3.0 * v0 - v1
+            x = -0.5 * slope / bend if bend > 0.0 else 0.0
+            if 0.03 < x < 0.97 and v0 + x * (slope + x * bend) < 0.0:
+                part = min(part, x)
+    return part
+
+
+@kernel
+def late(locked, margin, i):  # type: ignore[no-untyped-def]
+    """Whether margin i says that its event has happened; one that hardly differs from zero must not be growing."""
+    if locked[i] == 0.0 and i < locked.size - 1 and margin[1, i] > 0.0:
+        return margin[0, i] < -STILL
+    return margin[0, i] < 0.0 or (margin[0, i] == 0.0 and locked[i] == 0.0)
+
+
+@kernel
+def first_late(locked, margin):  # type: ignore[no-untyped-def]
+    """Return the first margin that says that its event has happened, -1: none."""
+    for i in range(locked.size):
+        if late(locked, margin, i):
+            return i
+    return -1
+
+
+@kernel
+def judge(locked, search, step):  # type: ignore[no-untyped-def]
+    """Judge an attempt of the length `step`, s, whose margins are in ``search.here``.
+
+    Parameters
+    ----------
+    locked : (n + 1,) 1.0 where a margin comes without slope (stuck joints), else 0.0
+
+    Returns
+    -------
+    verdict : DONE (take the step; it holds no event), EVENT (take it; it ends at one) or AGAIN
+    length : of the next attempt, s
+
+    Notes
+    -----
+    A step of QUICK or less hides nothing: its course would be rounding. The span shrinks by the cubics' zeros, for
+    stuck joints by the Illinois rule, in the end by halving. A step that ends at an event ends on its far side, within
+    INSTANT.
+    """
+    span = search.span
+    span[TRIES] += 1.0
+    over = False
+    near = True
+    for i in range(locked.size):
+        if late(locked, search.here, i):
+            over = True
+            near = near and locked[i] == 0.0 and search.here[0, i] >= INSTANT * search.here[1, i]
+    clear = not over and span[HIGH] == np.inf
+    ends = clear or (over and (near or step - span[LOW] <= INSTANT or span[TRIES] > 2 * PATIENCE))
+    at = step
+    if step > QUICK and (span[TRIES] <= GLANCES or (ends and over and span[TRIES] <= PATIENCE)):
+        at = span[LOW] + hidden(locked, search, step - span[LOW]) * (step - span[LOW])
+    if ends and at >= step:
+        return EVENT if over else DONE, step
+    search.middle[:] = np.inf  # it tells of this attempt's
+    if clear:
+        return AGAIN, at
+    side = 1.0 if over else -1.0
+    kept = search.low if over else search.high
+    if side == span[SIDE]:
+        for i in range(locked.size):
+            if locked[i] == 1.0:
+                kept[0, i] *= 0.5
+    span[SIDE] = side
+    if over:
+        span[HIGH] = step
+        search.high[:] = search.here
+    else:
+        span[LOW] = step
+        search.low[:] = search.here
+    return AGAIN, at if at < step else estimate(locked, search)
+
+
+@kernel
+def estimate(locked, search):  # type: ignore[no-untyped-def]
+    """Where in the span the first event should lie, s."""
+    span = search.span
+    length = span[HIGH] - span[LOW]
+    if length <= INSTANT:
+        return span[HIGH]
+    at = 1.0
+    for i in range(locked.size):
+        if late(locked, search.high, i):
+            low, high = max(search.low[0, i], 0.0), search.high[0, i]
+            if locked[i] == 1.0:
+                x = low / (low - high)
+            else:
+                x = falls(search.low, search.high, i, length)
+            if locked[i] == 0.0 and search.low[1, i] > 0.0:
+                x = max(x, SOON)
+            at = min(at, x)
+    if span[TRIES] > PATIENCE:
+        at = 0.5
+    return min(max(span[LOW] + at * length, span[LOW] + 0.9 * INSTANT), span[HIGH] - 0.9 * INSTANT)

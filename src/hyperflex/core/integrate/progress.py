@@ -1,0 +1,133 @@
+"""Where a run is, what bounds it, and the step that takes it further."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.core.chain import lanes as ln
+from hyperflex.core.chain.articulated_body import Array
+from hyperflex.core.integrate.end_conditions import Until
+from hyperflex.core.integrate.event_search import Search, new_search
+from hyperflex.core.integrate.steps import extrapolate, runge_kutta
+from hyperflex.core.jit import kernel
+from hyperflex.core.stiction.constraint_torques import Bench, bench
+
+
+class Limits(NamedTuple):
+    """What bounds a run."""
+
+    stop: float  # s, run until here
+    tol: float  # m, error allowed in the position of any joint, of a step and of SHARE seconds
+    lever: Array  # (n,) m, how far a link's angle moves mass: the larger of its length and its radius of gyration
+    reach: float  # m, length of the chain
+    fall: float  # J, weight times length, and dry friction: the scale of the chain's energy at rest
+    fixed: float  # s, fixed Runge-Kutta step; 0.0: extrapolation with error control
+    least: int  # order of the extrapolation, also the first
+    most: int
+    budget: int  # steps of one call, so that callers can show progress and be interrupted
+    until: Until  # what ends the run before
+
+
+class Progress(NamedTuple):
+    """Where a run is; all arrays are changed in place."""
+
+    y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
+    mark: Array  # (2 n + 2,) the state before the first step that was cut short to end at `stop`
+    grip: Array  # (n,) modes of the joints, as in chain.accelerations
+    mark_grip: Array
+    clock: Array  # (CLOCK,) see the names below; the mark's time is -inf while no step has been cut
+    log: Array  # (m, 3) or (m, 4 + n) with dry friction: of the first m steps that succeed, see below
+
+
+# A row of the log: length of the step, s, its end, s, and order; with dry friction also the joint whose change of mode
+# ended it, -1 where none did, and the joints' modes meanwhile
+LENGTH, END, DEGREE, JOINT, MODES = range(5)
+# AFTER: first step that succeeded after the last switch, where the motion is least smooth; tried first at the next one
+# FRESH: 1.0 from a switch (or an event) until a step has succeeded behind it
+# LAST, SIZE: length and error of the last step that succeeded since the last switch; LAST is 0.0 where there is none
+# UNSETTLED: 1.0 where the modes of the joints are to be decided anew
+# CHATTER: events in a row that ended very short steps
+# ORDER: of the extrapolation, for the next step; taken into the limits
+# MARK: where these nine stand again as they were at the mark
+# PENDING: margin of what is to end the run at the end of the last step, 0.0 where it is not watched
+T, STEP, AFTER, FRESH, LAST, SIZE, UNSETTLED, CHATTER, ORDER, MARK = range(10)
+INDEX, TAKEN, REJECTED, PENDING, CLOCK = range(2 * MARK, 2 * MARK + 5)
+
+
+@kernel
+def switched(clock):  # type: ignore[no-untyped-def]
+    """Note that the motion switches here: the next step is no longer than what succeeded after the last switch."""
+    clock[STEP] = min(clock[STEP], clock[AFTER])
+    clock[FRESH] = 1.0
+    clock[LAST] = 0.0
+    clock[UNSETTLED] = 1.0
+
+
+@kernel
+def mark_here(progress):  # type: ignore[no-untyped-def]
+    """Remember the state from which an unbroken run would go on (unless an earlier one is remembered)."""
+    clock = progress.clock
+    if clock[MARK] == -np.inf:
+        progress.mark[:] = progress.y
+        progress.mark_grip[:] = progress.grip
+        clock[MARK : 2 * MARK] = clock[:MARK]
+
+
+class Scratch(NamedTuple):
+    """Working arrays of a run."""
+
+    out: Array  # (2 n + 2,) state after the step
+    errors: Array  # (2, 2 n + 2), as in steppers.extrapolate
+    ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives
+    dys: Array
+    stage: Array  # (3, 2 n + 2)
+    base: Array  # (9, lanes)
+    lanes: Array  # ((n + 2) ROW lanes,)
+    tip: Array  # (ROW lanes,)
+    bench: Bench
+    search: Search
+    before: Array  # (9,) motion of the first joint at the beginning of a step, and at another time
+    after: Array
+    between: Array
+    alpha: Array  # (n,) accelerations at the beginning of a step
+    locked: Array  # (n + 1,) as in events.judge
+    power: Array  # (3,) of stuck joints, see stick.stuck_loss
+
+
+@kernel
+def scratch(chain):  # type: ignore[no-untyped-def]
+    """Working arrays for a chain, its parameters loaded into the lanes."""
+    n = chain.length.size
+    lanes, tip = ln.rows(ln.COLUMNS, n)
+    ln.load(ln.COLUMNS, chain, lanes, tip)
+    return Scratch(
+        np.empty(2 * n + 2),
+        np.zeros((2, 2 * n + 2)),
+        np.empty((3, 2 * n + 2)),
+        np.empty((3, 2 * n + 2)),
+        np.empty((3, 2 * n + 2)),
+        np.zeros((9, len(ln.COLUMNS))),
+        lanes,
+        tip,
+        bench(n),
+        new_search(n),
+        np.empty(9),
+        np.empty(9),
+        np.empty(9),
+        np.empty(n),
+        np.zeros(n + 1),
+        np.zeros(3),
+    )
+
+
+@kernel
+def advance(chain, drive, part, table, fixed, t, step, y, grip, out, room):  # type: ignore[no-untyped-def]
+    """Take one step of the wanted integrator from y at t to `out`; `room` is a Scratch, its lanes know `grip`."""
+    if fixed > 0.0:
+        runge_kutta(chain, drive, part, t, step, y, grip, out, room.stage, room.bench.work)
+    else:
+        extrapolate(
+            chain, drive, part, table, t, step, y, out, room.errors, room.lanes, room.tip, room.base, room.bench.work
+        )

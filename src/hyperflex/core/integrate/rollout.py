@@ -1,0 +1,256 @@
+"""The run loop: error control, restarts at switches, output between steps, a mark to go on from."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hyperflex.core import status
+from hyperflex.core.chain import lanes as ln
+from hyperflex.core.chain.articulated_body import sines
+from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.integrate.dense_output import interpolate
+from hyperflex.core.integrate.end_conditions import NOTHING
+from hyperflex.core.integrate.event_location import locate, settle
+from hyperflex.core.integrate.progress import (
+    AFTER,
+    CHATTER,
+    FRESH,
+    INDEX,
+    JOINT,
+    LAST,
+    MODES,
+    ORDER,
+    REJECTED,
+    SIZE,
+    STEP,
+    TAKEN,
+    UNSETTLED,
+    T,
+    advance,
+    mark_here,
+    scratch,
+    switched,
+)
+from hyperflex.core.integrate.step_size import (
+    LARGEST_STEP,
+    MOST,
+    SMALLEST_STEP,
+    WATCHED,
+    allowed,
+    cheapest,
+    fitted,
+    is_rounding,
+    lasting,
+    longer,
+    shorter,
+)
+from hyperflex.core.integrate.steps import rates
+from hyperflex.core.jit import kernel
+from hyperflex.core.stiction.constraint_torques import QUICK, hold, stuck_loss
+
+ENERGY = 10.0  # see error_norm
+TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
+
+
+@kernel
+def error_norm(chain, limits, table, y, error, step, work):  # type: ignore[no-untyped-def]
+    """Error of a step in units of what is allowed: of any joint's position, of its velocity, of energy.
+
+    Work and dissipation may err by ENERGY tol / reach of the chain's energy. Without that bound sharp dry friction,
+    which hardly moves a joint while it changes sign, would leave the energy balance unchecked. `work` is (6 n,)
+    scratch.
+    """
+    n = chain.length.size
+    sines(y[:n], work, 0)
+    x = vx = z = vz = worst = 0.0
+    ux = uz = kinetic = 0.0  # velocity of the joint and the links' energy, both as seen from the chain's first joint
+    time = lasting(step)
+    for i in range(n):
+        sin, cos = work[i], work[n + i]
+        a = limits.lever[i] * error[i]
+        b = limits.lever[i] * error[n + i] * time
+        x += cos * a
+        z += sin * a
+        vx += cos * b
+        vz += sin * b
+        position, velocity = x * x + z * z, vx * vx + vz * vz
+        if not (position + velocity < np.inf):  # also where it is not a number, which max would pass over
+            return np.inf
+        worst = max(worst, position, velocity)
+        w = y[n + i]
+        cx, cz = ux + chain.com[i] * cos * w, uz + chain.com[i] * sin * w
+        kinetic += 0.5 * (chain.mass[i] * (cx * cx + cz * cz) + chain.inertia[i] * w * w)
+        ux += chain.length[i] * cos * w
+        uz += chain.length[i] * sin * w
+    kinetic += 0.5 * chain.tip_mass * (ux * ux + uz * uz)
+    energy = abs(error[2 * n] - error[2 * n + 1]) * limits.reach / (ENERGY * (limits.fall + kinetic) + TINY)
+    if not (energy < np.inf):
+        return np.inf
+    return max(math.sqrt(worst), energy) / allowed(limits.tol, step, table.rounding)
+
+
+@kernel
+def error_sizes(chain, limits, table, step, cut, room):  # type: ignore[no-untyped-def]
+    """Error of the step to ``room.out`` in units of what is allowed, and what it would have been at an order less.
+
+    `cut`: the step ends where it was told to. The second is 0.0 where nobody will ask for it.
+    """
+    if limits.fixed > 0.0:
+        return (0.0, 0.0) if np.abs(room.out).max() < np.inf else (np.inf, 0.0)
+    size = error_norm(chain, limits, table, room.out, room.errors[0], step, room.bench.work)
+    if cut and step < SMALLEST_STEP and size < np.inf:
+        size = 0.0  # an end a few rounding errors away: there is nothing to control
+    if not (size <= 1.0):
+        return size, 0.0
+    return size, error_norm(chain, limits, table, room.out, room.errors[1], step, room.bench.work)
+
+
+@kernel
+def succeeded_with(clock, tables, limits, has_dry, step, size, lower_size, wanted, table):  # type: ignore[no-untyped-def]
+    """Choose order and length of the step after one of the length `step`, s, which was wanted to be `wanted` long.
+
+    `size` is its error in units of what is allowed, `lower_size` that of an order less.
+    """
+    order = table.order
+    faint = has_dry and is_rounding(size, limits.tol, step, table.rounding)
+    grown = MOST * step if faint else longer(step, size, clock[LAST], clock[SIZE], order)
+    if not faint:
+        clock[ORDER], grown = cheapest(tables, limits.least, limits.most, order, step, lower_size, grown)
+    clock[STEP] = max(grown, clock[STEP]) if step < wanted else grown
+    clock[LAST], clock[SIZE] = step if clock[ORDER] == order and not faint else 0.0, size
+    if clock[FRESH] == 1.0:
+        clock[AFTER] = clock[STEP]
+        clock[FRESH] = 0.0
+
+
+@kernel
+def note(progress, step, end, order, event, joint):  # type: ignore[no-untyped-def]
+    """Keep a step that succeeded in the log, and count quick changes of the joints' modes."""
+    clock = progress.clock
+    succeeded = int(clock[TAKEN] - clock[REJECTED]) - 1
+    if succeeded < progress.log.shape[0]:
+        entry = progress.log[succeeded]
+        entry[0], entry[1], entry[2] = step, end, order
+        if entry.size > JOINT:
+            entry[JOINT] = joint
+            entry[MODES:] = progress.grip
+    if event == 1 and step < QUICK:
+        clock[CHATTER] += 1.0
+    elif step >= QUICK:
+        clock[CHATTER] = 0.0
+
+
+@kernel
+def write_until(clock, t_out, t, y, y_out):  # type: ignore[no-untyped-def]
+    """Write state y to every output up to time t that is not written yet."""
+    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= t:
+        y_out[int(clock[INDEX])] = y
+        clock[INDEX] += 1
+
+
+@kernel
+def write_between(chain, drive, part, table, fixed, progress, step, room, t_out, y_out):  # type: ignore[no-untyped-def]
+    """Write the outputs strictly within the step from where `progress` stands to ``room.out``."""
+    y, grip, clock = progress.y, progress.grip, progress.clock
+    t = clock[T]
+    end = t + step
+    if clock[INDEX] >= t_out.size or t_out[int(clock[INDEX])] >= end:
+        return
+    ys, dys = room.ys, room.dys
+    ys[0], ys[2] = y, room.out
+    first = int(clock[INDEX])
+    while fixed == 0.0 and clock[FRESH] == 1.0 and clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+        index = int(clock[INDEX])
+        advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, grip, y_out[index], room)
+        clock[INDEX] += 1
+    if clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+        advance(chain, drive, part, table, fixed, t, 0.5 * step, y, grip, ys[1], room)
+        for k in range(3):
+            rates(chain, drive, part, t + 0.5 * k * step, ys[k], grip, dys[k], room.bench.work)
+    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+        index = int(clock[INDEX])
+        interpolate(2.0 * (t_out[index] - t) / step - 1.0, step, ys, dys, y_out[index])
+        clock[INDEX] += 1
+    if not grip.all():
+        for index in range(first, int(clock[INDEX])):
+            base_state(drive, part, t_out[index], room.after)
+            hold(chain, grip, y, room.before, y_out[index], room.after)
+            y_out[index, 2 * grip.size + 1] += stuck_loss(room.power, step, (t_out[index] - t) / step)
+
+
+@kernel
+def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[no-untyped-def]
+    """Run until ``limits.stop`` or until the budget is spent; O(n) a step.
+
+    Parameters
+    ----------
+    chain, drive, limits, progress : Chain, Drive, Limits, Progress
+    tables : tuple of Scheme, of successive orders
+    t_out : (m,) increasing times, s, at which to write the state
+    y_out : (m, 2 n + 2) out; row k is written once the run has passed t_out[k]
+
+    Returns
+    -------
+    int : OK, RUNNING (call again), REACHED (what ends the run), or why it failed; `progress` tells how far it came.
+    """
+    y, grip, clock = progress.y, progress.grip, progress.clock
+    room = scratch(chain)
+    fixed = limits.fixed
+    has_dry = chain.dry.any()
+    awaiting = limits.until.kind != NOTHING
+    watching = has_dry or awaiting
+    if has_dry:
+        ln.set_grip(ln.COLUMNS, room.lanes, grip)
+    write_until(clock, t_out, clock[T], y, y_out)
+    part = segment(drive, clock[T])
+    for _ in range(limits.budget):
+        t = clock[T]
+        if t >= limits.stop:
+            break
+        if t >= part.end:
+            part = segment(drive, t)
+        if has_dry and clock[UNSETTLED] == 1.0 and not settle(chain, drive, part, progress, room):
+            return status.FRICTION
+        clock[UNSETTLED] = 0.0
+        end = min(part.end, limits.stop)
+        if t < limits.until.after:
+            end = min(end, limits.until.after)
+        wanted = fixed if fixed > 0.0 else min(clock[STEP], WATCHED if awaiting else LARGEST_STEP)
+        step = fitted(wanted, end - t) if fixed == 0.0 else min(wanted, end - t)
+        cut = step >= end - t
+        if step < wanted and limits.stop < part.end:
+            mark_here(progress)
+        order = min(max(int(clock[ORDER]), limits.least), limits.most)
+        table = tables[order - tables[0].order]
+        advance(chain, drive, part, table, fixed, t, step, y, grip, room.out, room)
+        clock[TAKEN] += 1
+        size, lower_size = error_sizes(chain, limits, table, step, cut, room)
+        if not (size <= 1.0):
+            clock[REJECTED] += 1
+            clock[STEP] = shorter(step, size, table.order)
+            if fixed > 0.0:
+                return status.NOT_FINITE
+            if clock[STEP] < SMALLEST_STEP:
+                return status.STEP_TOO_SMALL
+            continue
+        taken, event, joint = step, 0, -1
+        if watching:
+            taken, event, joint = locate(chain, drive, part, table, limits, progress, step, room)
+            if taken == 0.0:
+                return status.REACHED
+        t_new = end if cut and taken == step else t + taken
+        note(progress, taken, t_new, order, event, joint)
+        write_between(chain, drive, part, table, fixed, progress, t_new - t, room, t_out, y_out)
+        y[:] = room.out
+        y[y.size - 1] += stuck_loss(room.power, t_new - t, 1.0)
+        clock[T] = t_new
+        write_until(clock, t_out, t_new, y, y_out)
+        if fixed == 0.0:
+            succeeded_with(clock, tables, limits, has_dry, step, size, lower_size, wanted, table)
+        if event == 2:
+            return status.REACHED
+        if event == 1 or t_new >= part.end:
+            switched(clock)
+    return status.RUNNING if clock[T] < limits.stop else status.OK

@@ -1,0 +1,174 @@
+"""One step of each integrator. The state y (2 n + 2,) holds angles, rates, work put in and energy dissipated."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.core.chain import lanes as ln
+from hyperflex.core.chain.articulated_body import accelerations, friction_power, sines
+from hyperflex.core.chain.drive import base_state
+from hyperflex.core.jit import inlined, kernel
+
+ROUNDING = 3e-16  # m, of a place a metre or two away
+
+
+class Scheme(NamedTuple):
+    """Extrapolated linearly implicit Euler of order p: column j takes j substeps, j = 1..p, packed into lanes."""
+
+    order: int
+    column: npt.NDArray[np.int64]  # (rounds, lanes) column that a lane works on in a round, 0: idle
+    done: npt.NDArray[np.int64]  # (rounds, lanes) substeps of that column taken before
+    best: npt.NDArray[np.float64]  # (p + 1,) weights of the columns in the result of order p
+    gap: npt.NDArray[np.float64]  # (p + 1,) in its difference to a result of order p - 1: the error estimate
+    lower_gap: npt.NDArray[np.float64]  # (p + 1,) the same for the result of order p - 1 from the first p - 1 columns
+    rounding: float  # m, what the weights make of rounding errors in places some metres away
+
+
+def scheme(order: int) -> Scheme:
+    """Build the table of the given order (2 or more)."""
+    column = _packed(order)
+    done = np.zeros_like(column)
+    for turn in range(1, column.shape[0]):
+        done[turn] = np.where(column[turn] == column[turn - 1], done[turn - 1] + 1, 0)
+    best, lower = _weights(1, order, order), _weights(1, order - 1, order)
+    return Scheme(
+        order,
+        column,
+        done,
+        best,
+        best - _weights(2, order, order),
+        lower - _weights(2, order - 1, order),
+        ROUNDING * np.abs(best).sum(),
+    )
+
+
+def _weights(first: int, last: int, order: int) -> npt.NDArray[np.float64]:
+    """Weights (order + 1,) of columns first..last in the value that they extrapolate to (Neville's at step 0)."""
+    weights = np.zeros(order + 1)
+    for j in range(first, last + 1):
+        weights[j] = math.prod(j / (j - k) for k in range(first, last + 1) if k != j)
+    return weights
+
+
+def _packed(order: int) -> npt.NDArray[np.int64]:
+    """Columns (rounds, lanes) in as few rounds as will do: each, the longest first, where it fits best."""
+    lanes = len(ln.COLUMNS)
+    rounds = max(order, -(-order * (order + 1) // 2 // lanes))
+    while True:
+        column, used = np.zeros((rounds, lanes), dtype=np.int64), np.zeros(lanes, dtype=np.int64)
+        for j in range(order, 0, -1):
+            fits = [lane for lane in range(lanes) if used[lane] + j <= rounds]
+            if not fits:
+                break
+            lane = max(fits, key=lambda lane: int(used[lane]))
+            column[used[lane] : used[lane] + j, lane] = j
+            used[lane] += j
+        else:
+            return column
+        rounds += 1
+
+
+@inlined
+def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base, trig):  # type: ignore[no-untyped-def]
+    """Make the lanes ready for a round: the state where a column begins, the base's motion, the step of each lane.
+
+    Arguments are those of ``extrapolate``; `trig` holds the sines and cosines of the angles in `y`.
+    """
+    k = len(ln.COLUMNS)
+    n = chain.length.size
+    motion = np.empty(9)
+    for j in range(k):
+        col = table.column[turn, j]
+        done = table.done[turn, j]
+        if col > 0 and done == 0:
+            for i in range(n):
+                lanes[((i + 1) * ln.ROW + ln.Q) * k + j] = y[i]
+                lanes[((i + 1) * ln.ROW + ln.W) * k + j] = y[n + i]
+                lanes[((i + 1) * ln.ROW + ln.SIN) * k + j] = trig[i]
+                lanes[((i + 1) * ln.ROW + ln.COS) * k + j] = trig[n + i]
+            lanes[ln.WORK * k + j] = y[2 * n]
+            lanes[ln.LOST * k + j] = y[2 * n + 1]
+        h = step / col if col > 0 else 0.0
+        tip[ln.STEP * k + j] = h
+        tip[ln.EXTERNAL * k + j] = base_state(drive, part, t + done * h, motion)
+        for s in range(9):
+            base[s, j] = motion[s]
+        base[0, j] -= chain.gx
+        base[1, j] -= chain.gy
+
+
+@inlined
+def end_columns(table, turn, y, out, errors, lanes):  # type: ignore[no-untyped-def]
+    """Add the columns that a round has completed to the result and to the error estimates."""
+    k = len(ln.COLUMNS)
+    n = (y.size - 2) // 2
+    for j in range(k):
+        col = table.column[turn, j]
+        if col > 0 and table.done[turn, j] == col - 1:
+            best, gap, lower = table.best[col], table.gap[col], table.lower_gap[col]
+            for i in range(n):
+                dq = lanes[((i + 1) * ln.ROW + ln.Q) * k + j] - y[i]
+                dw = lanes[((i + 1) * ln.ROW + ln.W) * k + j] - y[n + i]
+                out[i] += best * dq
+                out[n + i] += best * dw
+                errors[0, i] += gap * dq
+                errors[0, n + i] += gap * dw
+                errors[1, i] += lower * dq
+                errors[1, n + i] += lower * dw
+            for i in range(2 * n, 2 * n + 2):
+                change = (lanes[ln.WORK * k + j] if i == 2 * n else lanes[ln.LOST * k + j]) - y[i]
+                out[i] += best * change
+                errors[0, i] += gap * change
+                errors[1, i] += lower * change
+
+
+@kernel
+def extrapolate(chain, drive, part, table, t, step, y, out, errors, lanes, tip, base, trig):  # type: ignore[no-untyped-def]
+    """Take one extrapolated step from y at time t; O(p^2 n / lanes).
+
+    Parameters
+    ----------
+    chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
+    y, out : (2 n + 2,) state, new state (out)
+    errors : (2, 2 n + 2) out, error estimates of the result, and of the one that an order less would have given
+    lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
+    base, trig : (9, lanes), (2 n,) scratch
+    """
+    out[:] = y  # the weights, up to 389 in size, multiply increments: their rounding must not scale the state itself
+    errors[:] = 0.0
+    sines(y[: (y.size - 2) // 2], trig, 0)
+    for turn in range(table.column.shape[0]):
+        begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base, trig)
+        ln.euler(ln.COLUMNS, chain.bears, ln.MORE, lanes, tip, base)
+        end_columns(table, turn, y, out, errors, lanes)
+
+
+@kernel
+def rates(chain, drive, part, t, y, grip, dy, work):  # type: ignore[no-untyped-def]
+    """Exact time derivative of the state, written to dy (2 n + 2,); `work` is (6 n,) scratch."""
+    n = chain.length.size
+    base = np.empty(9)
+    torque = base_state(drive, part, t, base)
+    w = y[n : 2 * n]
+    fx, fy, moment = accelerations(chain, y[:n], w, grip, base[:7], torque, 0.0, dy[n : 2 * n], work)
+    dy[:n] = w
+    dy[2 * n] = fx * base[5] + fy * base[6] + moment * base[3] + torque * w[0]
+    dy[2 * n + 1] = friction_power(chain, w, grip, base[3])
+
+
+@kernel
+def runge_kutta(chain, drive, part, t, step, y, grip, out, stage, work):  # type: ignore[no-untyped-def]
+    """Take one classical fourth-order Runge-Kutta step; `stage` is (3, 2 n + 2) scratch, `work` (6 n,)."""
+    point, slope, total = stage[0], stage[1], stage[2]
+    rates(chain, drive, part, t, y, grip, slope, work)
+    total[:] = slope
+    for k in range(3):
+        part_step = step if k == 2 else 0.5 * step
+        point[:] = y + part_step * slope
+        rates(chain, drive, part, t + part_step, point, grip, slope, work)
+        total += slope if k == 2 else 2.0 * slope
+    out[:] = y + (step / 6.0) * total

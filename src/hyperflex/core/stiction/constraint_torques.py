@@ -1,0 +1,188 @@
+"""Dry friction with true stick: what joints bear, and how far each is from a change between slipping and sticking.
+
+A slipping joint feels a constant torque against its sense of slipping. A stuck joint turns with its parent and bears
+whatever torque that takes, up to its dry friction (M.16). The modes, `grip`, are frozen within a step; a change is an
+event, and a step ends exactly there. Which modes hold at an instant is decided in ``modes``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.core.chain.articulated_body import Array, accelerations
+from hyperflex.core.jit import kernel
+
+SAME = 4e-15  # links whose rates differ by no more than this part of them, and
+STILL = 1e-12  # rad/s, this much, turn alike: one switch's rounding of the arm's rate
+SLACK = 1e-12  # part of the dry friction, and
+NOISE = 1e-13  # part of all torques on a link, by which a torque must exceed dry friction to count: above rounding
+INSTANT = 1e-13  # s, how well an event is located
+QUICK = 1e-9  # s; event after event in steps shorter than this is chatter
+WIDEST = 8.0  # powers of ten by which SLACK and NOISE are widened at most, see widened
+HOPELESS = 30.0  # quick events beyond those that joints may need, after which they chatter
+
+
+class Bench(NamedTuple):
+    """Working arrays for one chain of n links."""
+
+    alpha: Array  # (n,)
+    load: Array  # (n,) friction torque that each joint bears, N m
+    slack: Array  # (n,) by how much a torque must exceed dry friction to count, N m
+    work: Array  # (6 n,)
+    state: Array  # (2 n,) angles and rates in the middle of a step
+    margin: Array  # (2, n) and the margins there
+
+
+@kernel
+def bench(n):  # type: ignore[no-untyped-def]
+    """Working arrays for n links."""
+    return Bench(np.zeros(n), np.zeros(n), np.zeros(n), np.empty(6 * n), np.empty(2 * n), np.empty((2, n)))
+
+
+@kernel
+def bear(chain, q, w, grip, base, torque, room):  # type: ignore[no-untyped-def]
+    """Accelerations, and the torque that friction must give at each joint; two passes, O(n).
+
+    Newton's and Euler's equations link by link, from the tip: independent of the elimination in the sweep. Arguments as
+    in ``chain.accelerations``; results in ``room.alpha``, ``room.load``, ``room.slack`` of the Bench `room`.
+    """
+    n = q.size
+    alpha, work = room.alpha, room.work
+    accelerations(chain, q, w, grip, base, torque, 0.0, alpha, work)
+    px = base[0] - chain.gx
+    py = base[1] - chain.gy
+    for i in range(n):  # sines and cosines are where the sweep left them; what it kept for the way back is spent
+        work[i], work[n + i] = px, py
+        rate2 = w[i] * w[i]
+        px += chain.length[i] * (work[5 * n + i] * alpha[i] - work[4 * n + i] * rate2)
+        py += chain.length[i] * (work[4 * n + i] * alpha[i] + work[5 * n + i] * rate2)
+    share = len(chain.bears) - 1.0
+    fx = chain.tip_mass * px
+    fy = chain.tip_mass * py
+    back = size = 0.0
+    for way in range(n):
+        i = n - 1 - way
+        sin, cos = work[4 * n + i], work[5 * n + i]
+        px, py = work[i], work[n + i]
+        mass, com, length = chain.mass[i], chain.com[i], chain.length[i]
+        spring = -chain.stiffness[i] * (q[i] - (q[i - 1] if i > 0 else base[4]) - chain.rest[i])
+        external = torque if i == 0 else 0.0
+        turn = (chain.inertia[i] + mass * com * com) * alpha[i]
+        turn += mass * com * (cos * px + sin * py) + length * (cos * fx + sin * fy) + back
+        size += mass * abs(com) * (abs(px) + abs(py)) + length * (abs(fx) + abs(fy)) + abs(spring) + abs(external)
+        room.load[i] = turn - spring - external
+        room.slack[i] = SLACK * chain.dry[i] + NOISE * size
+        size = abs(turn)
+        back = share * room.load[i] + spring
+        rate2 = w[i] * w[i]
+        fx += mass * (px + com * (cos * alpha[i] - sin * rate2))
+        fy += mass * (py + com * (sin * alpha[i] + cos * rate2))
+
+
+@kernel
+def usual(n):  # type: ignore[no-untyped-def]
+    """Quick events that n joints may need which slip at next to no rate: each sticks, comes loose and sticks again."""
+    return 4.0 * n + 4.0
+
+
+@kernel
+def widened(chatter, n):  # type: ignore[no-untyped-def]
+    """Factor on SLACK and NOISE after so many quick events: more than the usual are chatter."""
+    return 10.0 ** min(WIDEST, max(0.0, chatter - usual(n)))
+
+
+@kernel
+def hopeless(chatter, n):  # type: ignore[no-untyped-def]
+    """Whether so many quick events are chatter that widening does not end."""
+    return chatter > usual(n) + HOPELESS
+
+
+@kernel
+def wider(chatter, n):  # type: ignore[no-untyped-def]
+    """Count of quick events at which that factor is ten times as large as at `chatter`."""
+    return max(chatter, usual(n)) + 1.0
+
+
+@kernel
+def at_rest(rate, up):  # type: ignore[no-untyped-def]
+    """Whether two links' rates are the same but for rounding."""
+    return abs(rate - up) <= STILL + SAME * (abs(rate) + abs(up))
+
+
+@kernel
+def margins(chain, q, w, grip, base, torque, widen, room, out):  # type: ignore[no-untyped-def]
+    """How far each joint is from a change of its mode.
+
+    ``out`` (2, n): of a slipping joint the relative rate in its sense, rad/s, and how fast that grows, rad/s^2; of a
+    stuck one the torque that it could bear beside its load, N m, and nothing; inf where there is no dry friction.
+    """
+    bear(chain, q, w, grip, base, torque, room)
+    for i in range(q.size):
+        out[0, i], out[1, i] = np.inf, 0.0
+        if chain.dry[i] > 0.0 and grip[i] == 0.0:
+            out[0, i] = chain.dry[i] + widen * room.slack[i] - abs(room.load[i])
+        elif chain.dry[i] > 0.0:
+            out[0, i] = grip[i] * (w[i] - (w[i - 1] if i > 0 else base[3]))
+            out[1, i] = grip[i] * (room.alpha[i] - (room.alpha[i - 1] if i > 0 else base[2]))
+
+
+@kernel
+def hold(chain, grip, q, base_before, out, base):  # type: ignore[no-untyped-def]
+    """Take rounding off stuck joints: rates of ``out`` (2 n + 2,) become the parents', angles between links stay.
+
+    `q` (n or more,) are the angles at an earlier instant since which no mode has changed, with its base (9,).
+    """
+    n = grip.size
+    for i in range(n):
+        if chain.dry[i] > 0.0 and grip[i] == 0.0:
+            out[n + i] = out[n + i - 1] if i > 0 else base[3]
+            if i > 0:
+                out[i] = out[i - 1] + (q[i] - q[i - 1])
+            else:
+                out[0] = base[4] + (q[0] - base_before[4])
+
+
+@kernel
+def stops(margin, i):  # type: ignore[no-untyped-def]
+    """Whether slipping joint i is at rest by its margin and slope (2, n), or will be within an INSTANT."""
+    return margin[0, i] + INSTANT * margin[1, i] <= 0.0
+
+
+@kernel
+def come_to_rest(chain, grip, margin, out, base):  # type: ignore[no-untyped-def]
+    """Give joints that have just stopped slipping their parents' rates; stuck ones beyond them follow."""
+    n = grip.size
+    for i in range(n):
+        if chain.dry[i] > 0.0 and (grip[i] == 0.0 or stops(margin, i)):
+            out[n + i] = out[n + i - 1] if i > 0 else base[3]
+
+
+@kernel
+def middle(step, q, w, alpha, out, room):  # type: ignore[no-untyped-def]
+    """Middle of a step, to ``room.state``, by its ends: q, w, alpha (n,) before, ``out`` and ``room.alpha`` after."""
+    n = q.size
+    for i in range(n):
+        q1, w1, a1 = out[i], out[n + i], room.alpha[i]
+        room.state[i] = 0.5 * (q[i] + q1) + step * (0.15625 * (w[i] - w1) + 0.015625 * step * (alpha[i] + a1))
+        room.state[n + i] = 1.875 * (q1 - q[i]) / step - 0.4375 * (w[i] + w1) + 0.03125 * step * (a1 - alpha[i])
+
+
+@kernel
+def stuck_power(chain, w, grip, load):  # type: ignore[no-untyped-def]
+    """Power that stuck joints take from the chain, W: none if their torques act on both links, which turn alike."""
+    power = 0.0
+    if len(chain.bears) == 1:
+        for i in range(w.size):
+            if grip[i] == 0.0:
+                power -= load[i] * w[i]
+    return power
+
+
+@kernel
+def stuck_loss(power, step, part):  # type: ignore[no-untyped-def]
+    """Energy that stuck joints take within the first `part` of a step, J; power (3,), W, at 0, 1/2 and 1 of it."""
+    p0, pm, p1 = power
+    slope, bend = 4.0 * pm - 3.0 * p0 - p1, 2.0 * (p0 - 2.0 * pm + p1)
+    return step * part * (p0 + part * (slope / 2.0 + part * bend / 3.0))

@@ -1,0 +1,211 @@
+"""An extrapolated step together with its derivatives in any number of directions, in the lanes of its columns."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.core.chain import lanes as ln
+from hyperflex.core.chain.articulated_body import Array, sines
+from hyperflex.core.integrate.steps import begin_columns, end_columns
+from hyperflex.core.jit import kernel
+from hyperflex.core.tangent import directions as dr
+from hyperflex.core.tangent import step as tg
+
+K = len(ln.COLUMNS)
+CELL = 4 * K  # a pair's numbers of one link in the lanes: angle and rate, two directions each
+START, NOW, SUM = 0, CELL, 2 * CELL  # the parts of what is kept of them
+PARTS = 3
+
+
+class Room(NamedTuple):
+    """Working arrays of a replay; b pairs of directions, p = 2 b."""
+
+    lanes: Array  # ((n + 2) ROW K,), and its last row
+    tip: Array
+    base: Array  # (9, K)
+    work: Array  # (6 n,)
+    errors: Array  # (2, 2 n + 2)
+    store: Array  # (b, n PARTS CELL) derivatives in every lane: at the start of the step, now, summed over the columns
+    weight: Array  # (CELL,) of each lane's column in the sum, where it is complete
+    anew: Array  # (CELL,) 1.0 where a lane begins a column, else 0.0
+    shift: Array  # (b, 2) change of the time at which the step starts, s
+    change: Array  # (b, 2) change of its length, s
+    stretch: Array  # (b, 2) the same as a part of its length
+    into: Array  # (K,) how far each lane is within the step, as a part of it
+    when: Array  # (K,) time of each lane, s
+    moved: Array  # (CHANGES,)
+    ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives in time
+    dys: Array
+    nodes: Array  # (3, 2 n, p) derivatives of angles and rates there
+    bends: Array  # (3, n, p) of accelerations
+    out: Array  # (2 n + 2,) result of a step
+
+
+@kernel
+def room_for(chain, pairs):  # type: ignore[no-untyped-def]
+    """Working arrays for a chain and a number of pairs."""
+    n = chain.length.size
+    lanes, tip = ln.rows(ln.COLUMNS, n)
+    ln.load(ln.COLUMNS, chain, lanes, tip)
+    return Room(
+        lanes,
+        tip,
+        np.zeros((9, K)),
+        np.zeros(6 * n),
+        np.zeros((2, 2 * n + 2)),
+        np.zeros((pairs, n * PARTS * CELL)),
+        np.zeros(CELL),
+        np.zeros(CELL),
+        np.zeros((pairs, 2)),
+        np.zeros((pairs, 2)),
+        np.zeros((pairs, 2)),
+        np.zeros(K),
+        np.zeros(K),
+        np.zeros(dr.CHANGES),
+        np.zeros((3, 2 * n + 2)),
+        np.zeros((3, 2 * n + 2)),
+        np.zeros((3, 2 * n, 2 * pairs)),
+        np.zeros((3, n, 2 * pairs)),
+        np.zeros(2 * n + 2),
+    )
+
+
+@kernel
+def clear_ends(lanes):  # type: ignore[no-untyped-def]
+    """Let neither the base's motion nor the tip mass change."""
+    tip = lanes.size - ln.ROW * K
+    for x in range(tg.DQ * K, (tg.BETA + 2) * K):
+        lanes[x] = 0.0
+        lanes[tip + x] = 0.0
+
+
+@kernel
+def set_ends(drive, part, directions, b, room):  # type: ignore[no-untyped-def]
+    """Put the changes of the base's motion and of the tip mass into the first and the last row of the lanes."""
+    lanes, moved = room.lanes, room.moved
+    n = lanes.size // (ln.ROW * K) - 2
+    far = lanes[n * ln.ROW * K : (n + 1) * ln.ROW * K]
+    tip = lanes[(n + 1) * ln.ROW * K :]
+    for d in range(2):
+        moved[:] = 0.0
+        m = directions.driven[b, d]
+        gx, gy = directions.whole[b, d, dr.GRAVITY_X], directions.whole[b, d, dr.GRAVITY_Y]
+        heavier = directions.whole[b, d, dr.TIP_MASS]
+        for j in range(K):
+            if m >= 0:
+                late = room.shift[b, d] + room.into[j] * room.change[b, d]
+                dr.base_change(drive, part, room.when[j], late, directions, m, moved)
+            lanes[(tg.DQ + d) * K + j] = moved[dr.TURN]
+            lanes[(tg.DW + d) * K + j] = moved[dr.RATE]
+            lanes[(tg.PX + d) * K + j] = moved[dr.ACC_X] - gx
+            lanes[(tg.PY + d) * K + j] = moved[dr.ACC_Y] - gy
+            lanes[(tg.ALPHA + d) * K + j] = moved[dr.ALPHA]
+            lanes[(tg.RHS + d) * K + j] = moved[dr.MOTOR]
+            tip[(tg.BX + d) * K + j] = heavier * far[ln.PX * K + j]
+            tip[(tg.BY + d) * K + j] = heavier * far[ln.PY * K + j]
+
+
+@kernel
+def enter(lanes, own, anew, begins):  # type: ignore[no-untyped-def]
+    """Put the derivatives of a pair, `own` (n PARTS CELL,), into the lanes, from their start where a column begins."""
+    n = own.size // (PARTS * CELL)
+    for i in range(n):
+        cell = lanes[((i + 1) * ln.ROW + tg.DQ) * K : ((i + 1) * ln.ROW + tg.DQ) * K + CELL]
+        kept = own[i * PARTS * CELL : (i + 1) * PARTS * CELL]
+        if begins:
+            for x in range(anew.size):  # a length that the compiler does not know: it would write a short loop out
+                cell[x] = kept[NOW + x] + anew[x] * (kept[START + x] - kept[NOW + x])
+        else:
+            for x in range(CELL):
+                cell[x] = kept[NOW + x]
+
+
+@kernel
+def leave(lanes, own, weight, ends):  # type: ignore[no-untyped-def]
+    """Take the derivatives of one pair out of the lanes, and add the columns that are complete to their sum."""
+    n = own.size // (PARTS * CELL)
+    for i in range(n):
+        cell = lanes[((i + 1) * ln.ROW + tg.DQ) * K : ((i + 1) * ln.ROW + tg.DQ) * K + CELL]
+        kept = own[i * PARTS * CELL : (i + 1) * PARTS * CELL]
+        if ends:
+            for x in range(weight.size):
+                kept[SUM + x] += weight[x] * cell[x]
+        for x in range(CELL):
+            kept[NOW + x] = cell[x]
+
+
+@kernel
+def spread(values, store):  # type: ignore[no-untyped-def]
+    """Make derivatives (2 n, p) the start in every lane of `store` (b, n PARTS CELL)."""
+    n = values.shape[0] // 2
+    for b in range(store.shape[0]):
+        for i in range(n):
+            cell = store[b, i * PARTS * CELL : (i * PARTS + 1) * CELL]
+            for j in range(K):
+                cell[j] = values[i, 2 * b]
+                cell[K + j] = values[i, 2 * b + 1]
+                cell[2 * K + j] = values[n + i, 2 * b]
+                cell[3 * K + j] = values[n + i, 2 * b + 1]
+
+
+@kernel
+def gather(store, values):  # type: ignore[no-untyped-def]
+    """Sum the lanes of the sums in `store` to derivatives (2 n, p), and set them back."""
+    n = values.shape[0] // 2
+    for b in range(store.shape[0]):
+        for i in range(n):
+            cell = store[b, (i * PARTS + 2) * CELL : (i + 1) * PARTS * CELL]
+            for x in range(4):
+                part = 0.0
+                for j in range(K):
+                    part += cell[x * K + j]
+                values[i + n * (x // 2), 2 * b + x % 2] = part
+            cell[:] = 0.0
+
+
+@kernel
+def step_along(chain, drive, part, table, t, step, y, out, directions, result, room):  # type: ignore[no-untyped-def]
+    """One extrapolated step, as ``steppers.extrapolate``, with the derivatives of its result.
+
+    Parameters
+    ----------
+    chain, drive, part, table, directions : Chain, Drive, Segment, Scheme, Directions
+    t, step : float, s
+    y, out : (2 n + 2,) state before the step, and after it (out)
+    result : (2 n, p) out, derivatives of the angles and rates after the step
+    room : Room; ``store`` holds the derivatives before the step, ``shift`` and ``change`` those of t and `step`
+    """
+    room.stretch[:] = room.change / step
+    out[:] = y
+    sines(y[: chain.length.size], room.work, 0)
+    # by name: to take an array out of a tuple within the loop over the pairs costs as much as a third of the step
+    lanes, store, anew, weight, bears = room.lanes, room.store, room.anew, room.weight, chain.bears
+    kind, links, stretch = directions.kind, directions.links, room.stretch
+    for turn in range(table.column.shape[0]):
+        begin_columns(chain, drive, part, table, turn, t, step, y, lanes, room.tip, room.base, room.work)
+        tg.remember(ln.COLUMNS, lanes)
+        ln.euler(ln.COLUMNS, bears, ln.MORE, lanes, room.tip, room.base)
+        tg.prepare(ln.COLUMNS, bears, lanes)
+        for x in range(CELL):
+            col, done = table.column[turn, x % K], table.done[turn, x % K]
+            weight[x] = table.best[col] if col > 0 and done == col - 1 else 0.0
+            anew[x] = 1.0 if turn == 0 or (col > 0 and done == 0) else 0.0
+        for j in range(K):
+            room.into[j] = table.done[turn, j] / max(table.column[turn, j], 1)
+            room.when[j] = t + room.into[j] * step
+        begins, ends = anew.any(), weight.any()
+        for b in range(kind.size):
+            enter(lanes, store[b], anew, begins)
+            if kind[b] & dr.ENDS:
+                set_ends(drive, part, directions, b, room)
+            else:
+                clear_ends(lanes)
+            if kind[b] & dr.LINKS or stretch[b, 0] != 0.0 or stretch[b, 1] != 0.0:
+                tg.step_all(ln.COLUMNS, bears, lanes, links[b], stretch[b])
+            else:
+                tg.step_state(ln.COLUMNS, bears, lanes)
+            leave(lanes, store[b], weight, ends)
+        end_columns(table, turn, y, out, room.errors, room.lanes)
+    gather(room.store, result)

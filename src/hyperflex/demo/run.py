@@ -1,0 +1,160 @@
+"""The thin line from end to end: a recording in, an identified rope out, its cast, a plan that winds it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.demo import twin
+from hyperflex.identification import Identification, identify
+from hyperflex.model import Peg, Rope
+from hyperflex.motion import swings
+from hyperflex.paper.casting import DURATION, T_MOVE, T_REST, casting_arm
+from hyperflex.planning.cast_plan import CastPlan
+from hyperflex.planning.cast_setup import Thrower
+from hyperflex.planning.plan import plan_cast
+from hyperflex.planning.wind.outcome import Cast, verify
+from hyperflex.recording import Recording
+from hyperflex.simulation import simulate
+from hyperflex.trajectory import Trajectory
+
+Tell = Callable[[str], None]
+
+INTERVAL = 1.96  # standard deviations to each side of a 95 % interval
+SAMPLES_PER_SECOND = 200
+TARGET = Peg(x=0.62, y=-1.14, radius=0.05, mu=0.3)  # well within reach
+PATIENCE = 60.0  # s; a plan that stands, most often after some seconds, ends the search
+_UNITS = {"friction": "N m s/rad", "inertia": "kg m^2"}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One identified number beside what is known about it.
+
+    Attributes
+    ----------
+    name, unit : str
+        What it is, and its SI unit.
+    guess, value, sd : float
+        Before, after, and the standard deviation.
+    mapped : float
+        What the same fit finds without noise: the truth as far as the coarse chain can hold it.
+    cut : float
+        That of the rope simply cut into as many links.
+    """
+
+    name: str
+    unit: str
+    guess: float
+    value: float
+    sd: float
+    mapped: float
+    cut: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval."""
+        return self.value - INTERVAL * self.sd, self.value + INTERVAL * self.sd
+
+    @property
+    def covered(self) -> bool:
+        """Whether the interval holds the mapped truth."""
+        low, high = self.interval
+        return low <= self.mapped <= high
+
+
+@dataclass(frozen=True, eq=False)
+class Demo:
+    """What the demo found.
+
+    Attributes
+    ----------
+    recording : Recording
+        The bundled recording, simulated.
+    identification : Identification
+        Of the 10-link chain.
+    parameters : tuple of Parameter
+        The identified numbers with intervals and mapped truth.
+    angle_noise : (n,) float64
+        Standard deviation of the measured link angles, rad: the least prediction error that can be measured.
+    cast : Trajectory
+        The identified rope, cast by the paper's motion.
+    reference : Trajectory
+        The rope that made the recording, cast likewise.
+    plan : CastPlan
+        How the identified rope is wound round a target.
+    proof : Cast or None
+        The same throw by the rope that made the recording; None where there is no throw.
+    """
+
+    recording: Recording
+    identification: Identification
+    parameters: tuple[Parameter, ...]
+    angle_noise: Array
+    cast: Trajectory
+    reference: Trajectory
+    plan: CastPlan
+    proof: Cast | None
+
+
+def run_demo(tell: Tell = lambda _: None) -> Demo:
+    """Identify the bundled recording's rope, cast it, and plan how to wind it round a target.
+
+    Parameters
+    ----------
+    tell : callable
+        Told in words what is being done.
+
+    Returns
+    -------
+    Demo
+    """
+    tell("reading the recording")
+    recording, guess = twin.bundled(), twin.guess()
+
+    def report(entry: dict[str, float]) -> None:
+        tell(f"identifying, windows of {entry['window']:.2g} s, round {entry['round'] + 1:.0f}")
+
+    found = identify(recording, guess, twin.FREE, train=twin.TRAIN, window=twin.WINDOW, progress=report)
+    if found.status == "interrupted":  # identify hands back the best so far; a demo of half a fit would mislead
+        raise KeyboardInterrupt
+    mapped, cut = twin.mapped_truth(), twin.coarse_rope()
+    parameters = tuple(
+        Parameter(
+            name,
+            _UNITS[name],
+            float(getattr(guess, name)[0]),
+            float(found.values[name][0]),
+            float(found.sd[name][0]),
+            mapped[name],
+            float(getattr(cut, name)[0]),
+        )
+        for name in found.values
+    )
+    tell("casting the identified rope")
+    noise = recording.angles().noise
+    scale = np.full(recording.n_links, np.nan) if noise is None else np.median(noise, axis=0)
+    casts = _cast(found.rope), _cast(twin.fine_rope())
+    return Demo(recording, found, parameters, scale, *casts, *_wind(found.rope, tell))
+
+
+def _cast(rope: Rope) -> Trajectory:
+    """Cast a rope by the paper's successful motion through the bottom."""
+    motion = swings(T_MOVE, T_REST["success"])
+    t = np.linspace(0.0, DURATION, round(DURATION * SAMPLES_PER_SECOND) + 1)
+    return simulate(rope, motion, arm=casting_arm(), duration=DURATION, t_eval=t)
+
+
+def _wind(rope: Rope, tell: Tell) -> tuple[CastPlan, Cast | None]:
+    """Plan with the identified rope, and throw the one that made the recording likewise."""
+    tell("planning how to wind it round a target")
+    plan = plan_cast(rope, casting_arm(), TARGET, patience=PATIENCE)
+    if plan.interrupted:
+        raise KeyboardInterrupt
+    if plan.motion is None:
+        return plan, None
+    tell("throwing the rope that made the recording")
+    return plan, verify(Thrower(twin.fine_rope(), casting_arm(), plan.thrower.limits), TARGET, plan.motion)

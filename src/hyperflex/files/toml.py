@@ -1,0 +1,98 @@
+"""Settings as TOML: read by the standard library, written by a small writer of our own."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from hyperflex.errors import InvalidInput
+from hyperflex.files.reading import read_text
+from hyperflex.files.writing import PathLike, write_text
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+\Z")
+
+
+def read_toml(path: PathLike) -> dict[str, Any]:
+    """Return the content of a TOML file. Raises FileProblem (missing, empty) or InvalidInput (place named)."""
+    return loads_toml(read_text(path, "TOML file"), str(path))
+
+
+def loads_toml(text: str, name: str = "the text") -> dict[str, Any]:
+    """Return the content of a TOML text; `name` stands for it in the message of the InvalidInput it may raise."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidInput(f"{name} is not valid TOML ({error})", fix="Mend that place; see https://toml.io") from None
+
+
+def write_toml(path: PathLike, content: Mapping[str, Any]) -> None:
+    """Write nested tables to a TOML file, wholly or not at all; see :func:`dumps_toml` for what they may hold."""
+    write_text(path, dumps_toml(content))
+
+
+def dumps_toml(content: Mapping[str, Any]) -> str:
+    """Return nested tables as TOML text that reads back equal, floats bit for bit.
+
+    Parameters
+    ----------
+    content : mapping
+        Values are str, bool, int, float, arrays of these (lists, tuples, numpy arrays) or again mappings.
+
+    Raises
+    ------
+    InvalidInput
+        For a value of another type (TOML has no None: leave the key out).
+
+    Examples
+    --------
+    >>> print(dumps_toml({"name": "cable", "rope": {"mass": 0.125, "com": [0.02, 0.02]}}), end="")
+    name = "cable"
+    <BLANKLINE>
+    [rope]
+    mass = 0.125
+    com = [0.02, 0.02]
+    """
+    return "".join(_toml_table(content, ())).lstrip("\n")
+
+
+def _toml_table(table: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:
+    """Yield the lines of one table: its own values first, then its sub-tables."""
+    inner = {key: value for key, value in table.items() if isinstance(value, Mapping)}
+    if path and (len(inner) < len(table) or not table):
+        yield f"\n[{'.'.join(map(_toml_key, path))}]\n"
+    for key, value in table.items():
+        if key not in inner:
+            yield f"{_toml_key(key)} = {_toml_value('.'.join((*path, key)), value)}\n"
+    for key, value in inner.items():
+        yield from _toml_table(value, (*path, key))
+
+
+def _toml_key(key: str) -> str:
+    return key if _BARE_KEY.match(key) else _toml_string(key)
+
+
+def _toml_string(text: str) -> str:
+    """Return a basic string: quotes, backslashes and control characters escaped."""
+    named = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t", "\r": "\\r"}
+    return '"' + "".join(named.get(c) or (f"\\u{ord(c):04x}" if c < " " or c == "\x7f" else c) for c in text) + '"'
+
+
+def _toml_value(name: str, value: Any) -> str:
+    """Return one value as TOML text."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, str):
+        return _toml_string(value)
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_toml_value(name, item) for item in value) + "]"
+    raise InvalidInput(
+        f"{name} cannot be written as TOML", got=value, allowed="text, numbers, booleans, arrays, tables"
+    )

@@ -1,0 +1,278 @@
+"""Parameters and initial state revised in turn until both settle: the paper's method (Fig. 4, "IR")."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.dynamics import bias, mass_matrix
+from hyperflex.errors import IdentificationError, InvalidInput
+from hyperflex.identification.baselines.regression import regression
+from hyperflex.identification.baselines.simplex import MOST, Rates, first_state, fitting, initial_state, squared_error
+from hyperflex.identification.excitation import check_motion, check_times
+from hyperflex.identification.fit.threads import one_thread
+from hyperflex.model import Rope, Setup
+from hyperflex.recording import Recording
+from hyperflex.simulation import Slopes, angles
+
+RevisionProfile = Literal["response", "calculated", "measured", "measured rates"]
+
+PROFILES = ("response", "calculated", "measured", "measured rates")
+SETTLED = 0.1  # standard deviations: revisions that move J and eta by less no longer count
+FALSE_DIGITS = 1e-6  # and so do relative changes below this, where nothing but rounding is left
+UNKNOWNS = ("inertia:shared", "friction:shared")
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One round of the revision: parameters, and the initial state that suits them best.
+
+    Attributes
+    ----------
+    inertia, friction : float
+        J of each link, kg m^2, and eta of each joint, N m s/rad.
+    q, qd : (n,) float64
+        Initial angles, rad, and rates, rad/s, found with them.
+    error : float
+        E of (7) with that state, rad^2.
+    measured_start : float
+        E from the measured initial angles, rad^2.
+    evaluations : int
+        Rollouts of the downhill simplex.
+    seconds : float
+        Time since the revision began.
+    """
+
+    inertia: float
+    friction: float
+    q: Array
+    qd: Array
+    error: float
+    measured_start: float
+    evaluations: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Revision:
+    """What :func:`revise` found.
+
+    Attributes
+    ----------
+    rope : Rope
+        With the J and eta of the best round: the last one, or the one of least error if nothing settled.
+    best : Round
+        That round.
+    sd : dict of str to float
+        Standard deviations of "inertia" and "friction" as the regression tells them.
+    rounds : tuple of Round
+        All rounds; the first one has the guess's parameters.
+    status : {"settled", "not settled", "interrupted"}
+    samples : int
+        Measured angles that were fitted, gaps left out.
+    profile, rates : str
+        As they were asked for.
+    """
+
+    rope: Rope
+    best: Round
+    sd: dict[str, float]
+    rounds: tuple[Round, ...]
+    status: str
+    samples: int
+    profile: str
+    rates: str
+
+    @property
+    def settled_after(self) -> int | None:
+        """Number of revisions after which nothing moved any more; None if it did not settle."""
+        return len(self.rounds) - 2 if self.status == "settled" else None
+
+    @property
+    def error(self) -> float:
+        """E of (7), rad^2."""
+        return self.best.error
+
+    @property
+    def seconds(self) -> float:
+        """Time that it took, s."""
+        return self.rounds[-1].seconds
+
+    @property
+    def evaluations(self) -> int:
+        """Rollouts of the downhill simplex, in all rounds."""
+        return sum(each.evaluations for each in self.rounds)
+
+
+@one_thread()
+def revise(
+    recording: Recording,
+    rope_guess: Rope,
+    *,
+    rates: Rates = "rest",
+    profile: RevisionProfile = "response",
+    rounds: int = 8,
+    most: int = MOST,
+    progress: Callable[[Round], None] | None = None,
+) -> Revision:
+    """Identify link inertia and joint friction as the paper does: initial state and parameters revised in turn.
+
+    A round finds the initial angles by the downhill simplex method (7), simulates from them, and identifies J and eta
+    by least squares. It ends when a revision moves both by less than a tenth of their standard deviations.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of angles, or of markers at the joints, of a rope that swings freely from a fixed point.
+    rope_guess : Rope
+        Lengths, masses and the rest are taken from it. Its inertia and friction, averaged over the links, are the first
+        guess; one value of each is sought for all links.
+    rates : {"rest", "measured", "free"}
+        Initial rates, see :func:`initial_state`.
+    profile : {"response", "calculated", "measured", "measured rates"}
+        What the least squares compare. ``"calculated"`` is (6) with the calculated angles, rates and accelerations, as
+        step 4 is printed; ``"measured"`` takes angles and rates (by three successive samples) from the recording and
+        only the accelerations from the simulation; ``"measured rates"`` only the rates from the recording. By default
+        the torques of (5), Lambda times the changes of J and eta, are carried through the linearised motion to the
+        angles that they change, and those are fitted to what the simulation left of the measured ones.
+    rounds : int
+        Revisions at most.
+    most : int
+        See :func:`initial_state`.
+    progress : callable, optional
+        Called with each :class:`Round`.
+
+    Returns
+    -------
+    Revision
+
+    Raises
+    ------
+    InvalidInput
+        If the recording does not fit the rope, or shows no motion beyond noise.
+    IdentificationError
+        If the rope cannot be simulated from the guess.
+
+    Notes
+    -----
+    Paper III A-B. A calculated profile fulfils (4) with the very J and eta that it was calculated with, so (6) returns
+    them: with ``"calculated"`` nothing ever moves. With ``"measured"`` the errors of the angles, multiplied by gravity,
+    outweigh J's torque a hundredfold and the rounds diverge; with ``"measured rates"`` they creep, and the noise of the
+    rates biases eta. Only the default settles at the least error. ``identify`` does all at once, and faster. Ctrl-C
+    returns the best so far, marked as interrupted.
+    """
+    began = time.perf_counter()
+    measured = fitting(recording, rope_guess)
+    check_times(measured, rope_guess)
+    check_motion(measured)
+    checks.choice("profile", profile, PROFILES)
+    revision = _Revision(measured, rope_guess, rates, profile, checks.count("most", most))
+    done: list[Round] = []
+    status, sd = "not settled", {"inertia": float("inf"), "friction": float("inf")}
+    values = np.array([rope_guess.inertia.mean(), rope_guess.friction.mean()])
+    try:
+        for _ in range(checks.count("rounds", rounds) + 1):
+            found = revision.state(values, done[-1] if done else None, began)
+            done.append(found)
+            if revision.interrupted:
+                status = "interrupted"
+                break
+            if progress is not None:
+                progress(found)
+            if len(done) > 1 and _still(done[-2], found, sd):
+                status = "settled"
+                break
+            values, spread = revision.parameters(found)
+            sd = {"inertia": float(spread[0]), "friction": float(spread[1])}
+    except KeyboardInterrupt:
+        if not done:
+            raise
+        status = "interrupted"
+    except IdentificationError:
+        if not done:
+            raise
+    best = done[-1] if status == "settled" else min(done, key=lambda each: each.error)
+    samples = int(np.isfinite(measured.data).sum())
+    rope = revision.rope(np.array([best.inertia, best.friction]))
+    return Revision(rope, best, sd, tuple(done), status, samples, profile, rates)
+
+
+def _still(before: Round, now: Round, sd: dict[str, float]) -> bool:
+    """Whether a revision has moved neither parameter."""
+    moves = {"inertia": now.inertia - before.inertia, "friction": now.friction - before.friction}
+    sizes = {"inertia": now.inertia, "friction": now.friction}
+    return all(abs(moves[name]) <= max(SETTLED * sd[name], FALSE_DIGITS * sizes[name]) for name in moves)
+
+
+class _Revision:
+    """The two halves of a round."""
+
+    def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: RevisionProfile, most: int) -> None:
+        self.measured, self.guess, self.rates, self.profile, self.most = measured, guess, rates, profile, most
+        self.interrupted = False
+        self.slopes = None
+        if profile == "response":
+            wanted = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
+            self.slopes = Slopes(Setup(guess), wanted)
+
+    def rope(self, values: Array) -> Rope:
+        """Return the guess with one J and one eta (2,) for all links."""
+        n = self.guess.n_links
+        return self.guess.replace(inertia=np.full(n, values[0]), friction=np.full(n, values[1]))
+
+    def state(self, values: Array, before: Round | None, began: float) -> Round:
+        """Find the initial state (steps 2 and 3 of Fig. 4)."""
+        try:
+            rope = self.rope(values)
+        except InvalidInput as error:
+            raise IdentificationError(
+                f"J = {values[0]:.3g} kg m^2, eta = {values[1]:.3g} N m s/rad: {error}"
+            ) from error
+        start = None if before is None else (before.q, before.qd)
+        found = initial_state(self.measured, rope, rates=self.rates, start=start, most=self.most)
+        self.interrupted = found.status == "interrupted"
+        plain = squared_error(self.measured, rope, first_state(self.measured, self.rates))
+        seconds = time.perf_counter() - began
+        inertia, friction = float(values[0]), float(values[1])
+        return Round(inertia, friction, found.q, found.qd, found.error, plain, found.evaluations, seconds)
+
+    def parameters(self, at: Round) -> tuple[Array, Array]:
+        """Identify J and eta (step 4 of Fig. 4); return them and their standard deviations (2,)."""
+        rope = self.rope(np.array([at.inertia, at.friction]))
+        return self.by_torques(rope, at) if self.slopes is None else self.by_response(self.slopes, rope, at)
+
+    def by_torques(self, rope: Rope, at: Round) -> tuple[Array, Array]:
+        """Solve (6) with a mixture of measured and calculated motion."""
+        q, qd = angles(rope, self.measured.t, at.q, at.qd)
+        qdd = np.array([np.linalg.solve(mass_matrix(rope, a), -bias(rope, a, b)) for a, b in zip(q, qd, strict=True)])
+        if self.profile != "calculated":
+            seen = np.full(q.shape, np.nan)  # three successive samples make a rate: none at the ends
+            seen[1:-1] = np.gradient(self.measured.data, self.measured.t, axis=0)[1:-1]
+            q, qd = self.measured.data if self.profile == "measured" else q, seen
+        found = regression(rope, q, qd, qdd, UNKNOWNS).solve()
+        return np.maximum(found.values, 0.0), found.sd
+
+    def by_response(self, slopes: Slopes, rope: Rope, at: Round) -> tuple[Array, Array]:
+        """Fit the changes of angles that changes of J and eta make, the initial state free, to what is left of them."""
+        q, _, dq, _ = slopes(self.measured.t, at.q, at.qd, rope)
+        known = np.isfinite(self.measured.data)
+        left, matrix = (self.measured.data - q)[known], dq[known]
+        scale = np.sqrt((matrix**2).sum(axis=0))
+        matrix = matrix / scale
+        values = np.array([at.inertia, at.friction])
+        move = np.linalg.lstsq(matrix, left, rcond=None)[0]
+        residual = left - matrix @ move
+        variance = float(residual @ residual) / max(left.size - move.size, 1)
+        spread = np.sqrt(variance * np.diag(np.linalg.pinv(matrix.T @ matrix))) / scale
+        below = values + (move / scale)[:2] <= 0.0
+        if below.any():  # what would become negative stops at 0, and the rest adapts to it
+            held = np.append(below, np.zeros(scale.size - 2, dtype=bool))
+            move = np.where(held, -np.append(values, np.zeros(scale.size - 2)) * scale, 0.0)
+            move[~held] = np.linalg.lstsq(matrix[:, ~held], left - matrix @ move, rcond=None)[0]
+        return np.where(below, 0.0, np.maximum(values + (move / scale)[:2], 0.0)), spread[:2]

@@ -1,0 +1,205 @@
+"""Which model: candidates fitted to one recording and compared by evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.errors import HyperflexError, InvalidInput
+from hyperflex.identification.comparison.candidates import Candidate, candidates
+from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend
+from hyperflex.identification.comparison.result import FittedModel, ModelComparison
+from hyperflex.identification.fit.loss import LossName
+from hyperflex.identification.fit.threads import one_thread
+from hyperflex.identification.pipeline import identify
+from hyperflex.identification.result import Identification
+from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.model import Arm, Rope
+from hyperflex.motion import Motion
+from hyperflex.recording import Recording
+from hyperflex.simulation.rollouts import progress_bar
+
+WORSE = 1.001  # ratio of costs: within it fits have met the same optimum, as far as they go
+
+
+@one_thread()
+def compare_models(
+    recording: Recording,
+    rope_guess: Rope,
+    models: Mapping[str, object] | None = None,
+    *,
+    free: Sequence[str] = ("inertia", "friction"),
+    links: Sequence[int] = (),
+    window: float | None = None,
+    train: float | None = None,
+    motion: Motion | None = None,
+    arm: Arm | None = None,
+    arcs: npt.ArrayLike | None = None,
+    origin: npt.ArrayLike | None = None,
+    torque: npt.ArrayLike | None = None,
+    torque_noise: npt.ArrayLike | None = None,
+    loss: LossName = "squares",
+    lead: float = 0.5,
+    ahead: float = 1.0,
+    progress: bool = False,
+) -> ModelComparison:
+    """Fit several models to one recording and say which of them the evidence prefers.
+
+    Parameters
+    ----------
+    recording : Recording
+        As :func:`hyperflex.identify` takes it.
+    rope_guess : Rope
+        Everything that is not free is taken from it; in the models made from `free` dry friction and stiffness are 0
+        where they are not free.
+    models : mapping, optional
+        Names to what is free (words as in ``identify``), or to a pair of a guess and what is free. By default the
+        viscous rope, with dry friction, with stiffness, and with both.
+    free : sequence of str
+        What is free in the viscous rope; used where `models` is not given.
+    links : sequence of int
+        Further numbers of equal links into which the guess is cut, with what is free in the first model. Needs markers:
+        their places are what all candidates must explain.
+    window, train, motion, arm, arcs, origin, torque, torque_noise, loss, lead, ahead
+        As in :func:`hyperflex.identify`, the same for all candidates.
+    progress : bool
+        Show a bar over the candidates on standard error.
+
+    Returns
+    -------
+    ModelComparison
+
+    Raises
+    ------
+    InvalidInput
+        For candidates that cannot be read, or numbers of links without markers.
+    KeyboardInterrupt
+        When Ctrl-C comes before any candidate was fitted; later those done are compared.
+
+    Notes
+    -----
+    BIC counts how much better a model fits for each parameter more, and takes residuals for white noise; the held-out
+    error asks how well it foretells what it has not seen. A candidate is supported by BIC within 6 of the least, and by
+    prediction if it is not worse than the best by 2 % and by two standard errors over the held-out stretches (by 10 %
+    where there are fewer than three). The simplest that both support is preferred. Where none is, prediction decides,
+    unless the residuals of BIC's choice are white. All candidates must be fitted to the same samples; one that is not
+    has no BIC. A model that fits worse than one within it has met a false optimum, and is fitted again from there.
+    """
+    if links and recording.kind != "markers":
+        raise InvalidInput(
+            "numbers of links can be compared only by places",
+            got=recording.kind,
+            allowed="a recording of markers",
+            fix="Leave links out: the angles of a recording belong to one number of links",
+        )
+    if links and arcs is None:
+        arcs = np.append(0.0, np.cumsum(rope_guess.length))
+    todo = candidates(rope_guess, free, models, links)
+    options: dict[str, Any] = {"train": train, "motion": motion, "arm": arm, "arcs": arcs, "origin": origin}
+    options |= {
+        "torque": torque,
+        "torque_noise": torque_noise,
+        "loss": loss,
+        "lead": lead,
+        "ahead": ahead,
+        "progress": False,
+        "intervals": None,
+    }
+    with _bar(len(todo), progress) as report:
+        done, stopped = _fit_all(recording, todo, window, options, report)
+    return _compared(todo[: len(done)], done, stopped)
+
+
+def _bar(count: int, wanted: bool) -> AbstractContextManager[Any]:
+    return progress_bar(0.0, float(count), wanted, "comparing models")
+
+
+def _fit_all(
+    recording: Recording, todo: Sequence[Candidate], window: float | None, options: dict[str, Any], report: Any
+) -> tuple[list[Identification | str], bool]:
+    """Return each candidate's fit, or why it failed; and whether Ctrl-C cut the rest."""
+    done: list[Identification | str] = []
+    for number, each in enumerate(todo):
+        try:
+            found = identify(recording, each.guess, each.free, window=window, **options)
+            found = _unstuck(recording, each, found, zip(todo, done, strict=False), options)
+        except HyperflexError as failure:
+            done.append(str(failure))
+        except KeyboardInterrupt:
+            if all(isinstance(one, str) for one in done):
+                raise
+            return done, True
+        else:
+            done.append(found)
+            window = found.settings["window"]  # the same for all
+            if found.status == "interrupted":
+                return done, True
+        if report is not None:
+            report(number + 1.0)
+    return done, False
+
+
+def _unstuck(
+    recording: Recording,
+    candidate: Candidate,
+    found: Identification,
+    simpler: Iterable[tuple[Candidate, Identification | str]],
+    options: dict[str, Any],
+) -> Identification:
+    """Return a fit that is no worse than those of models within it: where one is better, fitted again from there."""
+    for other, fit in simpler:
+        if isinstance(fit, str) or not other.within(candidate) or found.status == "interrupted":
+            continue
+        if fit.residual_t.size == found.residual_t.size and WORSE * _cost(fit) < _cost(found):
+            start = other.handed_on(candidate, fit.rope)
+            again = identify(recording, start, candidate.free, window=found.settings["window"], **options)
+            if again.status == "interrupted" or _cost(again) < _cost(found):
+                found = again
+    return found
+
+
+def _cost(found: Identification) -> float:
+    return float("inf") if found._basis is None else found._basis.fit.cost
+
+
+def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], stopped: bool) -> ModelComparison:
+    """Put the candidates side by side."""
+    whole = [each for each in done if not isinstance(each, str) and each.status == "converged"]
+    fits = [each._basis for each in whole if each._basis is not None]
+    scores = dict(zip(map(id, fits), criteria(fits) if fits else [], strict=True))
+    models, evidence, unit = [], [], "rad"
+    for each, found in zip(todo, done, strict=True):
+        if isinstance(found, str) or found._basis is None:
+            models.append(FittedModel(each.name, each.free, each.guess.n_links, reason=str(found)))
+            continue
+        basis = found._basis
+        models.append(_judged(each, found, basis, scores.get(id(basis))))
+        unit = found.unit
+        states = sum(window.guess.size - window.believed.shape[0] for window in basis.windows)
+        unknowns = models[-1].parameters + states
+        evidence.append(Evidence(each.name, unknowns, models[-1].bic, found.held_out, models[-1].whiteness))
+    preferred, words = recommend(evidence, unit)
+    return ModelComparison(tuple(models), preferred, words, "interrupted" if stopped else "complete", unit)
+
+
+def _judged(candidate: Candidate, found: Identification, basis: Basis, bic: float | None) -> FittedModel:
+    """Return a candidate with its figures."""
+    reason = "" if bic is not None else "it fits other samples than the rest, so its BIC is another thing"
+    if found.status != "converged":
+        reason = f"the fit is {found.status}"
+    return FittedModel(
+        candidate.name,
+        candidate.free,
+        candidate.guess.n_links,
+        found,
+        reason,
+        basis.information.known.shape[1],
+        bic,
+        found.residual_rms_all,
+        error(found.held_out),
+        basis.information.whiteness,
+    )

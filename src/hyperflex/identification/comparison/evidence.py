@@ -1,0 +1,177 @@
+"""Evidence for one model against another: Schwarz's criterion and held-out prediction, and what they say together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.uncertainty.covariance import Basis
+
+STRONG = 6.0  # difference of BIC from which evidence is strong (Kass and Raftery 1995, doi:10.2307/2291091)
+TINY = 1e-9  # probabilities below it are not told apart
+COLOURED = 0.01  # probability below which residuals are no white noise
+CLEAR = 2.0  # standard errors by which a prediction must be worse on the mean to count as worse
+FEW = 3  # predicted stretches, fewer have no standard error to speak of
+MATTERS = 1.02  # ratio of rms errors below which a difference is too small to matter
+ALIKE = 1.1  # ratio of rms errors within which predictions are as good as each other, where there are few
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for a model: fewer `unknowns` are simpler; None where it cannot be compared."""
+
+    name: str
+    unknowns: float
+    bic: float | None
+    held_out: HeldOut | None
+    whiteness: float
+
+
+def criteria(fits: Sequence[Basis]) -> list[float | None]:
+    """Return the BIC of each fit; None where it fits other samples than the one with the most.
+
+    Notes
+    -----
+    N ln(s^2) + sum of ln N over the parameters that can be known (Schwarz 1978, doi:10.1214/aos/1176344136), with s^2
+    the mean weighted square. A window's initial state counts the logarithm of that window's own number of values:
+    no others bear on it. Values count as N / tau: tau is the integrated autocorrelation time of the candidate that has
+    the shortest, for what even the best leaves correlated is no fresh evidence. With a robust loss the squares are
+    what the loss makes of them, over the least scale among the candidates.
+    """
+    sizes = [np.concatenate([window.t for window in one.windows]) for one in fits]
+    whole = max(sizes, key=lambda t: t.size)
+    width = fits[int(np.argmax([t.size for t in sizes]))].windows[0].y.shape[1]
+    tau = min(one.information.correlation for one in fits)
+    scale = min(one.fit.loss.scaled(one.fit.residuals).scale for one in fits)
+    result: list[float | None] = []
+    for one, t in zip(fits, sizes, strict=True):
+        same = np.array_equal(t, whole) and one.windows[0].y.shape[1] == width
+        result.append(_criterion(one, tau, scale) if same else None)
+    return result
+
+
+def _criterion(one: Basis, tau: float, scale: float) -> float:
+    values = np.array([window.values for window in one.windows])
+    count = float(values.sum()) / tau
+    cost = sum(one.fit.loss.scaled([]).cost(residual) for residual in one.fit.residuals)
+    if one.fit.loss.name == "squares":
+        misfit = count * float(np.log(cost / values.sum()))
+    else:
+        misfit = cost / (tau * scale**2)
+    states = np.array([window.guess.size - window.believed.shape[0] for window in one.windows])
+    known = one.information.known.shape[1]
+    of_states = float((states * np.log(np.maximum(values / tau, 1.0))).sum())
+    return float(misfit + known * np.log(count) + of_states)
+
+
+def worse(one: HeldOut, best: HeldOut) -> bool:
+    """Tell whether `one` predicts the held-out stretches clearly worse than `best`."""
+    mine, other = _squares(one), _squares(best)
+    if not np.isfinite(mine).all():
+        return True
+    if mine.size < FEW or mine.size != other.size:
+        return bool(np.sqrt(mine.mean()) > ALIKE * np.sqrt(other.mean()))
+    gap = mine - other
+    sure = gap.mean() > CLEAR * gap.std(ddof=1) / np.sqrt(gap.size)
+    return bool(sure and mine.mean() > MATTERS**2 * other.mean())
+
+
+def _unclear(one: Evidence, best: Evidence) -> str:
+    """Return why the prediction of `one` does not count as worse than that of `best`."""
+    if one.held_out is None or best.held_out is None:
+        return "one of them was not predicted"
+    mine, other = _squares(one.held_out), _squares(best.held_out)
+    if mine.size < FEW or mine.size != other.size:
+        return f"a difference within {100.0 * (ALIKE - 1.0):.0f} % counts for nothing where so little is held out"
+    if mine.mean() <= MATTERS**2 * other.mean():
+        return f"a difference within {100.0 * (MATTERS - 1.0):.0f} % is too small to matter"
+    return (
+        f"over the {mine.size} predicted stretches the difference varies too much to be told from chance (less than "
+        f"{CLEAR:g} standard errors)"
+    )
+
+
+def error(held_out: HeldOut | None) -> float:
+    """Return the rms prediction error over channels and stretches, rad or m; inf without a prediction."""
+    return float("inf") if held_out is None else float(np.sqrt(_squares(held_out).mean()))
+
+
+def _squares(held_out: HeldOut) -> Array:
+    """Return the mean square of each stretch (W,)."""
+    result: Array = np.nanmean(held_out.window_rms**2, axis=1)
+    return result
+
+
+def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, str]:
+    """Return the preferred model and why, in words; the simplest comes out where evidence does not tell apart."""
+    known = [each for each in all_of_them if each.bic is not None]
+    if not known:
+        return None, "No candidate could be fitted."
+    if len(known) == 1:
+        return known[0].name, f"Only {known[0].name} could be fitted: there was nothing to compare it with."
+    least = min(known, key=lambda each: each.bic or 0.0)
+    likely = [each for each in known if _bic(each) - _bic(least) < STRONG]
+    predicted = [each for each in known if np.isfinite(error(each.held_out))]
+    first = min(likely, key=lambda each: each.unknowns)
+    if not predicted:
+        alone = "Nothing was held out or could be predicted, so only fits were compared."
+        return first.name, f"{_by_bic(first, known)} {alone}{_hue(first)}"
+    nearest = min(predicted, key=lambda each: error(each.held_out))
+    good = [each for each in predicted if not worse(each.held_out, nearest.held_out)]  # type: ignore[arg-type]
+    both = [each for each in likely if each in good]
+    if both:
+        chosen = min(both, key=lambda each: each.unknowns)
+        also = f"it predicts {_milli(error(chosen.held_out), unit)} off, " + (
+            "best of all."
+            if chosen is nearest
+            else f"not clearly worse than {nearest.name} ({_short(nearest, unit)}): {_unclear(chosen, nearest)}."
+        )
+        return chosen.name, f"{_by_bic(chosen, known)} {also[0].upper()}{also[1:]}{_hue(chosen)}"
+    simple = min(good, key=lambda each: each.unknowns)
+    chosen = simple if first.whiteness < COLOURED else first
+    why = "are no white noise, which BIC relies on" if chosen is simple else "are white noise, as BIC wants them"
+    return chosen.name, (
+        f"The two disagree: BIC prefers {first.name}, held-out prediction prefers {simple.name} "
+        f"({_short(simple, unit)} against {_milli(error(first.held_out), unit)}). The residuals of {first.name} {why}, "
+        f"so {chosen.name} is taken; record more to be sure.{_hue(chosen)}"
+    )
+
+
+def _bic(each: Evidence) -> float:
+    return float("inf") if each.bic is None else each.bic
+
+
+def _by_bic(chosen: Evidence, known: Sequence[Evidence]) -> str:
+    """Return what BIC says of a model beside the others."""
+    rest = min(_bic(each) for each in known if each is not chosen)
+    ahead = rest - _bic(chosen)
+    next_one = next(each for each in known if each is not chosen and _bic(each) == rest)
+    if ahead >= STRONG:
+        return f"{chosen.name}: BIC is lower by {ahead:.0f} than that of the next, {next_one.name}."
+    what = "lower" if ahead >= 0.0 else "higher"
+    weak = f"{chosen.name}: BIC is {what} than that of {next_one.name} by {abs(ahead):.1f} only: no strong evidence"
+    return f"{weak}." if ahead >= 0.0 else f"{weak}, and it is the simpler of the two."
+
+
+def probability(value: float) -> str:
+    """Return a probability in words; the smallest ones mean no more than that they are small."""
+    return f"p = {value:.2g}" if value >= TINY else f"p < {TINY:.0e}"
+
+
+def _hue(chosen: Evidence) -> str:
+    """Return a warning where even the chosen model leaves more than noise."""
+    if chosen.whiteness >= COLOURED:
+        return ""
+    return f" But its residuals are no white noise ({probability(chosen.whiteness)}): all candidates miss something."
+
+
+def _short(each: Evidence, unit: str) -> str:
+    return _milli(error(each.held_out), unit)
+
+
+def _milli(value: float, unit: str) -> str:
+    return f"{1e3 * value:.3g} m{unit}"

@@ -1,0 +1,146 @@
+"""What a comparison of models gives back: each candidate's figures, which one is preferred, and why."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hyperflex import files
+from hyperflex.files import PathLike
+from hyperflex.identification.comparison.evidence import COLOURED, probability
+from hyperflex.identification.result import Identification
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@dataclass(frozen=True, eq=False)
+class FittedModel:
+    """One candidate and what speaks for it.
+
+    Attributes
+    ----------
+    name : str
+    free : tuple of str
+        What was free.
+    links : int
+        Number of links.
+    identification : Identification or None
+        None where the fit failed.
+    reason : str
+        Why it failed, or why it cannot be compared; empty if all went well.
+    parameters : int
+        Free parameters that can be known.
+    bic : float or None
+        Schwarz's criterion, less is better; None where other samples were fitted than in the rest.
+    fit_rms, held_out_rms : float, rad or m
+        Error of the fit, and of the prediction of the part held out (inf: it failed, or nothing was held out).
+    whiteness : float
+        Probability that white noise would leave residuals as autocorrelated as these.
+    """
+
+    name: str
+    free: tuple[str, ...]
+    links: int
+    identification: Identification | None = None
+    reason: str = ""
+    parameters: int = 0
+    bic: float | None = None
+    fit_rms: float = float("inf")
+    held_out_rms: float = float("inf")
+    whiteness: float = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class ModelComparison:
+    """Models of a rope compared (made by :func:`hyperflex.compare_models`); ``print`` shows the table and why.
+
+    Attributes
+    ----------
+    models : tuple of FittedModel
+        In the order in which they were given, those that failed included.
+    preferred : str or None
+        Name of the model that the evidence prefers; None if none could be fitted.
+    recommendation : str
+        The same in words, and where the evidence disagrees.
+    status : {"complete", "interrupted"}
+        Whether all candidates were fitted before Ctrl-C.
+    unit : str
+        Of the errors: ``rad`` or ``m``.
+    """
+
+    models: tuple[FittedModel, ...]
+    preferred: str | None
+    recommendation: str
+    status: Literal["complete", "interrupted"]
+    unit: str
+
+    def __getitem__(self, name: str) -> FittedModel:
+        for model in self.models:
+            if model.name == name:
+                return model
+        raise KeyError(name)
+
+    @property
+    def best(self) -> Identification | None:
+        """The identification of the preferred model."""
+        return None if self.preferred is None else self[self.preferred].identification
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """The table as an ``xarray.Dataset`` over the dimension model; NaN where there is nothing to tell."""
+        import xarray as xr
+
+        columns: dict[str, Any] = {}
+        for name, unit, about in (
+            ("links", "1", "number of links"),
+            ("parameters", "1", "free parameters that can be known"),
+            ("bic", "1", "Schwarz's criterion, less is better"),
+            ("fit_rms", self.unit, "error of the fit"),
+            ("held_out_rms", self.unit, "error of predicting the part held out"),
+            ("whiteness", "1", "probability of residuals as autocorrelated as these under white noise"),
+        ):
+            values = [getattr(model, name) for model in self.models]
+            numbers = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+            columns[name] = ("model", numbers, {"units": unit, "long_name": about})
+        names = [model.name for model in self.models]
+        return xr.Dataset(columns, {"model": names}, {"preferred": self.preferred or ""})
+
+    def summary(self) -> dict[str, Any]:
+        """Return the table, the preference and the words as plain numbers, lists and strings; None for no number."""
+        names = ("name", "links", "parameters", "bic", "fit_rms", "held_out_rms", "whiteness", "reason")
+        table = [{name: _plain(getattr(m, name)) for name in names} | {"free": list(m.free)} for m in self.models]
+        result: dict[str, Any] = {"status": self.status, "preferred": self.preferred, "unit": self.unit}
+        return result | {"recommendation": self.recommendation, "models": table}
+
+    def to_json(self, path: PathLike) -> None:
+        """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""
+        files.write_text(path, json.dumps(self.summary(), indent=2, allow_nan=False) + "\n")
+
+    def __str__(self) -> str:
+        wide = max([5, *(len(model.name) for model in self.models)])
+        least = min((m.bic for m in self.models if m.bic is not None), default=0.0)
+        head = f"{'model':<{wide}}  links  parameters  BIC over best  fit, m{self.unit}  held out, m{self.unit}  white"
+        lines = [f"Models compared ({self.status})", f"  {head}"]
+        lines += [f"  {_row(model, wide, least, len(self.unit))}" for model in self.models]
+        return "\n".join([*lines, f"  {self.recommendation}"])
+
+
+def _row(model: FittedModel, wide: int, least: float, unit: int) -> str:
+    """Return a model's line of the table; `least` is the best BIC."""
+    start = f"{model.name:<{wide}}  {model.links:5d}"
+    if model.identification is None:
+        return f"{start}  failed: {model.reason}"
+    above = "-" if model.bic is None else f"{model.bic - least:.1f}"
+    white = f"{'yes' if model.whiteness >= COLOURED else 'no'} ({probability(model.whiteness)})"
+    held = f"{1e3 * model.held_out_rms:.3f}" if np.isfinite(model.held_out_rms) else "-"
+    fit = f"{1e3 * model.fit_rms:.3f}"
+    mark = f"  {model.reason}" if model.reason else ""
+    return f"{start}  {model.parameters:10d}  {above:>13}  {fit:>{6 + unit}}  {held:>{11 + unit}}  {white}{mark}"
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value

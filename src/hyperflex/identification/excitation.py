@@ -1,0 +1,153 @@
+"""What a recording must show before anything is fitted: times that suit the rope, and motion beyond its noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.identification.fit.windows import STILL
+from hyperflex.model import Rope
+from hyperflex.recording import Recording
+
+RARE = 1e-3  # probability with which mere white noise passes for motion
+FEWEST = 4  # values of a channel that its smoothness can be judged by
+LAGS, MANY = 10, 20  # lags of the autocorrelation, and values that it takes at least
+BEYOND = 5.0  # standard deviations of the declared noise: an rms that large is motion, smooth or not
+LARGE = 0.1  # rad, the same of link angles where no noise is declared: no camera errs so much
+SHORTEST, SPARSEST = 0.1, 1.0  # of the rope's period: what a recording lasts at least, its samples lie apart at most
+ROUGHEST = 8.0 / 3.0  # of the ratio of variances below: samples that jump up and down in turn
+SPREAD = 17.0 / 9.0  # variance of that ratio for white noise, times the number of values
+
+
+def check_times(recording: Recording, rope: Rope) -> None:
+    """Refuse recordings that are far shorter, or far sparser, than a swing of a rope so long.
+
+    The period is that of a small swing of a straight rod. Springs make it shorter: ropes with stiffness may be short.
+    """
+    gravity = float(np.hypot(*rope.gravity))
+    if gravity == 0.0:
+        return
+    period = 2.0 * np.pi * float(np.sqrt(2.0 * rope.total_length / (3.0 * gravity)))
+    least = 0.0 if rope.stiffness.any() else SHORTEST * period
+    spacing = float(np.median(np.diff(recording.t)))
+    if recording.duration < least:
+        raise InvalidInput(
+            "the recording is too short to tell anything of the rope",
+            got=f"{recording.t.size} samples in {recording.duration:.3g} s",
+            allowed=f"at least {least:.2g} s; a rope so long swings once in {period:.2g} s",
+            fix="Record longer. Are the times in another unit (time_unit='s'), or the lengths?",
+        )
+    if spacing > SPARSEST * period:
+        raise InvalidInput(
+            "the samples lie further apart than a swing of the rope lasts",
+            got=f"{spacing:.3g} s from sample to sample",
+            allowed=f"at most {SPARSEST * period:.2g} s; a rope so long swings once in {period:.2g} s",
+            fix="Are the times in another unit (time_unit='ms'), or the lengths? Else record more frames a second",
+        )
+
+
+def check_motion(shape: Recording, channels: Recording | None = None) -> None:
+    """Refuse recordings in which nothing moves, or nothing that could be told from noise.
+
+    Parameters
+    ----------
+    shape : Recording
+        Link angles.
+    channels : Recording, optional
+        What was measured, with its noise; the angles by default.
+
+    Notes
+    -----
+    White noise scatters about its own neighbours as much as about its mean, and does not return; motion is smooth, or
+    periodic where it is sampled slowly. Ranks stand for the values, so that neither outliers nor the law of the noise
+    matter. Motion that looks like white noise all the same is known by its size, beside the noise that was declared.
+    """
+    swing = np.nanmax(shape.data, axis=0) - np.nanmin(shape.data, axis=0)
+    if not (swing > STILL).any():
+        raise InvalidInput(
+            "nothing moves in the recording",
+            got=f"largest swing {swing.max():.3g} rad",
+            allowed=f"more than {STILL:g} rad",
+            fix="Record a free swing, or check the unit of the angles",
+        )
+    channels = channels or shape
+    if _size(shape.data).max() > LARGE:
+        return
+    if channels.noise is not None and (_size(channels.data) > BEYOND * np.median(channels.noise, axis=0)).any():
+        return
+    if _whiteness(channels) < RARE:
+        return
+    raise InvalidInput(
+        "no motion beyond noise in the recording",
+        got=f"values that scatter from sample to sample as much as over all {channels.t.size}",
+        allowed="a swing that is clearly larger than the noise",
+        fix="Record a free swing, wider or with more samples; if it is sampled slowly, say how large the noise is "
+        "(noise=...)",
+    )
+
+
+def _size(values: Array) -> Array:
+    """Return the standard deviation (C,) of each channel, by its middle half: a few outliers do not matter."""
+    low, high = np.nanquantile(values, [0.25, 0.75], axis=0)
+    result: Array = (high - low) / 1.349
+    return result
+
+
+def _whiteness(recording: Recording) -> float:
+    """Return the probability, about, that white noise alone lies as far from its expected roughness; 1 if too few."""
+    ratios, counts, returns = [], [], []
+    for column in recording.data.T:
+        known = ~np.isnan(column)
+        if known.sum() >= FEWEST and np.ptp(column[known]) > 0.0:
+            ratios.append(_roughness(recording.t[known], column[known]))
+            counts.append(int(known.sum()))
+            returns.append(_returning(column[known]) if known.sum() >= MANY else 0.0)
+    if not ratios:
+        return 1.0
+    from scipy.special import gammaincc
+
+    swinging = float(gammaincc(0.5 * LAGS * len(returns), 0.5 * sum(returns)))
+    together = _chance(float(np.average(ratios, weights=counts)), sum(counts))
+    alone = min(_chance(ratio, count) for ratio, count in zip(ratios, counts, strict=True))
+    return min(1.0, 3.0 * min(together, len(ratios) * alone, swinging))
+
+
+def _roughness(t: Array, values: Array) -> float:
+    """Return the variance about the line between neighbours over that about the mean, of ranks; 1 for white noise."""
+    from scipy.stats import rankdata
+
+    rank = rankdata(values)
+    share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+    off = rank[1:-1] - (1.0 - share) * rank[:-2] - share * rank[2:]
+    result = (off**2 / (1.0 + share**2 + (1.0 - share) ** 2)).mean() / rank.var(ddof=1)
+    return float(result)
+
+
+def _returning(values: Array) -> float:
+    """Return the sum of squared autocorrelations of the ranks, each in units of its variance for white noise.
+
+    It is distributed as chi squared of LAGS (Ljung and Box 1978, doi:10.1093/biomet/65.2.297).
+    """
+    from scipy.stats import rankdata
+
+    rank = rankdata(values)
+    rank -= rank.mean()
+    lags = np.arange(1, LAGS + 1)
+    found = np.array([rank[lag:] @ rank[:-lag] for lag in lags]) / (rank @ rank)
+    result = (found**2 * rank.size * (rank.size + 2.0) / (rank.size - lags)).sum()
+    return float(result)
+
+
+def _chance(ratio: float, count: int) -> float:
+    """Return the probability of a ratio as far on its side of 1 in so many values of white noise.
+
+    A beta distribution between 0 and ROUGHEST with the ratio's mean and variance.
+    """
+    from scipy.special import betainc
+
+    mean = 1.0 / ROUGHEST
+    total = mean * (1.0 - mean) * count / SPREAD * ROUGHEST**2 - 1.0
+    first, second = max(mean * total, 0.5), max((1.0 - mean) * total, 0.5)
+    below = float(betainc(first, second, min(max(ratio / ROUGHEST, 0.0), 1.0)))
+    return below if ratio < 1.0 else 1.0 - below

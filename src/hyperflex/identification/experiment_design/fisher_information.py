@@ -1,0 +1,127 @@
+"""What an experiment would tell before it is made: the information of its simulated run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.identification.experiment_design.experiments import Experiment
+from hyperflex.identification.fit.loss import Loss
+from hyperflex.identification.fit.multiple_shooting import linearise
+from hyperflex.identification.fit.windows import Window, thin, usual_length
+from hyperflex.identification.measurements import measure, with_torque
+from hyperflex.identification.model.parameters import Parameter, Parameters
+from hyperflex.identification.model.plant import PRECISION, Plant, pivot_places
+from hyperflex.identification.model.scale import growing
+from hyperflex.identification.model.sensors import Places
+from hyperflex.identification.pipeline import planned
+from hyperflex.identification.uncertainty.covariance import UNKNOWN, Information, ratio_spread, ratios
+from hyperflex.model import Arm, Rope
+from hyperflex.recording import Recording
+from hyperflex.simulation import simulate
+
+FAINT = 1e-3  # a ratio below this part of the largest of its kind is judged by that
+
+
+@dataclass(frozen=True)
+class Foresight:
+    """What an experiment would tell about the free parameters of a rope."""
+
+    parameters: Parameters
+    information: Information
+
+    def spreads(self, want: Sequence[str]) -> dict[str, tuple[float, float]]:
+        """Return sd, and sd over the size of the value, of each single number that the words stand for.
+
+        Raises
+        ------
+        InvalidInput
+            For a word that is neither free nor a ratio.
+        """
+        x = self.information.x
+        rope = self.parameters.rope(x)
+        sd = self.information.deviations(self.parameters.slopes(x))
+        own = {
+            p.label: (p.name, float(s), size(p, float(each)))
+            for p, s, each in zip(self.parameters.all, sd, x, strict=True)
+        }
+        known = ratios(rope)
+        result: dict[str, tuple[float, float]] = {}
+        for word in want:
+            if word in known:
+                spread, value = ratio_spread(self.parameters, self.information)[word], np.abs(known[word])
+                against = np.maximum(value, FAINT * value.max() or 1.0)
+                for k in range(value.size):
+                    if word != "p/p1" or k > 0:  # the first is 1 by definition
+                        result[f"{word}[{k}]"] = (float(spread[k]), float(spread[k] / against[k]))
+                continue
+            found = {label: (s, s / of) for label, (name, s, of) in own.items() if word in (label, name)}
+            if not found:
+                raise InvalidInput(
+                    "want names what is not free",
+                    got=word,
+                    allowed=", ".join(dict.fromkeys([*(p.name for p in self.parameters.all), *own, *known])),
+                )
+            result |= found
+        return result
+
+
+def size(parameter: Parameter, x: float) -> float:
+    """Return what a parameter's sd is compared with: its value, or a typical change where that is 0 or an offset."""
+    value = abs(parameter.value(x))
+    return value if value > 0.0 and parameter.form != "linear" else parameter.width * parameter.scale
+
+
+def foresee(rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | None, noise: float) -> Foresight:
+    """Return what a fit to such a recording would know about the parameters, were the rope the true one.
+
+    Windows are cut, states left free and the place of the first joint fitted as ``identify`` does it.
+
+    Raises
+    ------
+    InvalidInput, SimulationError
+        If the experiment does not fit the rope or cannot be simulated.
+    """
+    t, motion = experiment.t, experiment.motion
+    base = arm if motion is not None else None
+    tol = PRECISION * rope.total_length
+    q0, qd0 = experiment.start(rope)
+    run = simulate(rope, motion, arm=base, duration=float(t[-1]), t_eval=t, tol=tol, q0=q0, qd0=qd0)
+    spread = experiment.noise or noise
+    if experiment.markers is None:
+        arcs, recording = None, Recording(t, run.q, noise=np.full(1, spread).repeat(rope.n_links))
+    else:
+        arcs = np.linspace(0.0, rope.total_length, experiment.markers)
+        own = np.concatenate([np.zeros(2), arcs])
+        places = Places().see(rope, pivot_places(motion, base, t), run.q, own)
+        recording = Recording(t, places, "markers", np.full(places.shape[1], spread))
+    torque = experiment.torque_noise
+    if torque is not None and base is None:
+        raise InvalidInput("the torque of no motor can be measured", fix="Give a motion, and arm=... to design")
+    plant = planned(recording, rope, free, arcs, None, motion, base, torque=torque is not None)
+    measured = measure(recording, rope, arcs)
+    if torque is not None:
+        measured = with_torque(measured, run.motor_torque, torque)
+    length = min(usual_length(measured.shape, rope), 1.001 * recording.duration)
+    windows, _ = measured.windows(length, thin(recording, length))
+    states = np.hstack([run.q, run.qd])[np.searchsorted(t, [window.t[0] for window in windows])]
+    return Foresight(plant.parameters, _information(plant, windows, states))
+
+
+def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Information:
+    """Return what the windows tell where the model holds and the noise is as given."""
+    x, widths = plant.parameters.start, plant.parameters.widths
+    rows: list[Array] = [np.zeros((x.size, x.size))]
+    for window, state in zip(windows, states, strict=True):
+        linear = linearise(plant, window, x, state, np.zeros(window.y.size), Loss())
+        rows.append(np.asarray(np.linalg.qr(linear.reduced()[0] * widths, mode="r")))
+    _, singular, directions = np.linalg.svd(np.vstack(rows), full_matrices=False)
+    told = singular > UNKNOWN * singular[0]
+    known, unknown = directions[told].T, directions[~told].T
+    covariance = (known / singular[told] ** 2) @ known.T * np.outer(widths, widths)
+    tied = growing(plant.parameters, x, unknown)
+    return Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)

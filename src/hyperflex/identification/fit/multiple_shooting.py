@@ -1,0 +1,280 @@
+"""Shooting: every window has its own initial state, all windows share the parameters; Levenberg and Marquardt's steps.
+
+The states of a window touch only that window's residuals, so each step eliminates them window by window (QR) and
+solves a small system for the parameters: cost linear in the number of windows. Derivatives are exact, those of the
+rollouts themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.identification.fit.loss import Loss
+from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.model.plant import Plant
+
+LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
+ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their sd
+SHORT = 1.0  # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
+ROUGH = 1e-5  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
+STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up
+NEAR, FALL = 1e-2, 0.7  # in scales: farther above its bound a parameter falls by no more than this part of the way
+LEFT = 1e-6  # damping for what the linear model has left to gain: parameters that do not act promise nothing
+Report = Callable[[dict[str, float]], None]
+
+
+@dataclass
+class Fit:
+    """Where a fit stands: x (P,), one state (2n,) a window, and the residuals (m C,) of each window."""
+
+    x: Array
+    states: list[Array]
+    residuals: list[Array]
+    loss: Loss = field(default_factory=Loss)
+    beliefs: float = 0.0  # what the states cost by departing from what is believed of a rope's shape
+    converged: bool = False
+    interrupted: bool = False
+    history: list[dict[str, float]] = field(default_factory=list)
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares, or of what the loss makes of them."""
+        return sum(self.loss.cost(r) for r in self.residuals) + self.beliefs
+
+
+@dataclass(frozen=True)
+class Linear:
+    """One window's residuals (M,), weighted, and their derivatives: by its state (M, 2n), by the parameters (M, P)."""
+
+    state: Array
+    shared: Array
+    residual: Array
+    known: bool = True  # False: no rollout from its state succeeds, and the derivatives are 0
+
+    def compact(self) -> Linear:
+        """Return the same least squares in as few rows as there are unknowns, and one."""
+        width = self.state.shape[1]
+        both = np.column_stack([self.state, self.shared, self.residual])
+        rows: Array = np.asarray(np.linalg.qr(both, mode="r"))
+        return Linear(rows[:, :width], rows[:, width:-1], rows[:, -1], self.known)
+
+    def reduced(self) -> tuple[Array, Array]:
+        """Return parameter derivatives (M, P) and residuals (M,) less what the window's own state can absorb."""
+        basis = np.linalg.qr(self.state)[0]
+        return self.shared - basis @ (basis.T @ self.shared), self.residual - basis @ (basis.T @ self.residual)
+
+
+def linearise(plant: Plant, window: Window, x: Array, state: Array, residual: Array, loss: Loss) -> Linear:
+    """Return a window's linear model; `residual` (m C,) is what it stands at."""
+    weight = loss.weight(residual)
+    seen = plant.slopes(x, window.t, state)
+    belief = window.belief(state)
+    if seen is None:  # a window on the brink: leave it as it is in this round
+        size = residual.size
+        return Linear(np.zeros((size, state.size)), np.zeros((size, x.size)), weight * residual, known=False)
+    scale = (weight * window.weight.ravel())[:, None]
+    by_state, shared = (scale * slope.reshape(residual.size, -1) for slope in (seen.state, seen.shared))
+    if belief.size == 0:
+        return Linear(by_state, shared, weight * residual)
+    return Linear(
+        np.vstack([by_state, window.believed]),
+        np.vstack([shared, np.zeros((belief.size, x.size))]),
+        np.append(weight * residual, belief),
+    )
+
+
+def fit(
+    plant: Plant,
+    windows: Sequence[Window],
+    x: Array,
+    states: list[Array],
+    *,
+    loss: Loss | None = None,
+    states_only: bool = False,
+    rounds: int = 60,
+    enough: float | None = None,
+    report: Report | None = None,
+    held: Sequence[int] = (),
+) -> Fit:
+    """Fit parameters and all states together, or the states alone, from first guesses; parameters `held` stay.
+
+    It ends with a round that gains less than the part `enough` of the cost; by default less than parameters move by
+    chance.
+
+    Raises
+    ------
+    InvalidInput
+        When not even the guess can be rolled out.
+
+    Notes
+    -----
+    Ctrl-C ends the fit; what is returned then is the best so far, marked ``interrupted``.
+    """
+    loss = loss or Loss()
+    residuals = _residuals(plant, windows, x, states)
+    if residuals is None:
+        raise InvalidInput("the rope cannot be simulated from the guess", fix="Give a guess nearer to the real one")
+    best = Fit(x, states, residuals, loss, _beliefs(windows, states))
+    count = sum(window.values for window in windows)
+    lower = np.empty(0) if states_only else plant.parameters.lower
+    least = min(1e-4, ENOUGH / count) if enough is None else enough
+    damping, stalled = 1e-3, 0
+    try:
+        for number in range(rounds):
+            best.loss = best.loss.scaled(best.residuals)
+            before = best.cost
+            linear = [
+                linearise(plant, *each, best.loss)
+                for each in zip(windows, [best.x] * len(windows), best.states, best.residuals, strict=True)
+            ]
+            for each in linear:
+                each.shared[:, list(held)] = 0.0
+            if states_only:
+                linear = [Linear(each.state, each.shared[:, :0], each.residual, each.known) for each in linear]
+            linear = [each.compact() for each in linear]
+            promised = _promise(best, linear, lower)
+            damping, free = _improve(plant, windows, best, linear, lower, damping)
+            gain = (before - best.cost) / before if before > 0.0 else 0.0
+            best.history.append({"round": number, "cost": best.cost, "gain": gain, "damping": damping})
+            if report is not None:
+                report(best.history[-1])
+            stalled = stalled + 1 if gain < least else 0
+            best.converged = stalled > 0 and (free or promised < max(least, ROUGH) * before)
+            if best.converged or stalled == STALLS:
+                break
+    except KeyboardInterrupt:
+        best.interrupted = True
+    return best
+
+
+def fit_state(
+    plant: Plant, x: Array, window: Window, state: Array, *, loss: Loss | None = None, rounds: int = 30
+) -> tuple[Array, Array] | None:
+    """Fit the state at a window's start, parameters fixed.
+
+    Returns
+    -------
+    state (2n,), residual (m C,), or None where no rollout from `state` succeeds.
+    """
+    try:
+        found = fit(plant, [window], x, [state], loss=loss, states_only=True, rounds=rounds)
+    except InvalidInput:
+        return None
+    if found.interrupted:
+        raise KeyboardInterrupt
+    return found.states[0], found.residuals[0]
+
+
+def _residuals(plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array]) -> list[Array] | None:
+    """Return all windows' residuals, or None as soon as a rollout fails."""
+    result = []
+    for window, state in zip(windows, states, strict=True):
+        residual = plant.residual(x, window, state)
+        if residual is None:
+            return None
+        result.append(residual)
+    return result
+
+
+def _beliefs(windows: Sequence[Window], states: Sequence[Array]) -> float:
+    return sum(float((b := window.belief(state)) @ b) for window, state in zip(windows, states, strict=True))
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step of the linear model: of the parameters (P,) and of each window's state (2n,)."""
+
+    shared: Array
+    states: list[Array]
+
+
+def _step(at: Fit, linear: Sequence[Linear], lower: Array, damping: float) -> _Step:
+    """Return the damped step of least squares within the bounds; of the states alone if `lower` is empty."""
+    root = np.sqrt(damping)
+    width = np.sqrt(sum((each.shared**2).sum(axis=0) for each in linear)) + 1e-12
+    matrix, gradient = np.diag((root * width) ** 2), np.zeros(lower.size)
+    padded = []
+    for each in linear:
+        size = np.sqrt((each.state**2).sum(axis=0)) + 1e-12
+        wide = Linear(
+            np.vstack([each.state, np.diag(root * size)]),
+            np.vstack([each.shared, np.zeros((size.size, lower.size))]),
+            np.append(each.residual, np.zeros(size.size)),
+        )
+        left, rest = wide.reduced()
+        matrix += left.T @ left
+        gradient += left.T @ rest
+        padded.append(wide)
+    move = _bounded(matrix, gradient, at.x[: lower.size], lower)
+    return _Step(move, [-least_squares(each.state, each.residual + each.shared @ move) for each in padded])
+
+
+def least_squares(matrix: Array, right: Array) -> Array:
+    """Return the shortest solution (k,) of a least-squares problem (m, k), (m,)."""
+    result: Array = np.linalg.lstsq(matrix, right, rcond=None)[0].astype(np.float64, copy=False)
+    return result
+
+
+def _promise(at: Fit, linear: Sequence[Linear], lower: Array) -> float:
+    """Return by how much the squares would fall if the model were linear; inf where no window has derivatives."""
+    if not any(each.known for each in linear):
+        return float("inf")
+    step = _step(at, linear, lower, LEFT)
+    gained = 0.0
+    for each, state in zip(linear, step.states, strict=True):
+        ahead = each.residual + each.state @ state + each.shared @ step.shared
+        gained += float(each.residual @ each.residual - ahead @ ahead)
+    return gained
+
+
+def _improve(
+    plant: Plant, windows: Sequence[Window], best: Fit, linear: Sequence[Linear], lower: Array, damping: float
+) -> tuple[float, bool]:
+    """Take one accepted step (or none, when no damping helps); `best` is changed in place.
+
+    Return the damping for the next round, and whether a step was taken that damping did not much shorten.
+    """
+    before = best.cost
+    while damping < MOST_DAMPING:
+        step = _step(best, linear, lower, damping)
+        x = best.x + step.shared if lower.size else best.x
+        states = [state + move for state, move in zip(best.states, step.states, strict=True)]
+        residuals = _residuals(plant, windows, x, states)
+        if residuals is not None:
+            tried = Fit(x, states, residuals, best.loss, _beliefs(windows, states))
+            if tried.cost <= before:
+                best.x, best.states, best.residuals, best.beliefs = x, states, residuals, tried.beliefs
+                free = damping <= SHORT and any(each.known for each in linear)
+                return max(0.1 * damping, LEAST_DAMPING), free
+        damping = max(10.0 * damping, 1e-6)
+    return 1e-3, False
+
+
+def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
+    """Return the step -matrix^-1 gradient that keeps x >= lower: what would cross stops at its bound, the rest adapts.
+
+    Steps of logarithms and the like are kept below 1 (a factor of e); what is far above its bound comes down to it by
+    and by, for the linear model of a far point says little about the bound, and a fit that stands there may stay.
+    """
+    free = (x > lower) | (gradient < 0.0)
+    move = np.zeros(x.size)
+    for _ in range(x.size):
+        held = ~free
+        right = gradient[free] + matrix[np.ix_(free, held)] @ move[held]
+        move[free] = least_squares(matrix[np.ix_(free, free)], -right)
+        crossing = free & (x + move < lower)
+        if not crossing.any():
+            break
+        move[crossing] = lower[crossing] - x[crossing]
+        free &= ~crossing
+    unbounded = ~np.isfinite(lower)
+    longest = float(np.abs(move[unbounded]).max()) if unbounded.any() else 0.0
+    above = x - lower
+    far = ~unbounded & (above > NEAR)
+    falling = float((-move[far] / (FALL * above[far])).max()) if far.any() else 0.0
+    return move / max(1.0, longest, falling)

@@ -1,0 +1,229 @@
+"""What a camera would see of the rope from a given state on, and how that changes with state and parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.core import status
+from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import Drive
+from hyperflex.core.integrate.progress import Limits
+from hyperflex.core.tangent.directions import place_changes
+from hyperflex.errors import SimulationError
+from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.model.parameters import ARM, Parameters
+from hyperflex.identification.model.sensors import Angles, Sensor
+from hyperflex.identification.model.torque import MotorTorque
+from hyperflex.model import Arm, Rope, Setup
+from hyperflex.motion import Motion, hold
+from hyperflex.simulation.rollouts import finish, limits, prepare
+from hyperflex.simulation.sensitivity.directions import Wanted
+from hyperflex.simulation.sensitivity.sensitivity import along, recorded
+
+PRECISION = 1e-7  # tolerance of a rollout over the rope's length, far below any measured angle's error
+
+
+@dataclass(frozen=True)
+class _At:
+    """All that follows from one x."""
+
+    rope: Rope
+    chain: Chain
+    motion: Motion
+    drive: Drive
+    own: Array  # values of the sensor
+    arm: Array  # inertia and friction of the arm
+    moving: list[int]  # which parameters move the rope
+    wanted: Wanted  # state first, then those
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is seen (m, C), and its derivatives with respect to the state (m, C, 2 n) and the parameters (m, C, P)."""
+
+    channels: Array
+    state: Array
+    shared: Array
+
+
+class Plant:
+    """Predicts what is seen in a window; what the base does, and what is measured, is fixed here.
+
+    Parameters
+    ----------
+    parameters : Parameters
+    sensor : Sensor
+    own : (V,) array
+        Values of the sensor where they are not free.
+    motion, arm : Motion, Arm, optional
+        What the first joint does; by default it hangs from a fixed point.
+    torque : bool
+        Whether the torque of the arm's motor is measured as well: the last channel.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        sensor: Sensor | None = None,
+        own: Array | None = None,
+        motion: Motion | None = None,
+        arm: Arm | None = None,
+        *,
+        torque: bool = False,
+    ) -> None:
+        self.parameters, self.sensor = parameters, sensor or Angles()
+        self.own = np.zeros(0) if own is None else own
+        self.motion, self.arm = motion, arm
+        self.motor = MotorTorque(arm) if torque and arm is not None else None
+        self._setup = Setup(parameters.guess, motion, arm, tol=PRECISION * parameters.guess.total_length)
+        self._last: tuple[bytes, _At | None] = (b"", None)
+
+    def without_torque(self) -> Plant:
+        """Return the same without the torque channel."""
+        return self if self.motor is None else Plant(self.parameters, self.sensor, self.own, self.motion, self.arm)
+
+    def predict(self, x: Array, t: Array, state: Array) -> Array | None:
+        """Return what is seen (m, C) at times t (m,) from `state` (2n,) at t[0]; None where the rollout fails."""
+        at = self._at(x)
+        if at is None or not np.isfinite(state).all():
+            return None
+        n = at.rope.n_links
+        run = prepare(at.chain, at.drive, (state[:n], state[n:]), t, self._limits(at, t))
+        if finish(run) != status.OK:
+            return None
+        seen = self.sensor.see(at.rope, self._pivot(at, t), run.y[:, :n], at.own)
+        if self.motor is not None:
+            seen = np.column_stack([seen, self.motor.see(at.chain, at.drive, at.arm, t, run.y)])
+        return seen if np.isfinite(seen).all() else None
+
+    def carried(self, x: Array, t: float, state: Array, until: float) -> Array | None:
+        """Return the state (2n,) at `until`, s, that comes of `state` at t; None where the rollout fails."""
+        at = self._at(x)
+        if at is None:
+            return None
+        n, times = at.rope.n_links, np.array([t, until])
+        run = prepare(at.chain, at.drive, (state[:n], state[n:]), times, self._limits(at, times))
+        if finish(run) != status.OK or not np.isfinite(run.y[-1]).all():
+            return None
+        return np.asarray(run.y[-1, : 2 * n].copy())
+
+    def slopes(self, x: Array, t: Array, state: Array) -> Seen | None:
+        """Return the same with exact derivatives, or None."""
+        at = self._at(x)
+        if at is None or not np.isfinite(state).all():
+            return None
+        n, start = at.rope.n_links, (state[: state.size // 2], state[state.size // 2 :])
+        try:
+            run = recorded(at.chain, at.drive, start, self._limits(at, t), float(t[0]))
+            y, dy = along(run, at.wanted, start, t)
+        except SimulationError:
+            return None
+        q, dq = y[:, :n], dy[:, :n, : len(at.wanted.names)]
+        dpivot = np.zeros((t.size, 2, at.wanted.width))
+        if self.sensor.placed:
+            place_changes(at.drive, at.wanted.directions(at.chain, at.drive), t, dpivot)
+        dpivot = dpivot[:, :, : dq.shape[2]]
+        seen = self.sensor.see(at.rope, self._pivot(at, t), q, at.own)
+        moved = self.sensor.slopes(at.rope, q, dq, dpivot, at.wanted.lengths(n), at.own)
+        shared = np.zeros((*seen.shape, len(self.parameters)))
+        shared[:, :, at.moving] = moved[:, :, 2 * n :]
+        self._add_own(at, q, shared)
+        if self.motor is not None:
+            torque = self._torque_slopes(at, t, y, dy)
+            seen = np.column_stack([seen, self.motor.see(at.chain, at.drive, at.arm, t, y)])
+            moved, shared = (
+                np.concatenate([before, added[:, None]], axis=1)
+                for before, added in zip((moved, shared), torque, strict=True)
+            )
+        if not (np.isfinite(seen).all() and np.isfinite(moved).all()):
+            return None
+        return Seen(seen, moved[:, :, : 2 * n], shared)
+
+    def residual(self, x: Array, window: Window, state: Array) -> Array | None:
+        """Return weighted prediction errors (m C,), 0 in gaps."""
+        seen = self.predict(x, window.t, state)
+        return None if seen is None else ((seen - window.y) * window.weight).ravel()
+
+    def _add_own(self, at: _At, q: Array, shared: Array) -> None:
+        """Write the derivatives with respect to the sensor's own values to their columns."""
+        own = self.sensor.own_slopes(at.rope, q, at.own)
+        for k, parameter in enumerate(self.parameters.all):
+            if (place := _place(parameter.name, parameter.links)) is not None:
+                shared[:, :, k] = parameter.scale * own[:, :, place]
+
+    def _torque_slopes(self, at: _At, t: Array, y: Array, dy: Array) -> tuple[Array, Array]:
+        """Return the derivatives of the motor's torque: (m, 2n + D) as the run's, and (m, P) by the parameters."""
+        motor, n = self.motor, at.rope.n_links
+        if motor is None:
+            raise TypeError("no torque is measured")
+        parts = at.wanted.parts[2 * n :]
+        moved = motor.slopes(at.chain, at.drive, at.arm, parts, t, y, dy[:, :, : len(at.wanted.names)])
+        shared = np.zeros((t.size, len(self.parameters)))
+        shared[:, at.moving] = moved[:, 2 * n :]
+        own = motor.own_slopes(at.chain, at.drive, t, y)
+        for k, parameter in enumerate(self.parameters.all):
+            if parameter.name in ARM:
+                shared[:, k] = parameter.scale * own[:, ARM.index(parameter.name)]
+        return moved, shared
+
+    def _limits(self, at: _At, t: Array) -> Limits:
+        return limits(self._setup, at.chain, float(t[-1]), 1_000_000)
+
+    def _pivot(self, at: _At, t: Array) -> Array:
+        """Return the first joint's places (m, 2)."""
+        return pivot_places(at.motion, self.arm, t) if self.sensor.placed else np.zeros((t.size, 2))
+
+    def _at(self, x: Array) -> _At | None:
+        key = x.tobytes()
+        if self._last[0] != key:
+            self._last = (key, self._prepared(x))
+        return self._last[1]
+
+    def _prepared(self, x: Array) -> _At | None:
+        """Return what follows from x, or None where x describes no rope."""
+        rope = self.parameters.possible(x)
+        if rope is None:
+            return None
+        motion, drive = self.motion or hold(0.0), self._setup.drive()
+        delay = self.parameters.single("delay", x)
+        if self.motion is not None and delay != 0.0:
+            motion = self.motion.shifted(delay)
+            drive = Setup(self.parameters.guess, motion, self.arm).drive()
+        own = self.own.copy()
+        for parameter, each in zip(self.parameters.all, x, strict=True):
+            if (place := _place(parameter.name, parameter.links)) is not None:
+                own[place] = parameter.value(each)
+        held = (0.0, 0.0) if self.arm is None else (self.arm.inertia, self.arm.friction)
+        arm = np.array([self.parameters.single(name, x, value) for name, value in zip(ARM, held, strict=True)])
+        moving = self.parameters.parts(x, rope)
+        n = rope.n_links
+        unit = np.eye(n)
+        parts = [{"q0": row} for row in unit] + [{"qd0": row} for row in unit]
+        for _, part in moving:
+            if "delay" in part:
+                breaks = np.full(drive.breaks.size, part["delay"][0])
+                part = {"breaks": breaks, "coef": np.zeros_like(drive.coef)}
+            parts.append(part)
+        names = tuple(str(k) for k in range(len(parts)))
+        return _At(rope, rope.chain(), motion, drive, own, arm, [k for k, _ in moving], Wanted(names, tuple(parts)))
+
+
+def _place(name: str, markers: tuple[int, ...]) -> int | None:
+    """Return which of the values of :class:`~hyperflex.identification.model.sensors.Places` a parameter is."""
+    if name == "arc":
+        return 2 + markers[0]
+    return {"origin_x": 0, "origin_y": 1}.get(name)
+
+
+def pivot_places(motion: Motion | None, arm: Arm | None, t: Array) -> Array:
+    """Return where the first joint is (m, 2), m, in the frame of its motion."""
+    motion = motion or hold(0.0)
+    place: Array = motion.point(t)
+    if arm is None:
+        return place
+    angle = motion.angle(t)
+    reached: Array = place + np.asarray(arm.pivot) + arm.length * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    return reached

@@ -1,0 +1,69 @@
+"""The common factor of all moments, frictions and stiffnesses: no motion without a known force or torque tells it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.checks import Array
+from hyperflex.identification.model.names import SHARE
+from hyperflex.identification.model.parameters import Parameters, lumped
+from hyperflex.model import Rope
+
+PARALLEL = 0.1  # part of a direction that may lie outside of others for it to count as one of them
+Mask = npt.NDArray[np.bool_]
+GROWING = ("inertia", "mass", "friction", "dry_friction", "stiffness", "tip_mass")  # in proportion to the factor
+
+
+def scaling(parameters: Parameters, x: Array) -> Array | None:
+    """Return the direction (P,) in which all moments, frictions and stiffnesses grow alike, or None if there is none.
+
+    In units of ``parameters.widths``, of length 1. It is the one that leaves the motion as it is where no known force
+    acts: d/dx of p, J (about the joint), viscous friction, dry friction and stiffness equals their own value, the
+    lengths between joints stay. Torques weigh as little as they act: one that is held hides no common factor of the
+    moments, it only limits it.
+    """
+    now, fixed = _scaled(parameters.rope(x)), np.abs(_scaled(parameters.rope(x)))
+    n = parameters.guess.n_links
+    sizes = np.concatenate([np.full(n, part.max() or 1.0) for part in fixed.reshape(-1, n)])
+    weights = np.concatenate([np.ones(3 * n), np.full(3 * n, SHARE)]) / sizes
+    columns = []
+    for k, step in enumerate(1e-6 * parameters.widths):
+        up = x.copy()
+        up[k] += step
+        columns.append((_scaled(parameters.rope(up)) - now) / step * parameters.widths[k])
+    wanted = np.where(np.arange(6 * n) // n == 2, 0.0, now) * weights
+    matrix = np.stack(columns, axis=1) * weights[:, None]
+    found: Array = np.linalg.lstsq(matrix, wanted, rcond=1e-8)[0]
+    away = (matrix @ found - wanted)[: 3 * n]
+    length = float(np.linalg.norm(found))
+    if np.linalg.norm(away) > PARALLEL * np.linalg.norm(wanted[: 3 * n]) or length == 0.0:
+        return None
+    return found / length
+
+
+def common_factor(parameters: Parameters, x: Array, unknown: Array) -> Array | None:
+    """Return `scaling` where it lies among the `unknown` directions (P, k), less what does not; else None."""
+    if unknown.shape[1] == 0:
+        return None
+    common = scaling(parameters, x)
+    if common is None or np.linalg.norm(common - unknown @ (unknown.T @ common)) > PARALLEL:
+        return None
+    return common
+
+
+def growing(parameters: Parameters, x: Array, unknown: Array) -> Mask:
+    """Return which parameters (P,) stand in an unknown common factor, True also for those at 0.
+
+    Such a one does not move along the factor: 0 stays 0. But how far it may be from 0 grows with the factor, so that
+    its own value is as unknown as that of the others; only its ratio to them is known.
+    """
+    if common_factor(parameters, x, unknown) is None:
+        return np.zeros(len(parameters), dtype=bool)
+    return np.array([p.name in GROWING and p.law != "taper" for p in parameters.all])
+
+
+def _scaled(rope: Rope) -> Array:
+    """Return p, J, lengths between joints, viscous friction, dry friction, stiffness in one row (6 n,)."""
+    between = np.append(rope.length[:-1], 0.0)
+    return np.concatenate([*lumped(rope), between, rope.friction, rope.dry_friction, rope.stiffness])

@@ -1,0 +1,110 @@
+"""Motor torque as a measured channel: what the arm and the rope ask of the motor, and how that changes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.core.chain import motor_torque as core
+from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import Drive
+from hyperflex.identification.model.parameters import Part
+from hyperflex.model import Arm
+
+ANGLE_STEP = 1e-5  # rad, and of x: differences of a smooth function then err by some 1e-10 of it
+RATE_STEP = 1e-3  # rad/s: torque is quadratic in the rates, so that only rounding errs
+_FIELDS = {"friction": "viscous", "dry_friction": "dry", "rest_angle": "rest"}
+
+
+class MotorTorque:
+    """Torque (m,) of the motor of a prescribed `arm`, N m, as ``Trajectory.motor_torque`` defines it.
+
+    Its values are the arm's inertia, kg m^2, and viscous friction, N m s/rad. The torque follows from the state at a
+    sample without any integration; its derivatives are central differences of this function, at the slip or stick of
+    each joint as it is there, chained with the exact derivatives of the state.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+
+    def see(self, chain: Chain, drive: Drive, own: Array, t: Array, y: Array) -> Array:
+        """Return the torque (m,), N m, at times t (m,) and states y (m, 2n or more)."""
+        return self._torque(chain, drive, own, t, y, self._grip(chain, drive, t, y))
+
+    def slopes(
+        self, chain: Chain, drive: Drive, own: Array, parts: tuple[Part, ...], t: Array, y: Array, dy: Array
+    ) -> Array:
+        """Return its derivatives (m, 2n + P): by the start's state, and by the parameters whose changes are `parts`.
+
+        Parameters
+        ----------
+        own : (2,) array
+        parts : P mappings
+            Changes of the chain, or of the drive's ``breaks``, see ``Parameters.parts``.
+        y : (m, 2n or more) array
+        dy : (m, 2n, 2n + P) array
+            Derivatives of angles and rates along the same directions.
+        """
+        grip = self._grip(chain, drive, t, y)
+        n = chain.length.size
+        by_state = np.empty((t.size, 2 * n))
+        for i in range(2 * n):
+            step = ANGLE_STEP if i < n else RATE_STEP
+            up, down = y.copy(), y.copy()
+            up[:, i] += step
+            down[:, i] -= step
+            change = self._torque(chain, drive, own, t, up, grip) - self._torque(chain, drive, own, t, down, grip)
+            by_state[:, i] = change / (2.0 * step)
+        result: Array = np.einsum("mi,mid->md", by_state, dy)
+        for k, part in enumerate(parts):
+            ends = [
+                self._torque(_moved(chain, part, step), _shifted(drive, part, step), own, t, y, grip)
+                for step in (ANGLE_STEP, -ANGLE_STEP)
+            ]
+            result[:, 2 * n + k] += (ends[0] - ends[1]) / (2.0 * ANGLE_STEP)
+        return result
+
+    def own_slopes(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
+        """Return its derivatives (m, 2) with respect to the arm's inertia and friction."""
+        seen = self._seen(chain, drive, t, y, np.ones((t.size, chain.length.size)))
+        return np.stack([seen[:, 3], seen[:, 2]], axis=1)
+
+    def _torque(self, chain: Chain, drive: Drive, own: Array, t: Array, y: Array, grip: Array) -> Array:
+        arm = self.arm
+        rope, angle, rate, acceleration = self._seen(chain, drive, t, y, grip).T
+        turning = (own[0] + arm.mass * arm.com**2) * acceleration + own[1] * rate
+        turning += arm.dry_friction * np.sign(np.where(rate != 0.0, rate, acceleration))  # at rest: as it will move
+        weight = -arm.mass * arm.com * (chain.gx * np.cos(angle) + chain.gy * np.sin(angle))
+        result: Array = rope + turning + weight
+        return result
+
+    @staticmethod
+    def _grip(chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
+        grip = np.ones((t.size, chain.length.size))
+        core.senses(chain, drive, t, y, grip)
+        return grip
+
+    @staticmethod
+    def _seen(chain: Chain, drive: Drive, t: Array, y: Array, grip: Array) -> Array:
+        result = np.empty((t.size, 4))
+        core.reactions(chain, drive, t, y, grip, result)
+        return result
+
+
+def _moved(chain: Chain, part: Part, step: float) -> Chain:
+    """Return the chain with the properties in `part` changed by `step` times as much."""
+    changes: dict[str, object] = {}
+    for name, change in part.items():
+        if name == "gravity":
+            changes |= {"gx": chain.gx + step * float(change[0]), "gy": chain.gy + step * float(change[1])}
+        elif name == "tip_mass":
+            changes[name] = chain.tip_mass + step * float(change[0])
+        elif name not in ("breaks", "coef"):
+            field = _FIELDS.get(name, name)
+            changes[field] = getattr(chain, field) + step * change
+    return chain._replace(**changes)  # type: ignore[arg-type]
+
+
+def _shifted(drive: Drive, part: Part, step: float) -> Drive:
+    """Return the drive with its breaks moved by `step` times as much as `part` says."""
+    return drive._replace(breaks=drive.breaks + step * part["breaks"]) if "breaks" in part else drive

@@ -1,0 +1,144 @@
+"""Prediction on the part of a recording that the fit has not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification.fit.loss import Loss
+from hyperflex.identification.fit.multiple_shooting import fit_state
+from hyperflex.identification.fit.stages import Measured
+from hyperflex.identification.fit.windows import LEAST, Window, first_state, thin
+from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.uncertainty.prediction_band import Doubt, spread
+
+BAND = 1.96  # standard deviations on either side that hold 95 %
+TINY = 1e-9  # rad or m, the least noise that samples are weighed by
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Predictions from states that were fitted on the time just before them, parameters fixed.
+
+    Attributes
+    ----------
+    rms : (C,) rad or m
+        Prediction error of each channel (each link's angle, or each marker's x and y) over all predicted samples.
+    window_rms : (W, C) rad or m
+        The same for each predicted stretch.
+    starts : (W,) s
+        Where each prediction starts.
+    lead, ahead : float, s
+        Time on which each state was fitted, and time predicted without data.
+    t (m,), measured (m, C), predicted (m, C)
+        All predicted samples, for drawing; measured is NaN in gaps. A stretch that could not be predicted, or whose
+        prediction does not stay finite, is inf throughout, and so is its rms and that of all.
+    sd (m, C) : rad or m
+        Standard deviation of measured less predicted as the fit expects it, from the parameters' covariance, the
+        fitted state and the noise, to first order; NaN where it is not known.
+    """
+
+    rms: Array
+    window_rms: Array
+    starts: Array
+    lead: float
+    ahead: float
+    t: Array
+    measured: Array
+    predicted: Array
+    sd: Array
+
+    @property
+    def inside(self) -> float:
+        """Part of the predicted values that lie within 1.96 standard deviations; NaN where none is known."""
+        known = ~np.isnan(self.measured) & ~np.isnan(self.sd)
+        away = np.abs(self.measured - self.predicted)[known]
+        return float((away <= BAND * self.sd[known]).mean()) if known.any() else float("nan")
+
+    @property
+    def failed(self) -> Array:
+        """Where predictions start that failed, s."""
+        return self.starts[np.isinf(self.window_rms).any(axis=1)]
+
+
+def predict(
+    plant: Plant,
+    x: Array,
+    measured: Measured,
+    lead: float = 0.5,
+    ahead: float = 1.0,
+    loss: Loss | None = None,
+    unsure: Doubt | None = None,
+) -> HeldOut | None:
+    """Predict what is measured piece by piece, with the parameters x.
+
+    The first prediction starts `lead` after the first sample; each next one `ahead` later, its state fitted on the
+    `lead` before it (measured data again, not the prediction). `unsure` is what the fit leaves so.
+
+    Returns
+    -------
+    HeldOut, or None where the recording is too short for one prediction.
+
+    Notes
+    -----
+    Recordings with more than 200 samples in `lead` are decimated first (every k-th sample is picked): the states are
+    fitted to, and the rms taken over, what is left. All samples count alike in both: the recording's noise is not used
+    as a weight. Where something is believed of a state, they count by the noise that the fit has found (1 rad or m
+    without `unsure`).
+    """
+    step = thin(measured.channels, lead)
+    recording, angles = measured.channels.decimate(step), measured.shape.decimate(step).data
+    t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
+    believed = np.zeros((0, 2 * angles.shape[1])) if measured.believed is None else measured.believed
+    size = 1.0 if unsure is None else max(float(np.sqrt(np.mean(unsure.noise**2))), TINY)
+    starts, times, seen, predicted, sd = [], [], [], [], []
+    for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
+        before = (t >= start - lead - slack) & (t < start + slack)
+        after = (t > start + slack) & (t <= start + ahead + slack)
+        known = ~np.isnan(data[before])
+        if not after.any() or (~np.isnan(angles[before])).sum(axis=0).min() < LEAST:
+            continue
+        guess = first_state(t[before], angles[before])
+        window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, believed)
+        found = fit_state(plant, x, window, window.guess, loss=loss)
+        starts.append(float(start))
+        times.append(t[after])
+        seen.append(data[after])
+        reached = _ahead(plant, x, window, found, t[after], unsure)
+        predicted.append(reached[0])
+        sd.append(reached[1])
+    if not starts:
+        return None
+    errors = [p - m for p, m in zip(predicted, seen, strict=True)]
+    return HeldOut(
+        _rms(np.concatenate(errors)),
+        np.array([_rms(e) for e in errors]),
+        np.array(starts),
+        lead,
+        ahead,
+        np.concatenate(times),
+        np.concatenate(seen),
+        np.concatenate(predicted),
+        np.concatenate(sd),
+    )
+
+
+def _ahead(
+    plant: Plant, x: Array, window: Window, found: tuple[Array, Array] | None, t: Array, unsure: Doubt | None
+) -> tuple[Array, Array]:
+    """Return prediction and standard deviation (m, C) at t (m,); inf and NaN where there is none."""
+    y = None if found is None else plant.predict(x, np.append(window.t[0], t), found[0])
+    shape = (t.size, window.y.shape[1])
+    if found is None or y is None or not np.isfinite(y).all():
+        return np.full(shape, np.inf), np.full(shape, np.nan)
+    return y[1:], np.full(shape, np.nan) if unsure is None else spread(plant, x, window, found, t, unsure)
+
+
+def _rms(error: Array) -> Array:
+    """Return the root mean square (C,) of errors (m, C), gaps (NaN) left out; NaN where there is nothing."""
+    known = ~np.isnan(error)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        result: Array = np.sqrt((np.where(known, error, 0.0) ** 2).sum(axis=0) / known.sum(axis=0))
+    return result

@@ -1,0 +1,229 @@
+"""What can be known: singular values, covariance under robust losses and coloured noise, ratios by the delta method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification.fit.loss import Loss
+from hyperflex.identification.fit.multiple_shooting import Fit, least_squares, linearise
+from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.model.parameters import Parameters, lumped
+from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model.scale import Mask, growing
+from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, autoregression, coloured, correlations
+from hyperflex.identification.uncertainty.whiteness import whiteness
+from hyperflex.model import Rope
+
+UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
+LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
+TOUCHED = 1e-3  # a parameter or ratio is unknown when this part of it lies in an unknown direction
+
+
+@dataclass(frozen=True)
+class Information:
+    """What the windows tell about the parameters, in units of `widths` (see ``Parameters.widths``).
+
+    singular (P,): of the derivatives of all residuals, states eliminated, largest first. known (P, k) and unknown
+    (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. correlation: autocorrelation time of
+    the residuals, samples. plain (P, P): the covariance if the residuals were white. variance: of what each residual
+    counts. freedom: of that variance, in independent values, 1 at least. terms (k,): of the residuals' autoregression;
+    agrees: whether that leaves such residuals. whiteness: probability that white noise leaves such residuals. follow:
+    how each window's state moves with x (2n, P). growing (P,): which parameters stand in an unknown common factor.
+    """
+
+    x: Array
+    widths: Array
+    singular: Array
+    known: Array
+    unknown: Array
+    covariance: Array
+    correlation: float
+    plain: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    variance: float = 1.0
+    freedom: float = np.inf
+    terms: Array = field(default_factory=lambda: np.zeros(0))
+    whiteness: float = 1.0
+    follow: tuple[Array, ...] = ()
+    agrees: bool = True
+    growing: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
+
+    def spread(self, gradient: Array) -> Array:
+        """Return the sd (k,) of functions of x with the given gradients (k, P); inf where x alone cannot tell."""
+        variance = np.einsum("ij,jk,ik->i", gradient, self.covariance, gradient)
+        scaled = gradient * self.widths
+        length = np.sqrt((scaled**2).sum(axis=1))
+        beyond = np.sqrt(((scaled @ self.unknown) ** 2).sum(axis=1)) > TOUCHED * length
+        return np.where(beyond & (length > 0.0), np.inf, np.sqrt(np.maximum(variance, 0.0)))
+
+    def deviations(self, slopes: Array) -> Array:
+        """Return the sd (P,) of the parameters' values, `slopes` (P,) of their x; inf where they cannot be known."""
+        own = self.spread(np.diag(slopes))
+        return np.where(self.growing, np.inf, own) if self.growing.size else own
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """What further questions about a fit need: the plant, its windows, where the fit stands, and what they tell."""
+
+    plant: Plant
+    windows: list[Window]
+    fit: Fit
+    information: Information
+
+
+def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
+    """Return what the fit's windows tell.
+
+    Notes
+    -----
+    Covariance A^+ M A^+ of x, with S the derivatives of the residuals less what the states absorb:
+
+    - A = mean(psi') S^T S, and what each residual counts has the variance s^2 = K^2 sum(psi^2) / freedom / mean(psi'),
+      where psi is half the slope of the loss and K = 1 + (p / n) var(psi') / mean(psi')^2 (Huber, Robust Statistics,
+      section 7.6). For squares psi is the residual and s^2 their variance.
+    - M = s^2 S^T R S: R are the autocorrelations of the residuals as an autoregression, one for all channels and
+      windows, corrected for what the fit absorbs; 1 where BIC sees none. So noise counts at the frequencies at which a
+      parameter acts.
+
+    Assumed are residuals of one stationary process, independent between channels and windows, at times that are about
+    even, and weights that are right up to a common factor. Model error is no such process: what repeats from window to
+    window is in no way covered. The cost is that of one round of the fit.
+    """
+    widths, total = plant.parameters.widths, len(plant.parameters)
+    slopes = _sensitivities(windows, fit)
+    mean = max(float(slopes.mean()), LEAST_SENSITIVITY)
+    models = _models(plant, windows, fit, mean)
+    singular, directions = _svd([model.shared * widths for model in models], total)
+    told = singular > UNKNOWN * singular[0]
+    known, unknown = directions[told].T, directions[~told].T
+    inner = known / singular[told]  # A^+ = inner inner^T
+    pieces = [model.piece(inner * widths[:, None]) for model in models]
+    terms, agrees = autoregression(pieces)
+    absorbed = sum(float((piece.basis * coloured(terms, piece.basis)).sum()) for piece in pieces)
+    freedom = max(1.0, slopes.size - absorbed)
+    factor = 1.0 + absorbed / slopes.size * float(slopes.var()) / mean**2
+    variance = factor**2 * sum(float((p.residual**2).sum()) for p in pieces) / freedom / mean
+    meat = np.sum([model.meat(terms) for model in models], axis=0) * np.outer(widths, widths)
+    plain, sandwich = inner @ inner.T, inner @ (inner.T @ meat @ inner) @ inner.T
+    scale = variance * np.outer(widths, widths)
+    memory = correlations(terms, max(piece.residual.shape[0] for piece in pieces))
+    return Information(
+        fit.x,
+        widths,
+        singular,
+        known,
+        unknown,
+        sandwich * scale,
+        autocorrelation([piece.residual for piece in pieces]),
+        plain=plain * scale,
+        variance=variance,
+        freedom=max(1.0, freedom / (2.0 * float(memory @ memory) - 1.0)),
+        terms=terms,
+        whiteness=whiteness(pieces),
+        follow=tuple(model.follow for model in models),
+        agrees=agrees,
+        growing=growing(plant.parameters, fit.x, unknown),
+    )
+
+
+@dataclass(frozen=True)
+class _Model:
+    """A window at the optimum: derivatives less what its state absorbs (M, P), and what that is.
+
+    own (M, 2n): orthonormal directions of the state. follow (2n, P): how the state moves with the parameters.
+    influence, seen (m, C): psi of the residuals, and 0 in gaps, else 1. The first m C of M rows are the window's
+    values, the rest beliefs.
+    """
+
+    shared: Array
+    own: Array
+    follow: Array
+    influence: Array
+    seen: Array
+
+    def piece(self, inner: Array) -> Piece:
+        """Return its residuals, and all directions (m, C, 2n + k) that the fit absorbs; inner (P, k)."""
+        basis = np.column_stack([self.own, self.shared @ inner])[: self.influence.size]
+        return Piece(self.influence, self.seen, basis.reshape(*self.influence.shape, -1) * self.seen[:, :, None])
+
+    def meat(self, terms: Array) -> Array:
+        """Return S^T R S (P, P)."""
+        size, shape = self.influence.size, self.influence.shape
+        rows, beliefs = self.shared[:size].reshape(*shape, -1), self.shared[size:]
+        result: Array = np.tensordot(rows, coloured(terms, rows), axes=([0, 1], [0, 1])) + beliefs.T @ beliefs
+        return result
+
+
+def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float) -> list[_Model]:
+    """Return all windows' derivatives, those of values times the root of the mean of psi'."""
+    models = []
+    for window, state, residual in zip(windows, fit.states, fit.residuals, strict=True):
+        linear = linearise(plant, window, fit.x, state, residual, Loss())
+        scale = np.ones((linear.residual.size, 1))
+        scale[: residual.size] = np.sqrt(mean)
+        by_state, shared = scale * linear.state, scale * linear.shared
+        own = np.linalg.qr(by_state)[0] if linear.known else np.zeros_like(by_state)
+        left = shared - own @ (own.T @ shared)
+        influence, seen = fit.loss.influence(residual), (window.weight > 0.0).astype(np.float64)
+        models.append(_Model(left, own, -least_squares(by_state, shared), influence.reshape(seen.shape), seen))
+    return models
+
+
+def _sensitivities(windows: Sequence[Window], fit: Fit) -> Array:
+    """Return psi' of all residuals, gaps left out."""
+    seen = [window.weight.ravel() > 0.0 for window in windows]
+    return np.concatenate([fit.loss.sensitivity(r)[s] for r, s in zip(fit.residuals, seen, strict=True)])
+
+
+def _svd(rows: Sequence[Array], total: int) -> tuple[Array, Array]:
+    """Return singular values (P,) and directions (P, P) of stacked rows (M, P)."""
+    small = [np.linalg.qr(each, mode="r") for each in rows]
+    _, singular, directions = np.linalg.svd(np.vstack([*small, np.zeros((total, total))]), full_matrices=False)
+    return singular, directions
+
+
+RATIOS = {
+    "J/p1": "inertia about the joint with all mass beyond at the far joint, m",
+    "p/p1": "first moment about the joint with all mass beyond",
+    "c/p1": "viscous friction, m/s",
+    "dry/p1": "dry friction, m^2/s^2 / m",
+    "k/p1": "stiffness, m/s^2",
+}
+
+
+def ratios(rope: Rope) -> dict[str, Array]:
+    """Return what a motion without known forces can tell at most, each (n,), over p1 = p of link 0.
+
+    ``J/p1`` (m), ``p/p1``, ``c/p1`` (m/s), and where the rope has them ``dry/p1`` and ``k/p1`` (m/s^2).
+    """
+    p, inertia = lumped(rope)
+    result = {"J/p1": inertia / p[0], "p/p1": p / p[0], "c/p1": rope.friction / p[0]}
+    if rope.dry_friction.any():
+        result["dry/p1"] = rope.dry_friction / p[0]
+    if rope.stiffness.any():
+        result["k/p1"] = rope.stiffness / p[0]
+    return result
+
+
+def ratio_spread(parameters: Parameters, information: Information) -> dict[str, Array]:
+    """Return the sd (n,) of each ratio by the delta method; inf where even the ratio cannot be known."""
+    x, names = information.x, ratios(parameters.rope(information.x))
+    step = 1e-6
+    columns = []
+    for k in range(x.size):
+        up, down = x.copy(), x.copy()
+        up[k] += step
+        down[k] = max(x[k] - step, parameters.lower[k])
+        above, below = _wide_ratios(parameters.rope(up)), _wide_ratios(parameters.rope(down))
+        columns.append({name: (above[name] - below[name]) / (up[k] - down[k]) for name in names})
+    return {name: information.spread(np.stack([c[name] for c in columns], axis=1)) for name in names}
+
+
+def _wide_ratios(rope: Rope) -> dict[str, Array]:
+    """Return the ratios with those that are 0."""
+    p, _ = lumped(rope)
+    return ratios(rope) | {"dry/p1": rope.dry_friction / p[0], "k/p1": rope.stiffness / p[0]}

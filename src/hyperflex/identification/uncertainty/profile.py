@@ -1,0 +1,283 @@
+"""Profile likelihood: how far one parameter can move before the data, all others fitted again, speak against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.identification.fit.loss import Loss
+from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit
+from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.identification.uncertainty.threshold import quantile, threshold
+from hyperflex.model import Rope
+
+if TYPE_CHECKING:
+    from hyperflex.identification.result import Identification
+
+End = Literal["crossed", "bound", "open"]
+FINISH = 1e-2  # gain of a round, in units of the residual variance, below which a point of the profile has settled
+CLOSE = 0.01  # sd to which an end is found
+LONGEST = 3.0  # factor by which a step may grow
+TRIES = 25  # points on either side
+MOST_ROUNDS = 100  # of all fits on one side; usual are ten
+BETTER = 1.0  # fall of the squares, over the residual variance, from which another optimum is said to be better
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """An interval by profile likelihood, and the curve that it comes from.
+
+    Attributes
+    ----------
+    name : str
+        Of the parameter, as in ``Identification.parameters``.
+    low, high : float
+        The interval in SI units. `low` is the bound, 0, where the data allow it; `high` is inf, or `low` -inf, where
+        no limit was found.
+    level : float
+        How often such intervals hold the truth.
+    ends : tuple of str
+        Of either end: ``crossed`` where the curve crosses the limit, ``bound`` where the parameter's own bound comes
+        first, ``open`` where neither was found (the data set no limit, or the rope cannot be simulated there).
+    values, rise, limit : (K,) array
+        The curve: values of the parameter (SI units, increasing), the least sum of squares there over the residual
+        variance, less that of the optimum, and the rise at which a value is refused.
+    kind : str
+        ``profile``; ``covariance`` where the curve was too dear to follow to its ends: the interval is then that of
+        the standard deviation.
+    gain : float
+        By how much the squares fell below those of the result on the way, over the residual variance; 0 if they did
+        not. Beyond 1 the result is not the best fit, and the interval means little.
+    better : Rope or None
+        The rope at the least of these, where `gain` is beyond 1: a guess for another fit.
+    """
+
+    name: str
+    low: float
+    high: float
+    level: float
+    ends: tuple[End, End]
+    values: Array
+    rise: Array
+    limit: Array
+    kind: Literal["profile", "covariance"] = "profile"
+    gain: float = 0.0
+    better: Rope | None = None
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A fit with the parameter held at x[which]."""
+
+    x: Array
+    states: list[Array]
+    rise: float
+    limit: float
+
+    @property
+    def excess(self) -> float:
+        """How far beyond the limit it stands, in sd; negative within."""
+        return float(np.sqrt(max(self.rise, 0.0)) - np.sqrt(self.limit))
+
+
+def profile(
+    found: Identification, name: str, level: float = 0.95, points: int = 0, *, progress: Report | None = None
+) -> Profile:
+    """Return the profile likelihood interval of one parameter.
+
+    Parameters
+    ----------
+    found : Identification
+        What :func:`identify` gave back, in the same session.
+    name : str
+        One of ``found.parameters``, e.g. ``inertia:shared``.
+    level : float
+        How often such intervals shall hold the truth.
+    points : int
+        So many more points of the curve on either side, for drawing.
+    progress : callable, optional
+        Hears of each round of each fit, as that of :func:`identify` does.
+
+    Returns
+    -------
+    Profile
+
+    Raises
+    ------
+    InvalidInput
+        For a name that was not free, or a result without its fit (read from a file).
+
+    Notes
+    -----
+    At each value all other parameters and states are fitted again, starting from where the last point leads in a
+    straight line. The rise of the squares is compared with F(1, freedom), or beside a bound with what the bound makes
+    of it (see ``_threshold``); autocorrelation divides it by the factor by which it widens the variance, and robust
+    losses count as :func:`judge` has them. Cost: about three fits of two or three rounds on either side; after a
+    hundred rounds a side is given up.
+    """
+    basis = basis_of(found)
+    level = checks.number("level", level, sign="positive")
+    if level >= 1.0:
+        raise InvalidInput("level is not a probability", got=level, allowed="between 0 and 1, such as 0.95")
+    labels = basis.plant.parameters.labels
+    if name not in labels:
+        raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(labels))
+    return profiled(basis, labels.index(name), level, checks.count("points", points, least=0), progress)
+
+
+def basis_of(found: Identification) -> Basis:
+    """Return the fit that a result keeps."""
+    basis = getattr(found, "_basis", None)
+    if not isinstance(basis, Basis):
+        raise InvalidInput("this result no longer has its fit", fix="Run identify again, in this session")
+    return basis
+
+
+def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Report | None = None) -> Profile:
+    """Return the profile of parameter number `which`; see :func:`profile`."""
+    parameter = basis.plant.parameters.all[which]
+    variances = np.diag(basis.information.covariance)
+    unknown = np.isinf(basis.information.deviations(np.ones(variances.size))[which])
+    if unknown or variances[which] <= 0.0:
+        least = parameter.value(basis.plant.parameters.lower[which])
+        return Profile(parameter.label, least, np.inf, level, ("open", "open"), *np.zeros((3, 0)))
+    walk = _Walk(basis, which, level, report)
+    kind: Literal["profile", "covariance"] = "profile"
+    try:
+        below, first = walk.side(-1.0)
+        above, second = walk.side(1.0)
+        low = parameter.value(below) if np.isfinite(below) or parameter.form == "log" else -np.inf
+        high = parameter.value(above) if np.isfinite(above) else np.inf
+        ends = first, second
+    except _TooDear:
+        kind = "covariance"
+        low, high, ends = by_covariance(basis, which, level)
+    if points:
+        walk.fill(points)
+    known = sorted((p for p in walk.points if np.isfinite(p.rise)), key=lambda p: float(p.x[which]))
+    curve = (
+        np.array([parameter.value(float(p.x[which])) for p in known]),
+        np.array([max(p.rise, 0.0) for p in known]),
+        np.array([p.limit for p in known]),
+    )
+    best = min(known, key=lambda p: p.rise)
+    gain = (basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
+    better = basis.plant.parameters.rope(best.x) if gain > BETTER else None
+    return Profile(parameter.label, low, high, level, ends, *curve, kind, max(gain, 0.0), better)
+
+
+def by_covariance(basis: Basis, which: int, level: float) -> tuple[float, float, tuple[End, End]]:
+    """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
+    information, parameter = basis.information, basis.plant.parameters.all[which]
+    least, x = float(basis.plant.parameters.lower[which]), float(information.x[which])
+    sd = float(information.deviations(np.ones(information.x.size))[which])
+    half = sd * float(np.sqrt(quantile(level, information.freedom)))
+    end: End = "bound" if x - half < least else "crossed"
+    return parameter.value(max(x - half, least)), parameter.value(x + half), (end, "crossed")
+
+
+class _TooDear(Exception):
+    """A side has taken all its rounds."""
+
+
+class _Walk:
+    """Walks away from the optimum along one parameter, to either side."""
+
+    def __init__(self, basis: Basis, which: int, level: float, report: Report | None) -> None:
+        self.basis, self.which, self.level, self.report = basis, which, level, report
+        self.left = MOST_ROUNDS
+        information, found = basis.information, basis.fit
+        self.lower = basis.plant.parameters.lower
+        self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
+        self.column = information.covariance[:, which] / information.covariance[which, which]
+        self.sd = float(np.sqrt(information.covariance[which, which]))
+        self.unit = information.variance * float(information.covariance[which, which] / information.plain[which, which])
+        self.enough = FINISH * information.variance / max(found.cost, 1e-300)
+        best = self._fit(found.x, found.states, 10)
+        self.least = best.cost
+        self.points = [self._point(best.x, best.states, best.cost)]
+
+    def _point(self, x: Array, states: list[Array], cost: float) -> _Point:
+        information = self.basis.information
+        rise = (cost - self.least) / self.unit  # negative where this optimum is a better one
+        limit = threshold(self.level, information.freedom, self.which, information.covariance, x - self.lower)
+        return _Point(x, states, rise, limit)
+
+    def _fit(self, x: Array, states: list[Array], rounds: int, held: tuple[int, ...] = ()) -> Fit:
+        """Return a fit from there, all other than `held` free."""
+        plant, windows = self.basis.plant, self.basis.windows
+        loss, enough, report = self.loss, self.enough, self.report
+        found = fit(plant, windows, x, states, loss=loss, enough=enough, rounds=rounds, report=report, held=held)
+        if found.interrupted:
+            raise KeyboardInterrupt
+        return found
+
+    def at(self, value: float) -> _Point | None:
+        """Return the fit with the parameter at `value`, from the nearest one known; None where none can be found."""
+        start = min(self.points, key=lambda p: abs(float(p.x[self.which]) - value))
+        x = np.maximum(start.x + self.column * (value - start.x[self.which]), self.lower)
+        x[self.which] = value
+        move = x - start.x
+        states = [s + f @ move for s, f in zip(start.states, self.basis.information.follow, strict=True)]
+        for begin in (states, start.states):
+            if self.left <= 0:
+                raise _TooDear
+            try:
+                found = self._fit(x, begin, min(20, self.left), held=(self.which,))
+            except InvalidInput:
+                self.left -= 1
+                continue
+            self.left -= len(found.history)
+            self.points.append(self._point(found.x, found.states, found.cost))
+            return self.points[-1]
+        return None
+
+    def side(self, sign: float) -> tuple[float, End]:
+        """Return x of the end of the interval below (-1) or above (1) the optimum, and what it is."""
+        self.left = MOST_ROUNDS
+        bound = float(self.lower[self.which]) if sign < 0.0 else np.inf
+        inside, outside = self.points[0], None
+        origin = float(inside.x[self.which])
+        step = self.sd * float(np.sqrt(quantile(self.level, self.basis.information.freedom)))
+        value = origin + sign * step
+        for _ in range(TRIES):
+            value = max(value, bound) if sign < 0.0 else value
+            if value == float(inside.x[self.which]):  # at the bound, and allowed
+                return value, "bound"
+            tried = self.at(value)
+            if tried is None:
+                value = 0.5 * (value + float(inside.x[self.which]))
+                continue
+            if abs(tried.excess) < CLOSE:
+                return value, "crossed"
+            inside, outside = (tried, outside) if tried.excess < 0.0 else (inside, tried)
+            if value == bound and tried is inside:
+                return value, "bound"
+            value = self._next(origin, inside, outside, step)
+        if outside is None:
+            return sign * np.inf, "open"
+        return float(outside.x[self.which]), "crossed"
+
+    def _next(self, origin: float, inside: _Point, outside: _Point | None, step: float) -> float:
+        """Return where to look next: where the root of the rise, as good as a straight line, meets the limit."""
+        here = float(inside.x[self.which])
+        if outside is None:
+            root = max(float(np.sqrt(max(inside.rise, 0.0) / inside.limit)), 1.0 / LONGEST)
+            return origin + max(1.0 / root, 1.05) * (here - origin) if here != origin else origin + step
+        there = float(outside.x[self.which])
+        part = -inside.excess / (outside.excess - inside.excess)
+        return here + float(np.clip(part, 0.05, 0.95)) * (there - here)
+
+    def fill(self, points: int) -> None:
+        """Add points of the curve between the optimum and the farthest one on either side."""
+        values = np.array([p.x[self.which] for p in self.points])
+        for end in (values.min(), values.max()):
+            for value in np.linspace(values[0], end, points + 2)[1:-1]:
+                self.left = MOST_ROUNDS
+                if value != values[0]:
+                    self.at(float(value))

@@ -1,0 +1,93 @@
+"""Whether residuals are noise: a portmanteau test that knows what the fit has taken out of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification.uncertainty.noise import Piece
+
+LAGS = 10  # samples, or a quarter of the shortest window
+
+
+def whiteness(parts: Sequence[Piece]) -> float:
+    """Return the probability that white noise would leave residuals as autocorrelated as these.
+
+    Parameters
+    ----------
+    parts : sequence of Piece
+        One a window; windows are taken as independent of each other.
+
+    Notes
+    -----
+    Fewer than two samples a window, or nothing left at all, tell nothing: 1. Otherwise the products of residuals k
+    samples apart, k = 1..10, summed over channels and windows, are compared with their mean and covariance under white
+    noise (Ljung and Box 1978, doi:10.1093/biomet/65.2.297; for several channels Hosking 1980,
+    doi:10.1080/01621459.1980.10477520). Channels may be correlated with each other, as angles of neighbouring links are
+    that share a marker. A fit takes part of the noise out and makes what is left negatively correlated; with many
+    windows, each with a state of its own, that alone would look like colour. Mean and covariance are those of projected
+    noise, so it does not.
+    """
+    from scipy.special import gammaincc
+
+    shortest = min(part.residual.shape[0] for part in parts)
+    if shortest < 2 or not any(part.residual.any() for part in parts):
+        return 1.0
+    lags = np.arange(1, max(1, min(LAGS, shortest // 4)) + 1)
+    spread = _spread(parts)
+    away, covariance = np.zeros(lags.size), np.zeros((lags.size, lags.size))
+    for part in parts:
+        mean, varies = _moments(part, spread, lags)
+        away += np.array([float((part.residual[k:] * part.residual[:-k]).sum()) for k in lags]) - mean
+        covariance += varies
+    statistic = float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
+    return float(gammaincc(0.5 * lags.size, 0.5 * statistic))
+
+
+def _spread(parts: Sequence[Piece]) -> Array:
+    """Return the covariance (C, C) of the channels' noise."""
+    products = sum(part.residual.T @ part.residual for part in parts)
+    pairs = sum(part.seen.T @ part.seen for part in parts)
+    taken = sum(float((part.basis**2).sum()) for part in parts)
+    values = sum(float(part.seen.sum()) for part in parts)
+    result: Array = products / np.maximum(pairs, 1.0) * values / max(1.0, values - taken)
+    return result
+
+
+def _moments(part: Piece, spread: Array, lags: Array) -> tuple[Array, Array]:
+    """Return mean (K,) and covariance (K, K) of a window's sums of products, were its noise white.
+
+    The residuals' covariance is M B M with M = 1 - Q Q^T, and B the channels' covariance at each instant:
+    B + U D U^T with U = [Q, B Q].
+    """
+    basis = part.basis
+    moved = part.seen[:, :, None] * np.einsum("cd,mdk->mck", spread, part.seen[:, :, None] * basis)
+    both = np.concatenate([basis, moved], axis=2)
+    count = basis.shape[2]
+    inner = np.einsum("mck,mcl->kl", basis, moved)
+    one = np.eye(count)
+    middle = np.block([[inner, -one], [-one, np.zeros((count, count))]])
+    flat = both.reshape(part.residual.size, -1)
+    shifted = [_neighbours(both, int(k)) for k in lags]
+    through = [flat.T @ each.reshape(flat.shape) for each in shifted]  # U^T A U
+    mean = np.array([float((middle * each).sum()) for each in through])
+    covariance = np.zeros((lags.size, lags.size))
+    for a, k in enumerate(lags):
+        together = part.seen[k:] * part.seen[:-k]
+        covariance[a, a] += float((spread**2 * (together.T @ together)).sum())
+        turned = part.seen[:, :, None] * np.einsum("cd,mdk->mck", spread, part.seen[:, :, None] * shifted[a])
+        for b in range(lags.size):
+            cross = turned.reshape(flat.shape).T @ shifted[b].reshape(flat.shape)
+            covariance[a, b] += 4.0 * float((middle * cross).sum())
+            covariance[a, b] += 2.0 * float(((middle @ through[a]) * (middle @ through[b]).T).sum())
+    return mean, 0.5 * (covariance + covariance.T)
+
+
+def _neighbours(values: Array, lag: int) -> Array:
+    """Return half of what is `lag` samples before and after each (m, ...), nothing beyond the ends."""
+    result = np.zeros_like(values)
+    result[lag:] += 0.5 * values[:-lag]
+    result[:-lag] += 0.5 * values[lag:]
+    return result

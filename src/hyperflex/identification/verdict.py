@@ -1,0 +1,191 @@
+"""In words: what a recording can tell about the free parameters, what it cannot, and what looks wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification.model.parameters import FORMS, Parameters
+from hyperflex.identification.model.scale import common_factor, growing
+from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.uncertainty.covariance import TOUCHED, Information
+from hyperflex.model import Rope
+from hyperflex.recording import Recording
+
+CORRELATED = 10.0  # samples
+FEW = 2.0  # independent values; a variance from fewer has no sd
+CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
+COLOURED = (
+    "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
+    "and intervals allow for the first, not for the second: parameters may be biased."
+)
+ALL_KNOWN = "All free parameters can be known from this motion, given those that were held."
+ALL_ACT = (
+    "Each free parameter acts in this motion in a way of its own, given those that were held; how far the values can "
+    "be trusted, the other sentences say."
+)
+LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a link
+
+
+def verdict(parameters: Parameters, information: Information, rope: Rope, spreads: dict[str, Array]) -> list[str]:
+    """Return in words what the recording can and cannot tell.
+
+    Parameters
+    ----------
+    parameters, information
+        What was free, and what the windows tell about it.
+    rope : Rope
+        As fitted.
+    spreads : dict of str to ndarray (n,)
+        Standard deviations of the ratios over p1.
+    """
+    return _unknown(parameters, information, spreads) + _values(parameters, information, rope)
+
+
+def not_arrived(status: str) -> list[str]:
+    """Return what to know before any figure is read, where a fit did not converge."""
+    if status == "converged":
+        return []
+    text = (
+        f"The fit is {status}: its values, ratios and deviations are where it stood, not what the data say. Give a "
+        "better guess, shorter windows or fewer free parameters."
+    )
+    return [text]
+
+
+def in_harmony(words: list[str]) -> list[str]:
+    """Return the sentences of a verdict, without saying that all can be known beside a warning."""
+    return words if len(words) == 1 else [ALL_ACT if text == ALL_KNOWN else text for text in words]
+
+
+def not_noise(correlation: float, whiteness: float = 1.0) -> list[str]:
+    """Return a warning where the residuals hang together over many samples, or so clearly that it is no chance.
+
+    `whiteness` is the probability that white noise leaves such residuals.
+    """
+    if correlation <= CORRELATED:
+        return [] if whiteness >= CHANCE else [COLOURED]
+    text = (
+        f"The residuals are no noise (they hang together over {correlation:.0f} samples) but errors of the model: it "
+        "leaves something out. Standard deviations and intervals then tell little: they say how estimates scatter, not "
+        "how far such errors draw them away. Parameters, friction above all, may be off by more."
+    )
+    return [text]
+
+
+def noise_unknown(agrees: bool, freedom: float) -> list[str]:
+    """Return a warning where the standard deviations rest on a noise model that does not hold, or on next to nothing.
+
+    `agrees` tells whether the residuals' autoregression leaves such residuals; `freedom` of how many independent values
+    their variance is taken.
+    """
+    if not agrees:
+        text = (
+            "No stationary noise would leave such residuals: standard deviations and intervals take them as they are, "
+            "though the fit has absorbed part of them, and may be far too small."
+        )
+        return [text]
+    if freedom < FEW:
+        text = (
+            f"What the fit has left is worth about {freedom:.2g} independent values: standard deviations and intervals "
+            "are hardly more than a guess. Record longer, or free fewer parameters."
+        )
+        return [text]
+    return []
+
+
+def too_large(variance: float, freedom: float) -> list[str]:
+    """Return a warning where residuals are larger than the noise that the recording declares, beyond chance.
+
+    `variance` is that of the residuals over the declared noise's, from `freedom` independent values.
+    """
+    from scipy.special import gammaincc
+
+    if gammaincc(0.5 * freedom, 0.5 * freedom * variance) >= CHANCE:
+        return []
+    text = (
+        f"The residuals are {np.sqrt(variance):.3g} times as large as the declared noise: it is larger than that, or "
+        "the model leaves something out, and parameters may be biased by more than their intervals say."
+    )
+    return [text]
+
+
+def other_lengths(recording: Recording, rope: Rope) -> list[str]:
+    """Return a warning where the distances of the markers are not the link lengths that the rope was given."""
+    if recording.kind != "markers":
+        return []
+    measured = recording.link_lengths()
+    if (np.abs(measured / rope.length - 1.0) <= LENGTHS_AGREE).all():
+        return []
+    lengths = ", ".join(f"{seen:.4g} for {given:.4g}" for seen, given in zip(measured, rope.length, strict=True))
+    return [f"The markers lie {lengths} m apart: check their scale, or the link lengths. The angles do not show it."]
+
+
+def failed_predictions(held_out: HeldOut | None) -> list[str]:
+    """Return a warning where held-out stretches could not be predicted."""
+    if held_out is None or held_out.failed.size == 0:
+        return []
+    starts = ", ".join(f"{start:.4g}" for start in held_out.failed)
+    text = (
+        f"{held_out.failed.size} of {held_out.starts.size} held-out predictions failed (from t = {starts} s): the "
+        "identified rope cannot be simulated there, and the prediction error counts as infinite."
+    )
+    return [text]
+
+
+def _unknown(parameters: Parameters, information: Information, spreads: dict[str, Array]) -> list[str]:
+    """Return what cannot be known: a common factor, parameters that do not act, and those that act alike."""
+    unknown = information.unknown
+    if unknown.shape[1] == 0:
+        return [ALL_KNOWN]
+    common = common_factor(parameters, information.x, unknown)
+    others = unknown if common is None else unknown - np.outer(common, common @ unknown)
+    idle = np.sqrt((others**2).sum(axis=1)) > 1.0 - TOUCHED
+    shares = np.sqrt((unknown**2).sum(axis=1))
+    grows = growing(parameters, information.x, unknown)
+    idle &= ~grows
+    free = zip(parameters.all, (shares > TOUCHED) | grows, idle, strict=True)
+    names = ", ".join(dict.fromkeys(p.name for p, touched, alone in free if touched and not alone))
+    count = unknown.shape[1] - int(idle.sum())
+    said = [_together(names, count, spreads, common is not None)] if count else []
+    said.extend(
+        f"{label} cannot be known: it does not act in this motion, and its value means nothing. Leave it out of free, "
+        "or record a motion in which it acts."
+        for label, alone in zip(parameters.labels, idle, strict=True)
+        if alone
+    )
+    return said
+
+
+def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -> str:
+    """Return what to say of `count` directions in which several parameters cannot be told apart."""
+    lost = [name for name, sd in spreads.items() if np.isinf(sd).any()]
+    known = f"Not even these ratios are known: {', '.join(lost)}." if lost else "The ratios over p1 are known."
+    if common:
+        what = "One common factor" if count == 1 else f"{count} combinations"
+        return (
+            f"{what} of {names} cannot be known from this motion (no known force or torque acts); their values are one "
+            f"choice of many that move alike. {known} To fix the values, weigh the links and leave mass and com out of "
+            "free."
+        )
+    what = "One combination" if count == 1 else f"{count} combinations"
+    return (
+        f"{what} of {names} cannot be known: these parameters act alike in this motion and cannot be told apart; their "
+        f"values are one choice of many. {known} To fix the values, leave out of free what you can measure otherwise, "
+        "or record a motion in which they act differently."
+    )
+
+
+def _values(parameters: Parameters, information: Information, rope: Rope) -> list[str]:
+    """Return what looks odd about single values."""
+    said = []
+    sd = information.deviations(parameters.slopes(information.x))
+    values = parameters.values(parameters.rounded(information.x))
+    for parameter, value, spread in zip(parameters.all, values, sd, strict=True):
+        if parameter.form == "nonnegative" and value == 0.0:
+            said.append(f"{parameter.label} went to 0, the least allowed: the data show none of it.")
+        elif FORMS[parameter.name] != "linear" and np.isfinite(spread) and spread > 0.5 * value:
+            said.append(f"{parameter.label} is hardly known: {value:.3g} with a standard deviation of {spread:.2g}.")
+    if "inertia" in {p.name for p in parameters.all} and (rope.inertia == 0.0).any():
+        said.append("An inertia at 0 may mean that the masses held do not fit: put 'mass' into free as well.")
+    return said

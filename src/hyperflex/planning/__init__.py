@@ -1,0 +1,107 @@
+"""Casting: throw a rope round a target, wind it and hold; whip: bring its tip fast through a point."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import loader
+
+if TYPE_CHECKING:
+    from hyperflex.planning.cast_plan import CastPlan
+    from hyperflex.planning.cast_setup import Thrower
+    from hyperflex.planning.feedback.closed_loop import Followed, Look, follow
+    from hyperflex.planning.feedback.simulated_ropes import DrawnWorld, DrivenWorld
+    from hyperflex.planning.files import read_plan
+    from hyperflex.planning.motor_limits import MotorLimits
+    from hyperflex.planning.plan import plan_cast
+    from hyperflex.planning.robust.success_probability import Success, success
+    from hyperflex.planning.robust.uncertainty import Draw, Uncertainty
+    from hyperflex.planning.whip.files import read_whip
+    from hyperflex.planning.whip.impact import Impact
+    from hyperflex.planning.whip.outcome import Lash
+    from hyperflex.planning.whip.plan import WhipPlan, plan_whip
+    from hyperflex.planning.whip.reachability import WhipReach, reach_whip
+    from hyperflex.planning.whip.search import WhipMap, whip_map
+    from hyperflex.planning.whip.strokes import Strokes
+    from hyperflex.planning.whip.tip_target import Mark
+    from hyperflex.planning.wind.holding import Holding
+    from hyperflex.planning.wind.nearest_target import Nearest
+    from hyperflex.planning.wind.outcome import Cast, verify
+    from hyperflex.planning.wind.reachability import Reach, reach
+    from hyperflex.planning.wind.throw import Throw
+
+_HOMES = {
+    "Cast": "wind.outcome",
+    "CastPlan": "cast_plan",
+    "Draw": "robust.uncertainty",
+    "DrawnWorld": "feedback.simulated_ropes",
+    "DrivenWorld": "feedback.simulated_ropes",
+    "Followed": "feedback.closed_loop",
+    "Holding": "wind.holding",
+    "Impact": "whip.impact",
+    "Lash": "whip.outcome",
+    "Look": "feedback.closed_loop",
+    "Mark": "whip.tip_target",
+    "MotorLimits": "motor_limits",
+    "Nearest": "wind.nearest_target",
+    "Reach": "wind.reachability",
+    "Strokes": "whip.strokes",
+    "Success": "robust.success_probability",
+    "Throw": "wind.throw",
+    "Thrower": "cast_setup",
+    "Uncertainty": "robust.uncertainty",
+    "WhipMap": "whip.search",
+    "WhipPlan": "whip.plan",
+    "WhipReach": "whip.reachability",
+    "follow": "feedback.closed_loop",
+    "plan_cast": "plan",
+    "plan_whip": "whip.plan",
+    "reach": "wind.reachability",
+    "reach_whip": "whip.reachability",
+    "read_plan": "files",
+    "read_whip": "whip.files",
+    "success": "robust.success_probability",
+    "verify": "wind.outcome",
+    "whip_map": "whip.search",
+}
+
+__all__ = [
+    "Cast",
+    "CastPlan",
+    "Draw",
+    "DrawnWorld",
+    "DrivenWorld",
+    "Followed",
+    "Holding",
+    "Impact",
+    "Lash",
+    "Look",
+    "Mark",
+    "MotorLimits",
+    "Nearest",
+    "Reach",
+    "Strokes",
+    "Success",
+    "Throw",
+    "Thrower",
+    "Uncertainty",
+    "WhipMap",
+    "WhipPlan",
+    "WhipReach",
+    "follow",
+    "plan_cast",
+    "plan_whip",
+    "reach",
+    "reach_whip",
+    "read_plan",
+    "read_whip",
+    "success",
+    "verify",
+    "whip_map",
+]
+
+__getattr__ = loader(__name__, _HOMES)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

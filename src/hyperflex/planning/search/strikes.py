@@ -1,0 +1,203 @@
+"""Free swings in batch: where the rope first strikes the peg, and what its tail could do from there.
+
+Nothing here knows of contact, so a swing costs some milliseconds. What it tells is no more than a promise: at the
+strike the rope's tail is taken as a body that turns about the peg, and its energy of turning is set against what lifts
+its centre of mass over the top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.checks import Array
+from hyperflex.model import Arm, Peg, Rope
+from hyperflex.motion import Motion
+from hyperflex.planning.cast_setup import Thrower
+from hyperflex.planning.search.batch_rollout import finished
+from hyperflex.planning.wind.throw import Throw
+from hyperflex.simulation import simulate_batch
+
+SAMPLE_TIME = 0.02  # s, between looks at a swing
+COARSE_TOL = 1e-4  # m, of swings in a search; with 1e-3, no more than a quarter faster, the best were often errors
+NEAR = 0.02  # m, gap from which on the rope is said to strike
+ENOUGH, TURNS_ENOUGH = 2.0, 2.0  # energy ratio, and turns of tail, beyond which more does not count
+USED = 0.7  # turns' worth of tail that hangs from the peg in the end, and does not wind
+NEVER = -1.0  # score of a swing that strikes nothing, less its distance in metres
+
+
+@dataclass(frozen=True, eq=False)
+class Strikes:
+    """First strikes of several swings (M,).
+
+    Attributes
+    ----------
+    score : (M,) float64
+        The more, the better; below 0 where nothing is struck.
+    ratio : (M,) float64
+        Energy of turning about the peg over what lifts the tail's centre over the top.
+    turns : (M,) float64
+        Length of the tail in turns about the peg.
+    t : (M,) float64
+        Last sample before the strike, s; NaN where there is none.
+    q, qd : (M, n) float64
+        State there.
+    """
+
+    score: Array
+    ratio: Array
+    turns: Array
+    t: Array
+    q: Array
+    qd: Array
+
+    def part(self, rows: Sequence[int]) -> Strikes:
+        """Some of them, each as often as it is asked for."""
+        return Strikes(*(getattr(self, one.name)[list(rows)] for one in fields(self)))
+
+
+def fly(thrower: Thrower, peg: Peg, throws: Sequence[Throw], *, threads: int | None = None) -> Strikes:
+    """Let the rope swing freely under each throw and look for its first strike on a peg."""
+    return look(thrower, peg, [throw.motion(thrower.limits) for throw in throws], threads=threads)
+
+
+def look(thrower: Thrower, peg: Peg, motions: Sequence[Motion], *, threads: int | None = None) -> Strikes:
+    """Find the first strikes on a peg of a rope that swings freely under each motion, from rest at t = 0."""
+    rope = thrower.rope
+    count = round(thrower.time / SAMPLE_TIME)
+    t: Array = SAMPLE_TIME * np.arange(1.0, count + 1.0)
+    batch = simulate_batch(
+        rope,
+        list(motions),
+        arm=thrower.arm,
+        duration=float(t[-1]),
+        t_eval=t,
+        tol=COARSE_TOL,
+        keep=("q", "qd"),
+        threads=threads,
+    )
+    finished(batch)
+    return found(thrower, peg, motions, t, batch.q, batch.qd)
+
+
+def found(thrower: Thrower, peg: Peg, motions: Sequence[Motion], t: Array, q: Array, qd: Array) -> Strikes:
+    """Find the first strikes in samples q, qd (M, T, n) at times t (T,) of free swings under motions (M,)."""
+    base = np.stack([arm_tip(thrower.arm, motion, t) for motion in motions])
+    base_velocity = np.stack([arm_tip_velocity(thrower.arm, motion, t) for motion in motions])
+    at, link, least = first(np.nan_to_num(q), base, thrower.rope.length, peg, thrower.rope.radius)
+    struck = (at > 0) & np.isfinite(q).all(axis=(1, 2))
+    rows, at = np.arange(len(motions)), np.where(struck, at, 1)
+    ratio, left = promise(thrower, peg, (q[rows, at], qd[rows, at]), (base[rows, at], base_velocity[rows, at]), link)
+    tail = np.clip(left - USED, 0.0, TURNS_ENOUGH)
+    score = np.where(struck, np.minimum(ratio, ENOUGH) * tail, NEVER - least)
+    return Strikes(
+        np.nan_to_num(score, nan=2.0 * NEVER),
+        np.where(struck, ratio, 0.0),
+        np.where(struck, left, 0.0),
+        np.where(struck, t[at - 1], np.nan),
+        q[rows, at - 1],
+        qd[rows, at - 1],
+    )
+
+
+def arm_tip(arm: Arm, motion: Motion, t: Array) -> Array:
+    """Place of the rope's first joint (T, 2) at times t (T,), m."""
+    angle = motion.angle(t)
+    return np.asarray(np.stack([np.sin(angle), -np.cos(angle)], axis=-1) * arm.length + np.array(arm.pivot))
+
+
+def arm_tip_velocity(arm: Arm, motion: Motion, t: Array) -> Array:
+    """Velocity of the rope's first joint (T, 2) at times t (T,), m/s."""
+    angle, rate = motion.angle(t), motion.rate(t)
+    return np.asarray(np.stack([np.cos(angle), np.sin(angle)], axis=-1) * (arm.length * rate)[:, None])
+
+
+def first(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) -> tuple[Array, Array, Array]:
+    """Return the sample and the link of the first strike on a peg, and the smallest distance.
+
+    Parameters
+    ----------
+    q : (M, T, n) rad
+    base : (M, T, 2) m, the rope's first joint
+    length : (n,) m, or (M, 1, n), each member's own
+    peg : Peg
+    rope_radius : float, m
+
+    Returns
+    -------
+    at : (M,) int64
+        Sample; 0 where nothing is struck.
+    link : (M,) int64
+    least : (M,) float64
+        Smallest gap, m.
+    """
+    links = np.moveaxis(q, 2, 0)
+    sin, cos = np.sin(links, order="C"), np.cos(links, order="C")
+    x, y = peg.x - base[..., 0], peg.y - base[..., 1]  # from a link's motor-side joint to the peg
+    gap, beside = np.empty_like(sin), np.empty_like(sin)
+    each = np.moveaxis(np.broadcast_to(length, (len(q), 1, q.shape[2])), 2, 0)
+    for i, (s, c, long) in enumerate(zip(sin, cos, each, strict=True)):
+        along = x * s - y * c
+        beside[i] = np.where((along > 0.0) & (along < long), x * c + y * s, 0.0)
+        along = np.clip(along, 0.0, long)
+        gap[i] = np.sqrt((x - along * s) ** 2 + (y + along * c) ** 2)
+        x, y = x - long * s, y + long * c
+    gap -= peg.radius + rope_radius
+    near: npt.NDArray[np.bool_] = np.asarray((gap < NEAR).any(axis=0))
+    hit = near & np.logical_or.accumulate(~near, axis=1)  # a rope that hangs beside the peg leaves it before it strikes
+    hit[:, 1:] |= (gap[..., 1:] < 0.0).any(axis=0)  # or swings into it
+    hit[:, 1:] |= (beside[..., 1:] * beside[..., :-1] < 0.0).any(axis=0)  # through it between two samples
+    at = np.where(hit.any(axis=1), hit.argmax(axis=1), 0)
+    link = gap[:, np.arange(len(q)), at].argmin(axis=0)
+    return at, link, np.maximum(gap.min(axis=(0, 2)), 0.0)
+
+
+def bodies(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
+    """Places and velocities of the links' centres of mass and of the tip (M, n + 1, 2), m, m/s.
+
+    Parameters
+    ----------
+    rope : Rope
+    q, qd : (M, n) rad, rad/s
+    base, velocity : (M, 2) m, m/s, of the first joint
+    """
+    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
+    across = np.stack([np.cos(q), np.sin(q)], axis=-1) * qd[..., None]
+    ends = base[:, None] + np.cumsum(rope.length[:, None] * along, axis=1)
+    speeds = velocity[:, None] + np.cumsum(rope.length[:, None] * across, axis=1)
+    back = (rope.length - rope.com)[:, None]
+    return (
+        np.concatenate([ends - back * along, ends[:, -1:]], axis=1),
+        np.concatenate([speeds - back * across, speeds[:, -1:]], axis=1),
+    )
+
+
+def promise(
+    thrower: Thrower, peg: Peg, state: tuple[Array, Array], base: tuple[Array, Array], link: Array
+) -> tuple[Array, Array]:
+    """Return the energy ratio and the turns of tail (M,) of strikes with link `link` (M,) in given states.
+
+    Parameters
+    ----------
+    thrower : Thrower
+    peg : Peg
+    state : q, qd, (M, n) each
+    base : place and velocity of the first joint, (M, 2) each
+    link : (M,) int64
+    """
+    rope = thrower.rope
+    places, speeds = bodies(rope, *state, *base)
+    places -= np.array([peg.x, peg.y])
+    mass = np.append(rope.mass, rope.tip_mass) * (np.arange(rope.n_links + 1) >= link[:, None])
+    momentum = (mass * (places[..., 0] * speeds[..., 1] - places[..., 1] * speeds[..., 0])).sum(axis=1)
+    inertia = (mass * (places**2).sum(axis=2)).sum(axis=1)
+    whole = mass.sum(axis=1)
+    centre = (mass[..., None] * places).sum(axis=1) / whole[:, None]
+    down = np.array(rope.gravity)
+    weight = np.hypot(*down)
+    lift = whole * (weight * np.hypot(*centre.T) + centre @ down)
+    left = np.array([rope.length[k:].sum() for k in link]) / (2.0 * np.pi * (peg.radius + rope.radius))
+    return 0.5 * momentum**2 / np.maximum(inertia * np.maximum(lift, 1e-12), 1e-300), left

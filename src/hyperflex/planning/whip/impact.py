@@ -1,0 +1,131 @@
+"""The blow of a whip on something small that stands at its target: impulse and energy from a run with contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.model import DEFAULT_CONTACT_STEP, Peg
+from hyperflex.motion import Motion
+from hyperflex.planning.cast_setup import Thrower
+from hyperflex.planning.whip.tip_target import Mark
+from hyperflex.simulation import simulate
+from hyperflex.trajectory import Trajectory
+
+RADIUS, BLOW, WINDOW = 0.01, 0.05, 0.15  # m, s, s: a peg to strike; how long a blow is watched; when it is expected
+SUDDEN = 0.01  # part of the energy lost in a blow from which on a sample's loss is that of an impact
+
+
+@dataclass(frozen=True)
+class Impact:
+    """A whip's blow on a small fixed peg whose surface is at the target.
+
+    Attributes
+    ----------
+    t : float
+        When the rope first touches it, s; NaN if it does not, and then the rest is 0.
+    impulse : float
+        What the peg takes up in BLOW seconds, N s.
+    along : float
+        Its part in the asked direction, N s.
+    energy : float
+        Energy that is lost to the blow, J.
+    link : int
+        That strikes first, counted from the motor; -1 if none does.
+    """
+
+    t: float
+    impulse: float
+    along: float
+    energy: float
+    link: int
+
+
+def impact(
+    thrower: Thrower, mark: Mark, motion: Motion, near: float, *, radius: float = RADIUS, mu: float = 0.3
+) -> Impact:
+    """Run a motion beside a small fixed peg at the target and measure the blow.
+
+    Parameters
+    ----------
+    thrower : Thrower
+    mark : Mark
+        The peg lies behind it in the asked direction, so that the tip touches the peg where it passes the target.
+    motion : Motion
+    near : float
+        When the blow is expected, s.
+    radius : float
+        Of the peg, m.
+    mu : float
+        Friction on it.
+
+    Raises
+    ------
+    SimulationError
+        If the run fails.
+    """
+    radius = checks.number("radius", radius, sign="positive", unit="m")
+    way = np.array([np.cos(mark.direction), np.sin(mark.direction)])
+    x, y = mark.point + (radius + thrower.rope.radius) * way
+    step = 0.5 * DEFAULT_CONTACT_STEP
+    begin = max(step, near - WINDOW)
+    t = np.append(0.0, begin + step * np.arange(np.ceil((near - begin + WINDOW + BLOW) / step)))
+    peg = Peg(float(x), float(y), radius, mu)
+    run = simulate(thrower.rope, motion, arm=thrower.arm, duration=float(t[-1]), t_eval=t, pegs=[peg], refine=False)
+    loss = np.asarray(run.contact_loss)
+    force = -np.asarray(run.contact_force)  # on the peg
+    touched = (loss > loss[1]) | (np.abs(force).sum(axis=(1, 2)) > 0.0)
+    touched[:2] = False
+    if not touched.any():
+        return Impact(float("nan"), 0.0, 0.0, 0.0, -1)
+    first = int(touched.argmax())
+    last = min(first + round(BLOW / step), t.size - 1)
+    energy = float(loss[last] - loss[first - 1])
+    total = step * force[first : last + 1].sum(axis=(0, 1))
+    for k in range(first, last + 1):
+        if loss[k] - loss[k - 1] > SUDDEN * energy:
+            total = total - struck(run, peg, k)
+    link = _touching(run, peg, first)[0]
+    return Impact(float(run.t[first]), float(np.hypot(*total)), float(total @ way), energy, link)
+
+
+def struck(run: Trajectory, peg: Peg, k: int) -> Array:
+    """Impulse (2,) of an impact on the rope between samples k - 1 and k, N s.
+
+    From the jump of the generalised momenta: an impulse P at distance s along link c changes that of link i by
+    l_i t_i P before c, by s t_c P at c and not beyond, with t_i across link i. Forces of the same short time are left
+    out.
+    """
+    length = run.setup.rope.length
+    link, along = _touching(run, peg, k)
+    lever = np.where(np.arange(length.size) < link, length, 0.0)
+    lever[link] = along
+    across = np.stack([np.cos(run.q[k]), np.sin(run.q[k])], axis=-1)
+    jump = momenta(run, k) - momenta(run, k - 1)
+    return np.asarray(np.linalg.lstsq(lever[:, None] * across, jump, rcond=None)[0])
+
+
+def momenta(run: Trajectory, k: int) -> Array:
+    """Generalised momentum of each link's angle at sample k (n,), N m s."""
+    rope = run.setup.rope
+    across = np.stack([np.cos(run.q[k]), np.sin(run.q[k])], axis=-1)
+    spin = run.qd[k][:, None] * across
+    ends = run.base_velocity[k] + np.cumsum(rope.length[:, None] * spin, axis=0)
+    centres = ends + (rope.com - rope.length)[:, None] * spin
+    carried = rope.mass[:, None] * centres
+    beyond = carried.sum(axis=0) + rope.tip_mass * ends[-1] - np.cumsum(carried, axis=0)
+    own = rope.com[:, None] * carried + rope.length[:, None] * beyond
+    return np.asarray((own * across).sum(axis=1) + rope.inertia * run.qd[k])
+
+
+def _touching(run: Trajectory, peg: Peg, k: int) -> tuple[int, float]:
+    """Return the link nearest to a peg at sample k, and how far along it the nearest point is, m."""
+    length, q = run.setup.rope.length, run.q[k]
+    out = np.array([peg.x, peg.y]) - run.joints[k, :-1]
+    along = np.clip(out[:, 0] * np.sin(q) - out[:, 1] * np.cos(q), 0.0, length)
+    gap = np.hypot(out[:, 0] - along * np.sin(q), out[:, 1] + along * np.cos(q))
+    link = int(gap.argmin())
+    return link, float(along[link])

@@ -1,0 +1,259 @@
+"""From raw columns and what is declared about them to a Recording in SI units and the package's axes.
+
+Nothing is guessed: what neither the file nor the caller declares is refused, and what both declare must agree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.recording.recording import Kind, Recording, per_sample, unwrap
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
+RADIANS = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "turn": 2.0 * math.pi}
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+FASTEST = 300.0  # rad/s, 48 turns a second: faster than any pendulum or rope link seen in recordings so far
+LONG = 3.5  # usual steps; up to two missing rows leave the slope of a well sampled swing readable
+HUGE = 1e60  # no measurement; larger ones overflow where products of angles, rates and times are squared
+
+OPTIONS: dict[str, tuple[str, ...]] = {
+    "time_unit": (*SECONDS, "frame"),
+    "y_axis": ("up", "down"),
+    "zero": ("hanging", "up"),
+    "sense": ("+x", "-x"),
+    "angles": ("absolute", "relative"),
+}
+DEFAULTS = {"zero": "hanging", "sense": "+x", "angles": "absolute"}
+
+
+@dataclass(frozen=True)
+class Raw:
+    """Columns as a file holds them, and what the file declares about them.
+
+    ``declared`` binds the caller too; ``usual`` is what the format means unless the caller says otherwise.
+    """
+
+    t: Array
+    data: Array
+    kind: Kind
+    noise: Array | None = None
+    rates: Array | None = None
+    declared: Mapping[str, object] = field(default_factory=dict)
+    usual: Mapping[str, object] = field(default_factory=dict)
+    convention: str = ""
+    name: str = ""
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What the caller declares; None stands for nothing."""
+
+    time_unit: str | None = None
+    unit: str | None = None
+    frame_rate: float | None = None
+    y_axis: str | None = None
+    scale: float | None = None
+    zero: str | None = None
+    sense: str | None = None
+    angles: str | None = None
+    wrapped: bool | None = None
+    noise: object = None
+    max_rate: float = FASTEST
+
+
+def settle(raw: Raw, given: Arguments) -> Recording:
+    """Return `raw` as a Recording, or say what has not been declared."""
+    said = _Said(raw, given)
+    said.require_all()
+    _check_size(raw)
+    t = _seconds(raw, said)
+    spread = _spread(raw, given)
+    convert = _angles if raw.kind == "angles" else _markers
+    data, spread, rates, convention = convert(raw, said, spread)
+    recording = Recording(t, data, raw.kind, spread, rates, raw.convention or convention, raw.name, raw.source)
+    if recording.kind == "angles":
+        _check_speed(recording, checks.number("max_rate", given.max_rate, sign="positive", unit="rad/s"))
+    return recording
+
+
+def _check_size(raw: Raw) -> None:
+    """Refuse infinite and absurdly large numbers before anything is computed with them."""
+    for name, values in (("t", raw.t), ("data", raw.data), ("rates", raw.rates), ("noise", raw.noise)):
+        bad = np.argwhere(np.abs(values) > HUGE) if values is not None else np.empty((0, 0))
+        if values is not None and bad.size:
+            place = tuple(int(k) for k in bad[0])
+            raise InvalidInput(
+                f"{raw.source}: {name}{list(place)} cannot be used",
+                got=float(values[place]),
+                allowed=f"finite numbers up to {HUGE:g} in size (NaN marks a gap)",
+            )
+
+
+def _spread(raw: Raw, given: Arguments) -> Array | None:
+    """Return the noise of each sample: the caller's, which must not contradict a note, or the file's."""
+    note = raw.declared.get("noise")
+    own = raw.noise if note is None else note
+    if given.noise is None:
+        return None if own is None else per_sample(own, raw.data)
+    spread = per_sample(given.noise, raw.data)
+    if note is not None and not np.array_equal(spread, per_sample(note, raw.data)):
+        raise InvalidInput(
+            f"{raw.source} declares noise = {note!r}, the argument something else",
+            got=given.noise,
+            fix="Leave noise out, or mend the file",
+        )
+    return spread
+
+
+class _Said:
+    """Looks a declaration up: the caller's and the file's must agree; then the format's custom; then the default."""
+
+    def __init__(self, raw: Raw, given: Arguments) -> None:
+        self.raw, self.given = raw, given
+
+    def find(self, key: str) -> object:
+        """Return what is declared for `key`, or None."""
+        argument, file = getattr(self.given, key), self.raw.declared.get(key)
+        if argument is not None and file is not None and argument != file:
+            raise InvalidInput(
+                f"{self.raw.source} declares {key} = {file!r}, the argument something else",
+                got=argument,
+                fix=f"Leave {key} out, or mend the file",
+            )
+        for value in (argument, file, self.raw.usual.get(key), DEFAULTS.get(key)):
+            if value is not None:
+                return value
+        return None
+
+    def require_all(self) -> None:
+        """Refuse with the names of all arguments that are still wanted."""
+        wanted = {"time_unit": OPTIONS["time_unit"], "unit": tuple(RADIANS)}
+        if self.raw.kind == "markers":
+            wanted = {"time_unit": OPTIONS["time_unit"], "unit": (*METRES, "px"), "y_axis": OPTIONS["y_axis"]}
+        missing = [key for key in wanted if self.find(key) is None]
+        if self.find("time_unit") == "frame" and self.find("frame_rate") is None:
+            missing.append("frame_rate")
+        if self.find("unit") == "px" and self.find("scale") is None:
+            missing.append("scale")
+        if missing:
+            words = {key: f"{key} ({' | '.join(options)})" for key, options in wanted.items()}
+            words |= {"frame_rate": "frame_rate (frames/s)", "scale": "scale (m per pixel)"}
+            raise InvalidInput(
+                f"{self.raw.source} holds {self.raw.kind} but does not declare {', '.join(missing)}",
+                fix=f"Pass {', '.join(words[key] for key in missing)}; nothing is guessed",
+            )
+
+    def choice(self, key: str, options: tuple[str, ...]) -> str:
+        """Return the declared option."""
+        return checks.choice(key, self.find(key), options)
+
+    def number(self, key: str, unit: str) -> float:
+        """Return the declared positive number."""
+        return checks.number(key, self.find(key), sign="positive", unit=unit)
+
+
+def _seconds(raw: Raw, said: _Said) -> Array:
+    """Return the sample times in s."""
+    unit = said.choice("time_unit", OPTIONS["time_unit"])
+    if unit == "frame":
+        return raw.t / said.number("frame_rate", "frames/s")
+    if said.find("frame_rate") is not None:
+        raise InvalidInput(
+            "frame_rate is given, but the times are in " + unit,
+            got=said.find("frame_rate"),
+            fix="Leave frame_rate out, or pass time_unit='frame' if the time column counts frames",
+        )
+    return raw.t * SECONDS[unit]
+
+
+Converted = tuple[Array, Array | None, Array | None, str]
+
+
+def _angles(raw: Raw, said: _Said, noise: Array | None) -> Converted:
+    """Return absolute angles in rad from hanging, their noise, rates, and what was done."""
+    unit = said.choice("unit", tuple(RADIANS))
+    zero, sense, kind = (said.choice(key, OPTIONS[key]) for key in ("zero", "sense", "angles"))
+    for key in ("y_axis", "scale"):
+        if said.find(key) is not None:
+            raise InvalidInput(f"{key} is for markers, but {raw.source} holds angles", got=said.find(key))
+    factor = RADIANS[unit] * (1.0 if sense == "+x" else -1.0)
+    data = raw.data * factor
+    rates = None if raw.rates is None else raw.rates * factor
+    noise = None if noise is None else noise * abs(factor)
+    if said.find("wrapped"):
+        data = unwrap(data)
+    if kind == "relative":
+        data = np.cumsum(data, axis=1)
+        rates = None if rates is None else np.cumsum(rates, axis=1)
+        noise = None if noise is None else np.sqrt(np.cumsum(noise**2, axis=1))
+    if zero == "up":
+        data = data - math.pi
+    text = f"absolute link angles in rad, 0 hanging, positive towards +x; read as {kind} angles in {unit}, "
+    return data, noise, rates, text + f"zero {zero}, positive towards {sense}"
+
+
+def _markers(raw: Raw, said: _Said, noise: Array | None) -> Converted:
+    """Return marker positions in m with y up, their noise, and what was done."""
+    unit = said.choice("unit", (*METRES, "px"))
+    y_axis = said.choice("y_axis", OPTIONS["y_axis"])
+    if unit == "px":
+        factor = said.number("scale", "m per pixel")
+    elif said.find("scale") is not None:
+        raise InvalidInput(f"scale is for pixels, but the positions are in {unit}", got=said.find("scale"))
+    else:
+        factor = METRES[unit]
+    flip = np.where(np.arange(raw.data.shape[1]) % 2 == 1, -1.0 if y_axis == "down" else 1.0, 1.0)
+    noise = None if noise is None else noise * factor
+    text = f"positions in m, x right, y up, markers at the joints, the first at the pivot; read in {unit}, y {y_axis}"
+    if unit == "px":
+        text += f", {factor:g} m per pixel"
+    return raw.data * factor * flip, noise, None, text
+
+
+def _check_speed(recording: Recording, fastest: float) -> None:
+    """Notice wrong units of angles: links that turn impossibly fast, or rates that are not the angles' slope."""
+    for k, column in enumerate(recording.data.T):
+        known = ~np.isnan(column)
+        turn, step = np.diff(column[known]), np.diff(recording.t[known])
+        too_fast = np.abs(turn) > fastest * step
+        if too_fast.any():
+            worst = int(np.argmax(np.abs(turn) / step))
+            raise InvalidInput(
+                f"link {k} turns by {turn[worst]:.4g} rad within {step[worst]:.4g} s at t = "
+                f"{recording.t[known][worst]:.6g} s",
+                allowed=f"at most max_rate = {fastest:g} rad/s",
+                fix="Are the angles in degrees (unit='deg'), wrapped at a whole turn (wrapped=True), or the times in "
+                "another unit (time_unit='ms')? If the link is truly that fast, pass a larger max_rate",
+            )
+    if recording.rates is not None:
+        _check_rates(recording.t, recording.data, recording.rates)
+
+
+def _check_rates(t: Array, angles: Array, rates: Array) -> None:
+    """Refuse rates that are off from the slope of the angles by more than a factor of two, or by sign.
+
+    Steps much longer than the usual one, where rows are missing, tell nothing: the rate changes meanwhile.
+    """
+    turn, step = np.diff(angles, axis=0), np.diff(t)[:, None]
+    expected = 0.5 * (rates[1:] + rates[:-1]) * step
+    both = ~(np.isnan(turn) | np.isnan(expected)) & (step < LONG * np.median(step))
+    for k in range(angles.shape[1]):
+        seen, told = turn[both[:, k], k], expected[both[:, k], k]
+        if seen.size < 10 or not told @ told > 0.0:
+            continue
+        slope = float(seen @ told / (told @ told))
+        if not 0.5 < slope < 2.0:
+            raise InvalidInput(
+                f"the rates of link {k} are not the slope of its angles, which change {slope:.4g} times as fast",
+                allowed="a factor near 1",
+                fix="About 57 or 0.017 tells of degrees in one and radians in the other, a power of 1000 of times in "
+                "another unit, a negative one of another sense. Declare the right unit, or leave the rates out",
+            )

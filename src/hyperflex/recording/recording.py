@@ -1,0 +1,254 @@
+"""The Recording itself: validated once, never changed, in SI units and the package's axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, cast
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.files import PathLike
+
+Kind = Literal["angles", "markers"]
+
+CONVENTION = {
+    "angles": "absolute link angles in rad, 0 hanging, positive towards +x",
+    "markers": "positions in m, x right, y up, markers at the joints, the first at the pivot",
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording:
+    """Measured motion of a rope or pendulum.
+
+    Parameters
+    ----------
+    t : array_like (T,), s
+        Strictly increasing sample times, T >= 2; uneven steps are fine.
+    data : array_like (T, C)
+        ``kind="angles"``: C = n absolute link angles in rad, unwrapped (0 hanging, positive towards +x; link 0 nearest
+        the motor). ``kind="markers"``: C = 2 (n + 1) positions ``x0, y0, x1, y1, ...`` in m (x right, y up) of markers
+        at the joints, the first at the pivot; or of any markers, also one alone, whose places along the rope `identify`
+        is told. NaN marks a gap.
+    kind : {"angles", "markers"}
+        What `data` holds.
+    noise : array_like (T, C), (C,) or float, optional
+        Standard deviation of each sample, in the unit of `data`. Left out when it is not known.
+    rates : array_like (T, n), rad/s, optional
+        Angular rates that came with the angles. Readers check units by them. They are not fitted: rates in files are
+        mostly computed from the angles, so they are no further measurement.
+    convention : str
+        What was declared and converted on reading; filled in when empty.
+    name, source : str
+        Shown in reports: a short name, and where the data come from.
+
+    Raises
+    ------
+    InvalidInput
+        For infinite values, times that are not strictly increasing, a channel without a single value, a number of
+        columns that does not fit the kind, or noise that is not positive. The message names the sample.
+
+    Notes
+    -----
+    All arrays are read-only copies.
+
+    Examples
+    --------
+    >>> recording = Recording([0.0, 0.1, 0.2], [[0.30], [float("nan")], [0.28]])
+    >>> recording.n_links, recording.gaps
+    (1, 1)
+    """
+
+    t: Array
+    data: Array
+    kind: Kind = "angles"
+    noise: Array | None = None
+    rates: Array | None = None
+    convention: str = ""
+    name: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        kind = cast(Kind, checks.choice("kind", self.kind, ("angles", "markers")))
+        t = checks.times("t", self.t, least=2)
+        data = checks.array("data", self.data, (t.size, -1), unit=UNIT[kind], gaps=True)
+        _check_columns(kind, data)
+        for name, value in (("t", t), ("data", data), ("kind", kind)):
+            object.__setattr__(self, name, value)
+        if self.noise is not None:
+            object.__setattr__(self, "noise", per_sample(self.noise, data))
+        if self.rates is not None:
+            rates = checks.array("rates", self.rates, (t.size, self.n_links), unit="rad/s", gaps=True)
+            object.__setattr__(self, "rates", rates)
+        object.__setattr__(self, "convention", self.convention or CONVENTION[kind])
+
+    def __repr__(self) -> str:
+        name = f"{self.name!r}: " if self.name else ""
+        what = f"{self.kind} of {self.n_links} links" if self.n_links else "one marker"
+        return f"<Recording {name}{what}, {self.t.size} samples, {self.t[0]:g} to {self.t[-1]:g} s, {self.gaps} gaps>"
+
+    @property
+    def n_links(self) -> int:
+        """Number of links that the channels describe; 0 for a marker alone."""
+        columns = int(self.data.shape[1])
+        return columns if self.kind == "angles" else columns // 2 - 1
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the C columns: ``th1, th2, ...`` or ``x0, y0, x1, ...``."""
+        if self.kind == "angles":
+            return tuple(f"th{k + 1}" for k in range(self.n_links))
+        return tuple(f"{axis}{k}" for k in range(self.n_links + 1) for axis in "xy")
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample, s."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def gaps(self) -> int:
+        """Number of missing values over all channels."""
+        return int(np.isnan(self.data).sum())
+
+    def window(self, start: float, end: float) -> Recording:
+        """Return the samples with ``start <= t < end`` (s).
+
+        Raises
+        ------
+        InvalidInput
+            When fewer than two samples, or no value of some channel, lie in that span.
+        """
+        inside = (self.t >= start) & (self.t < end)
+        if inside.sum() < 2:
+            raise InvalidInput(
+                "the span holds fewer than two samples",
+                got=[start, end],
+                allowed=f"a span within {self.t[0]:g} to {self.t[-1]:g} s",
+            )
+        return self._pick(inside)
+
+    def split(self, time: float) -> tuple[Recording, Recording]:
+        """Return the parts before and from `time` (s); InvalidInput when one would hold fewer than two samples."""
+        return self.window(-np.inf, time), self.window(time, np.inf)
+
+    def decimate(self, step: int) -> Recording:
+        """Return every `step`-th sample, the first included (picked, not averaged)."""
+        step = checks.count("step", step)
+        return self._pick(np.arange(0, self.t.size, step))
+
+    def angles(self) -> Recording:
+        """Return absolute link angles (rad): the recording itself, or angles of the lines from marker to marker.
+
+        Angles of markers are unwrapped: from one sample to the next the smaller turn is taken, also across gaps, so
+        a link must turn less than half a turn between the samples at hand. A link with an end missing, or with both
+        ends at one place, is a gap. Noise of the positions passes to the angles to first order.
+
+        Examples
+        --------
+        >>> markers = Recording([0.0, 0.1], [[0, 0, 0.1, 0.0], [0, 0, 0.0, -0.1]], kind="markers")
+        >>> markers.angles().data.round(3).tolist()
+        [[1.571], [0.0]]
+        """
+        if self.kind == "angles":
+            return self
+        self._need_two("angles of links")
+        places = self.data.reshape(self.t.size, -1, 2)
+        along = np.diff(places, axis=1)
+        distance = np.hypot(along[..., 0], along[..., 1])
+        angle = np.arctan2(along[..., 0], -along[..., 1])
+        angle[~(distance > 0.0)] = np.nan
+        noise = None
+        if self.noise is not None:
+            # A link's angle changes by the difference of its ends' errors across it, over its length.
+            across = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+            spread = (self.noise.reshape(places.shape) ** 2)[:, :-1] + (self.noise.reshape(places.shape) ** 2)[:, 1:]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                noise = np.sqrt((spread * across**2).sum(axis=-1)) / distance
+            noise = np.where(np.isfinite(noise), noise, np.pi)  # a gap says nothing: any angle
+        convention = f"{CONVENTION['angles']}; from the lines between markers ({self.convention})"
+        return replace(self, data=unwrap(angle), kind="angles", noise=noise, convention=convention)
+
+    def link_lengths(self) -> Array:
+        """Return the median distance (n,) between neighbouring markers, m. InvalidInput for angles, which have none."""
+        if self.kind == "angles":
+            raise InvalidInput("a recording of angles has no lengths", got=self.kind, allowed="markers")
+        self._need_two("lengths of links")
+        along = np.diff(self.data.reshape(self.t.size, -1, 2), axis=1)
+        lengths: Array = np.nanmedian(np.hypot(along[..., 0], along[..., 1]), axis=0)
+        return lengths
+
+    def to_netcdf(self, path: PathLike) -> None:
+        """Write the recording, with units and convention, to NetCDF-4; ``read_recording(path)`` gives it back.
+
+        Raises
+        ------
+        FileProblem
+            When the file cannot be written; an earlier one then still stands.
+        """
+        from hyperflex.recording.netcdf import write
+
+        write(self, path)
+
+    def _need_two(self, what: str) -> None:
+        """Refuse a marker alone where lines between markers are wanted."""
+        if self.n_links < 1:
+            raise InvalidInput(
+                f"a marker alone shows no {what}",
+                got=f"{self.data.shape[1]} columns",
+                allowed="x and y of the pivot and of the far end of each link: 4, 6, 8, ... columns",
+                fix="To identify a rope by it, say where along the rope it sits: arcs=[...] and origin=(x, y)",
+            )
+
+    def _pick(self, rows: Array | np.ndarray[tuple[int], np.dtype[np.bool_ | np.intp]]) -> Recording:
+        """Return the chosen samples."""
+        return replace(
+            self,
+            t=self.t[rows],
+            data=self.data[rows],
+            noise=None if self.noise is None else self.noise[rows],
+            rates=None if self.rates is None else self.rates[rows],
+        )
+
+
+UNIT = {"angles": "rad", "markers": "m"}
+
+
+def unwrap(angle: Array) -> Array:
+    """Return angles (T, n) without jumps of whole turns, gaps (NaN) bridged and kept."""
+    result = angle.copy()
+    for column in result.T:
+        known = ~np.isnan(column)
+        column[known] = np.unwrap(column[known])
+    return result
+
+
+def _check_columns(kind: Kind, data: Array) -> None:
+    """Refuse a number of columns that does not fit the kind, and channels without any value."""
+    columns = data.shape[1]
+    if kind == "angles" and columns < 1:
+        raise InvalidInput("data has no columns", got=data.shape, allowed="one column a link")
+    if kind == "markers" and (columns < 2 or columns % 2):
+        raise InvalidInput(
+            "data has the wrong number of columns for markers",
+            got=columns,
+            allowed="x and y of each marker: 2, 4, 6, ... columns",
+        )
+    empty = np.isnan(data).all(axis=0)
+    if empty.any():
+        raise InvalidInput(
+            f"channel {int(np.argmax(empty))} of {kind} has no value at all, only gaps",
+            allowed="at least one value in each channel",
+            fix="Leave that link out of the model or the recording, or take a longer span",
+        )
+
+
+def per_sample(noise: object, data: Array) -> Array:
+    """Return the noise of each sample (T, C) from one number, one a channel, or all of them."""
+    given = np.asarray(noise, dtype=np.float64) if not isinstance(noise, str) else np.empty((0, 0))
+    if given.ndim < 2:
+        given = checks.array("noise", noise, (data.shape[1],), sign="positive", scalar=True)
+        given = np.broadcast_to(given, data.shape)
+    return checks.array("noise", given, data.shape, sign="positive")

@@ -1,0 +1,82 @@
+"""Where a target is: a drawing to scale of arm, rope, target and what the rope can touch, without a run."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.model import Peg
+from hyperflex.planning import CastPlan
+from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, look, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_LEAST = 0.012  # of the picture's width, to which small pegs are widened so that they can be seen
+_MARGIN = 1.08
+
+
+def place_figure(plan: CastPlan) -> Figure:
+    """Draw the target, the arm with its rope at rest, and the circle beyond which the rope does not come."""
+    arm, far = plan.thrower.arm, plan.thrower.arm.length + plan.thrower.rope.total_length
+    pivot: Array = np.array(arm.pivot, dtype=np.float64)
+    pegs = [plan.peg] if plan.nearest is None else [plan.peg, plan.nearest.peg]
+    corners = [pivot - far, pivot + far]
+    corners += [np.array([peg.x, peg.y]) + side * peg.radius for peg in pegs for side in (-1.0, 1.0)]
+    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+    middle, half = 0.5 * (low + high), 0.5 * _MARGIN * (high - low)
+    with look():
+        figure = new_figure(8.6, 6.4)
+        axis: Any = figure.subplots()
+        _circle(axis, pivot, far, GREY, f"the rope's end comes no farther than {far:.3g} m")
+        _circle(axis, pivot, arm.length, BLUE, "circle of the arm's tip")
+        tip, end = _at_rest(plan)
+        axis.plot(*np.stack([tip, end], axis=1), color="#d99a1c", lw=2.0, label="rope, hanging at rest")
+        axis.plot(*np.stack([pivot, tip], axis=1), color=INK, lw=3.0, label="arm", solid_capstyle="round")
+        axis.plot(*pivot, "o", color=INK, ms=5.0, label="motor's shaft")
+        _peg(axis, plan.peg, 2.0 * half[0], RED, "target")
+        if plan.nearest is not None:
+            _peg(axis, plan.nearest.peg, 2.0 * half[0], GREEN, f"{_kind(plan)}, {1e2 * plan.nearest.away:.3g} cm away")
+        axis.set(xlim=(middle - half)[0] + np.array([0.0, 2.0 * half[0]]), aspect="equal")
+        axis.set(ylim=(middle - half)[1] + np.array([0.0, 2.0 * half[1]]))
+        axis.set(xlabel="x, m", ylabel="y, m (up)")
+        figure.legend(loc="outside lower center", ncols=2, fontsize=8.5)
+    return figure
+
+
+def place_caption(plan: CastPlan) -> str:
+    """Return what there is to see in :func:`place_figure`."""
+    near = "" if plan.nearest is None else f" Green: {_kind(plan)}."
+    return f"Arm and rope as they begin, and the target (red), to scale; a drawing, nothing of it was simulated.{near}"
+
+
+def _kind(plan: CastPlan) -> str:
+    """Return what the place that is named instead of the target is."""
+    if plan.nearest is not None and plan.nearest.plan is not None:
+        return "nearest target that works"
+    return f"nearest target that should be {'easier' if plan.reach.within else 'in reach'}"
+
+
+def _at_rest(plan: CastPlan) -> tuple[Array, Array]:
+    """Places (2,) of the arm's tip and the rope's end at the start, m; the arm to the left where there is no throw."""
+    arm, limits, gravity = plan.thrower.arm, plan.thrower.limits, np.array(plan.thrower.rope.gravity)
+    angle = float(np.clip(-0.5 * np.pi, *limits.angles) if plan.throw is None else plan.throw.angles(limits)[0])
+    tip: Array = np.array(arm.pivot) + arm.length * np.array([math.sin(angle), -math.cos(angle)])
+    return tip, tip + plan.thrower.rope.total_length * gravity / np.hypot(*gravity)
+
+
+def _circle(axis: Any, centre: Array, radius: float, colour: str, label: str) -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 361)
+    x, y = centre[0] + radius * np.sin(angle), centre[1] - radius * np.cos(angle)
+    axis.plot(x, y, color=colour, ls="--", lw=1.1, label=label)
+
+
+def _peg(axis: Any, peg: Peg, width: float, colour: str, label: str) -> None:
+    from matplotlib.patches import Circle
+
+    shown = max(peg.radius, 0.5 * _LEAST * width)
+    axis.add_patch(Circle((peg.x, peg.y), shown, facecolor=colour, edgecolor="white", lw=0.6, zorder=4))
+    axis.plot([], [], "o", color=colour, label=label)

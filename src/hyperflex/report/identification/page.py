@@ -1,0 +1,231 @@
+"""The report of any identification: one page that shows what was found, how well, and what cannot be known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hyperflex.identification import HeldOut, Identification
+from hyperflex.model import Rope
+from hyperflex.recording import Recording
+from hyperflex.report.folder import whole_folder
+from hyperflex.report.identification.along import along_figure
+from hyperflex.report.identification.figures import (
+    fit_figure,
+    history_figure,
+    multiples_figure,
+    prediction_figure,
+    residual_figure,
+    shapes_figure,
+)
+from hyperflex.report.identification.fitted import Fitted, beside
+from hyperflex.report.identification.parameters import numbers, parameters_table, ratios_table, rope_table, ties
+from hyperflex.report.identification.setting import fit_table, lead, recording_table
+from hyperflex.report.page import Picture, Section, write_page
+from hyperflex.report.style import png
+from hyperflex.report.units import readable
+
+LONG = 16  # rows of a table that are shown at once
+_MODEL_ERROR = ("The residuals are no noise", "The residuals are not white")  # how the verdict's warnings begin
+_TRUSTED = 0.85  # part of held-out values within their 95 % band, below which the page warns
+_DPI = 110
+_FILES = {"rope": "rope.toml", "figures": "identification.json", "page": "report.html"}
+
+
+def write_identification(
+    directory: str | Path, recording: Recording, found: Identification, guess: Rope | None = None
+) -> dict[str, Path]:
+    """Write the identified rope (TOML), all figures (JSON) and the page to a folder.
+
+    Parameters
+    ----------
+    directory : str or Path
+        Folder to write to, whole or not at all; made if it is not there, other files in it stay.
+    recording : Recording
+        What was given to :func:`hyperflex.identify`.
+    found : Identification
+        What it gave back.
+    guess : Rope, optional
+        The first guess, to be shown beside what was found.
+
+    Returns
+    -------
+    dict of str to Path
+        The files: ``rope``, ``figures``, ``page``.
+
+    Raises
+    ------
+    FileProblem
+        The folder cannot be made or written to.
+    """
+    with whole_folder(directory) as stage:
+        found.to_toml(stage / _FILES["rope"])
+        found.to_json(stage / _FILES["figures"])
+        identification_page(stage / _FILES["page"], recording, found, guess)
+    return {kind: Path(directory) / name for kind, name in _FILES.items()}
+
+
+def identification_page(
+    path: str | Path, recording: Recording, found: Identification, guess: Rope | None = None
+) -> None:
+    """Write the page alone: one HTML file with its figures inside. Arguments as of :func:`write_identification`."""
+    view = beside(recording, found)
+    many = len(view.names) > len(view.chosen)
+    sections = [
+        _verdict(found),
+        *_found(found, guess),
+        _fit(view, many),
+        _prediction(view),
+        _residuals(view),
+        _history(found),
+        Section("Recording", table=recording_table(recording)),
+        Section("How it was fitted", table=fit_table(found)),
+        _rope(found),
+        *([_all(view)] if many else []),
+    ]
+    title = f"{recording.name or 'A recording'}, identified"
+    write_page(path, title, lead(recording, found, found.rope), found.status, sections)
+
+
+def _verdict(found: Identification) -> Section:
+    every = numbers(found)
+    rms = found.residual_rms_all
+    unit = readable(found.unit, rms)
+    known = sum(np.isfinite(each.sd) for each in every)
+    tiles = [
+        (f"{known} of {len(every)}", "free numbers that this motion can tell on their own"),
+        (f"{rms / unit.size:.3g} {unit.name}", "left by the fit (rms over all channels)"),
+    ]
+    settled = found.status == "converged"
+    marks = [
+        (settled and sentence.startswith("All free parameters can be known"), sentence) for sentence in found.verdict
+    ]
+    held = found.held_out
+    if held is not None:
+        error = float(np.sqrt(np.mean(held.rms**2)))
+        told = readable(found.unit, error)
+        error_words = f"{error / told.size:.3g} {told.name}" if np.isfinite(error) else "failed"
+        tiles.append((error_words, f"off when {held.ahead:g} s are predicted that the fit has not seen (rms)"))
+        if np.isfinite(held.inside):
+            tiles.append((f"{100.0 * held.inside:.0f} %", "of these predictions lie where 95 % are expected"))
+            marks = _with_trust(marks, held)
+    return Section("Verdict", tiles=tuple(tiles), marks=tuple(marks))
+
+
+def _with_trust(marks: list[tuple[bool, str]], held: HeldOut) -> list[tuple[bool, str]]:
+    """Return the marks with what the held-out part says of the fit's own uncertainty.
+
+    Where residuals are model error, predictions that hold are no reason to believe the parameters' deviations: both
+    are said in one sentence.
+    """
+    part = f"{100.0 * held.inside:.0f} % of the values that the fit has not seen lie where it expects 95 %"
+    if held.inside < _TRUSTED:
+        text = f"Only {part}: the model leaves something out, and real uncertainties are larger than given here."
+        return [*marks, (False, text)]
+    told = [k for k, (_, sentence) in enumerate(marks) if sentence.startswith(_MODEL_ERROR)]
+    if not told:
+        return [*marks, (True, f"{part}: its uncertainties can be believed over {held.ahead:g} s.")]
+    text = (
+        f"{marks[told[0]][1]} Predictions over {held.ahead:g} s hold all the same ({part}): what the model leaves out "
+        "moves them less than it moves the parameters."
+    )
+    return [*marks[: told[0]], (False, text), *marks[told[0] + 1 :]]
+
+
+def _found(found: Identification, guess: Rope | None) -> list[Section]:
+    """Return parameters, and ratios where some of them were free."""
+    table = parameters_table(found, guess)
+    intervals = "as the fit gives it" if getattr(found, "intervals", None) else "value plus and minus 1.96 sd"
+    factor = found.settings["autocorrelation"]
+    counted = "Residuals are taken as independent from sample to sample"
+    if factor > 1.05:
+        counted = f"That residuals hang together, over {factor:.3g} samples, is counted in"
+    deviations = (
+        "sd: standard deviation; it, the interval and the guess are in the unit of the value. "
+        f"95 % interval: {intervals}. {counted}. Errors of the model itself are not in any of them."
+    )
+    counting = "Links and markers count from 0: link 0 hangs from the first joint."
+    unknown = not all(np.isfinite(each.sd) for each in numbers(found))
+    many = ["Where a value cannot be known, the one given is one of many that move alike."] if unknown else []
+    notes = [deviations, *many, counting]
+    if tied := ties(found):
+        notes.append(f"These err together (correlation): {', '.join(tied)}.")
+    along = along_figure(found, guess)
+    pictures = () if along is None else (Picture(png(along, dpi=_DPI), "Values along the rope with 95 % intervals."),)
+    long = f"All {len(table.rows)} numbers" if len(table.rows) > LONG else ""
+    sections = [Section("Parameters", pictures=pictures, table=table, notes=tuple(notes), folded=long)]
+    ratios = ratios_table(found)
+    if ratios is not None:
+        text = (
+            "What a free swing can tell at most, whatever the rope weighs: everything over p1, the first moment of "
+            "link 0 about its joint. Moments and inertias count all mass beyond a link as if it sat at its far end."
+        )
+        long = f"All {len(ratios.rows)} ratios" if len(ratios.rows) > LONG else ""
+        sections.append(Section("Ratios", text=(text,), table=ratios, folded=long))
+    return sections
+
+
+def _fit(view: Fitted, many: bool) -> Section:
+    which = "First, middle and last link" if view.found.unit == "rad" else "Middle and last marker"
+    held = "" if view.found.held_out is None else "; red: what was held out"
+    some = f"{which}, and the one that fits worst. " if many else ""
+    pictures = [
+        Picture(
+            png(fit_figure(view), dpi=_DPI),
+            f"{some}The fit goes window by window, each from a state of its own{held}.",
+        )
+    ]
+    if view.found.unit == "m":
+        pictures.append(Picture(png(shapes_figure(view), dpi=_DPI), "Markers (rings) and fit (line) at some instants."))
+    links = (("all", f"All {len(view.names)} channels"),) if many else ()
+    return Section("Fit over data", pictures=tuple(pictures), links=links)
+
+
+def _prediction(view: Fitted) -> Section:
+    found, held = view.found, view.found.held_out
+    title = "Prediction of what the fit has not seen"
+    if held is None:
+        why = "the recording was fitted to its end, or what was left of it is too short"
+        if found.status == "interrupted":
+            why = "the fit was interrupted"
+        return Section(title, text=(f"Nothing was predicted: {why}.",))
+    times = "once" if held.starts.size == 1 else f"{held.starts.size} times, one after the other"
+    text = (
+        f"From {view.end:.4g} s on nothing was fitted. There the state is found on {held.lead:g} s, and the next "
+        f"{held.ahead:g} s are predicted without data; this is done {times}."
+    )
+    caption = (
+        "Left: measured and predicted. Right: the error, in the band that should hold 95 % of it. The band is a "
+        "linearisation: the parameters' covariance, the state's uncertainty and the noise, by the exact derivatives of "
+        "the motion. Where it is narrower than the errors, the model is wrong by the difference."
+    )
+    return Section(title, text=(text,), pictures=(Picture(png(prediction_figure(view, held), dpi=_DPI), caption),))
+
+
+def _residuals(view: Fitted) -> Section:
+    caption = (
+        "What the fit leaves: over time; how often each size occurs, beside a normal distribution; and how far a "
+        "residual tells its successors. Residuals that are noise alone stay within the shaded band."
+    )
+    return Section("Residuals", pictures=(Picture(png(residual_figure(view), dpi=_DPI), caption),))
+
+
+def _history(found: Identification) -> Section:
+    if not found.history:
+        return Section("How the fit went", text=("It was interrupted before its first round was done.",))
+    caption = "What the fit leaves after each round, over the least of its stage; short windows forgive a poor guess."
+    return Section("How the fit went", pictures=(Picture(png(history_figure(found), dpi=_DPI), caption),))
+
+
+def _rope(found: Identification) -> Section:
+    table = rope_table(found.rope, found)
+    long = f"All {found.rope.n_links} links" if found.rope.n_links > LONG else ""
+    total = f"{found.rope.total_length:.4g} m, {found.rope.total_mass:.4g} kg in all."
+    notes = ("* fitted; all else as the guess has it",)
+    return Section("The rope", text=(total,), table=table, notes=notes, folded=long)
+
+
+def _all(view: Fitted) -> Section:
+    picture = Picture(png(multiples_figure(view), dpi=_DPI), "Every channel: measured, fitted (blue), predicted (red).")
+    return Section("All channels", pictures=(picture,), folded=f"Show all {len(view.names)} channels", anchor="all")

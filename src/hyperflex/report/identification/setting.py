@@ -1,0 +1,118 @@
+"""How an identification was set up: recording, fit, what was held, versions."""
+
+from __future__ import annotations
+
+import platform
+from importlib.metadata import version
+
+import numpy as np
+
+from hyperflex.identification import Identification
+from hyperflex.model import Rope
+from hyperflex.recording import Recording
+from hyperflex.report.identification.parameters import PER_LINK, numbers
+from hyperflex.report.tables import TextTable
+from hyperflex.report.units import readable
+
+_PACKAGES = ("hyperflex", "numpy", "numba")
+_LOSS = {
+    "squares": "squares",
+    "huber": "Huber: large residuals count less than their squares",
+    "cauchy": "Cauchy: gross outliers hardly count",
+}
+
+
+def recording_table(recording: Recording) -> TextTable:
+    """Return what was measured."""
+    steps = np.diff(recording.t)
+    usual = float(np.median(steps))
+    even = (
+        ""
+        if np.allclose(steps, usual, rtol=0.01)
+        else f", uneven: {1e3 * steps.min():.4g} to {1e3 * steps.max():.4g} ms"
+    )
+    share = 100.0 * recording.gaps / recording.data.size
+    rows = [
+        ("recording", recording.name or "without a name"),
+        ("source", recording.source or "not said"),
+        ("contents", f"{_kind(recording)}: {recording.convention}"),
+        ("samples", f"{recording.t.size}, every {1e3 * usual:.4g} ms ({1.0 / usual:.4g} a second){even}"),
+        ("time", f"{recording.t[0]:.6g} to {recording.t[-1]:.6g} s"),
+        ("gaps", f"{recording.gaps} missing values ({share:.2g} %)" if recording.gaps else "none"),
+        ("noise of a sample", _noise(recording)),
+    ]
+    return TextTable(("what", "value"), tuple(rows))
+
+
+def _kind(recording: Recording) -> str:
+    if recording.kind == "markers":
+        return f"{recording.data.shape[1] // 2} markers"
+    return f"angles of {recording.n_links} link{'s' if recording.n_links > 1 else ''}"
+
+
+def _noise(recording: Recording) -> str:
+    if recording.noise is None:
+        return "not given: all samples count alike"
+    low, high = float(recording.noise.min()), float(recording.noise.max())
+    unit = readable("rad" if recording.kind == "angles" else "m", high)
+    span = f"{low / unit.size:.3g}" if low == high else f"{low / unit.size:.3g} to {high / unit.size:.3g}"
+    return f"{span} {unit.name} as given"
+
+
+def fit_table(found: Identification) -> TextTable:
+    """Return what was fitted, and how."""
+    done = found.settings
+    free = {each.name for each in numbers(found)}
+    rope = found.rope
+    held = [name.replace("_", " ") for name in PER_LINK if name not in free and getattr(rope, name).any()]
+    none = [name.replace("_", " ") for name in PER_LINK if name not in free and not getattr(rope, name).any()]
+    left = f"; {done['left_out']} left out, where too little is seen" if done["left_out"] else ""
+    picked = f", every {done['decimation']}th sample" if done["decimation"] > 1 else ""
+    rows = [
+        ("free", ", ".join(_told(word) for word in done["free"])),
+        ("held as given", ", ".join(held) or "nothing"),
+        ("taken as 0", ", ".join(none) or "nothing"),
+        ("tip mass", f"{rope.tip_mass:.4g} kg" + (" (fitted)" if "tip_mass" in free else "")),
+        ("gravity", f"({rope.gravity[0]:.4g}, {rope.gravity[1]:.4g}) m/s²"),
+        ("first joint", str(done["base"])),
+        *_markers(found),
+        ("fitted time", f"{done['fitted_from']:.6g} to {done['fitted_to']:.6g} s"),
+        ("windows", f"{done['windows']} of {done['window']:.4g} s, each from a state of its own{left}{picked}"),
+        ("loss", _LOSS[done["loss"]]),
+        ("ended", f"{found.status}, after {len(found.history)} rounds and {done['seconds']:.2g} s"),
+        ("versions", ", ".join([*(f"{name} {version(name)}" for name in _PACKAGES), _python()])),
+    ]
+    return TextTable(("what", "value"), tuple(rows))
+
+
+def _markers(found: Identification) -> list[tuple[str, str]]:
+    done, rows = found.settings, []
+    if "arcs" in done:
+        rows.append(("markers at", ", ".join(f"{arc:.4g}" for arc in done["arcs"]) + " m along the rope"))
+        given = done.get("origin")
+        rows.append(("origin", "fitted as well" if given is None else f"({given[0]:.4g}, {given[1]:.4g}) m, as given"))
+    return rows
+
+
+def _python() -> str:
+    return f"Python {platform.python_version()} on {platform.system()}, {platform.machine()}"
+
+
+def _told(word: str) -> str:
+    """Return a word of ``free`` as people say it."""
+    name, _, law = word.partition(":")
+    name, _, place = name.partition("[")
+    whose = {"shared": " (one value for all links)", "factor": " (one factor for all links)"}
+    laws = whose | {"taper": " (its growth along the rope)"}
+    where = f" of {'marker' if name == 'arc' else 'link'} {place[:-1]}" if place else ""
+    return name.replace("_", " ") + where + laws.get(law, "")
+
+
+def lead(recording: Recording, found: Identification, rope: Rope) -> str:
+    """Return in a sentence what was identified from what."""
+    words = ", ".join(_told(word) for word in found.settings["free"])
+    links = "one link" if rope.n_links == 1 else f"{rope.n_links} links"
+    return (
+        f"What {recording.duration:.4g} s of {_kind(recording)} ({recording.t.size} samples) tell about a rope of "
+        f"{links}: {words}. All else was held as the first guess has it."
+    )

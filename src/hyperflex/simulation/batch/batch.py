@@ -1,0 +1,317 @@
+"""Many rollouts at once: members side by side in SIMD lanes, blocks of members on threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core import status
+from hyperflex.core.batch import rollouts as core
+from hyperflex.core.batch.members import LENGTH, Members, Terms, observe_block
+from hyperflex.core.chain.lanes import MEMBERS
+from hyperflex.core.integrate.steps import scheme
+from hyperflex.core.jit import announce_compilation
+from hyperflex.errors import InvalidInput
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
+from hyperflex.motion import Motion
+from hyperflex.simulation.batch.contact import TURNS, beside_of, run_members
+from hyperflex.simulation.batch.members import members_of, rows_of, setups_of, starts_of
+from hyperflex.simulation.rollouts import balanced, least_scale, progress_bar, stored
+from hyperflex.simulation.time_budget import INTERRUPTED
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+# Order by tolerance, m: where lanes are full, an order costs p (p + 1) / 2 sweeps, so few cheap columns beat the high
+# order that a lone rollout gets for nothing.
+ORDERS = ((2e-6, 4), (1e-7, 5), (1e-8, 6), (0.0, 7))
+# Members of a block: at least BLOCKS blocks a thread, to balance the load and to be interrupted; not more than keep the
+# states in work below some megabytes; not fewer than keep the lanes full, since the last ones of a block run alone.
+BLOCKS = 2
+LARGEST_BLOCK = 16 * len(MEMBERS)
+STATES = 1e6  # numbers that a block may hold in work
+# name: (dimensions after member and time, units, long name)
+KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "tip": (("axis",), "m", "position of the tip"),
+    "q": (("link",), "rad", "absolute link angle"),
+    "qd": (("link",), "rad/s", "link rate"),
+    "motor_work": ((), "J", "work done by the motor and the moving base since the start"),
+    "dissipated_energy": ((), "J", "energy lost to friction since the start"),
+    TURNS: (("peg",), "1", "signed turns about a peg from the first joint to the tip"),
+    "peg_angle": (("peg",), "rad", "angle by which a round peg has turned"),
+    "peg_rate": (("peg",), "rad/s", "rate of a round peg"),
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Batch:
+    """Results of many rollouts; row m belongs to member m.
+
+    Attributes
+    ----------
+    t : (T,) float64
+        Output times, s.
+    values : dict of str to array
+        What was kept, each (M, T, ...); NaN from where a member failed.
+    status : tuple of str
+        ``"ok"`` or the name of the failure, (M,).
+    reached : (M,) float64
+        Time that each member reached, s.
+    """
+
+    t: Array
+    values: dict[str, Array]
+    status: tuple[str, ...]
+    reached: Array
+
+    def __getattr__(self, name: str) -> Array:
+        values = self.__dict__.get("values", {})  # empty while a copy is being made
+        if name not in values:
+            raise AttributeError(f"{name!r} was not kept; kept: {', '.join(values)}")
+        return np.asarray(values[name])
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{self.status.count(name)} {name}" for name in dict.fromkeys(self.status))
+        times = f"{self.t.size} time{'s' * (self.t.size > 1)} to {self.t[-1]:g} s"
+        return f"<Batch of {len(self.status)} members: {counts}; {times}; kept: {', '.join(self.values)}>"
+
+    @property
+    def failed(self) -> list[int]:
+        """Numbers of the members that did not finish."""
+        return [m for m, name in enumerate(self.status) if name != "ok"]
+
+    def why(self, member: int) -> str:
+        """Return what went wrong with a member, and advice; empty if nothing did."""
+        if not -len(self.status) <= member < len(self.status):
+            raise InvalidInput("no such member", got=member, allowed=f"0 to {len(self.status) - 1}")
+        name = self.status[member]
+        advice = {status.NAMES[code]: text for code, text in status.ADVICE.items()}.get(name, "")
+        return (
+            ""
+            if name == "ok"
+            else f"stopped at t = {self.reached[member]:.6g} s ({name})" + (advice and f": {advice}.")
+        )
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """The batch as an ``xarray.Dataset`` with the dimensions member, time, link and axis."""
+        import xarray as xr
+
+        variables: dict[str, Any] = {
+            name: (("member", "time", *KEPT[name][0]), value, {"units": KEPT[name][1], "long_name": KEPT[name][2]})
+            for name, value in self.values.items()
+        }
+        variables["status"] = ("member", np.array(self.status))
+        variables["reached"] = ("member", self.reached, {"units": "s", "long_name": "time reached"})
+        coords = {"time": ("time", self.t, {"units": "s"}), "axis": ("axis", np.array(["x", "y"]))}
+        return xr.Dataset(variables, coords, attrs={"source": "simulated"})
+
+
+def simulate_batch(
+    ropes: Rope | Sequence[Rope],
+    motions: Motion | Sequence[Motion] | None = None,
+    *,
+    arm: Arm | None = None,
+    duration: float,
+    q0: npt.ArrayLike | None = None,
+    qd0: npt.ArrayLike | None = None,
+    t_eval: npt.ArrayLike | None = None,
+    tol: float = DEFAULT_TOL,
+    step: float | None = None,
+    keep: Sequence[str] = ("tip",),
+    pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]] = (),
+    contact_step: float = DEFAULT_CONTACT_STEP,
+    refine: bool = True,
+    patience: float | None = None,
+    threads: int | None = None,
+    progress: bool = False,
+) -> Batch:
+    """Simulate many ropes, motions or initial states at once.
+
+    Parameters
+    ----------
+    ropes : Rope or sequence of Rope
+        One for all members, or one each. All must have the same number of links and friction model.
+    motions : Motion or sequence of Motion, optional
+        One for all members, or one each.
+    arm, duration, tol
+        As in :func:`hyperflex.simulate`; the same for all members. The energy account does not shorten the steps here;
+        it is checked at the outputs.
+    q0, qd0 : (n,) or (M, n) array_like, optional
+        Angles, rad, and rates, rad/s, at the start; one row for all members, or one each.
+    t_eval : (T,) array_like, optional
+        Times of the output, s, from 0 on; by default the end alone. A step ends at each, so ask for what you need.
+    step : float, optional
+        A step chosen beforehand, s, without error control; not beside pegs.
+    keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns", "peg_angle", "peg_rate"}
+        What to keep; memory is (M, T) times this, beside the blocks in work. Turns are those about each round peg.
+    pegs : sequence of Peg, Wall or Ground, or of such sequences, optional
+        Pegs of all members, or of each, the same number for all. Members run one by one then, each as
+        :func:`hyperflex.simulate` runs it and with the same result.
+    contact_step, refine
+        As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
+    patience : float, optional
+        Processor time, s, after which a member beside pegs has failed ("out of patience"); by default it may take any.
+    threads : int, optional
+        By default one a processor. Results do not depend on it.
+    progress : bool
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    Batch
+        A member that fails is reported in ``status``; the others stand. After Ctrl-C the finished members are there
+        and the others have the status "interrupted".
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used, or the members do not fit together.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> rests = [0.3, 0.4, 0.5, 0.6]
+    >>> batch = hf.simulate_batch(cable, [hf.swings(t_rest=r) for r in rests], arm=hf.Arm(), duration=5.0)
+    >>> batch.tip.shape
+    (4, 1, 2)
+    """
+    keep = tuple(checks.choice("keep", name, tuple(KEPT)) for name in keep)
+    workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
+    if pegs:
+        if step is not None:
+            raise InvalidInput("step is not there beside pegs", got=step, fix="Give contact_step or tol")
+        others = {"duration": duration, "tol": tol, "contact_step": contact_step}
+        beside = beside_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, patience=patience, others=others)
+        t = _outputs(t_eval, beside.setup(0).duration)
+        values, names, reached = run_members(beside, t, keep, workers, progress)
+        return Batch(t, values, tuple(names), reached)
+    if patience is not None:
+        raise InvalidInput("patience is for members beside pegs, and there are none", got=patience)
+    if any("peg" in KEPT[name][0] for name in keep):
+        raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
+    rows = [rows_of(name, value) for name, value in (("q0", q0), ("qd0", qd0))]
+    setups = setups_of(ropes, motions, rows, arm, duration, tol)
+    chains = [setup.chain() for setup in setups]
+    drives = [setup.drive() for setup in setups]
+    starts = starts_of(setups, rows)
+    t = _outputs(t_eval, setups[0].duration)
+    members = members_of(chains, drives, starts)
+    table = scheme(next(order for least, order in ORDERS if setups[0].tol >= least))
+    chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
+    terms = Terms(0.0, setups[0].tol, chains[0].bears, chosen, table.best, table.gap, table.rounding)
+    work = _Work(members, terms, t, keep, setups)
+    announce_compilation()
+    return work.run(workers, progress)
+
+
+class _Work:
+    """The blocks of a batch and where their results go."""
+
+    def __init__(self, members: Members, terms: Terms, t: Array, keep: tuple[str, ...], setups: list[Setup]) -> None:
+        self.members, self.terms, self.t = members, terms, t
+        self.first = 1 if t[0] > 0.0 else 0  # row of start and outputs to show first: the start, where it is asked for
+        self.stop = np.zeros(1, dtype=np.int64)  # 1: blocks at work end where they are
+        self.ropes = [setup.rope for setup in setups]
+        self.floor = np.array([least_scale(rope) for rope in self.ropes])
+        count, _, n = members.links.shape
+        sizes = {"link": n, "axis": 2}
+        self.values = {name: np.full((count, t.size, *(sizes[dim] for dim in KEPT[name][0])), np.nan) for name in keep}
+        self.codes = np.full(count, -1)
+        self.reached = np.zeros(count)
+
+    def block(self, low: int, high: int) -> int:
+        """Run members low..high - 1 and keep what is wanted of them."""
+        n = self.members.links.shape[2]
+        after = self.t[1 - self.first :].copy()  # times after the start
+        y = np.full((high - low, after.size, 2 * n + 2), np.nan)
+        codes, reached = np.full(high - low, -1), np.zeros(high - low)
+        core.run_block(self.members, self.terms, low, high, after, y, codes, reached, self.stop)
+        rows = slice(low, high)
+        states = np.concatenate([self.members.start[rows, None], y], axis=1)
+        times = np.append(self.terms.begin, after)
+        joint = self.check_energy(low, high, times, states, codes, reached)[:, self.first :]
+        y = states[:, self.first :]
+        for name, target in self.values.items():
+            if name == "tip":
+                length = self.members.links[rows, LENGTH][:, None, :]
+                q = y[:, :, :n]
+                reach = np.stack([(length * np.sin(q)).sum(axis=2), -(length * np.cos(q)).sum(axis=2)], axis=2)
+                target[rows] = joint + reach
+            else:
+                target[rows] = y[:, :, _columns(name, n)]
+        self.reached[rows] = reached
+        self.codes[rows] = codes
+        return high - low
+
+    def check_energy(
+        self, low: int, high: int, times: Array, states: Array, codes: npt.NDArray[np.int64], reached: Array
+    ) -> Array:
+        """Mark members whose energy balance fails, and forget their `states` (high - low, T, 2 n + 2) from there on.
+
+        Returns the position of the first joint at `times` (high - low, T, 2), m; the first time is that of the start.
+        """
+        kinetic, potential = np.empty((high - low, times.size)), np.empty((high - low, times.size))
+        joint = np.empty((high - low, times.size, 2))
+        observe_block(self.members, self.terms, low, high, times, states, kinetic, potential, joint)
+        n = self.members.links.shape[2]
+        floor, work, lost = self.floor[low:high, None], states[:, :, 2 * n], states[:, :, 2 * n + 1]
+        done = np.flatnonzero(codes == status.OK)
+        rows = balanced(floor[done], kinetic[done], potential[done], 0.0, work[done], lost[done])
+        for m in done[rows < times.size]:  # what is held may explain it, see there
+            held = stored(self.ropes[low + m].chain(), states[m, :, :n])
+            good = int(balanced(floor[m], kinetic[m], potential[m], held, work[m], lost[m]))
+            if good < times.size:
+                codes[m], reached[m] = status.ENERGY, times[good]
+                states[m, good:] = np.nan
+        return joint
+
+    def run(self, workers: int, progress: bool) -> Batch:
+        """Run all blocks on threads; Ctrl-C keeps what is finished."""
+        count = self.codes.size
+        even = -(-count // (workers * BLOCKS * len(MEMBERS))) * len(MEMBERS)
+        states = self.t.size * (2 * self.members.links.shape[2] + 2)
+        held = int(STATES / states) // len(MEMBERS) * len(MEMBERS)
+        size = max(len(MEMBERS), min(even, LARGEST_BLOCK, held))
+        with ThreadPoolExecutor(workers) as pool, progress_bar(0, count, progress, "members") as report:
+            futures: list[Future[int]] = [
+                pool.submit(self.block, low, min(low + size, count)) for low in range(0, count, size)
+            ]
+            try:
+                finished = 0
+                for future in futures:
+                    finished += future.result()
+                    if report is not None:
+                        report(finished)
+            except KeyboardInterrupt:
+                self.stop[0] = 1
+                for future in futures:
+                    future.cancel()
+        names = tuple(status.NAMES[int(code)] if code >= 0 else INTERRUPTED for code in self.codes)
+        return Batch(self.t, self.values, names, self.reached)
+
+
+def _outputs(t_eval: npt.ArrayLike | None, duration: float) -> Array:
+    """Check the output times (T,), s; by default the end alone."""
+    t = checks.times("t_eval", [duration] if t_eval is None else t_eval)
+    if t[0] < 0.0 or not 0.0 < t[-1] <= duration:
+        raise InvalidInput(
+            "t_eval leaves the run",
+            got=[float(t[0]), float(t[-1])],
+            allowed=f"0 to {duration:g} s, and some time after the start",
+        )
+    return t
+
+
+def _columns(name: str, n: int) -> slice | int:
+    columns: dict[str, slice | int] = {"q": slice(0, n), "qd": slice(n, 2 * n), "motor_work": 2 * n}
+    return columns.get(name, 2 * n + 1)

@@ -1,0 +1,227 @@
+"""Runs beside pegs: free flight by extrapolation, contact by its own stepper, and the hand-over between them.
+
+A flight is so short that no joint can reach a peg meanwhile, as far as the speeds at its ends tell; where they rose by
+more than was allowed for, it is flown again by the stepper for contacts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.checks import Array
+from hyperflex.core import status
+from hyperflex.core.chain.articulated_body import Chain, energies
+from hyperflex.core.chain.drive import Drive, base_state, segment
+from hyperflex.core.contact import bounds as at
+from hyperflex.core.contact import run as core
+from hyperflex.core.contact.step import new_kept
+from hyperflex.core.integrate.progress import INDEX, MARK, T
+from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refined
+from hyperflex.simulation.contact.start import check_outside
+from hyperflex.simulation.contact.turning_pegs import coast, spin_energy, starting_spin
+from hyperflex.simulation.rollouts import Rollout, starting_clock
+from hyperflex.trajectory import State
+
+SHORTEST_FLIGHT = 0.01  # s; for less the hand-over does not pay
+FASTER, SUDDEN = 2.0, 2.0  # a flight allows for speeds so many times as large, and by so much more, m/s
+FLIGHT_TOL = 1e-3  # of the tolerance: with all of it a flight would gain and lose more energy than contact may
+CLEAR = 0.03  # m, gap at which a rope that was in contact has left, where it is not so fast that it would be back
+# Energy that may come from nowhere at the usual tolerance, in parts of the energy at stake for each second; and where
+# joint friction is so low that the rope's own motion, and not contact, sets the steps
+APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/rad
+BUDGET = 250  # steps between two looks at progress and Ctrl-C; some take milliseconds
+STEP = "contact_step"
+KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_heavy")  # in a state's checkpoint
+
+
+class Beside:
+    """A rollout beside pegs.
+
+    Parameters
+    ----------
+    run : Rollout
+        Prepared, and resumed if it goes on; its arrays are filled.
+    setup : Setup
+        With pegs.
+    state : State, optional
+        That the run goes on from.
+    """
+
+    def __init__(self, run: Rollout, setup: Setup, state: State | None) -> None:
+        contacts = setup.contacts()
+        saved: Mapping[str, Any] = {} if state is None else state.checkpoint
+        check_outside(setup, run.time, run.progress.y[: run.chain.length.size])
+        n, m = run.chain.length.size, contacts.x.size
+        self.looser = setup.tol / DEFAULT_TOL
+        run.limits = run.limits._replace(tol=FLIGHT_TOL * setup.tol)
+        self.run, self.setup = run, setup
+        self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), contacts)
+        self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
+        kept = new_kept(n, m)
+        clock = np.zeros(at.CLOCK)
+        clock[at.STEP], clock[at.DUE] = self.longest, 1.0
+        named = list(zip(KEPT, kept, strict=True))
+        if all(name in saved and np.shape(saved[name]) == array.shape for name, array in named):
+            for name, array in named:
+                array[:] = saved[name]
+            clock[at.STEP], clock[at.DUE] = min(float(saved[STEP]), self.longest), 0.0
+        run.spin = starting_spin(setup, state)
+        self.course = at.Course(run.progress.y, clock, run.spin, kept)
+        self.flights, self.flown, self.clear = 0, 0.0, CLEAR
+        run.seen = np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
+
+    def finish(self, report: Callable[[float], None] | None = None) -> int:
+        """Run to the end and return the status code; `report` hears of the simulated time now and then."""
+        code = status.RUNNING
+        while code in (status.RUNNING, status.LEFT):
+            code = self._fly()
+            if code == status.LEFT:
+                code = self._touch()
+            if report is not None:
+                report(self.run.time)
+        self.run.progress.clock[MARK] = -np.inf  # where the run stands is where it goes on from
+        self.run.facts = self._facts()
+        names = zip(KEPT, self.course.kept, strict=True)
+        self.run.kept = {STEP: float(self.course.clock[at.STEP]), **{name: array.copy() for name, array in names}}
+        return code
+
+    def _fly(self) -> int:
+        """Fly freely while no peg can be reached; LEFT if one may be, RUNNING or OK after a flight."""
+        run, clock = self.run, self.run.progress.clock
+        stop = run.limits.stop
+        if run.time >= stop:
+            return status.OK
+        if self.pull.any():
+            return status.LEFT
+        gap, speed = core.clearance(*self.system, run.time, run.progress.y)
+        bound = FASTER * speed + SUDDEN
+        self.clear = max(CLEAR, SHORTEST_FLIGHT * bound)
+        if gap < self.clear:
+            return status.LEFT
+        y, before, begin, spin = run.progress.y.copy(), clock.copy(), run.time, self.course.spin.copy()
+        span = gap / bound
+        run.limits = run.limits._replace(stop=min(begin + span, stop))
+        code = status.RUNNING
+        while code == status.RUNNING:
+            code = self._advance()
+        run.limits = run.limits._replace(stop=stop)
+        if code != status.OK:
+            return code
+        gap, speed = core.clearance(*self.system, run.time, run.progress.y)
+        if speed > bound or gap <= 0.0:
+            run.progress.y[:], clock[:], self.course.spin[:] = y, before, spin
+            return self._touch(begin + span)
+        self.flights, self.flown = self.flights + 1, self.flown + run.time - begin
+        for array in self.course.kept:
+            array[:] = 0
+        return status.RUNNING if run.time < stop else status.OK
+
+    def _advance(self) -> int:
+        """Fly on for one budget of steps; pegs that turn coast meanwhile, also where Ctrl-C ends the flight."""
+        run, begin, row = self.run, self.run.time, self.run.done
+        try:
+            return run.advance()
+        finally:
+            if self.setup.pegs_turn and run.seen is not None:
+                n, m = run.chain.length.size, self.course.spin.shape[1]
+                spins, taken = coast(self.setup, self.course.spin, np.append(run.t[row : run.done], run.time) - begin)
+                run.seen[row : run.done, 3 * n + 4 :] = spins[:-1].reshape(-1, 2 * m)
+                run.y[row : run.done, 2 * n + 1] += taken[:-1]
+                run.progress.y[2 * n + 1] += taken[-1]
+                self.course.spin[:] = spins[-1]
+
+    def _touch(self, least: float = -np.inf) -> int:
+        """Step with contacts until the rope has left the pegs, and at least until `least`, s."""
+        run, clock, course = self.run, self.run.progress.clock, self.course
+        scale = self._energy()
+        friction = float(run.chain.viscous.max())
+        rate = self.looser * scale * (APPEARING if friction >= LOW_FRICTION else APPEARING_FREE)
+        course.clock[at.T], course.clock[at.INDEX] = clock[T], clock[INDEX]
+        always = bool(self.pull.any())  # free flight knows no force on the tip
+        forced = run.time < least
+        stop = min(run.limits.stop, least) if forced else run.limits.stop
+        clear = np.inf if always or forced else self.clear
+        bounds = at.Bounds(stop, self.longest, rate, clear, BUDGET)
+        code = int(core.run(*self.system, self.pull, bounds, course, run.t, run.y, run.seen))
+        index = course.clock[at.INDEX]
+        clock[:MARK] = starting_clock(float(course.clock[at.T]))
+        clock[INDEX], clock[MARK] = index, -np.inf
+        return status.RUNNING if code == status.OK and run.time < run.limits.stop else code
+
+    def _energy(self) -> float:
+        """Energy at stake, J: what the rope has, could gain by falling, or be given by a force or a torque."""
+        run = self.run
+        chain, n, base = run.chain, run.chain.length.size, np.empty(9)
+        base_state(run.drive, segment(run.drive, run.time), run.time, base)
+        y = run.progress.y
+        kinetic, _ = energies(chain, y[:n], y[n : 2 * n], (*base[7:9], *base[5:7], base[4], base[3]))
+        kinetic += float(spin_energy(self.setup, self.course.spin[1]))
+        lever = chain.length.sum()
+        mass = chain.mass.sum() + chain.tip_mass
+        torque = float(np.abs(run.drive.coef[:, 3]).max()) if n else 0.0
+        return float(kinetic + mass * np.hypot(chain.gx, chain.gy) * lever + np.hypot(*self.pull) * lever + torque)
+
+    def _facts(self) -> dict[str, float]:
+        clock = self.course.clock
+        return {
+            "contact_steps": float(clock[at.TAKEN]),
+            "contact_unsolved": float(clock[at.UNSOLVED]),
+            "contact_impacts": float(clock[at.IMPACTS]),
+            "contact_deepest": float(clock[at.DEEPEST]),
+            "energy_appeared": float(clock[at.APPEARED]),
+            "free_flights": float(self.flights),
+            "free_time": self.flown,
+        }
+
+
+def beside(run: Rollout, setup: Setup, state: State | None) -> Beside:
+    """Make a prepared rollout one beside the pegs of its set-up."""
+    return Beside(run, setup, state)
+
+
+def finer(
+    rope: Rope, pegs: tuple[Obstacle, ...], arm: Arm | None, q0: Any, qd0: Any, state: State | None
+) -> tuple[Rope, Any, Any, State | None]:
+    """Return the rope cut as its pegs need it, and start and state with an entry for each of its links."""
+    if not isinstance(rope, Rope) or not all(isinstance(peg, Obstacle) for peg in pegs):
+        return rope, q0, qd0, state  # refused where the set-up is made
+    pieces, coarse = cuts(rope, pegs, arm=arm), rope.n_links
+
+    def each(value: Any) -> Any:
+        return np.repeat(value, pieces) if value is not None and np.shape(value) == (coarse,) else value
+
+    if isinstance(state, State) and np.shape(state.q) == (coarse,) and (pieces > 1).any():
+        state = replace(state, q=each(state.q), qd=each(state.qd), checkpoint={})
+    return refined(rope, pegs, arm=arm), each(q0), each(qd0), state
+
+
+def _own(values: Iterable[Any]) -> Iterator[Any]:
+    """Yield arrays as copies that can be written to: the compiler keeps a version of a kernel for each kind."""
+    for value in values:
+        yield np.array(value) if isinstance(value, np.ndarray) else value
+
+
+class Seen(NamedTuple):
+    """What contact makes of a run at its samples."""
+
+    free: npt.NDArray[np.bool_]  # (T,) samples in free flight
+    qdd: Array  # (T, n) rad/s^2; NaN there
+    force: Array  # (T, n, 2) of the pegs on the links, N; 0 there
+    load: Array  # (T, 3) force, N, and torque, N m, at the first joint; NaN there
+    loss: Array  # (T,) energy lost to contact since the start of the run, J
+    spin: Array  # (T, 2, m) angles, rad, and rates, rad/s, of the obstacles; of those that turn
+
+
+def split(seen: Array, n: int) -> Seen:
+    """Take what was seen (T, 3 n + 4 + 2 m) of n links and m obstacles apart."""
+    free = np.isnan(seen[:, 0])
+    force = np.stack([seen[:, n : 2 * n], seen[:, 2 * n : 3 * n]], axis=-1)
+    latest = np.maximum.accumulate(np.where(free, -1, np.arange(free.size)))  # contact loses nothing in free flight
+    loss = np.where(latest < 0, 0.0, seen[np.maximum(latest, 0), 3 * n + 3])
+    spin = seen[:, 3 * n + 4 :].reshape(free.size, 2, -1)
+    return Seen(free, seen[:, :n], np.where(free[:, None, None], 0.0, force), seen[:, 3 * n : 3 * n + 3], loss, spin)

@@ -1,0 +1,230 @@
+"""What to differentiate by: names and mappings, checked once, and the arrays that the kernels take."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import TORQUE, Drive
+from hyperflex.core.tangent import directions as dr
+from hyperflex.core.tangent import step as tg
+from hyperflex.core.tangent.directions import Directions
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Setup
+from hyperflex.motion.variation import parameters, variation
+
+LINK_NAMES = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffness", "rest_angle")
+STATE_NAMES = ("q0", "qd0")
+# parts of a direction that the user makes himself: how often it is told
+PARTS = (*STATE_NAMES, *LINK_NAMES, "tip_mass", "gravity", "arm_length", "breaks", "coef")
+# of a torque-driven arm, the chain's first link: its own names, and those of the links
+ARM_NAMES = {
+    **{f"arm.{name}": name for name in LINK_NAMES if name not in ("stiffness", "rest_angle")},
+    "arm_angle0": "q0",
+    "arm_rate0": "qd0",
+}
+Part = dict[str, Array]
+Wrt = Iterable[str | Mapping[str, Mapping[str, npt.ArrayLike]]] | str
+_SEED_OF = {
+    "length": tg.LENGTH,
+    "friction": tg.VISCOUS,
+    "dry_friction": tg.DRY,
+    "stiffness": tg.STIFFNESS,
+    "rest_angle": tg.REST,
+}
+FAINT = 1e-300  # N m, dry friction that is felt by the sign of a joint's rate alone
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Directions of a derivative by name; each is a dict of changes per unit of its parameter, see PARTS."""
+
+    names: tuple[str, ...]
+    parts: tuple[Part, ...]
+
+    def start(self, n: int) -> Array:
+        """Derivatives of the start, angles above rates: (2 n, p), p even."""
+        result = np.zeros((2 * n, self.width))
+        for p, part in enumerate(self.parts):
+            for row, name in enumerate(STATE_NAMES):
+                if name in part:
+                    result[row * n : (row + 1) * n, p] = part[name]
+        return result
+
+    @property
+    def width(self) -> int:
+        """Number of directions, filled up to whole pairs."""
+        return len(self.parts) + len(self.parts) % 2
+
+    def lengths(self, n: int) -> Array:
+        """Derivatives of the links' lengths (n, P), m."""
+        return np.stack([part.get("length", np.zeros(n)) for part in self.parts], axis=1)
+
+    def felt(self, chain: Chain) -> Chain:
+        """The chain itself, with the faintest dry friction where there is none but a direction changes it."""
+        faint = np.zeros(chain.length.size)
+        for part in self.parts:
+            faint[part.get("dry_friction", faint) != 0.0] = FAINT
+        if (faint <= chain.dry).all():
+            return chain
+        dry = np.maximum(chain.dry, faint)
+        dry.flags.writeable = chain.dry.flags.writeable  # the compiler makes kernels of its own for either
+        return chain._replace(dry=dry)
+
+    def directions(self, chain: Chain, drive: Drive) -> Directions:
+        """The same for the kernels, at the parameters of `chain` and for a drive."""
+        n, pairs, pieces = chain.length.size, self.width // 2, drive.coef.shape[0]
+        links, whole = np.zeros((self.width, n, tg.SEEDS)), np.zeros((self.width, 3))
+        driven = np.full(self.width, -1, dtype=np.int64)
+        rows: list[Part] = []
+        for p, part in enumerate(self.parts):
+            _link_seeds(part, chain, links[p])
+            whole[p, dr.TIP_MASS] = part.get("tip_mass", np.zeros(1))[0]
+            whole[p, dr.GRAVITY_X : dr.GRAVITY_Y + 1] = part.get("gravity", np.zeros(2))
+            if part.keys() & {"breaks", "coef", "arm_length"}:
+                driven[p] = len(rows)
+                rows.append(part)
+        if chain.dry.any() and drive.coef[..., 1:].any():  # events move in every direction, and then the base with them
+            driven[driven < 0] = len(rows)
+            rows.append({})
+        breaks, coef, arm = np.zeros((len(rows), pieces + 1)), np.zeros((len(rows), pieces, 4, 6)), np.zeros(len(rows))
+        for m, part in enumerate(rows):
+            breaks[m], coef[m] = part.get("breaks", 0.0), part.get("coef", 0.0)
+            arm[m] = part.get("arm_length", np.zeros(1))[0]
+        ends = (driven >= 0) | whole.any(axis=1)
+        own = links.any(axis=(1, 2)) | ((driven >= 0) & drive.coef[:, TORQUE].any())
+        kind = np.where(own.reshape(pairs, 2).any(axis=1), dr.LINKS, 0)
+        kind += np.where(ends.reshape(pairs, 2).any(axis=1), dr.ENDS, 0)
+        return Directions(
+            links.reshape(pairs, 2, n, tg.SEEDS),
+            whole.reshape(pairs, 2, 3),
+            kind,
+            driven.reshape(pairs, 2),
+            breaks,
+            coef,
+            arm,
+        )
+
+
+def _link_seeds(part: Part, chain: Chain, out: Array) -> None:
+    """Write a direction's changes of a chain's links, in the kernels' own parameters, to out (n, SEEDS)."""
+    for name, slot in _SEED_OF.items():
+        if name in part:
+            out[:, slot] = part[name]
+    mass, com, inertia = (part.get(name, 0.0) for name in ("mass", "com", "inertia"))
+    out[:, tg.MASS] = mass
+    out[:, tg.MA] = chain.com * mass + chain.mass * com
+    out[:, tg.INERTIA] = inertia + chain.com**2 * mass + 2.0 * chain.mass * chain.com * com
+
+
+def wanted(setup: Setup, wrt: Wrt) -> Wanted:
+    """Check what a user wants derivatives with respect to; see :func:`hyperflex.sensitivities`."""
+    entries = [wrt] if isinstance(wrt, (str, Mapping)) else list(wrt)
+    names: list[str] = []
+    parts: list[Part] = []
+    for entry in entries:
+        if isinstance(entry, str):
+            found = _by_name(setup, entry)
+        elif isinstance(entry, Mapping):
+            found = {name: _own(setup, name, part) for name, part in entry.items()}
+        else:
+            raise InvalidInput("wrt holds neither a name nor a mapping", got=entry, allowed=_allowed(setup))
+        names += found
+        parts += found.values()
+    if not names:
+        raise InvalidInput("wrt is empty", allowed=_allowed(setup))
+    if len(set(names)) != len(names):
+        raise InvalidInput("wrt names something twice", got=names, allowed="each name once")
+    if setup.torque_driven:
+        parts = [_with_arm(part, setup.rope.n_links) for part in parts]
+    return Wanted(tuple(names), tuple(parts))
+
+
+def _with_arm(part: Part, n: int) -> Part:
+    """A direction of the rope's n links, and of the arm, as one of a chain that begins with the arm."""
+    joined = {name: value for name, value in part.items() if name not in (*STATE_NAMES, *LINK_NAMES, *ARM_NAMES)}
+    if "arm_length" in joined:
+        part = {**part, "arm.length": joined.pop("arm_length")}
+    arm = {name: part[own] for own, name in ARM_NAMES.items() if own in part}
+    for name in (*STATE_NAMES, *LINK_NAMES):
+        if name in part or name in arm:
+            joined[name] = np.append(arm.get(name, 0.0), part.get(name, np.zeros(n)))
+    return joined
+
+
+def _allowed(setup: Setup) -> str:
+    links = ", ".join((*STATE_NAMES, *LINK_NAMES))
+    moving = ", ".join(f"motion.{name}" for name in parameters(setup.motion)[:8]) if setup.motion else ""
+    if setup.torque is not None:
+        moving = ", ".join(f"torque.{name}" for name in parameters(setup.torque)[:8])
+    arm = ", arm.length" if setup.arm is not None else ""
+    if setup.torque_driven:
+        arm = "".join(f", {name}" for name in ARM_NAMES)
+    return (
+        f"{links} (of all links as one, name[3] of one, name[:] of each; q0 and qd0 are always of each), tip_mass, "
+        f"gravity[0], gravity[1]{arm}{moving and ', ' + moving}, or a mapping {{name: {{property: change}}}}"
+    )
+
+
+def _by_name(setup: Setup, name: str) -> dict[str, Part]:
+    n = setup.rope.n_links
+    match = re.fullmatch(r"([a-z_0-9]+)(?:\[(\d+|:)\])?", name)
+    base, index = match.groups() if match else (name, None)
+    if base in LINK_NAMES or base in STATE_NAMES:
+        if index is None and base in LINK_NAMES:
+            return {name: {base: np.ones(n)}}
+        if index is None or index == ":":
+            return {f"{base}[{i}]": {base: row} for i, row in enumerate(np.eye(n))}
+        if int(index) < n:
+            return {name: {base: np.eye(n)[int(index)]}}
+    if name == "tip_mass":
+        return {name: {"tip_mass": np.ones(1)}}
+    if base == "gravity" and index in ("0", "1"):
+        return {name: _gravity(setup, np.eye(2)[int(index)])}
+    if name in ARM_NAMES and setup.torque_driven:
+        return {name: {name: np.ones(1)}}
+    if name == "arm.length" and setup.arm is not None:
+        return {name: {"arm_length": np.ones(1)}}
+    for prefix, source in (("motion.", setup.motion), ("torque.", setup.torque)):
+        if name.startswith(prefix) and source is not None:
+            breaks, coef = variation(source, name.removeprefix(prefix))
+            return {name: {"breaks": breaks, "coef": coef}}
+    raise InvalidInput("wrt names what is not there", got=name, allowed=_allowed(setup))
+
+
+def _gravity(setup: Setup, change: Array) -> Part:
+    """Gravity moves the start, too, where that is the rope at rest."""
+    part = {"gravity": change}
+    gx, gy = setup.rope.gravity
+    if setup.q0 is None and (gx or gy):
+        part["q0"] = np.full(setup.rope.n_links, (gx * change[1] - gy * change[0]) / (gx * gx + gy * gy))
+    return part
+
+
+def _own(setup: Setup, name: str, given: Mapping[str, npt.ArrayLike]) -> Part:
+    """A direction that the user has made himself."""
+    n = setup.rope.n_links
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*STATE_NAMES, *LINK_NAMES), (n,))
+    shapes |= {"tip_mass": (1,), "gravity": (2,), "arm_length": (1,)}
+    if setup.torque_driven:
+        shapes |= dict.fromkeys(ARM_NAMES, (1,))
+    source = setup.motion or setup.torque
+    if source is not None:
+        shapes |= {"breaks": source.breaks.shape, "coef": source.coef.shape}
+    if not isinstance(given, Mapping) or not given or set(given) - set(shapes):
+        got = sorted(given) if isinstance(given, Mapping) else given
+        raise InvalidInput(f"direction {name!r} cannot be used", got=got, allowed=", ".join(shapes))
+    return {key: checks.array(f"{name}: {key}", value, shapes[key], scalar=True) for key, value in given.items()}
+
+
+def refuse_what_is_not_smooth(setup: Setup) -> None:
+    """Refuse set-ups whose runs have no derivative that the kernels know."""
+    if setup.method != "extrapolation":
+        raise InvalidInput("sensitivities follow the extrapolation", got=setup.method, allowed="method='extrapolation'")

@@ -1,0 +1,287 @@
+"""Exact derivatives of rollouts with respect to the start, the rope, the arm and the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.checks import Array
+from hyperflex.core import status
+from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import Drive
+from hyperflex.core.integrate.progress import JOINT, MODES, REJECTED, TAKEN, Limits
+from hyperflex.core.tangent import forward_sensitivity as core
+from hyperflex.core.tangent.directions import place_changes
+from hyperflex.errors import InvalidInput
+from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
+from hyperflex.motion import Motion
+from hyperflex.simulation.outcome import failure, refuse_unbalanced
+from hyperflex.simulation.rollouts import TABLES, Rollout, finish, limits, prepare
+from hyperflex.simulation.runs import output_times
+from hyperflex.simulation.sensitivity.directions import Wanted, Wrt, refuse_what_is_not_smooth, wanted
+from hyperflex.simulation.sensitivity.stiction import held
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+STEPS = 10_000  # noted in one go; a run with more of them is done again with room for all
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivities:
+    """A rollout and its derivatives (made by :func:`hyperflex.sensitivities`).
+
+    Attributes
+    ----------
+    t : (T,) float64
+        Output times, s.
+    q, qd : (T, n) float64
+        Angles, rad, and rates, rad/s.
+    tip : (T, 2) float64
+        Position of the tip, m.
+    names : tuple of str
+        What the derivatives are taken with respect to, (P,).
+    dq, dqd : (T, n, P) float64
+        Derivatives of angles and rates at fixed times, in rad and rad/s per SI unit of the parameter.
+    dtip : (T, 2, P) float64
+        Derivatives of the tip's position, m per SI unit.
+    arm_angle, arm_rate : (T,) float64, or None
+        Of a torque-driven arm, rad and rad/s.
+    darm_angle, darm_rate : (T, P) float64, or None
+        Their derivatives.
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    tip: Array
+    names: tuple[str, ...]
+    dq: Array
+    dqd: Array
+    dtip: Array
+    arm_angle: Array | None = None
+    arm_rate: Array | None = None
+    darm_angle: Array | None = None
+    darm_rate: Array | None = None
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """The same as an ``xarray.Dataset`` with the dimensions time, link, axis and parameter."""
+        import xarray as xr
+
+        variables: dict[str, Any] = {
+            "q": (("time", "link"), self.q, {"units": "rad"}),
+            "qd": (("time", "link"), self.qd, {"units": "rad/s"}),
+            "tip": (("time", "axis"), self.tip, {"units": "m"}),
+            "dq": (("time", "link", "parameter"), self.dq, {"long_name": "derivative of q", "units": "rad per unit"}),
+            "dqd": (
+                ("time", "link", "parameter"),
+                self.dqd,
+                {"long_name": "derivative of qd", "units": "rad/s per unit"},
+            ),
+            "dtip": (
+                ("time", "axis", "parameter"),
+                self.dtip,
+                {"long_name": "derivative of tip", "units": "m per unit"},
+            ),
+        }
+        if self.arm_angle is not None:
+            variables |= {
+                "arm_angle": ("time", self.arm_angle, {"units": "rad"}),
+                "arm_rate": ("time", self.arm_rate, {"units": "rad/s"}),
+                "darm_angle": (("time", "parameter"), self.darm_angle, {"units": "rad per unit"}),
+                "darm_rate": (("time", "parameter"), self.darm_rate, {"units": "rad/s per unit"}),
+            }
+        coords = {
+            "time": ("time", self.t, {"units": "s"}),
+            "axis": ("axis", np.array(["x", "y"])),
+            "parameter": ("parameter", np.array(self.names)),
+        }
+        return xr.Dataset(variables, coords, attrs={"source": "simulated"})
+
+
+def sensitivities(
+    rope: Rope | Setup,
+    motion: Motion | None = None,
+    *,
+    arm: Arm | None = None,
+    duration: float | None = None,
+    q0: npt.ArrayLike | None = None,
+    qd0: npt.ArrayLike | None = None,
+    t_eval: npt.ArrayLike | None = None,
+    tol: float = DEFAULT_TOL,
+    wrt: Wrt,
+) -> Sensitivities:
+    """Simulate a rope, and differentiate angles, rates and the tip's position.
+
+    The derivatives are those of the computed run itself, step by step, so they are exact to rounding; they differ
+    from those of the true motion by about as much as the run itself does.
+
+    Parameters
+    ----------
+    rope : Rope or Setup
+        The rope; or a whole set-up, and then only `duration`, `t_eval` and `wrt` may be given beside it.
+    motion, arm, duration, q0, qd0, tol
+        As in :func:`hyperflex.simulate`.
+    t_eval : (T,) array_like, optional
+        Increasing times of the output, s, within the run; by default every 10 ms and the end.
+    wrt : str, mapping, or sequence of them
+        What to differentiate by.
+
+        ``"q0"``, ``"qd0"``: the start of every link; ``"q0[3]"`` of one.
+        ``"friction"``, and likewise dry_friction, length, mass, com, inertia, stiffness, rest_angle: one number added
+        to that of every link; ``"friction[3]"`` of one link; ``"friction[:]"`` of each. The others stay as they are:
+        more ``"mass"`` does not change the inertia.
+        ``"tip_mass"``, ``"gravity[0]"``, ``"gravity[1]"``, ``"arm.length"``. Without `q0` the rope hangs along gravity
+        at the start, and turns with it.
+        ``"motion.t_rest"`` and whatever else the motion was made from; ``"motion.delay"`` of any motion.
+        ``{"radius": {"inertia": 0.5 * mass * radius}}``: a parameter of your own, by how much each property changes
+        with it: (n,) arrays or numbers for q0, qd0 and the properties of links, and tip_mass, gravity (2,), arm_length,
+        and ``breaks`` (k + 1,) and ``coef`` (k, 4, 6) of the motion.
+
+        With a torque-driven arm also ``"arm_angle0"``, ``"arm_rate0"``, ``"arm.inertia"``, and likewise mass, com,
+        friction and dry_friction, and ``"torque.torque[3]"``, ``"torque.delay"`` of its torque.
+
+    Returns
+    -------
+    Sensitivities
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+    SimulationError
+        If the run fails.
+
+    Notes
+    -----
+    Derivatives hold at fixed times, also where a switch of the motion moves with its parameter. At the very instant of
+    such a switch they are those from before it. Equations (M.19)-(M.25) of docs/models.md; cost about as much as the
+    run for two parameters, and a third of it for each further initial angle or rate.
+
+    With dry friction they go through each instant at which a joint sticks or comes loose, which moves with the
+    parameter, too. Where two sides differ they are one-sided, for the modes that the run has: for a joint at rest
+    exactly at its limit, or at rest at the start and slipping from there; for joints that change at the same instant;
+    for ``"dry_friction"`` of a joint that has none, towards more. A joint that sticks at the start stops a change of
+    its rate at once, so behind the start ``"qd0"`` moves both of its links alike.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> cast = hf.sensitivities(cable, hf.swings(), arm=hf.Arm(), duration=2.0, wrt=["friction", "motion.t_rest"])
+    >>> cast.dtip.shape
+    (201, 2, 2)
+    """
+    if isinstance(rope, Setup):
+        beside = {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0}
+        if given := [name for name, value in beside.items() if value is not None]:
+            raise InvalidInput("arguments beside a whole set-up", got=given, allowed="duration, t_eval, wrt")
+        setup = rope if duration is None else replace(rope, duration=duration)
+    elif duration is None:
+        raise InvalidInput("duration is missing", allowed="a number > 0, in s", fix="Give duration=10.0, say")
+    else:
+        setup = Setup(rope, motion, arm, duration=duration, q0=q0, qd0=qd0, tol=tol)  # type: ignore[arg-type]
+    refuse_what_is_not_smooth(setup)
+    directions = wanted(setup, wrt)
+    t = output_times(t_eval, 0.0, setup.duration)
+    chain, drive = directions.felt(setup.chain()), setup.drive()
+    run = recorded(chain, drive, setup.start(), limits(setup, chain, setup.duration))
+    refuse_unbalanced(run, setup)
+    y, dy = along(run, directions, setup.start(), t)
+    return _labelled(chain, drive, directions, t, y, dy, own=1 if setup.torque_driven else 0)
+
+
+class Slopes:
+    """Rollouts with derivatives for callers that need thousands: everything is checked once, here.
+
+    Parameters
+    ----------
+    setup : Setup
+        Its rope, start and duration may be replaced in each call.
+    wrt
+        As in :func:`sensitivities`.
+    """
+
+    def __init__(self, setup: Setup, wrt: Wrt) -> None:
+        refuse_what_is_not_smooth(setup)
+        self.setup, self.drive = setup, setup.drive()
+        self.wanted = wanted(setup, wrt)
+        self.names = self.wanted.names
+
+    def __call__(self, t: Array, q0: Array, qd0: Array, rope: Rope | None = None) -> tuple[Array, Array, Array, Array]:
+        """Return angles and rates (T, n) and their derivatives (T, n, P) at times t (T,).
+
+        Parameters
+        ----------
+        t : (T,) array
+            Increasing times, s; the run starts at t[0].
+        q0, qd0 : (n,) array
+            Angles, rad, and rates, rad/s, at t[0]; a torque-driven arm is the first of n links, here and in the answer.
+        rope : Rope, optional
+            Another rope with as many links.
+
+        Raises
+        ------
+        SimulationError
+            If the run cannot be finished.
+        """
+        rope, arm = rope or self.setup.rope, self.setup.arm
+        chain = self.wanted.felt(arm.chain(rope) if arm and self.setup.torque_driven else rope.chain())
+        bounds = limits(self.setup, chain, float(t[-1]))
+        run = recorded(chain, self.drive, (q0, qd0), bounds, float(t[0]))
+        y, dy = along(run, self.wanted, (q0, qd0), t)
+        n, p = chain.length.size, len(self.names)
+        return y[:, :n], y[:, n : 2 * n], dy[:, :n, :p], dy[:, n:, :p]
+
+
+def recorded(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Limits, begin: float = 0.0) -> Rollout:
+    """Run to the end, noting every step; raises where that fails."""
+    count, width = STEPS, MODES + chain.length.size if chain.dry.any() else JOINT
+    while True:
+        run = prepare(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
+        code = finish(run)
+        if code != status.OK:
+            raise failure(code, run)
+        steps = int(run.progress.clock[TAKEN] - run.progress.clock[REJECTED])
+        if steps <= count:
+            run.progress = run.progress._replace(log=run.progress.log[:steps])
+            return run
+        count = steps
+
+
+def along(run: Rollout, directions: Wanted, start: tuple[Array, Array], t: Array) -> tuple[Array, Array]:
+    """Go through a recorded run again: states (T, 2 n + 2) and derivatives (T, 2 n, p) at times t (T,)."""
+    n, begin = run.chain.length.size, float(run.t[0])
+    times = np.append([] if t[0] == begin else begin, t)
+    y, dy = np.zeros((times.size, 2 * n + 2)), np.zeros((times.size, 2 * n, directions.width))
+    y[0, :n], y[0, n : 2 * n] = start
+    dy[:] = directions.start(n)
+    steps = run.progress.log
+    if steps.size:
+        seeds = directions.directions(run.chain, run.drive)
+        begins = held(run.chain, run.drive, begin, y[0, :n], steps[0, MODES:], seeds, dy[0])
+        core.replay(run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
+    first = times.size - t.size
+    return y[first:], dy[first:]
+
+
+def _labelled(chain: Chain, drive: Drive, directions: Wanted, t: Array, y: Array, dy: Array, own: int) -> Sensitivities:
+    """Add the tip to a run's states and derivatives, and name an arm that is a link of its `own` (1, else 0)."""
+    n, p = chain.length.size, len(directions.names)
+    q, dq = y[:, :n], dy[:, :n, :p]
+    sin, cos = np.sin(q), np.cos(q)
+    motion = Motion(drive.breaks, drive.coef, drive.switch, drive.loop)
+    angle = motion.angle(t)
+    reach = np.stack([(chain.length * sin).sum(axis=1), -(chain.length * cos).sum(axis=1)], axis=1)
+    tip = motion.point(t) + drive.arm_length * np.stack([np.sin(angle), -np.cos(angle)], axis=1) + reach
+    dtip = np.zeros((t.size, 2, directions.width))
+    place_changes(drive, directions.directions(chain, drive), t, dtip)
+    dtip = dtip[:, :, :p] + np.matmul(chain.length * np.stack([cos, sin], axis=1), dq)
+    dtip += np.matmul(np.stack([sin, -cos], axis=1), directions.lengths(n))
+    qd, dqd, names = y[:, n : 2 * n], dy[:, n:, :p], directions.names
+    arm = (q[:, 0], qd[:, 0], dq[:, 0], dqd[:, 0]) if own else ()
+    return Sensitivities(t, q[:, own:], qd[:, own:], tip, names, dq[:, own:], dqd[:, own:], dtip, *arm)

@@ -1,0 +1,52 @@
+"""What becomes of a change of the start where joints stick: their friction stops it at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.core.chain.articulated_body import Chain, mass_matrix
+from hyperflex.core.chain.drive import Drive, segment
+from hyperflex.core.tangent import directions as dr
+from hyperflex.core.tangent.directions import Directions
+
+
+def held(chain: Chain, drive: Drive, t: float, q: Array, modes: Array, directions: Directions, start: Array) -> Array:
+    """Derivatives of the state just after the start, where stuck joints turn with their parents.
+
+    A joint within its limit that is given a little rate stops after a time in proportion to it. To first order that is
+    a blow on both links, whichever the sense: momenta are kept but for it.
+
+    Parameters
+    ----------
+    chain, drive, directions : Chain, Drive, Directions
+    t : float, s
+    q : (n,) angles at the start, rad
+    modes : (n,) of the joints in the first step, 0.0 where one sticks; or (0,): there is no dry friction
+    start : (2 n, p) derivatives of angles and rates as they are given
+
+    Returns
+    -------
+    (2 n, p) array
+    """
+    n = q.size
+    stuck = np.flatnonzero(modes == 0.0)
+    if not stuck.size:
+        return start
+    turn = np.eye(n) - np.eye(n, k=-1)  # of each joint, by the rates of the links
+    slip = turn[stuck] @ start[n:]
+    if stuck[0] == 0:
+        part, moved = segment(drive, t), np.zeros(dr.CHANGES)
+        for x, m in enumerate(directions.driven.ravel()):
+            if m >= 0:
+                dr.base_change(drive, part, t, 0.0, directions, m, moved)
+                slip[0, x] -= moved[dr.RATE]
+    if not slip.any():
+        return start
+    mass = np.zeros((n, n))
+    mass_matrix(chain, q, mass)
+    share = len(chain.bears) - 1.0
+    blow = np.linalg.solve(mass, (np.eye(n) - share * np.eye(n, k=-1))[stuck].T)
+    result = start.copy()
+    result[n:] -= blow @ np.linalg.solve(turn[stuck] @ blow, slip)
+    return result

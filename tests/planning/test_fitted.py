@@ -1,0 +1,113 @@
+"""Ropes drawn from what an identification says: each law along the rope, and files that say it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex import files
+from hyperflex.errors import InvalidInput
+from hyperflex.model import divided
+from hyperflex.planning.robust.posterior import Fitted
+
+ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=4, radius=0.003, friction=1e-3, stiffness=2e-3, tip_mass=0.02)
+COUNT = 1500  # draws: a deviation is told within 1.8 %, a covariance within some 4 % of the product of deviations
+
+
+def fitted(covariance: list[list[float]], *labels: str, **factors: float) -> Fitted:
+    return Fitted(ROPE, labels, np.array(covariance), {f"{name}:factor": value for name, value in factors.items()})
+
+
+def ropes(one: Fitted, count: int = COUNT) -> list[hf.Rope]:
+    return [one.draw(np.random.default_rng([1, m])) for m in range(count)]
+
+
+def test_what_hangs_together_is_drawn_together() -> None:
+    covariance = np.array([[4e-8, 3e-8], [3e-8, 4e-8]])
+    drawn = ropes(fitted(covariance.tolist(), "friction[1]", "stiffness:shared"))
+    x = np.array([[rope.friction[1], rope.stiffness[3]] for rope in drawn])
+    np.testing.assert_allclose(np.cov(x.T), covariance, rtol=0.15)
+    np.testing.assert_allclose(x.mean(axis=0), [1e-3, 2e-3], rtol=0.02)
+    assert all(rope.friction[0] == 1e-3 for rope in drawn[:9])  # link 0 was not fitted
+    assert all(np.ptp(rope.stiffness[1:]) == 0.0 for rope in drawn[:9])
+
+
+def test_factors_and_tapers_act_on_all_links() -> None:
+    """A factor fitted as 2 +- 0.2 leaves a rope whose friction is known within 10 %."""
+    drawn = ropes(fitted([[0.04]], "friction:factor", friction=2.0))
+    assert np.std(np.log([rope.friction[2] / 1e-3 for rope in drawn])) == pytest.approx(0.1, rel=0.06)
+    drawn = ropes(fitted([[0.09]], "friction:taper"))
+    growth = [np.log(rope.friction[3] / rope.friction[1]) for rope in drawn]  # half the rope apart
+    assert np.std(growth) == pytest.approx(0.15, rel=0.06)
+
+
+def test_masses_stay_above_0_and_friction_does_not_fall_below() -> None:
+    drawn = ropes(fitted([[1e-3, 0, 0], [0, 1e-5, 0], [0, 0, 1e-3]], "mass[0]", "friction:shared", "tip_mass"))
+    assert min(rope.mass[0] for rope in drawn) > 0.0
+    assert min(rope.friction[0] for rope in drawn) == 0.0
+    assert min(rope.tip_mass for rope in drawn) == 0.0
+
+
+def test_a_drawn_length_leaves_a_rope_that_can_be_cut() -> None:
+    (one,) = ropes(fitted([[1e-4]], "length:factor", length=1.0), 1)
+    assert divided(one, 2).n_links == 8
+    np.testing.assert_allclose(one.inertia, 0.025 * (3.0 * 0.003**2 + one.length**2) / 12.0, rtol=1e-12)
+    assert one.total_length != ROPE.total_length
+    (one,) = ropes(fitted([[1e-4, 0], [0, 1e-9]], "length:factor", "com[1]", length=1.0), 1)
+    assert one.com[0] == ROPE.com[0]
+
+
+@pytest.mark.parametrize(
+    ("sd", "row", "unknown"),
+    [
+        ({"friction": np.array([0.0, 1e-4, np.inf, 0.0])}, 1e-8, ("friction[2]",)),
+        ({"friction": [0.0, "unknown", 1e-4, 0.0]}, 1e-8, ("friction[1]",)),
+        ({"friction": [0.0, 1e-4, 1e-4, 0.0]}, 0.0, ("friction[2]",)),
+        ({}, 1e-8, ()),
+    ],
+)
+def test_what_a_fit_could_not_tell_is_known(sd: dict[str, Any], row: float, unknown: tuple[str, ...]) -> None:
+    """An infinite deviation, the word for it in a file, or a row of 0: all that is said of a direction left out."""
+    names = ("friction[1]", "friction[2]")
+    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=np.diag([1e-8, row]), values={}, sd=sd)
+    found = Fitted.of(fit)  # type: ignore[arg-type]
+    assert found.unknown == unknown
+    assert found.untold == (("friction",) if unknown else ())
+
+
+def test_gravity_turns_and_what_is_none_of_the_rope_s_is_left() -> None:
+    one = fitted([[1e-4, 0], [0, 1.0]], "gravity_angle", "delay")
+    drawn = ropes(one)
+    assert np.std([rope.hanging_angle for rope in drawn]) == pytest.approx(0.01, rel=0.06)
+    assert np.hypot(*drawn[0].gravity) == pytest.approx(9.81, rel=1e-3)
+    assert drawn[0].replace(gravity=ROPE.gravity) == ROPE
+    assert one.names == ("gravity_angle",)
+
+
+def test_a_file_says_what_the_fit_said(tmp_path: Path) -> None:
+    values = {"friction:factor": np.array(2.0), "mass": ROPE.mass}
+    covariance = np.array([[0.04, 1e-5], [1e-5, 1e-6]])
+    sd = {"friction:factor": np.array(0.2), "mass": np.array([0.0, 0.0, 1e-3, 0.0])}
+    names = ("friction:factor", "mass[2]")
+    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=covariance, values=values, sd=sd)
+    told = {
+        "parameters": list(fit.parameters),
+        "covariance": covariance.tolist(),
+        "values": {"friction:factor": 2.0, "mass": ROPE.mass.tolist()},
+    }
+    path = tmp_path / "rope.toml"
+    files.write_toml(path, {"rope": ROPE.table(), "identification": told})
+    read = Fitted.from_toml(path)
+    assert read is not None
+    assert ropes(read, 5) == ropes(Fitted.of(fit), 5)  # type: ignore[arg-type]
+    ROPE.to_toml(path)
+    assert Fitted.from_toml(path) is None
+    for wrong in ({"values": {}}, {"covariance": [[1.0]]}, {"covariance": [["a", 1.0], [1.0, 1.0]]}):
+        files.write_toml(path, {"rope": ROPE.table(), "identification": told | wrong})
+        with pytest.raises(InvalidInput):
+            Fitted.from_toml(path)
