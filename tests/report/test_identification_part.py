@@ -10,7 +10,7 @@ from hyperflex.paper import SMALL, SWINGS, WIDE, Claim, Swing, identification_fi
 from hyperflex.paper.report import identification as identification_part
 from hyperflex.paper.report import identification_figures as revision_figures
 from hyperflex.paper.report.reproduce import reproduce
-from hyperflex.report.tables import verdicts
+from hyperflex.paper.report.tables import verdicts
 
 
 @pytest.fixture

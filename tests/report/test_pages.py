@@ -10,8 +10,9 @@ from hyperflex import files
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.paper import READINGS, Claim
 from hyperflex.paper.report.reproduce import reproduce
+from hyperflex.paper.report.tables import verdicts
 from hyperflex.report.page import Picture, Section, write_page
-from hyperflex.report.tables import TextTable, markdown, verdicts
+from hyperflex.report.tables import TextTable, markdown
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

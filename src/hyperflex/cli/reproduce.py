@@ -25,7 +25,7 @@ def reproduce(
     Writes PNG and CSV for each figure, CSV for each table, a Markdown table of the claims and a page that shows it all.
     """
     from hyperflex.paper.report.reproduce import reproduce as run
-    from hyperflex.report.tables import verdicts
+    from hyperflex.paper.report.tables import verdicts
 
     with output.spinner(json) as tell:
         result = run(figures, out, progress=tell)

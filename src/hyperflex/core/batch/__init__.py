@@ -1,1 +1,1 @@
-"""batch."""
+"""Many rollouts side by side in SIMD lanes."""

@@ -1,1 +1,1 @@
-"""chain."""
+"""The chain of rigid links: articulated-body algorithm, SIMD lanes, prescribed motion and motor torque."""

@@ -1,1 +1,1 @@
-"""integrate."""
+"""Integration in free flight: extrapolated steps, error control, events, dense output."""

@@ -1,8 +1,8 @@
 """Derivatives where joints stick, and of steps that end where a joint changes its mode.
 
 A stuck joint keeps its angle in every direction. A step that ends at an event is as long as it takes the event's margin
-to fall to zero (core/integrate/event_search.py), so its length has a derivative: less that of the margin over the margin's slope. The
-slope is the derivative along one more direction, in which nothing changes but the length of the step.
+to fall to zero (core/integrate/event_search.py), so its length has a derivative: less that of the margin over the
+margin's slope. The slope is the derivative along one more direction, in which nothing changes but the step's length.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""baselines."""
+"""The paper's methods and what it compares them with."""

@@ -1,1 +1,1 @@
-"""comparison."""
+"""Comparison of models by evidence."""

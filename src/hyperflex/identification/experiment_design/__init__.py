@@ -1,1 +1,1 @@
-"""experiment_design."""
+"""Design of experiments by Fisher information."""

@@ -1,1 +1,1 @@
-"""fit."""
+"""The fit: multiple shooting over windows, from short to long."""

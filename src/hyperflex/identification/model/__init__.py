@@ -1,1 +1,1 @@
-"""model."""
+"""What is fitted: free parameters, and predicted measurements with their derivatives."""

@@ -34,12 +34,15 @@ class Angles:
     placed = False
 
     def see(self, rope: Rope, pivot: Array, q: Array, own: Array) -> Array:
+        """Return channels (m, C)."""
         return q
 
     def slopes(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array, own: Array) -> Array:
+        """Return derivatives of the channels (m, C, D)."""
         return dq
 
     def own_slopes(self, rope: Rope, q: Array, own: Array) -> Array:
+        """Return derivatives with respect to the values of the sensor (m, C, V)."""
         return np.zeros((*q.shape, 0))
 
 
@@ -53,6 +56,7 @@ class Places:
     placed = True
 
     def see(self, rope: Rope, pivot: Array, q: Array, own: Array) -> Array:
+        """Return channels (m, C)."""
         link, beyond = self._on(rope, own[2:])
         along = np.stack([np.sin(q), -np.cos(q)], axis=2)  # (m, n, 2)
         joints = np.cumsum(rope.length[:, None] * along, axis=1) - rope.length[:, None] * along
@@ -61,6 +65,7 @@ class Places:
         return result
 
     def slopes(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array, own: Array) -> Array:
+        """Return derivatives of the channels (m, C, D)."""
         link, beyond = self._on(rope, own[2:])
         along = np.stack([np.sin(q), -np.cos(q)], axis=2)
         across = np.stack([np.cos(q), np.sin(q)], axis=2)
@@ -75,6 +80,7 @@ class Places:
         return np.asarray(result.reshape(q.shape[0], -1, dq.shape[2]))
 
     def own_slopes(self, rope: Rope, q: Array, own: Array) -> Array:
+        """Return derivatives with respect to the values of the sensor (m, C, V)."""
         link, _ = self._on(rope, own[2:])
         result = np.zeros((q.shape[0], link.size, 2, own.size))
         result[:, :, 0, 0] = result[:, :, 1, 1] = 1.0

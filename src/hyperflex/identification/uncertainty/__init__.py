@@ -1,1 +1,1 @@
-"""uncertainty."""
+"""How sure a fit is: noise, covariance, profiles, intervals, bootstrap, prediction bands."""

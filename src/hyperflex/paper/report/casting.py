@@ -9,9 +9,9 @@ from hyperflex import paper
 from hyperflex.paper import OUTCOMES, T_MOVE, T_REST, cable, casting_arm
 from hyperflex.paper.report import casting_figures as casting
 from hyperflex.paper.report.part import Part, write_picture
+from hyperflex.paper.report.tables import reaches_table
 from hyperflex.report.page import Picture, Section
 from hyperflex.report.style import png
-from hyperflex.report.tables import reaches_table
 
 NAMES = ("fig9", "fig10", "fig11", "fig12")
 TITLE = "Casting a rope by swinging"

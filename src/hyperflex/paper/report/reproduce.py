@@ -12,9 +12,10 @@ from hyperflex.paper.report import casting as casting_part
 from hyperflex.paper.report import identification as identification_part
 from hyperflex.paper.report import timing as timing_part
 from hyperflex.paper.report.part import Part
+from hyperflex.paper.report.tables import claims_table, verdicts
 from hyperflex.report.folder import whole_folder
 from hyperflex.report.page import Section, write_page
-from hyperflex.report.tables import claims_table, markdown, verdicts
+from hyperflex.report.tables import markdown
 
 PARTS = (identification_part, casting_part, timing_part)
 FIGURES = tuple(name for part in PARTS for name in part.NAMES)

@@ -1,1 +1,1 @@
-"""feedback."""
+"""A planned cast followed in closed loop."""

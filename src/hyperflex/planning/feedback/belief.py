@@ -28,8 +28,8 @@ class Belief:
     Notes
     -----
     Each world predicts every state that is seen from the one seen before; mean squares of its errors (of the joints'
-    places and velocities, :func:`hyperflex.planning.feedback.matching.features`) add up. Thus the rope's length and friction and
-    the motor's lag show, as far as they matter. Of when a move began, all know only what was asked for.
+    places and velocities, :func:`hyperflex.planning.feedback.matching.features`) add up. Thus the rope's length and
+    friction and the motor's lag show, as far as they matter. Of when a move began, all know only what was asked for.
     """
 
     def __init__(self, thrower: Thrower, draws: Sequence[Draw]) -> None:

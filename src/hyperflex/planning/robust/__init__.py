@@ -1,1 +1,1 @@
-"""robust."""
+"""Casts planned for what is not known exactly: scenarios and probabilities of success."""

@@ -1,1 +1,1 @@
-"""whip."""
+"""Whips: the tip passes a point fast, in a wanted direction."""

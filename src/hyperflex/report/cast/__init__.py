@@ -1,1 +1,1 @@
-"""cast."""
+"""The report of a planned cast: page, pictures, words."""

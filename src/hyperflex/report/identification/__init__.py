@@ -1,1 +1,1 @@
-"""identification."""
+"""The report of an identification: page, pictures, tables."""

@@ -1,1 +1,1 @@
-"""whip."""
+"""The report of a planned whip: page, pictures, words."""

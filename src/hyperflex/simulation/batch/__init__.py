@@ -1,1 +1,1 @@
-"""batch."""
+"""Many rollouts at once: in SIMD lanes, or beside pegs on threads."""

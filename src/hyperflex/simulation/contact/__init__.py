@@ -1,1 +1,1 @@
-"""contact."""
+"""Runs beside pegs: free flight and contact, and what is checked before."""

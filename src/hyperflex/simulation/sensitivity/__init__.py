@@ -1,1 +1,1 @@
-"""sensitivity."""
+"""Exact derivatives of rollouts."""
