@@ -23,8 +23,9 @@ Row = dict[str, Any]
 def planner() -> str:
     """A hash of the sources that plan casts, as ``SOURCE_HASH`` is one of the kernels."""
     digest = hashlib.sha256()
-    for path in sorted(Path(hyperflex.planning.__file__).parent.glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    folder = Path(hyperflex.planning.__file__).parent
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
