@@ -164,10 +164,10 @@ def test_missing_empty_and_truncated_files_are_named(tmp_path):
     whole = path.read_bytes()
     for size in (0, 100, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:size])
-        with pytest.raises(FileProblem, match=r"truncated|empty"):
+        with pytest.raises(FileProblem, match=r"cut off|empty|no NetCDF-4"):
             read_trajectory(path)
     path.write_text("t,th1\n0,0\n")
-    with pytest.raises(FileProblem, match="of another kind"):
+    with pytest.raises(InvalidInput, match="no NetCDF-4"):
         read_trajectory(path)
 
 

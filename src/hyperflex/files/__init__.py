@@ -1,28 +1,34 @@
-"""Whole-or-nothing writing, and reading of number tables (CSV) and settings (TOML): the ground floor, beside errors.
+"""Files: atomic writing, CSV tables of numbers, TOML settings, NetCDF.
 
-A file is written under a temporary name in the same folder, forced to the disk and then renamed, so that whoever looks
-sees the earlier file or the complete new one, never a part: not after a full disk, a crash or Ctrl-C either.
+A file is written under a temporary name in the same folder, forced to the disk and then renamed. Whoever looks sees
+the earlier file or the complete new one, never a part, also after a full disk, a crash or Ctrl-C.
 """
 
 from __future__ import annotations
 
+from hyperflex.files.netcdf import NetCDF, Variable, read_netcdf, write_netcdf
 from hyperflex.files.reading import read_bytes, read_text
 from hyperflex.files.tables import read_notes, read_table, write_table
 from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, write_toml
-from hyperflex.files.writing import PathLike, as_path, atomic, atomic_path, write_text
+from hyperflex.files.writing import PathLike, as_path, atomic, atomic_path, write_bytes, write_text
 
 __all__ = [
+    "NetCDF",
     "PathLike",
+    "Variable",
     "as_path",
     "atomic",
     "atomic_path",
     "dumps_toml",
     "loads_toml",
     "read_bytes",
+    "read_netcdf",
     "read_notes",
     "read_table",
     "read_text",
     "read_toml",
+    "write_bytes",
+    "write_netcdf",
     "write_table",
     "write_text",
     "write_toml",

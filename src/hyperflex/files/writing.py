@@ -47,7 +47,7 @@ def atomic_path(path: PathLike) -> Iterator[Path]:
     try:
         os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield part
-        _settle(part, target)
+        _replace(part, target)
     except HyperflexError:
         raise
     except OSError as error:
@@ -108,6 +108,12 @@ def write_text(path: PathLike, text: str) -> None:
         file.write(text)
 
 
+def write_bytes(path: PathLike, content: bytes) -> None:
+    """Write `content` to `path`, wholly or not at all. Raises FileProblem as :func:`atomic_path` does."""
+    with atomic(path, "wb") as file:
+        file.write(content)
+
+
 def _target(path: PathLike) -> Path:
     """Return the real path to write to, or say why it cannot be written."""
     target = Path(os.path.realpath(as_path(path)))
@@ -126,7 +132,7 @@ def _target(path: PathLike) -> Path:
     return target
 
 
-def _settle(part: Path, target: Path) -> None:
+def _replace(part: Path, target: Path) -> None:
     """Force `part` to the disk and rename it to `target`, which keeps its permissions."""
     descriptor = os.open(part, os.O_RDWR)
     try:

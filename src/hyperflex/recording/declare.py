@@ -1,4 +1,4 @@
-"""From raw columns and what is declared about them to a Recording in SI units and the package's axes.
+"""Convert raw columns to a Recording in SI units and the package's axes, by what is declared about them.
 
 Nothing is guessed: what neither the file nor the caller declares is refused, and what both declare must agree.
 """
@@ -69,16 +69,16 @@ class Arguments:
     max_rate: float = FASTEST
 
 
-def settle(raw: Raw, given: Arguments) -> Recording:
+def to_recording(raw: Raw, given: Arguments) -> Recording:
     """Return `raw` as a Recording, or say what has not been declared."""
-    said = _Said(raw, given)
-    said.require_all()
+    declared = _Declarations(raw, given)
+    declared.require_all()
     _check_size(raw)
-    t = _seconds(raw, said)
-    spread = _spread(raw, given)
+    t = _seconds(raw, declared)
+    noise = _noise(raw, given)
     convert = _angles if raw.kind == "angles" else _markers
-    data, spread, rates, convention = convert(raw, said, spread)
-    recording = Recording(t, data, raw.kind, spread, rates, raw.convention or convention, raw.name, raw.source)
+    data, noise, rates, convention = convert(raw, declared, noise)
+    recording = Recording(t, data, raw.kind, noise, rates, raw.convention or convention, raw.name, raw.source)
     if recording.kind == "angles":
         _check_speed(recording, checks.number("max_rate", given.max_rate, sign="positive", unit="rad/s"))
     return recording
@@ -97,24 +97,24 @@ def _check_size(raw: Raw) -> None:
             )
 
 
-def _spread(raw: Raw, given: Arguments) -> Array | None:
+def _noise(raw: Raw, given: Arguments) -> Array | None:
     """Return the noise of each sample: the caller's, which must not contradict a note, or the file's."""
     note = raw.declared.get("noise")
     own = raw.noise if note is None else note
     if given.noise is None:
         return None if own is None else per_sample(own, raw.data)
-    spread = per_sample(given.noise, raw.data)
-    if note is not None and not np.array_equal(spread, per_sample(note, raw.data)):
+    noise = per_sample(given.noise, raw.data)
+    if note is not None and not np.array_equal(noise, per_sample(note, raw.data)):
         raise InvalidInput(
             f"{raw.source} declares noise = {note!r}, the argument something else",
             got=given.noise,
             fix="Leave noise out, or mend the file",
         )
-    return spread
+    return noise
 
 
-class _Said:
-    """Looks a declaration up: the caller's and the file's must agree; then the format's custom; then the default."""
+class _Declarations:
+    """Look-up of declarations: the caller's and the file's must agree; else the format's convention or the default."""
 
     def __init__(self, raw: Raw, given: Arguments) -> None:
         self.raw, self.given = raw, given
@@ -160,15 +160,15 @@ class _Said:
         return checks.number(key, self.find(key), sign="positive", unit=unit)
 
 
-def _seconds(raw: Raw, said: _Said) -> Array:
+def _seconds(raw: Raw, declared: _Declarations) -> Array:
     """Return the sample times in s."""
-    unit = said.choice("time_unit", OPTIONS["time_unit"])
+    unit = declared.choice("time_unit", OPTIONS["time_unit"])
     if unit == "frame":
-        return raw.t / said.number("frame_rate", "frames/s")
-    if said.find("frame_rate") is not None:
+        return raw.t / declared.number("frame_rate", "frames/s")
+    if declared.find("frame_rate") is not None:
         raise InvalidInput(
             "frame_rate is given, but the times are in " + unit,
-            got=said.find("frame_rate"),
+            got=declared.find("frame_rate"),
             fix="Leave frame_rate out, or pass time_unit='frame' if the time column counts frames",
         )
     return raw.t * SECONDS[unit]
@@ -177,18 +177,18 @@ def _seconds(raw: Raw, said: _Said) -> Array:
 Converted = tuple[Array, Array | None, Array | None, str]
 
 
-def _angles(raw: Raw, said: _Said, noise: Array | None) -> Converted:
+def _angles(raw: Raw, declared: _Declarations, noise: Array | None) -> Converted:
     """Return absolute angles in rad from hanging, their noise, rates, and what was done."""
-    unit = said.choice("unit", tuple(RADIANS))
-    zero, sense, kind = (said.choice(key, OPTIONS[key]) for key in ("zero", "sense", "angles"))
+    unit = declared.choice("unit", tuple(RADIANS))
+    zero, sense, kind = (declared.choice(key, OPTIONS[key]) for key in ("zero", "sense", "angles"))
     for key in ("y_axis", "scale"):
-        if said.find(key) is not None:
-            raise InvalidInput(f"{key} is for markers, but {raw.source} holds angles", got=said.find(key))
+        if declared.find(key) is not None:
+            raise InvalidInput(f"{key} is for markers, but {raw.source} holds angles", got=declared.find(key))
     factor = RADIANS[unit] * (1.0 if sense == "+x" else -1.0)
     data = raw.data * factor
     rates = None if raw.rates is None else raw.rates * factor
     noise = None if noise is None else noise * abs(factor)
-    if said.find("wrapped"):
+    if declared.find("wrapped"):
         data = unwrap(data)
     if kind == "relative":
         data = np.cumsum(data, axis=1)
@@ -200,14 +200,14 @@ def _angles(raw: Raw, said: _Said, noise: Array | None) -> Converted:
     return data, noise, rates, text + f"zero {zero}, positive towards {sense}"
 
 
-def _markers(raw: Raw, said: _Said, noise: Array | None) -> Converted:
+def _markers(raw: Raw, declared: _Declarations, noise: Array | None) -> Converted:
     """Return marker positions in m with y up, their noise, and what was done."""
-    unit = said.choice("unit", (*METRES, "px"))
-    y_axis = said.choice("y_axis", OPTIONS["y_axis"])
+    unit = declared.choice("unit", (*METRES, "px"))
+    y_axis = declared.choice("y_axis", OPTIONS["y_axis"])
     if unit == "px":
-        factor = said.number("scale", "m per pixel")
-    elif said.find("scale") is not None:
-        raise InvalidInput(f"scale is for pixels, but the positions are in {unit}", got=said.find("scale"))
+        factor = declared.number("scale", "m per pixel")
+    elif declared.find("scale") is not None:
+        raise InvalidInput(f"scale is for pixels, but the positions are in {unit}", got=declared.find("scale"))
     else:
         factor = METRES[unit]
     flip = np.where(np.arange(raw.data.shape[1]) % 2 == 1, -1.0 if y_axis == "down" else 1.0, 1.0)

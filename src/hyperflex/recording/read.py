@@ -1,4 +1,4 @@
-"""The one door to recordings in files."""
+"""Read recordings from files of any known format."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hyperflex.files import PathLike, as_path
 from hyperflex.recording import csv as _csv
 from hyperflex.recording import matfile as _matfile
 from hyperflex.recording import netcdf as _netcdf
-from hyperflex.recording.declare import FASTEST, Arguments, settle
+from hyperflex.recording.declare import FASTEST, Arguments, to_recording
 from hyperflex.recording.recording import Recording
 
 
@@ -112,4 +112,4 @@ def read_recording(
     given = Arguments(
         time_unit, unit, frame_rate, y_axis, scale, zero, sense, angles, wrapped, noise=noise, max_rate=max_rate
     )
-    return settle(replace(raw, name=name or raw.name or file.stem), given)
+    return to_recording(replace(raw, name=name or raw.name or file.stem), given)

@@ -1,4 +1,4 @@
-"""The Recording itself: validated once, never changed, in SI units and the package's axes."""
+"""Recording: measured angles or marker positions, validated and read-only, in SI units and the package's axes."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from typing import Literal, cast
 
 import numpy as np
 
-from hyperflex import checks
+from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike
+from hyperflex.files import NetCDF, PathLike, Variable
 
 Kind = Literal["angles", "markers"]
 
+FORMAT = "hyperflex recording 1"
+VARIABLE: dict[Kind, str] = {"angles": "angle", "markers": "position"}  # of a NetCDF file
+UNIT = {"angles": "rad", "markers": "m"}
 CONVENTION = {
     "angles": "absolute link angles in rad, 0 hanging, positive towards +x",
     "markers": "positions in m, x right, y up, markers at the joints, the first at the pivot",
@@ -188,9 +191,20 @@ class Recording:
         FileProblem
             When the file cannot be written; an earlier one then still stands.
         """
-        from hyperflex.recording.netcdf import write
-
-        write(self, path)
+        marked = self.kind == "markers"
+        dims = ("time", "marker", "axis") if marked else ("time", "link")
+        shape = (self.t.size, -1, 2)[: len(dims)]
+        axes = {"y_axis": "up"} if marked else {"zero": "hanging", "sense": "+x", "angles": "absolute"}
+        variables = {"time": Variable(("time",), self.t, {"units": "s", "long_name": "sample time"})}
+        for name, values, unit, long_name in (
+            (VARIABLE[self.kind], self.data, UNIT[self.kind], f"measured {self.kind}, NaN in gaps"),
+            ("noise", self.noise, UNIT[self.kind], "standard deviation of each sample"),
+            ("rate", self.rates, "rad/s", "angular rates that came with the angles"),
+        ):
+            if values is not None:
+                variables[name] = Variable(dims, values.reshape(shape), {"units": unit, "long_name": long_name})
+        texts = {key: getattr(self, key) for key in ("kind", "convention", "name", "source")}
+        files.write_netcdf(path, NetCDF(variables, {"format": FORMAT, **axes, **texts}))
 
     def _need_two(self, what: str) -> None:
         """Refuse a marker alone where lines between markers are wanted."""
@@ -211,9 +225,6 @@ class Recording:
             noise=None if self.noise is None else self.noise[rows],
             rates=None if self.rates is None else self.rates[rows],
         )
-
-
-UNIT = {"angles": "rad", "markers": "m"}
 
 
 def unwrap(angle: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What a rollout leaves behind: labelled arrays, energies, the set-up that made them and the state to go on from."""
+"""The result of a rollout: labelled arrays, energies, the set-up that made them and the state to go on from."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.files import NetCDF, Variable
 from hyperflex.model import Setup
 
 if TYPE_CHECKING:
@@ -48,7 +50,19 @@ DERIVED: dict[str, tuple[tuple[str, ...], str, str]] = {
     "tip": (("axis",), "m", "position of the tip"),
     "tip_velocity": (("axis",), "m/s", "velocity of the tip"),
 }
-AXES = "x to the right, y upwards"
+# field of State: (dimensions, units)
+STATE: dict[str, tuple[tuple[str, ...], str]] = {
+    "t": ((), "s"),
+    "q": (("link",), "rad"),
+    "qd": (("link",), "rad/s"),
+    "step": ((), "s"),
+    "work": ((), "J"),
+    "dissipated": ((), "J"),
+    "peg_angle": (("peg",), "rad"),
+    "peg_rate": (("peg",), "rad/s"),
+}
+CHECKPOINT = "checkpoint_"  # before the names of the integrator's own variables
+_AXES = "x to the right, y upwards"
 OWN_ATTRIBUTES = ("format", "source", "hyperflex_version", "status", "message", "setup", "event", "event_time")
 
 
@@ -81,6 +95,18 @@ class State:
     checkpoint: dict[str, Any] = field(default_factory=dict)
     peg_angle: Array | None = None
     peg_rate: Array | None = None
+
+    def variables(self) -> dict[str, Variable]:
+        """Return the state as variables of a file, the checkpoint's with a prefix."""
+        given = {name: getattr(self, name) for name in STATE}
+        found = {
+            name: Variable(STATE[name][0], value, {"units": STATE[name][1]})
+            for name, value in given.items()
+            if value is not None
+        }
+        for name, value in self.checkpoint.items():
+            found[CHECKPOINT + name] = Variable(tuple(f"{name}_{axis}" for axis in range(np.ndim(value))), value)
+        return found
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -196,15 +222,19 @@ class Trajectory:
         """The whole run as an ``xarray.Dataset`` with units, long names and the set-up in its attributes."""
         import xarray as xr
 
-        variables: dict[str, Any] = {
-            name: (("time", *dims), getattr(self, name), {"units": units, "long_name": long_name})
-            for name, (dims, units, long_name) in {**VARIABLES, **self.optional(), **DERIVED}.items()
-        }
-        coords = {
-            "time": ("time", self.t, {"units": "s", "long_name": "time"}),
-            "axis": ("axis", np.array(["x", "y"]), {"long_name": AXES}),
-        }
+        variables = self.variables()
+        coords = {name: variables.pop(name) for name in ("time", "axis")}
         return xr.Dataset(variables, coords, attrs=self.attributes())
+
+    def variables(self) -> dict[str, Variable]:
+        """Return the samples as variables of a dataset or a file, with the coordinates ``time`` and ``axis``."""
+        found = {
+            "time": Variable(("time",), self.t, {"units": "s", "long_name": "time"}),
+            "axis": Variable(("axis",), np.array(["x", "y"], dtype=object), {"long_name": _AXES}),
+        }
+        for name, (dims, units, long_name) in {**VARIABLES, **self.optional(), **DERIVED}.items():
+            found[name] = Variable(("time", *dims), getattr(self, name), {"units": units, "long_name": long_name})
+        return found
 
     def attributes(self) -> dict[str, Any]:
         """What the dataset and the file say about the run as a whole, the set-up as TOML text included."""
@@ -235,9 +265,7 @@ class Trajectory:
         FileProblem
             The folder cannot be written to or is full; nothing has changed then.
         """
-        from hyperflex.trajectory.netcdf import write
-
-        write(self, path)
+        files.write_netcdf(path, NetCDF(self.variables(), self.attributes(), {"state": self.state.variables()}))
 
 
 def swept(away: Array) -> Array:

@@ -1,0 +1,130 @@
+"""NetCDF-4 files: variables with units and long names, attributes, and groups of variables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.files.reading import read_bytes
+from hyperflex.files.writing import PathLike, atomic_path
+
+_HDF5, _NETCDF3 = b"\x89HDF\r\n\x1a\n", b"CDF"  # how such files begin
+# What h5netcdf and h5py raise on damaged files, found by cutting and altering real ones.
+_DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError)
+
+
+class Variable(NamedTuple):
+    """A variable of a NetCDF file: names of its dimensions, its values, and its attributes (texts)."""
+
+    dims: tuple[str, ...]
+    values: npt.ArrayLike
+    attributes: Mapping[str, str] = {}
+
+    def numbers(self, name: str) -> npt.NDArray[np.float64]:
+        """Return the values as float64; InvalidInput, with the variable's `name`, where they are no numbers."""
+        try:
+            return np.ascontiguousarray(self.values, dtype=np.float64)
+        except (ValueError, TypeError):
+            raise InvalidInput(f"variable {name!r} holds no numbers", got=self.values) from None
+
+
+@dataclass(frozen=True)
+class NetCDF:
+    """The content of a NetCDF file.
+
+    Attributes
+    ----------
+    variables : dict of str to Variable
+        Of the root group. A dimension is as long as the first variable that names it.
+    attributes : dict of str to object
+        Of the root group: texts and numbers.
+    groups : dict of str to dict of str to Variable
+        Variables of each sub-group, by its name.
+    """
+
+    variables: dict[str, Variable]
+    attributes: dict[str, Any]
+    groups: dict[str, dict[str, Variable]] = field(default_factory=dict)
+
+
+def write_netcdf(path: PathLike, content: NetCDF) -> None:
+    """Write a NetCDF-4 file, wholly or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        Usually ends in ``.nc``.
+    content : NetCDF
+        Values are numbers or texts.
+
+    Raises
+    ------
+    FileProblem
+        As for :func:`hyperflex.files.atomic_path`; an earlier file still stands.
+    """
+    import h5netcdf
+
+    with atomic_path(path) as part, h5netcdf.File(part, "w") as file:
+        for dims, values, _ in content.variables.values():
+            file.dimensions.update(
+                {name: size for name, size in zip(dims, np.shape(values), strict=True) if name not in file.dimensions}
+            )
+        _put(file, content.variables)
+        file.attrs.update(content.attributes)
+        for name, variables in content.groups.items():
+            _put(file.create_group(name), variables)
+
+
+def read_netcdf(path: PathLike) -> NetCDF:
+    """Read a NetCDF-4 file.
+
+    Raises
+    ------
+    FileProblem
+        The file is missing, empty, cut off or damaged.
+    InvalidInput
+        It is of another format.
+    """
+    import h5netcdf
+
+    head = read_bytes(path, "NetCDF file")[:8]
+    if head.startswith(_NETCDF3):
+        raise InvalidInput(f"{path} is a NetCDF-3 file", allowed="NetCDF-4", fix="Convert it with nccopy -k nc4")
+    if head != _HDF5:
+        raise InvalidInput(f"{path} is no NetCDF-4 file", got=head, fix="Check that the right file was given")
+    try:
+        with h5netcdf.File(path, "r") as file:
+            groups = {name: _variables(group) for name, group in file.groups.items()}
+            return NetCDF(_variables(file), {key: _plain(value) for key, value in file.attrs.items()}, groups)
+    except _DAMAGE as error:
+        raise FileProblem(
+            f"The NetCDF file {path} cannot be read: it is damaged or cut off ({error}). Get it, or write it, again."
+        ) from error
+
+
+def _put(group: Any, variables: Mapping[str, Variable]) -> None:
+    import h5py
+
+    for name, (dims, values, attributes) in variables.items():
+        data = np.asarray(values)
+        kind = h5py.string_dtype() if data.dtype == object else data.dtype
+        group.create_variable(name, dims, kind, data=data).attrs.update(attributes)
+
+
+def _variables(group: Any) -> dict[str, Variable]:
+    return {
+        name: Variable(each.dimensions, each[...], {key: _plain(value) for key, value in each.attrs.items()})
+        for name, each in group.variables.items()
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return an attribute as text or a Python number."""
+    if isinstance(value, bytes):
+        return value.decode()
+    return value.item() if isinstance(value, np.generic) else value
