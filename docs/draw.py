@@ -13,7 +13,7 @@ from hyperflex.paper.report import casting_figures as casting
 from hyperflex.paper.report import identification_figures as revision_figures
 from hyperflex.report.animation import animate
 from hyperflex.report.identification.figures import prediction_figure
-from hyperflex.report.identification.fitted import beside
+from hyperflex.report.identification.fitted import fitted_channels
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import BLUE, GREY, RED, look, new_figure, save_png
 
@@ -65,7 +65,7 @@ def identified() -> Figure:
     noise = np.radians(np.random.default_rng(1).normal(0.0, 0.2, swing.q.shape))
     recording = hf.Recording(swing.t, swing.q + noise, noise=np.radians(0.2))
     found = hf.identify(recording, truth.replace(friction=1e-3), ["inertia", "friction"])
-    view, held = beside(recording, found), found.held_out
+    view, held = fitted_channels(recording, found), found.held_out
     if held is None:
         raise SystemExit("nothing is held out")
     print(f"identified: {100.0 * held.inside:.0f} % within the band")

@@ -23,7 +23,7 @@ from hyperflex.report.identification.figures import (
     prediction_figure,
     residual_figure,
 )
-from hyperflex.report.identification.fitted import beside
+from hyperflex.report.identification.fitted import fitted_channels
 from hyperflex.report.identification.page import identification_page, write_identification
 from hyperflex.report.identification.parameters import numbers, parameters_table, ratios_table, rope_table, ties
 from hyperflex.report.identification.setting import fit_table, lead, recording_table
@@ -163,7 +163,7 @@ def test_predictions_that_failed_are_drawn_as_failed(tmp_path, swing):
     failed = dataclasses.replace(held, rms=rms, window_rms=window_rms, predicted=predicted, sd=sd)
     text = page(tmp_path, (recording, changed(found, held_out=failed)))
     assert "<b>failed</b>" in text
-    titles = [axis.get_title("left") for axis in prediction_figure(beside(recording, found), failed).axes]
+    titles = [axis.get_title("left") for axis in prediction_figure(fitted_channels(recording, found), failed).axes]
     assert titles[1] == "measured less predicted: failed where dark"
 
 
@@ -339,12 +339,12 @@ def test_deviations_have_two_digits():
 
 def test_measured_and_fitted_stand_side_by_side(swing, markers):
     for recording, found in (swing, markers):
-        view = beside(recording, found)
+        view = fitted_channels(recording, found)
         rows = [int(np.flatnonzero(view.t == time)[0]) for time in view.fit_t]
         known = ~np.isnan(found.residuals)
         np.testing.assert_allclose((view.measured[rows] - view.fitted)[known], found.residuals[known], atol=1e-15)
-    assert beside(*swing).names == ("link 0", "link 1")
-    assert beside(*markers).names[3] == "marker 1, y"
+    assert fitted_channels(*swing).names == ("link 0", "link 1")
+    assert fitted_channels(*markers).names[3] == "marker 1, y"
 
 
 def test_the_worst_window_is_the_one_with_a_bump(swing):
@@ -352,7 +352,7 @@ def test_the_worst_window_is_the_one_with_a_bump(swing):
     residuals = found.residuals.copy()
     inside = (found.residual_t > 3.0) & (found.residual_t < 3.1)
     residuals[inside, 1] += 0.5
-    number, start, end = beside(recording, changed(found, residuals=residuals)).worst_window(1)
+    number, start, end = fitted_channels(recording, changed(found, residuals=residuals)).worst_window(1)
     assert start <= 3.0
     assert end >= 3.1
     assert end - start <= found.settings["window"]
@@ -362,7 +362,7 @@ def test_the_worst_window_is_the_one_with_a_bump(swing):
 def test_the_channels_chosen_of_many_hold_the_worst(markers):
     recording, found = markers
     rms = np.array([2.0, 2.0, 9.0, 1.0, 1.0, 1.0])
-    assert beside(recording, changed(found, residual_rms=rms)).chosen == (2, 3, 4, 5)
+    assert fitted_channels(recording, changed(found, residual_rms=rms)).chosen == (2, 3, 4, 5)
     angles = Recording(np.arange(9.0), np.zeros((9, 9)))
     nine = changed(
         found,
@@ -371,22 +371,22 @@ def test_the_channels_chosen_of_many_hold_the_worst(markers):
         residuals=np.zeros((9, 9)),
         residual_t=np.arange(9.0),
     )
-    assert beside(angles, nine).chosen == (0, 2, 4, 8)
+    assert fitted_channels(angles, nine).chosen == (0, 2, 4, 8)
 
 
 def test_figures_show_each_chosen_channel_and_multiples_all(swing, markers):
-    view = beside(*swing)
+    view = fitted_channels(*swing)
     titles = [axis.get_title("left") for axis in fit_figure(view).axes]
     assert [title.split(":")[0] for title in titles] == ["link 0", "its worst window", "link 1", "its worst window"]
     assert f"{1e3 * swing[1].residual_rms[1]:.3g} mrad" in titles[2]
     assert len(residual_figure(view).axes) == 6
-    shown = [axis.get_title("left").split(":")[0] for axis in multiples_figure(beside(*markers)).axes]
-    assert shown[:6] == list(beside(*markers).names)
+    shown = [axis.get_title("left").split(":")[0] for axis in multiples_figure(fitted_channels(*markers)).axes]
+    assert shown[:6] == list(fitted_channels(*markers).names)
 
 
 def test_the_band_of_a_prediction_is_as_wide_as_the_fit_expects(swing):
     recording, found = swing
-    figure = prediction_figure(beside(recording, found), found.held_out)
+    figure = prediction_figure(fitted_channels(recording, found), found.held_out)
     bands = figure.axes[1].collections
     assert len(bands) == found.held_out.starts.size
     first = found.held_out.t <= found.held_out.starts[0] + found.held_out.ahead + 1e-9

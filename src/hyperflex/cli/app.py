@@ -1,4 +1,4 @@
-"""The commands together, and what becomes of their errors."""
+"""The command-line application: all commands, and the exit codes of errors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 for _command, _example in (
     (simulate, "simulate cast.toml -o cast.nc"),
-    (identify, "identify swing.csv --rope guess.toml --free inertia,friction -o identified"),
+    (identify, "identify swing.csv --guess guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 10 -o whipped"),
     (reproduce, "reproduce fig10 fig12 -o paper"),
@@ -77,7 +77,7 @@ def run(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return output.interrupted("Interrupted; nothing was left half written.", {}, as_json=as_json)
     except HyperflexError as error:
-        message = output.spelt(str(error)) if "identify" in arguments[:1] else str(error)
+        message = output.with_options(str(error)) if "identify" in arguments[:1] else str(error)
         return output.complain(message, type(error).__name__, output.REFUSED, as_json=as_json)
     except _PARSER_ERROR as error:
         return output.complain(_misused(error), "UsageError", output.REFUSED, as_json=as_json)
@@ -102,7 +102,7 @@ def _invoke(arguments: Sequence[str]) -> int:
     """Run one command without the parser's own handling of errors, which swallows Ctrl-C; return its exit code."""
     command = typer.main.get_command(app)
     try:
-        with interrupts.told_apart(), command.make_context("hyperflex", list(arguments)) as context:
+        with interrupts.noticed(), command.make_context("hyperflex", list(arguments)) as context:
             command.invoke(context)
     except typer.Exit as stop:
         return int(stop.exit_code)

@@ -8,31 +8,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hyperflex.cli import output
-from hyperflex.errors import FileProblem
+from hyperflex.checks import number
+from hyperflex.cli import output, planner
 
 if TYPE_CHECKING:
-    from hyperflex.planning import CastPlan
-    from hyperflex.planning.robust.uncertainty import Uncertainty
-    from hyperflex.planning.wind.holding import Holding
+    from hyperflex.planning import CastPlan, Holding, Uncertainty
 
 
 def cast(
-    rope: Annotated[Path, typer.Option(help="TOML file with the rope, such as identify writes.")],
-    target: Annotated[
-        tuple[float, float], typer.Option(help="Centre of the peg from the motor's shaft, x and y (up), m.")
-    ],
-    radius: Annotated[float, typer.Option(help="Of the peg, m.")],
-    out: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if need be.")],
-    mu: Annotated[float, typer.Option(help="Friction between rope and peg.")] = 0.3,
-    arm_length: Annotated[float, typer.Option(help="Of the arm that the motor turns, m.")] = 0.105,
-    speed: Annotated[
-        float | None, typer.Option(help="Greatest speed of the motor, rad/s. [default: 8.61, the paper's]")
-    ] = None,
-    acceleration: Annotated[
-        float | None, typer.Option(help="Greatest acceleration, rad/s^2. [default: 23.6, the paper's]")
-    ] = None,
-    torque: Annotated[float | None, typer.Option(help="Greatest torque, N m. [default: not looked at]")] = None,
+    out: planner.Output,
+    setup: planner.Setup = None,
+    rope: planner.RopeFile = None,
+    target: planner.Target = None,
+    radius: Annotated[float | None, typer.Option(help="Of the target, a peg, m.")] = None,
+    mu: Annotated[float | None, typer.Option(help="Friction between rope and peg. [default: 0.3]")] = None,
+    arm_length: planner.ArmLength = None,
+    speed: planner.Speed = None,
+    acceleration: planner.Acceleration = None,
+    torque: planner.Torque = None,
     hold: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
     time_limit: Annotated[
         float | None,
@@ -42,108 +35,88 @@ def cast(
         bool,
         typer.Option(
             "--robust",
-            help="Plan for what is not known exactly, and say how often the throw wins then: by the covariance in the "
+            help="Plan for what is not known exactly, and print the success probability: by the covariance in the "
             "rope's file, if identify wrote it there, and else as a usual identification leaves it.",
         ),
     ] = False,
-    elsewhere: Annotated[
+    fallback_targets: Annotated[
         bool,
         typer.Option(
-            "--elsewhere",
+            "--fallback-targets",
             help="If no cast is found, plan for the nearest targets until one works; takes up to five times as long.",
         ),
     ] = False,
-    regardless: Annotated[
-        bool, typer.Option("--regardless", help="Search even for a target that a rule of thumb calls out of reach.")
-    ] = False,
-    rate: Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz.")] = 200.0,
-    patience: Annotated[float, typer.Option(help="Time to search, s; a plan that stands ends it.")] = 60.0,
-    seed: Annotated[int, typer.Option(help="Of the search.")] = 0,
+    skip_feasibility: planner.SkipFeasibility = False,
+    rate: planner.Rate = 200.0,
+    time_budget: planner.TimeBudget = 60.0,
+    seed: planner.Seed = 0,
     json: output.Json = False,
 ) -> None:
     """Plan how the arm casts its rope round a peg, winds it and holds.
+
+    The target is given by options, or as the only [pegs] of the set-up file.
 
     A rope is wound with 1.25 turns or more, counted from the arm's tip to its end, and holds if it slips by less than
     5 mm in 2 s. The plan is verified in simulation, with links near the target cut shorter, then with all links of half
     and of a third of the length. Writes a page, pictures, a film, the motion for the motor (CSV), the verified run
     (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
 
-    Ctrl-C ends the search; the best so far is written, and said to be that.
+    Ctrl-C ends the search; the best so far is written, and marked as such.
 
     The exit code is 4 if no cast that winds and holds was found; the best throw is written all the same, with the
     reason and with the nearest target that should work.
     """
-    from hyperflex.checks import number
-    from hyperflex.model import Arm, Peg, Rope
-    from hyperflex.planning import MotorLimits, plan_cast
-    from hyperflex.planning.robust.uncertainty import Uncertainty
-    from hyperflex.report.cast.folder import write_cast
+    from hyperflex.planning import Uncertainty, plan_cast, tug_wound
+    from hyperflex.report.cast import write_cast
 
-    if out.exists() and not out.is_dir():
-        raise FileProblem(f"{out} is a file, not a folder. Give another name with -o.")
+    planner.check_folder(out)
     rate = number("--rate", rate, sign="positive", unit="Hz")
-    arm_length = number("--arm-length", arm_length, sign="positive", unit="m")
-    if time_limit is not None:
-        time_limit = number("--time-limit", time_limit, sign="positive", unit="s")
-    given: dict[str, Any] = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    uncertain = Uncertainty.of_file(rope) if robust else None
-    limits = MotorLimits(**{name: value for name, value in given.items() if value is not None})
+    limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
+    task = planner.read_task(setup, rope, arm_length, limits)
+    uncertainty = Uncertainty.of_file(rope or setup or Path()) if robust else None
     plan = plan_cast(
-        Rope.from_toml(rope),
-        Arm(length=arm_length),
-        Peg(*target, radius, mu),
-        limits,
-        time_limit=time_limit,
+        task.rope,
+        task.arm,
+        planner.peg_of(task, target, radius, mu),
+        task.limits,
+        time_limit=None if time_limit is None else number("--time-limit", time_limit, sign="positive", unit="s"),
         hold=hold,
-        uncertainty=uncertain,
-        patience=patience,
-        regardless=regardless,
-        elsewhere=elsewhere,
+        uncertainty=uncertainty,
+        patience=number("--time-budget", time_budget, sign="positive", unit="s"),
+        regardless=skip_feasibility,
+        elsewhere=fallback_targets,
         seed=seed,
         progress=output.watched(json),
     )
-    with output.spinner(json) as tell:
-        files, held = write_cast(out, plan, rate=rate, tell=tell)
-    output.end(
-        _figures(plan, held, files, uncertain),
-        lambda: _show(plan, held, files, uncertain),
-        success=plan.success,
-        broken_off=f"Interrupted; the best so far is in {out}. {_verdict(plan)}" if plan.interrupted else None,
-        as_json=json,
-    )
+    with output.spinner(json) as progress:
+        progress("tugging at the rope")
+        held = tug_wound(plan.cast, plan.peg)
+        files = write_cast(out, plan, held, rate=rate, progress=progress)
+    result = _result(plan, held, uncertainty) | {"files": files}
+    planner.finish("cast", plan, result, _pairs(plan, held, uncertainty), _messages(plan), files, as_json=json)
 
 
-def _figures(
-    plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertain: Uncertainty | None
-) -> dict[str, Any]:
+def _result(plan: CastPlan, held: Holding | None, uncertainty: Uncertainty | None) -> dict[str, Any]:
     """Return the plan for JSON."""
     from hyperflex.planning.files import summary
 
     peg = plan.peg
-    told = summary(plan)
-    told |= {"target": {"x_m": peg.x, "y_m": peg.y, "radius_m": peg.radius, "mu": peg.mu}, "files": files}
-    if uncertain is not None:
-        told["uncertain"] = uncertain.words()
+    result = summary(plan) | {"target": {"x_m": peg.x, "y_m": peg.y, "radius_m": peg.radius, "mu": peg.mu}}
+    if uncertainty is not None:
+        result["uncertain"] = uncertainty.words()
     if held is not None:
-        told["hold"] = {
+        result["hold"] = {
             "force_N": held.force,
             "slipped": held.tug.slipped,
             "tail_weight_N": held.tail,
             "contact_rad": held.angle,
             "tail_weight_times_exp_N": held.rule,
         }
-    return told
+    return result
 
 
-def _verdict(plan: CastPlan) -> str:
-    from hyperflex.report.cast.words import verdict
-
-    return verdict(plan)
-
-
-def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertain: Uncertainty | None) -> None:
-    """Print what was planned and what to look at."""
-    from hyperflex.report.cast.words import folds, instead, swings_words, target_words
+def _pairs(plan: CastPlan, held: Holding | None, uncertainty: Uncertainty | None) -> list[tuple[str, str]]:
+    from hyperflex.report.cast.words import swings_words, target_words
 
     pairs = [("target", target_words(plan.peg))]
     if plan.throw is not None:
@@ -157,19 +130,14 @@ def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertai
     if held is not None:
         pairs.append(("hold force", f"{'' if held.tug.slipped else 'at least '}{held.force:.2f} N, by a tug"))
         pairs.append(("tail weight times e^(mu angle)", f"{held.rule:.2f} N"))
-    if uncertain is not None:
-        pairs.append(("uncertain", uncertain.words()))
+    if uncertainty is not None:
+        pairs.append(("uncertain", uncertainty.words()))
     if plan.stated is not None:
-        pairs.append(("wins in uncertain worlds", str(plan.stated)))
-    output.print_pairs("Cast (simulated)", pairs)
-    told = (_verdict(plan), folds(plan), *instead(plan))
-    output.console().print("\n".join(line for line in told if line), markup=False)
-    words = {
-        "page": "the whole story on one page",
-        "film": "the cast as a film",
-        "motion": "the motion for the motor",
-        "plan": "the set-up, for simulate",
-        "nearest": "the nearest target's, for simulate",
-        "run": "the verified run",
-    }
-    output.print_pairs("Written", [(told, str(files[kind])) for kind, told in words.items() if kind in files])
+        pairs.append(("success probability", str(plan.stated)))
+    return pairs
+
+
+def _messages(plan: CastPlan) -> tuple[str, ...]:
+    from hyperflex.report.cast.words import advice, folds, verdict
+
+    return (verdict(plan), folds(plan), *advice(plan))

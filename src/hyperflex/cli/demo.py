@@ -1,4 +1,4 @@
-"""``hyperflex demo``: the thin line from a recording to a cast."""
+"""``hyperflex demo``: from a recording to an identified rope to a cast, with a report."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 from hyperflex.cli import output
 
 if TYPE_CHECKING:
-    from hyperflex.demo.report import DemoReport
+    from hyperflex.demo import DemoReport
 
 _SHOWN = ("parameter", "identified", "95 % interval", "mapped truth", "inside")
 
@@ -23,10 +23,10 @@ def demo(
 
     The recording comes with the package and is simulated, with a finer chain than the one identified, and noise.
     """
-    from hyperflex.demo.report import write_demo
+    from hyperflex.demo import write_demo
 
-    with output.spinner(json) as tell:
-        report = write_demo(out, tell)
+    with output.spinner(json) as progress:
+        report = write_demo(out, progress)
     if json:
         output.print_json(_figures(report))
     else:
@@ -62,7 +62,7 @@ def _figures(report: DemoReport) -> dict[str, Any]:
         "greatest_x_m": abs(found.cast.tip[:, 0]).max(),
         "greatest_x_of_the_rope_m": abs(found.reference.tip[:, 0]).max(),
         "plan": summary(found.plan),
-        "hold_force_N": None if report.winding.held is None else report.winding.held.force,
+        "hold_force_N": None if report.demo.held is None else report.demo.held.force,
         "recorded_rope_winds": None if found.proof is None else found.proof.success,
     }
 
@@ -81,9 +81,9 @@ def _show(report: DemoReport) -> None:
             ("the same of the rope itself", f"{figures['greatest_x_of_the_rope_m']:.2f} m"),
         ],
     )
-    if report.winding.held is not None:
-        output.console().print(f"Hold force by a tug: {report.winding.held.force:.2f} N.", markup=False)
-    for _, sentence in report.winding.verdicts:
+    if report.demo.held is not None:
+        output.console().print(f"Hold force by a tug: {report.demo.held.force:.2f} N.", markup=False)
+    for _, sentence in report.verdicts:
         output.console().print(sentence, markup=False)
     wound = {"wound_film": "the rope wound round a target, as a film", "motion": "its motion for the motor"}
     output.print_pairs(

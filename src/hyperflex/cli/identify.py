@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hyperflex.cli import output, rounds
+from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ _ROWS = 24  # of a table in the terminal
 
 def identify(
     recording: Annotated[Path, typer.Argument(help="CSV, NetCDF or .mat file of angles or markers.")],
-    rope: Annotated[Path, typer.Option("--rope", help="TOML file with the first guess.")],
+    guess: Annotated[Path, typer.Option(help="TOML file with the rope to begin with.")],
     out: Annotated[
         Path,
         typer.Option("--output", "-o", help="Folder for rope.toml, identification.json and report.html, or one .toml."),
@@ -34,7 +35,7 @@ def identify(
         float | None, typer.Option(help="Fit the samples before this time, s; predict the rest. inf fits all.")
     ] = None,
     window: Annotated[float | None, typer.Option(help="Length of the windows that are fitted one by one, s.")] = None,
-    arc: Annotated[
+    arc_lengths: Annotated[
         list[str] | None,
         typer.Option(help="How far along the rope each marker sits, m; several times or with commas."),
     ] = None,
@@ -43,7 +44,7 @@ def identify(
     ] = None,
     loss: Annotated[str, typer.Option(help="squares; huber or cauchy where there are outliers.")] = "squares",
     setup: Annotated[
-        Path | None, typer.Option(help="TOML file of a set-up (as for simulate) whose motion and arm lead the rope.")
+        Path | None, typer.Option(help="TOML file of a set-up (as for simulate) whose motion and arm drive the rope.")
     ] = None,
     kind: Annotated[str | None, typer.Option(help="angles or markers.")] = None,
     time: Annotated[str, typer.Option(help="Name of the time column.")] = "t",
@@ -69,7 +70,7 @@ def identify(
     """Identify a rope from a recording.
 
     Units, axes and frame rate are declared by the file or by the options, never guessed. Markers sit at the joints
-    unless --arc says where.
+    unless --arc-lengths says where.
 
     Ctrl-C ends the fit; the best so far is printed and written, marked as interrupted.
 
@@ -79,9 +80,9 @@ def identify(
     from hyperflex.model import Rope
     from hyperflex.recording import read_recording
 
-    _check_output(out, [recording, rope, *([setup] if setup else [])])
-    lead = _lead(setup)
-    places = _numbers("--arc", arc, "0.2,0.4,0.6") if arc else None
+    _check_output(out, [recording, guess, *([setup] if setup else [])])
+    driven = _drive(setup)
+    places = _numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6") if arc_lengths else None
     seen = _numbers("--origin", [origin], "0.01,-0.02") if origin else None
     fastest: dict[str, Any] = {} if max_rate is None else {"max_rate": max_rate}
     measured = read_recording(
@@ -101,11 +102,11 @@ def identify(
         columns=columns.split(",") if columns else None,
         **fastest,
     )
-    guess = Rope.from_toml(rope)
-    with rounds.bar(json) as hear:
+    first = Rope.from_toml(guess)
+    with _bar(json) as report:
         result = run(
             measured,
-            guess,
+            first,
             _words(free) or ["inertia", "friction"],
             window=window,
             train=train,
@@ -113,10 +114,10 @@ def identify(
             origin=seen,
             loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
             intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
-            progress=hear,
-            **lead,
+            progress=report,
+            **driven,
         )
-    files = _write(out, measured, result, guess, json)
+    files = _write(out, measured, result, first, json)
     summary = {"status": result.status, "output": out, "files": files, **result.summary()}
     if result.status == "interrupted":  # the best so far is written, and says what it is
         if not json:
@@ -158,7 +159,7 @@ def _numbers(option: str, given: Sequence[str], example: str) -> list[float]:
         ) from None
 
 
-def _lead(path: Path | None) -> dict[str, Any]:
+def _drive(path: Path | None) -> dict[str, Any]:
     """Return the motion and the arm of a set-up."""
     from hyperflex.model import Setup
     from hyperflex.motion import hold
@@ -180,10 +181,10 @@ def _write(out: Path, measured: Recording, found: Identification, guess: Rope, a
     if not _folder(out):
         found.to_toml(out)
         return {"rope": out}
-    from hyperflex.report.identification.page import write_identification
+    from hyperflex.report.identification import write_identification
 
-    with output.spinner(as_json) as tell:
-        tell("drawing the report")
+    with output.spinner(as_json) as progress:
+        progress("drawing the report")
         return write_identification(out, measured, found, guess)
 
 
@@ -209,3 +210,30 @@ def _show(found: Identification, files: dict[str, Path]) -> None:
         output.console().print(sentence, markup=False)
     words = {"rope": "rope and figures", "figures": "numbers", "page": "the whole story on one page"}
     output.print_pairs("Written", [(words[kind], str(path)) for kind, path in files.items()])
+
+
+def _part_done(entry: dict[str, float]) -> float:
+    """Return the part of a fit that is done after a round: stages count alike, rounds of a stage less and less."""
+    of_stage: float = 1.0 - 0.7 ** (entry["round"] + 1.0)
+    return (entry["stage"] + of_stage) / entry["stages"]
+
+
+def _message(entry: dict[str, float]) -> str:
+    """Return what a round did, in words."""
+    stage = f"stage {entry['stage'] + 1:.0f} of {entry['stages']:.0f}, windows of {entry['window']:.3g} s"
+    return f"{stage}: round {entry['round'] + 1:.0f} gained {100.0 * entry['gain']:.2g} %"
+
+
+@contextmanager
+def _bar(as_json: bool) -> Iterator[Callable[[dict[str, float]], None]]:
+    """Show a bar on standard error, if somebody watches; yields the progress callable of the fit."""
+    if not output.watched(as_json):
+        yield lambda entry: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), BarColumn(bar_width=24), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("first states (Ctrl-C keeps the best so far)", total=1.0)
+        yield lambda entry: progress.update(task, completed=_part_done(entry), description=_message(entry))

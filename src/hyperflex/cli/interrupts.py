@@ -12,7 +12,7 @@ import typer
 
 
 @contextmanager
-def told_apart() -> Iterator[None]:
+def noticed() -> Iterator[None]:
     """Raise KeyboardInterrupt for whatever error comes out of the block after Ctrl-C.
 
     Compiled libraries that call back into Python may meet the interrupt there and report it as a failed conversion.

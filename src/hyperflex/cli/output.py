@@ -1,4 +1,4 @@
-"""What commands print: results to standard output, everything else to standard error."""
+"""Output of the commands: results to standard output, everything else to standard error."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -40,11 +40,11 @@ def complain(message: str, kind: str, code: int, *, as_json: bool) -> int:
     return code
 
 
-def spelt(message: str) -> str:
-    """Return advice on arguments of ``identify`` and ``read_recording`` with the command's options for their names."""
+def with_options(message: str) -> str:
+    """Return a message of ``identify`` or ``read_recording`` with the command's options for the arguments' names."""
 
     def option(found: re.Match[str]) -> str:
-        name = {"arcs": "arc"}.get(found["name"], found["name"].replace("_", "-"))
+        name = {"arcs": "arc-lengths"}.get(found["name"], found["name"].replace("_", "-"))
         value = found["value"].strip("'\"[]()").replace(", ", ",")
         return f"--{name}" if found["name"] == "wrapped" else f"--{name} {value}"
 
@@ -58,38 +58,6 @@ def interrupted(message: str, left: Mapping[str, Any], *, as_json: bool) -> int:
     if as_json:
         print_json({"error": "interrupted", "type": "Interrupted", "message": message, **left})
     return INTERRUPTED
-
-
-def end(
-    result: Mapping[str, Any], show: Callable[[], None], *, success: bool, broken_off: str | None, as_json: bool
-) -> None:
-    """Print what a planner found, as JSON or by `show`, and exit with its code: NO_PLAN, or INTERRUPTED with words.
-
-    Parameters
-    ----------
-    result : mapping
-        For JSON.
-    show : callable
-        Prints it for people.
-    success : bool
-        Whether the plan stands.
-    broken_off : str or None
-        What to say if Ctrl-C ended the search.
-    as_json : bool
-
-    Raises
-    ------
-    typer.Exit
-        Unless the plan stands.
-    """
-    if not as_json:
-        show()
-    if broken_off is not None:
-        raise typer.Exit(interrupted(broken_off, result, as_json=as_json))
-    if as_json:
-        print_json(result)
-    if not success:
-        raise typer.Exit(NO_PLAN)
 
 
 def check_destination(out: Path, suffix: str, inputs: Sequence[Path]) -> None:

@@ -24,11 +24,11 @@ def reproduce(
     Fig. 13 on timing control (C5).
     Writes PNG and CSV for each figure, CSV for each table, a Markdown table of the claims and a page that shows it all.
     """
+    from hyperflex.paper.report.part import verdicts
     from hyperflex.paper.report.reproduce import reproduce as run
-    from hyperflex.paper.report.tables import verdicts
 
-    with output.spinner(json) as tell:
-        result = run(figures, out, progress=tell)
+    with output.spinner(json) as progress:
+        result = run(figures, out, progress=progress)
     claims = [_plain(claim) for claim in result.claims]
     if json:
         output.print_json({"files": list(result.files), "claims": claims})
@@ -37,7 +37,7 @@ def reproduce(
     rows = [
         (
             claim.name,
-            claim.reading.title,
+            claim.case.title,
             f"{claim.measured:.4g}",
             f"{claim.relation} {claim.threshold:g}",
             "holds" if claim.holds else "does not hold",
@@ -54,7 +54,7 @@ def _plain(claim: Claim) -> dict[str, Any]:
     """Return a claim as JSON has it."""
     from hyperflex.paper import Reading
 
-    reading = claim.reading
+    reading = claim.case
     left_open = {"path": reading.path, "friction": reading.friction} if isinstance(reading, Reading) else {}
     return {
         "claim": claim.name,

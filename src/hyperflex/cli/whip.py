@@ -3,120 +3,139 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hyperflex.cli import output
-from hyperflex.errors import FileProblem
+from hyperflex.checks import number
+from hyperflex.cli import output, planner
+from hyperflex.errors import InvalidInput
 
 if TYPE_CHECKING:
     from hyperflex.planning import Impact, WhipPlan
 
+_TARGET = ("x", "y", "direction", "least_speed", "angle_tolerance")  # of the set-up file
+
 
 def whip(
-    rope: Annotated[Path, typer.Option(help="TOML file with the rope, such as identify writes.")],
-    target: Annotated[
-        tuple[float, float], typer.Option(help="Point to pass, from the motor's shaft, x and y (up), m.")
-    ],
-    out: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if need be.")],
+    out: planner.Output,
+    setup: planner.Setup = None,
+    rope: planner.RopeFile = None,
+    target: planner.Target = None,
     direction: Annotated[
         float | None,
         typer.Option(help="Of the tip there, degrees: 0 is +x, 90 is up. [default: any]", show_default=False),
     ] = None,
-    within: Annotated[float, typer.Option(help="Greatest angle from that direction, degrees.")] = 20.0,
-    tip_speed: Annotated[float, typer.Option(help="Least speed of the tip there, m/s.")] = 5.0,
-    arm_length: Annotated[float, typer.Option(help="Of the arm that the motor turns, m.")] = 0.105,
-    speed: Annotated[
-        float | None, typer.Option(help="Greatest speed of the motor, rad/s. [default: 8.61, the paper's]")
+    angle_tolerance: Annotated[
+        float | None, typer.Option(help="Greatest angle from that direction, degrees. [default: 20]")
     ] = None,
-    acceleration: Annotated[
-        float | None, typer.Option(help="Greatest acceleration, rad/s^2. [default: 23.6, the paper's]")
+    least_speed: Annotated[float | None, typer.Option(help="Of the tip there, m/s. [default: 5]")] = None,
+    arm_length: planner.ArmLength = None,
+    speed: planner.Speed = None,
+    acceleration: planner.Acceleration = None,
+    torque: planner.Torque = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(help="Within which the tip must pass, s. [default: three periods of the rope's swing]"),
     ] = None,
-    regardless: Annotated[
-        bool, typer.Option("--regardless", help="Search even for a target that is called out of reach.")
-    ] = False,
-    rate: Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz.")] = 200.0,
-    patience: Annotated[float, typer.Option(help="Time to search, s; whips that stand end it.")] = 30.0,
-    seed: Annotated[int, typer.Option(help="Of the search.")] = 0,
+    skip_feasibility: planner.SkipFeasibility = False,
+    rate: planner.Rate = 200.0,
+    time_budget: planner.TimeBudget = 30.0,
+    seed: planner.Seed = 0,
     json: output.Json = False,
 ) -> None:
     """Plan how the arm whips its rope, so that the tip passes a point at a peak of its speed.
 
-    The plan is verified in simulation, on the rope as given and with links of half the length; the blow on a small peg
-    at the target is simulated too. Writes a page, pictures, a film, the motion for the motor (CSV), the verified run
-    (NetCDF) and a set-up that simulate runs.
+    The target is given by options, or as the table [target] of the set-up file: x, y (m), direction, angle_tolerance
+    (rad), least_speed (m/s).
 
-    Ctrl-C ends the search; the best so far is written, and said to be that.
+    The plan is verified in simulation, on the rope as given and with links of half the length; the impact on a small
+    peg at the target is simulated too. Writes a page, pictures, a film, the motion for the motor (CSV), the verified
+    run (NetCDF) and a set-up that simulate runs; files of an earlier whip in the folder are replaced.
+
+    Ctrl-C ends the search; the best so far is written, and marked as such.
 
     The exit code is 4 if no whip that meets the target was found; the best is written all the same, with the reason.
     """
-    from hyperflex.checks import number
-    from hyperflex.model import Arm, Rope
-    from hyperflex.planning import MotorLimits, plan_whip
-    from hyperflex.report.whip.folder import write_whip
+    from hyperflex.planning import plan_whip
+    from hyperflex.report.whip import write_whip
 
-    if out.exists() and not out.is_dir():
-        raise FileProblem(f"{out} is a file, not a folder. Give another name with -o.")
+    planner.check_folder(out)
     rate = number("--rate", rate, sign="positive", unit="Hz")
-    arm_length = number("--arm-length", arm_length, sign="positive", unit="m")
-    given: dict[str, Any] = {"speed": speed, "acceleration": acceleration}
-    limits = MotorLimits(**{name: value for name, value in given.items() if value is not None})
-    angle = None if direction is None else math.radians(number("--direction", direction, unit="degrees"))
+    limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
+    task = planner.read_task(setup, rope, arm_length, limits)
+    if task.obstacles:
+        raise InvalidInput("whips are planned without obstacles", got=task.obstacles, fix="Leave them out")
+    asked = _target(task, target, direction, angle_tolerance, least_speed)
+    angle = asked.get("direction")
     plan = plan_whip(
-        Rope.from_toml(rope),
-        Arm(length=arm_length),
-        target,
+        task.rope,
+        task.arm,
+        (asked["x"], asked["y"]),
         None if angle is None else (math.cos(angle), math.sin(angle)),
-        limits,
-        least_speed=number("--tip-speed", tip_speed, sign="positive", unit="m/s"),
-        within=math.radians(number("--within", within, sign="positive", unit="degrees")),
-        regardless=regardless,
-        patience=patience,
+        task.limits,
+        least_speed=asked.get("least_speed", 5.0),
+        within=asked.get("angle_tolerance", math.radians(20.0)),
+        time_limit=None if time_limit is None else number("--time-limit", time_limit, sign="positive", unit="s"),
+        regardless=skip_feasibility,
+        patience=number("--time-budget", time_budget, sign="positive", unit="s"),
         seed=seed,
         progress=output.watched(json),
     )
-    with output.spinner(json) as tell:
-        files, blow = write_whip(out, plan, rate=rate, tell=tell)
-    output.end(
-        _figures(plan, blow, files),
-        lambda: _show(plan, blow, files),
-        success=plan.success,
-        broken_off=f"Interrupted; the best so far is in {out}. {_verdict(plan)}" if plan.interrupted else None,
-        as_json=json,
-    )
+    with output.spinner(json) as progress:
+        progress("striking a small peg")
+        impact = None if plan.lash is None else plan.impact()
+        files = write_whip(out, plan, impact, rate=rate, progress=progress)
+    result = _result(plan, impact) | {"files": files}
+    planner.finish("whip", plan, result, _pairs(plan, impact), _messages(plan), files, as_json=json)
 
 
-def _figures(plan: WhipPlan, blow: Impact | None, files: dict[str, Path]) -> dict[str, Any]:
+def _target(
+    task: planner.Task,
+    place: tuple[float, float] | None,
+    direction: float | None,
+    angle_tolerance: float | None,
+    least_speed: float | None,
+) -> dict[str, float]:
+    """Return the target of the set-up file with what the options say, in SI units."""
+    if set(task.target) - set(_TARGET):
+        raise InvalidInput("the table [target] does not fit", got=sorted(task.target), allowed=", ".join(_TARGET))
+    asked = {name: number(f"target {name}", value) for name, value in task.target.items()}
+    if place is not None:
+        asked |= {"x": place[0], "y": place[1]}
+    if direction is not None:
+        asked["direction"] = math.radians(number("--direction", direction, unit="degrees"))
+    if angle_tolerance is not None:
+        tolerance = number("--angle-tolerance", angle_tolerance, sign="positive", unit="degrees")
+        asked["angle_tolerance"] = math.radians(tolerance)
+    if least_speed is not None:
+        asked["least_speed"] = number("--least-speed", least_speed, sign="positive", unit="m/s")
+    if not {"x", "y"} <= set(asked):
+        raise InvalidInput("--target is missing", fix="Give it, or a set-up file with a table [target]")
+    return asked
+
+
+def _result(plan: WhipPlan, impact: Impact | None) -> dict[str, Any]:
     """Return the plan for JSON."""
     from hyperflex.planning.whip.files import summary
 
     mark = plan.mark
-    told = summary(plan)
-    asked: dict[str, Any] = {"x_m": mark.x, "y_m": mark.y, "speed_m_s": mark.speed}
+    target: dict[str, Any] = {"x_m": mark.x, "y_m": mark.y, "least_speed_m_s": mark.speed}
     if not mark.anyhow:
-        asked |= {"direction_rad": mark.direction, "within_rad": mark.within}
-    told |= {"target": asked, "files": files}
-    if blow is not None:
-        told["blow"] = {
-            "t_s": blow.t,
-            "impulse_Ns": blow.impulse,
-            "along_Ns": blow.along,
-            "energy_J": blow.energy,
-            "link": blow.link,
+        target |= {"direction_rad": mark.direction, "angle_tolerance_rad": mark.within}
+    result = summary(plan) | {"target": target}
+    if impact is not None:
+        result["impact"] = {
+            "t_s": impact.t,
+            "impulse_Ns": impact.impulse,
+            "along_Ns": impact.along,
+            "energy_J": impact.energy,
+            "link": impact.link,
         }
-    return told
+    return result
 
 
-def _verdict(plan: WhipPlan) -> str:
-    from hyperflex.report.whip.words import verdict
-
-    return verdict(plan)
-
-
-def _show(plan: WhipPlan, blow: Impact | None, files: dict[str, Path]) -> None:
-    """Print what was planned and what to look at."""
+def _pairs(plan: WhipPlan, impact: Impact | None) -> list[tuple[str, str]]:
     from hyperflex.report.whip.words import strokes_words, target_words
 
     pairs = [("target", target_words(plan.mark))]
@@ -128,15 +147,12 @@ def _show(plan: WhipPlan, blow: Impact | None, files: dict[str, Path]) -> None:
         pairs.append(("misses the target by", f"{1e3 * seen.miss:.2g} mm"))
     if plan.finer is not None:
         pairs.append(("with links of half the length", f"{1e3 * plan.finer.miss:.2g} mm"))
-    if blow is not None and math.isfinite(blow.t):
-        pairs.append(("blow on a small peg there", f"{1e3 * blow.impulse:.1f} mN s"))
-    output.print_pairs("Whip (simulated)", pairs)
-    output.console().print(_verdict(plan), markup=False)
-    words = {
-        "page": "the whole story on one page",
-        "film": "the whip as a film",
-        "motion": "the motion for the motor",
-        "plan": "the set-up, for simulate",
-        "run": "the verified run",
-    }
-    output.print_pairs("Written", [(told, str(files[kind])) for kind, told in words.items() if kind in files])
+    if impact is not None and math.isfinite(impact.t):
+        pairs.append(("impulse on a small peg there", f"{1e3 * impact.impulse:.1f} mN s"))
+    return pairs
+
+
+def _messages(plan: WhipPlan) -> tuple[str, ...]:
+    from hyperflex.report.whip.words import verdict
+
+    return (verdict(plan),)

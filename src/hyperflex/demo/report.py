@@ -1,72 +1,84 @@
-"""The demo's folder: figures, film, NetCDF, the identified rope, a planned cast and a page that shows it all."""
+"""The demo's folder: figures, films, runs, the identified rope, a planned cast and a page that shows it all."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from hyperflex import files
-from hyperflex.demo.figures import casts_figure, parameters_figure, prediction_figure
+from hyperflex.demo.figures import casts_figure, parameters_figure
 from hyperflex.demo.run import INTERVAL, Demo, run_demo
-from hyperflex.demo.winding import WindingPart, write_winding
-from hyperflex.paper.casting import T_MOVE, T_REST, casting_arm
-from hyperflex.paper.claims import WINDOW
+from hyperflex.paper import T_MOVE, T_REST, casting_arm
 from hyperflex.report.animation import animate
-from hyperflex.report.folder import whole_folder
-from hyperflex.report.page import Picture, Section, write_page
+from hyperflex.report.cast import cast_report
+from hyperflex.report.cast.words import plain
+from hyperflex.report.folder import Progress, silent, whole_folder
+from hyperflex.report.identification.figures import fit_figure
+from hyperflex.report.identification.fitted import fitted_channels
+from hyperflex.report.page import Picture, Section, TextTable, markdown, write_page
+from hyperflex.report.plan import PlanReport, pictures, search_summary, write_results
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import png
-from hyperflex.report.tables import TextTable, markdown
 from hyperflex.trajectory import Trajectory
 
-Tell = Callable[[str], None]
-
 _FILM_RATE = 20  # frames a second
+_WINDOW = 2.0  # s, of the table of reaches
 _LEAD = (
     "From a recording to an identified rope to its cast. The recording was made by simulating a rope of {fine} links "
     "and looking at it with a noisy camera; a chain of {coarse} links is identified from it, with uncertainties, and "
     "cast; in the end it is wound round a target. Nothing here was measured on a real rope."
 )
-_SHADED = "Shaded: held out. There the state is fitted on half a second, and the next second is predicted without data."
+_HELD_OUT = (
+    "Shaded: held out. There the state is fitted on half a second, and the next second is predicted without data."
+)
+_MODEL = (
+    "The cast is planned for the rope as it was identified, {coarse} links (cut shorter near the target); the plan is "
+    "simulated with the same model, and again with shorter links."
+)
+_CAPTIONS = {
+    "film": "The identified rope, cast from rest by the paper's motion; simulated.",
+    "strobe": "One stroke of the arm late in the cast, early instants dark, late ones bright.",
+    "casts": "Tip to the side: the identified chain beside the rope that made the recording.",
+    "parameters": "Identified parameters over their mapped truth.",
+    "prediction": "Angles of a link in the middle and of the last one.",
+}
 
 
 @dataclass(frozen=True)
 class DemoReport:
-    """What :func:`write_demo` wrote.
+    """The demo's report.
 
     Attributes
     ----------
     files : dict of str to Path
         By what they are: "page", "film", "cast", "rope", ...
     demo : Demo
-        What was found.
-    parameters : TextTable
-        Identified values, intervals and mapped truth.
-    reaches : TextTable
-        Reach of the tip in each 2 s.
-    winding : WindingPart
-        What became of the planned cast.
+        The results.
+    parameters, reaches : TextTable
+        Identified values, intervals and mapped truth; greatest reach of the tip in each 2 s.
+    verdicts : tuple of (bool, str)
+        Whether the planned cast succeeds, and whether the rope that made the recording winds by the same throw.
     """
 
     files: dict[str, Path]
     demo: Demo
     parameters: TextTable
     reaches: TextTable
-    winding: WindingPart
+    verdicts: tuple[tuple[bool, str], ...]
 
 
-def write_demo(directory: str | Path, tell: Tell = lambda _: None) -> DemoReport:
+def write_demo(directory: str | Path, progress: Progress = silent) -> DemoReport:
     """Run the demo and write its folder.
 
     Parameters
     ----------
     directory : str or Path
-        Folder to write to, whole or not at all; made if it is not there, other files in it stay.
-    tell : callable
-        Told in words what is being done.
+        Folder to write to, wholly or not at all; made if it is not there, other files in it stay.
+    progress : callable
+        Called with a message on what is being done.
 
     Returns
     -------
@@ -78,54 +90,72 @@ def write_demo(directory: str | Path, tell: Tell = lambda _: None) -> DemoReport
         The folder cannot be made or written to.
     """
     with whole_folder(directory) as stage:
-        demo = run_demo(tell)
-        parameters, reaches = _parameters_table(demo), _reaches_table(demo)
-        winding = write_winding(stage, demo, tell)
-        written = _write(stage, demo, parameters, reaches, winding, tell)
-    found = {kind: Path(directory) / name for kind, name in written.items()}
-    return DemoReport(found, demo, parameters, reaches, winding)
+        demo = run_demo(progress)
+        winding = cast_report(demo.plan, demo.held, "wound")
+        verdicts = ((demo.plan.success, winding.verdict), *_proof(demo))
+        report = DemoReport({}, demo, _parameters_table(demo), _reaches_table(demo), verdicts)
+        names = _write(stage, report, winding, progress)
+    return replace(report, files={kind: Path(directory) / name for kind, name in names.items()})
 
 
-def _write(
-    folder: Path, demo: Demo, parameters: TextTable, reaches: TextTable, winding: WindingPart, tell: Tell
-) -> dict[str, str]:
+def _write(folder: Path, report: DemoReport, winding: PlanReport, progress: Progress) -> dict[str, str]:
     """Write everything to `folder`; return the names of the files by what they are."""
-    tell("drawing")
-    pictures = _pictures(demo)
-    names = {kind: f"{kind}.png" for kind in pictures}
+    demo, found = report.demo, report.demo.identification
+    progress("drawing")
+    shown = _figures(demo)
+    names = {kind: f"{kind}.png" for kind in shown}
     names |= {"film": "cast.gif", "cast": "cast.nc", "rope": "rope.toml"}
     names |= {"identification": "identification.json", "summary": "summary.md", "page": "report.html"}
-    written = {kind: folder / name for kind, name in names.items()}
-    for kind, content in pictures.items():
-        with files.atomic(written[kind], "wb") as file:
-            file.write(content)
+    for kind, content in shown.items():
+        files.write_bytes(folder / names[kind], content)
     animate(
         demo.cast,
-        written["film"],
+        folder / names["film"],
         frame_rate=_FILM_RATE,
         width=560,
         title="identified rope, simulated",
-        progress=lambda done, total: tell(f"filming, frame {done} of {total}"),
+        progress=lambda done, total: progress(f"filming, frame {done} of {total}"),
     )
-    tell("writing")
-    demo.cast.to_netcdf(written["cast"])
-    demo.identification.to_toml(written["rope"])
-    demo.identification.to_json(written["identification"])
-    files.write_text(written["summary"], _summary(demo, parameters, reaches, winding))
-    film = written["film"].read_bytes()
-    _write_page(written["page"], demo, pictures, film, parameters, reaches, winding.section)
-    return names | winding.files
+    shown["film"] = (folder / names["film"]).read_bytes()
+    progress("writing")
+    demo.cast.to_netcdf(folder / names["cast"])
+    found.to_toml(folder / names["rope"])
+    found.to_json(folder / names["identification"])
+    wound = write_results(folder, winding, progress=progress)
+    section = Section(
+        "The identified rope, wound round a target",
+        text=(*winding.story, _MODEL.format(coarse=demo.recording.n_links)),
+        tiles=winding.tiles,
+        marks=report.verdicts,
+        pictures=tuple(pictures(folder, winding, wound).values()),
+        table=winding.checks,
+        notes=(search_summary(demo.plan),),
+    )
+    files.write_text(folder / names["summary"], _summary(report, section))
+    _write_page(folder / names["page"], report, shown, section)
+    return names | {"wound_film" if kind == "film" else kind: name for kind, name in wound.items()}
 
 
-def _pictures(demo: Demo) -> dict[str, bytes]:
+def _figures(demo: Demo) -> dict[str, bytes]:
     """Return the PNGs by name."""
-    last = demo.recording.n_links - 1
+    view, last = fitted_channels(demo.recording, demo.identification), demo.recording.n_links - 1
     return {
-        "prediction": png(prediction_figure(demo.recording, demo.identification, ((last + 1) // 2, last))),
+        "prediction": png(fit_figure(replace(view, chosen=((last + 1) // 2, last)))),
         "parameters": png(parameters_figure(demo.parameters)),
         "strobe": png(strobe(demo.cast, start=10.1, end=11.35, count=60, title="identified rope, cast (simulated)")),
         "casts": png(casts_figure(demo)),
     }
+
+
+def _proof(demo: Demo) -> tuple[tuple[bool, str], ...]:
+    """Return what the rope that made the recording does in the same throw."""
+    proof = demo.proof
+    if proof is None:
+        return ()
+    rope = f"The rope that made the recording ({demo.reference.q.shape[1]} links), thrown by the same motion"
+    if proof.success:
+        return ((True, f"{rope}, winds {abs(proof.turns):.2f} turns and holds too."),)
+    return ((False, f"{rope}, does not: {plain(proof.reason)}. The identified rope is not quite that rope."),)
 
 
 def held_out_rms(demo: Demo) -> float:
@@ -135,38 +165,26 @@ def held_out_rms(demo: Demo) -> float:
 
 
 def _parameters_table(demo: Demo) -> TextTable:
+    header = ("parameter", "guess", "identified", "95 % interval", "mapped truth", "inside", "plain cut")
     rows = []
     for each in demo.parameters:
-        low, high = each.interval
-        interval = f"{low:.4g} to {high:.4g}"
-        inside = "yes" if each.covered else "no"
-        cut = f"{each.cut:.4g}"
-        rows.append(
-            (
-                f"{each.name}, {each.unit}",
-                f"{each.guess:.4g}",
-                f"{each.value:.4g}",
-                interval,
-                f"{each.mapped:.4g}",
-                inside,
-                cut,
-            )
+        guess, value, mapped, cut, low, high = (
+            f"{number:.4g}" for number in (each.guess, each.value, each.mapped, each.cut, *each.interval)
         )
-    header = ("parameter", "guess", "identified", "95 % interval", "mapped truth", "inside", "plain cut")
+        inside = "yes" if each.covered else "no"
+        rows.append((f"{each.name}, {each.unit}", guess, value, f"{low} to {high}", mapped, inside, cut))
     return TextTable(header, tuple(rows))
 
 
 def _reaches_table(demo: Demo) -> TextTable:
-    starts = np.arange(0.0, demo.cast.t[-1] - 0.5 * WINDOW, WINDOW)
-    header = ("rope", *(f"{start:.0f}-{start + WINDOW:.0f} s" for start in starts))
+    starts = np.arange(0.0, demo.cast.t[-1] - 0.5 * _WINDOW, _WINDOW)
 
     def row(name: str, run: Trajectory) -> tuple[str, ...]:
-        x = [np.abs(run.tip[(run.t >= start) & (run.t <= start + WINDOW), 0]).max() for start in starts]
-        return (name, *(f"{value:.2f}" for value in x))
+        x = [np.abs(run.tip[(run.t >= start) & (run.t <= start + _WINDOW), 0]).max() for start in starts]
+        return (f"{name}, {run.q.shape[1]} links", *(f"{value:.2f}" for value in x))
 
-    links = demo.cast.q.shape[1], demo.reference.q.shape[1]
-    rows = row(f"identified, {links[0]} links", demo.cast), row(f"the rope itself, {links[1]} links", demo.reference)
-    return TextTable(header, rows)
+    header = ("rope", *(f"{start:.0f}-{start + _WINDOW:.0f} s" for start in starts))
+    return TextTable(header, (row("identified", demo.cast), row("the rope itself", demo.reference)))
 
 
 def _notes(demo: Demo) -> tuple[str, ...]:
@@ -181,21 +199,22 @@ def _notes(demo: Demo) -> tuple[str, ...]:
     return mapped, " ".join((intervals, *demo.identification.verdict)), recording
 
 
-def _summary(demo: Demo, parameters: TextTable, reaches: TextTable, winding: WindingPart) -> str:
+def _summary(report: DemoReport, winding: Section) -> str:
+    demo = report.demo
     errors = (
         f"Prediction error on the held-out part, 1 s ahead: {1e3 * held_out_rms(demo):.1f} mrad, "
         f"of which the camera's noise alone is {1e3 * float(demo.angle_noise.mean()):.1f} mrad."
     )
     parts = [
         "# Demo: recording, identified rope, cast (simulated)",
-        markdown(parameters).rstrip(),
+        markdown(report.parameters).rstrip(),
         "\n".join(f"- {note}" for note in _notes(demo)),
         errors,
         "## Greatest |x| of the tip in each 2 s of the cast, m",
-        markdown(reaches).rstrip(),
-        f"## {winding.section.title}",
-        *winding.section.text,
-        "\n".join(f"- {sentence}" for _, sentence in winding.verdicts) + "\n",
+        markdown(report.reaches).rstrip(),
+        f"## {winding.title}",
+        *winding.text,
+        "\n".join(f"- {sentence}" for _, sentence in winding.marks) + "\n",
     ]
     return "\n\n".join(parts)
 
@@ -219,40 +238,19 @@ def _in_short(demo: Demo) -> Section:
     return Section("In short", tiles=tiles, text=(setup,))
 
 
-def _write_page(
-    path: Path,
-    demo: Demo,
-    pictures: dict[str, bytes],
-    film: bytes,
-    parameters: TextTable,
-    reaches: TextTable,
-    winding: Section,
-) -> None:
-    shown = (
-        Picture(film, "The identified rope, cast from rest by the paper's motion; simulated."),
-        Picture(pictures["strobe"], "One stroke of the arm late in the cast, early instants dark, late ones bright."),
-        Picture(pictures["casts"], "Tip to the side: the identified chain beside the rope that made the recording."),
-    )
+def _write_page(path: Path, report: DemoReport, contents: Mapping[str, bytes], winding: Section) -> None:
+    demo = report.demo
+
+    def shown(*kinds: str) -> tuple[Picture, ...]:
+        return tuple(Picture(contents[kind], _CAPTIONS[kind]) for kind in kinds)
+
+    reaches = ("The table gives the greatest |x| of the tip in each 2 s, m.",)
     sections = [
         _in_short(demo),
         winding,
-        Section(
-            "The paper's cast",
-            pictures=shown,
-            table=reaches,
-            notes=("The table gives the greatest |x| of the tip in each 2 s, m.",),
-        ),
-        Section(
-            "The identified rope",
-            pictures=(Picture(pictures["parameters"], "Identified parameters over their mapped truth."),),
-            table=parameters,
-            notes=_notes(demo),
-        ),
-        Section(
-            "Measured, fitted, predicted",
-            text=(_SHADED,),
-            pictures=(Picture(pictures["prediction"], "Angles of a link in the middle and of the one at the tip."),),
-        ),
+        Section("The paper's cast", pictures=shown("film", "strobe", "casts"), table=report.reaches, notes=reaches),
+        Section("The identified rope", pictures=shown("parameters"), table=report.parameters, notes=_notes(demo)),
+        Section("Measured, fitted, predicted", text=(_HELD_OUT,), pictures=shown("prediction")),
     ]
     lead = _LEAD.format(fine=demo.reference.q.shape[1], coarse=demo.recording.n_links)
     write_page(path, "A rope, identified and cast", lead, "simulated", sections)

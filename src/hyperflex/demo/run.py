@@ -1,8 +1,7 @@
-"""The thin line from end to end: a recording in, an identified rope out, its cast, a plan that winds it."""
+"""The demo's computations: a recording, an identified rope, its cast, a plan that winds it round a target."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,21 +11,17 @@ from hyperflex.demo import twin
 from hyperflex.identification import Identification, identify
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import swings
-from hyperflex.paper.casting import DURATION, T_MOVE, T_REST, casting_arm
-from hyperflex.planning.cast_plan import CastPlan
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.plan import plan_cast
-from hyperflex.planning.wind.outcome import Cast, verify
+from hyperflex.paper import DURATION, T_MOVE, T_REST, casting_arm
+from hyperflex.planning import Cast, CastPlan, Holding, Thrower, plan_cast, tug_wound, verify
 from hyperflex.recording import Recording
+from hyperflex.report.folder import Progress, silent
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
-
-Tell = Callable[[str], None]
 
 INTERVAL = 1.96  # standard deviations to each side of a 95 % interval
 SAMPLES_PER_SECOND = 200
 TARGET = Peg(x=0.62, y=-1.14, radius=0.05, mu=0.3)  # well within reach
-PATIENCE = 60.0  # s; a plan that stands, most often after some seconds, ends the search
+TIME_BUDGET = 60.0  # s; a plan that succeeds, most often after some seconds, ends the search
 _UNITS = {"friction": "N m s/rad", "inertia": "kg m^2"}
 
 
@@ -68,7 +63,7 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """What the demo found.
+    """The results of the demo.
 
     Attributes
     ----------
@@ -86,6 +81,8 @@ class Demo:
         The rope that made the recording, cast likewise.
     plan : CastPlan
         How the identified rope is wound round a target.
+    held : Holding or None
+        A tug at the wound rope; None where it is not wound.
     proof : Cast or None
         The same throw by the rope that made the recording; None where there is no throw.
     """
@@ -97,26 +94,27 @@ class Demo:
     cast: Trajectory
     reference: Trajectory
     plan: CastPlan
+    held: Holding | None
     proof: Cast | None
 
 
-def run_demo(tell: Tell = lambda _: None) -> Demo:
+def run_demo(progress: Progress = silent) -> Demo:
     """Identify the bundled recording's rope, cast it, and plan how to wind it round a target.
 
     Parameters
     ----------
-    tell : callable
-        Told in words what is being done.
+    progress : callable
+        Called with a message on what is being done.
 
     Returns
     -------
     Demo
     """
-    tell("reading the recording")
+    progress("reading the recording")
     recording, guess = twin.bundled(), twin.guess()
 
     def report(entry: dict[str, float]) -> None:
-        tell(f"identifying, windows of {entry['window']:.2g} s, round {entry['round'] + 1:.0f}")
+        progress(f"identifying, windows of {entry['window']:.2g} s, round {entry['round'] + 1:.0f}")
 
     found = identify(recording, guess, twin.FREE, train=twin.TRAIN, window=twin.WINDOW, progress=report)
     if found.status == "interrupted":  # identify hands back the best so far; a demo of half a fit would mislead
@@ -134,11 +132,12 @@ def run_demo(tell: Tell = lambda _: None) -> Demo:
         )
         for name in found.values
     )
-    tell("casting the identified rope")
+    progress("casting the identified rope")
     noise = recording.angles().noise
     scale = np.full(recording.n_links, np.nan) if noise is None else np.median(noise, axis=0)
-    casts = _cast(found.rope), _cast(twin.fine_rope())
-    return Demo(recording, found, parameters, scale, *casts, *_wind(found.rope, tell))
+    cast, reference = _cast(found.rope), _cast(twin.fine_rope())
+    plan, held, proof = _wind(found.rope, progress)
+    return Demo(recording, found, parameters, scale, cast, reference, plan, held, proof)
 
 
 def _cast(rope: Rope) -> Trajectory:
@@ -148,13 +147,15 @@ def _cast(rope: Rope) -> Trajectory:
     return simulate(rope, motion, arm=casting_arm(), duration=DURATION, t_eval=t)
 
 
-def _wind(rope: Rope, tell: Tell) -> tuple[CastPlan, Cast | None]:
-    """Plan with the identified rope, and throw the one that made the recording likewise."""
-    tell("planning how to wind it round a target")
-    plan = plan_cast(rope, casting_arm(), TARGET, patience=PATIENCE)
+def _wind(rope: Rope, progress: Progress) -> tuple[CastPlan, Holding | None, Cast | None]:
+    """Plan with the identified rope, tug at it, and throw the one that made the recording likewise."""
+    progress("planning how to wind it round a target")
+    plan = plan_cast(rope, casting_arm(), TARGET, patience=TIME_BUDGET)
     if plan.interrupted:
         raise KeyboardInterrupt
+    progress("tugging at the rope")
+    held = tug_wound(plan.cast, plan.peg)
     if plan.motion is None:
-        return plan, None
-    tell("throwing the rope that made the recording")
-    return plan, verify(Thrower(twin.fine_rope(), casting_arm(), plan.thrower.limits), TARGET, plan.motion)
+        return plan, held, None
+    progress("throwing the rope that made the recording")
+    return plan, held, verify(Thrower(twin.fine_rope(), casting_arm(), plan.thrower.limits), TARGET, plan.motion)

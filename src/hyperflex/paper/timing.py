@@ -11,8 +11,8 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.control import Caster, CrossingRule, Spiral, TrueState, spiral, swing
 from hyperflex.paper.casting import READINGS, T_MOVE, TIME_CONSTANT, Reading, cable, casting_arm
-from hyperflex.paper.claims import Claim
-from hyperflex.paper.figures import TABLE_RATE, Table
+from hyperflex.paper.casting_results import TABLE_RATE
+from hyperflex.paper.results import Claim, Table
 from hyperflex.simulation import simulate
 
 LEADS = (0.0, 0.10, 0.20, 0.30)  # s, t_b: how long before the tip crosses x = 0 the arm starts

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from hyperflex.planning.whip.search import WhipMap, whip_map
     from hyperflex.planning.whip.strokes import Strokes
     from hyperflex.planning.whip.tip_target import Mark
-    from hyperflex.planning.wind.holding import Holding
+    from hyperflex.planning.wind.holding import Holding, tug_wound
     from hyperflex.planning.wind.nearest_target import Nearest
     from hyperflex.planning.wind.outcome import Cast, verify
     from hyperflex.planning.wind.reachability import Reach, reach
@@ -61,6 +61,7 @@ _HOMES = {
     "read_plan": "files",
     "read_whip": "whip.files",
     "success": "robust.success_probability",
+    "tug_wound": "wind.holding",
     "verify": "wind.outcome",
     "whip_map": "whip.search",
 }
@@ -96,6 +97,7 @@ __all__ = [
     "read_plan",
     "read_whip",
     "success",
+    "tug_wound",
     "verify",
     "whip_map",
 ]

@@ -13,7 +13,7 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.report.shapes import pegs_of, shapes, widened
+from hyperflex.report.shapes import NO_TARGETS, shapes, span, view
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ Colour = tuple[int, int, int]
 
 _NIGHT, _PALE, _WHITE = (12, 19, 34), (170, 182, 200), (255, 255, 255)
 _ROPE, _TRAIL, _GRID, _PEG = (242, 212, 121), (79, 195, 192), (28, 38, 58), (214, 92, 70)
-_FINE = 2  # drawn this much larger, then shrunk: smooth edges
+_FINE = 2  # frames are drawn this much larger, then shrunk, for smooth edges
 _GHOSTS = 5
 _LINE = 18  # pixels from one line of words to the next
 _TRAIL_POINTS = 80
@@ -113,24 +113,12 @@ def animate(
             "frame_rate does not fit a GIF", got=frame_rate, allowed="10, 20, 25 or 50 frames per second"
         )
     pace = checks.number("speed", speed, sign="positive") / frame_rate
-    first = run.t[0] if start is None else checks.number("start", start, unit="s")
-    last = run.t[-1] if end is None else checks.number("end", end, unit="s")
-    if not run.t[0] <= first < last <= run.t[-1]:
-        raise InvalidInput("span is not in the run", got=[first, last], allowed=f"{run.t[0]:g} to {run.t[-1]:g} s")
+    first, last = span(run, start, end)
     times = np.arange(first, last + 0.5 * pace, pace)
-    marked = np.zeros((0, 2)) if targets is None else targets
+    targets = NO_TARGETS if targets is None else targets
     room = 0 if note is None else _LINE * (note(float(times[-1])).count("\n") + 2)
-    content = _gif(
-        _frames(
-            _Scene(run, _view(run, marked, checks.count("width", width, least=64), room), trail, marked),
-            times,
-            (title, note),
-            progress,
-        ),
-        frame_rate,
-    )
-    with files.atomic(path, "wb") as file:
-        file.write(content)
+    scene = _Scene(run, _view(run, targets, checks.count("width", width, least=64), room), trail, targets)
+    files.write_bytes(path, _gif(_frames(scene, times, (title, note), progress), frame_rate))
 
 
 def _gif(frames: Iterator[Image.Image], frame_rate: int) -> bytes:
@@ -148,13 +136,7 @@ def _gif(frames: Iterator[Image.Image], frame_rate: int) -> bytes:
 
 def _view(run: Trajectory, targets: Array, width: int, room: int) -> _View:
     """Fit everything that the rope and the arm reach into the canvas, below `room` pixels for words."""
-    around = [(peg.x + s * peg.radius, peg.y + s * peg.radius) for peg in pegs_of(run) for s in (-1.0, 1.0)]
-    points = np.concatenate([run.joints.reshape(-1, 2), np.reshape(around, (-1, 2)), targets])
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = 0.06 * float((high - low).max())
-    low, high = low - margin, high + margin
-    high[1] += margin
-    low, high = widened(low, high)
+    low, high = view(run, np.concatenate([run.joints.reshape(-1, 2), targets]), above=2.0)
     scale = _FINE * width / (high[0] - low[0])
     height = room + round((high[1] - low[1]) * scale / _FINE / 2) * 2
     origin = (float(-low[0] * scale), float(high[1] * scale) + _FINE * room)
@@ -191,7 +173,7 @@ def _draw_scene(draw: Any, scene: _Scene, time: float, step: float) -> None:
     origin = view.pixels(np.zeros((1, 2)))[0]
     draw.line([(0, origin[1]), (view.width, origin[1])], fill=_GRID, width=_FINE)
     draw.line([(origin[0], 0), (origin[0], view.height)], fill=_GRID, width=_FINE)
-    for peg in pegs_of(run):
+    for peg in run.setup.round_pegs:
         centre = view.pixels(np.array([[peg.x, peg.y]]))[0]
         _dot(draw, centre, max(peg.radius * view.scale, 2 * _FINE), _PEG)
     for k in range(_GHOSTS):

@@ -8,25 +8,14 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from hyperflex import files
 from hyperflex.errors import FileProblem
-from hyperflex.report.style import png
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-Tell = Callable[[str], None]  # told in words what is being done
+Progress = Callable[[str], None]  # called with a message on what is being done
 
 
-def write_figures(folder: Path, figures: dict[str, Figure]) -> dict[str, Path]:
-    """Write figures as PNG files of their names; return the files by these."""
-    written = {kind: folder / f"{kind}.png" for kind in figures}
-    for kind, path in written.items():
-        with files.atomic(path, "wb") as file:
-            file.write(png(figures[kind]))
-    return written
+def silent(message: str) -> None:
+    """Say nothing: the progress callable of those who want none."""
 
 
 @contextmanager

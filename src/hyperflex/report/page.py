@@ -1,15 +1,39 @@
-"""One-page reports: a single HTML file with its pictures inside, so that it can be mailed or archived as it is."""
+"""One-page reports: sections, pictures and tables in a single HTML file; tables as Markdown too."""
 
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from hyperflex import files
-from hyperflex.report.tables import TextTable
+from hyperflex.errors import InvalidInput
 
 _KINDS = {b"\x89PNG": "image/png", b"GIF8": "image/gif"}
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of ready-made cells.
+
+    Attributes
+    ----------
+    header : tuple of str
+        Column names.
+    rows : tuple of tuple of str
+        Cells, as many in each row as there are columns.
+    """
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.header):
+                raise InvalidInput(
+                    "table row has the wrong number of cells", got=row, allowed=f"{len(self.header)} cells"
+                )
 
 
 @dataclass(frozen=True)
@@ -102,3 +126,16 @@ def write_page(path: str | Path, title: str, lead: str, badge: str, sections: li
     template = environment.get_template("page.html")
     text = template.render(title=title, lead=lead, badge=badge, sections=sections, version=__version__)
     files.write_text(path, text)
+
+
+def markdown(table: TextTable) -> str:
+    """Return a table as Markdown, columns padded so that it reads well as plain text too."""
+    lines = [table.header, *table.rows]
+    cells = [[cell.replace("|", r"\|") for cell in line] for line in lines]
+    widths = [max(3, *(len(line[k]) for line in cells)) for k in range(len(table.header))]
+
+    def row(line: Sequence[str]) -> str:
+        return "| " + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) + " |"
+
+    rule = "|" + "|".join("-" * (width + 2) for width in widths) + "|"
+    return "\n".join([row(cells[0]), rule, *map(row, cells[1:])]) + "\n"

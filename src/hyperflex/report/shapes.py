@@ -1,4 +1,4 @@
-"""What pictures draw: shapes of the rope between the samples of a run, and the pegs beside it."""
+"""What pictures and films of a run share: shapes of the rope between its samples, the span of time, the view."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.model import Peg
+from hyperflex.errors import InvalidInput
 from hyperflex.trajectory import Trajectory
 
-TALLEST = 1.15  # height of a picture, in widths
+_TALLEST = 1.15  # height of a picture, in widths
+_MARGIN = 0.06  # of the larger extent, on each side
+NO_TARGETS = np.zeros((0, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,16 +44,35 @@ def shapes(run: Trajectory, times: Array) -> Shapes:
     return Shapes(joints, base - run.setup.arm.length * np.stack([np.sin(angle), -np.cos(angle)], axis=-1))
 
 
-def widened(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return lower left and upper right corner (2,), m, of a view that is no taller than TALLEST times its width."""
+def span(run: Trajectory, start: float | None, end: float | None) -> tuple[float, float]:
+    """Return the first and last time to show, s: those given, else the run's; InvalidInput if they are not in it."""
+    first = run.t[0] if start is None else checks.number("start", start, unit="s")
+    last = run.t[-1] if end is None else checks.number("end", end, unit="s")
+    if not run.t[0] <= first < last <= run.t[-1]:
+        raise InvalidInput("span is not in the run", got=[first, last], allowed=f"{run.t[0]:g} to {run.t[-1]:g} s")
+    return float(first), float(last)
+
+
+def view(run: Trajectory, points: Array, above: float) -> tuple[Array, Array]:
+    """Return the lower left and upper right corner (2,), m, of a view of a run.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Its round pegs are in the view.
+    points : (k, 2) float64
+        What else must be in it, m.
+    above : float
+        Margin at the top, in margins at the other sides.
+    """
+    pegs = [(peg.x + side * peg.radius, peg.y + side * peg.radius) for peg in run.setup.round_pegs for side in (-1, 1)]
+    points = np.concatenate([points, np.reshape(pegs, (-1, 2))])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = _MARGIN * (high - low).max()
+    low, high = low - margin, high + np.array([margin, above * margin])
     across, up = high - low
-    side = np.array([0.5 * max(0.0, up / TALLEST - across), 0.0])
+    side = np.array([0.5 * max(0.0, up / _TALLEST - across), 0.0])
     return low - side, high + side
-
-
-def pegs_of(run: Trajectory) -> list[Peg]:
-    """Return the round pegs that a run was simulated with."""
-    return [one for one in run.setup.pegs if isinstance(one, Peg)]
 
 
 def _between(t: Array, value: Array, rate: Array, times: Array) -> Array:

@@ -8,10 +8,9 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg
-from hyperflex.report.shapes import Shapes, pegs_of, shapes, widened
-from hyperflex.report.style import look, new_figure
+from hyperflex.report.shapes import NO_TARGETS, Shapes, shapes, span, view
+from hyperflex.report.style import new_figure
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -59,33 +58,32 @@ def strobe(
         Fewer than 2 instants, or a span that is not in the run.
     """
     count = checks.count("count", count, least=2)
-    first = run.t[0] if start is None else checks.number("start", start, unit="s")
-    last = run.t[-1] if end is None else checks.number("end", end, unit="s")
-    if not run.t[0] <= first < last <= run.t[-1]:
-        raise InvalidInput("span is not in the run", got=[first, last], allowed=f"{run.t[0]:g} to {run.t[-1]:g} s")
+    first, last = span(run, start, end)
+    targets = NO_TARGETS if targets is None else targets
     drawn = shapes(run, np.linspace(first, last, count))
     trail = shapes(run, np.linspace(first, last, _TRAIL_POINTS)).joints[:, -1]
-    with look():
-        marked = np.zeros((0, 2)) if targets is None else targets
-        return _draw(drawn, trail, pegs_of(run), marked, run.setup.arm is not None, title, width)
+    low, high = view(run, np.concatenate([drawn.joints.reshape(-1, 2), trail, drawn.pivots, targets]), above=1.5)
+    with new_figure(width, width * (high[1] - low[1]) / (high[0] - low[0]), layout=None) as figure:
+        figure.set_facecolor(NIGHT)
+        axis: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), facecolor=NIGHT)
+        axis.set_axis_off()
+        _draw_ropes(axis, drawn.joints, trail)
+        for peg in run.setup.round_pegs:
+            _draw_peg(axis, peg)
+        axis.plot(*targets.T, "o", ms=15.0, mfc="none", mec=PEG, mew=1.8, zorder=7)
+        _draw_arm(axis, drawn, run.setup.arm is not None)
+        _draw_scale(axis, low, high)
+        axis.text(
+            0.018, 0.965, title, transform=axis.transAxes, color="white", fontsize=11, va="top", fontweight="bold"
+        )
+    return figure
 
 
-def _draw(
-    drawn: Shapes, trail: Array, pegs: list[Peg], targets: Array, with_arm: bool, title: str, width: float
-) -> Figure:
+def _draw_ropes(axis: Any, ropes: Array, trail: Array) -> None:
     from matplotlib.collections import LineCollection
     from matplotlib.colors import LinearSegmentedColormap
 
-    ropes = drawn.joints
-    around = np.reshape(
-        [(peg.x + s * peg.radius, peg.y + s * peg.radius) for peg in pegs for s in (-1.0, 1.0)], (-1, 2)
-    )
-    low, high = _frame(np.concatenate([ropes.reshape(-1, 2), trail, drawn.pivots, around, targets]))
-    figure = new_figure(width, width * (high[1] - low[1]) / (high[0] - low[0]), layout=None)
-    figure.set_facecolor(NIGHT)
-    axis: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), facecolor=NIGHT)
-    axis.set_axis_off()
     dusk = LinearSegmentedColormap.from_list("dusk", _COLOURS)
     colours = dusk(np.linspace(0.0, 1.0, len(ropes)))[:, :3]
     fade = np.linspace(0.35, 1.0, len(ropes)) ** 1.5
@@ -96,20 +94,6 @@ def _draw(
     shades = dusk(np.linspace(0.0, 1.0, len(steps)))
     axis.add_collection(LineCollection(steps, colors=shades, linewidths=0.7, alpha=0.55))
     axis.scatter(*ropes[:, -1].T, s=7.0, c=colours, zorder=3, lw=0)
-    for peg in pegs:
-        _draw_peg(axis, peg)
-    axis.plot(*targets.T, "o", ms=15.0, mfc="none", mec=PEG, mew=1.8, zorder=7)
-    _draw_arm(axis, drawn, with_arm)
-    _draw_scale(axis, low, high)
-    axis.text(0.018, 0.965, title, transform=axis.transAxes, color="white", fontsize=11, va="top", fontweight="bold")
-    return figure
-
-
-def _frame(points: Array) -> tuple[Array, Array]:
-    """Return lower left and upper right corner, m, with a margin."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = 0.06 * (high - low).max()
-    return widened(low - margin, high + np.array([margin, 1.5 * margin]))
 
 
 def _draw_arm(axis: Any, drawn: Shapes, with_arm: bool) -> None:

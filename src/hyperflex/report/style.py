@@ -1,4 +1,4 @@
-"""One look for all pictures, and writing them whole or not at all."""
+"""The style of all figures, their legends and titles, and writing them as PNG."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BLUE, RED, GREEN, GREY, INK = "#1f5fa8", "#d1483a", "#3b8f6b", "#8a93a0", "#1d2733"
+SOFT = "#5a6472"  # of notes
 OUTCOME_COLOUR = {"success": BLUE, "failure": RED}
 
-_LOOK: Any = {
+_STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,
@@ -31,8 +32,8 @@ _LOOK: Any = {
     "axes.axisbelow": True,
     "grid.color": "#e6e9ee",
     "grid.linewidth": 0.8,
-    "xtick.color": "#5a6472",
-    "ytick.color": "#5a6472",
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
     "text.color": INK,
     "lines.linewidth": 1.3,
     "lines.solid_capstyle": "round",
@@ -44,22 +45,45 @@ _LOOK: Any = {
 
 
 @contextmanager
-def look() -> Iterator[None]:
-    """Draw in the house style within this block; Matplotlib's own settings stand again afterwards."""
+def new_figure(
+    width: float, height: float, title: str = "", *, layout: Literal["constrained"] | None = "constrained"
+) -> Iterator[Figure]:
+    """Give an empty figure that needs no screen, in the package's style.
+
+    Matplotlib's own settings are back after the block, in which everything must be drawn.
+
+    Parameters
+    ----------
+    width, height : float
+        Inches.
+    title : str
+        Written at the upper left.
+    layout : {"constrained"}, optional
+        Matplotlib's layout engine.
+    """
     import matplotlib as mpl
-
-    with mpl.rc_context(_LOOK):
-        yield
-
-
-def new_figure(width: float, height: float, layout: Literal["constrained"] | None = "constrained") -> Figure:
-    """Return an empty figure of `width` by `height` inches that needs no screen."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout=layout)
-    FigureCanvasAgg(figure)
-    return figure
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(width, height), layout=layout)
+        FigureCanvasAgg(figure)
+        if title:
+            figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK)
+        yield figure
+
+
+def legend(figure: Figure, *axes: Any, place: str = "upper right", columns: int = 4) -> None:
+    """Put one legend outside the axes, of everything that is labelled in `axes`."""
+    entries = [entry for axis in axes for entry in zip(*axis.get_legend_handles_labels(), strict=True)]
+    handles, labels = zip(*entries, strict=True)
+    where: Any = f"outside {place}"
+    figure.legend(handles, labels, loc=where, ncols=columns, fontsize=8.5)
+
+
+def note(axis: Any, x: float, y: float, text: str, colour: str = SOFT, **place: Any) -> None:
+    """Write a small note at a point of a plot; `place` is passed to Matplotlib's ``text``."""
+    axis.text(x, y, text, **{"va": "bottom", "fontsize": 8.0, "color": colour, **place})
 
 
 def png(figure: Figure, *, dpi: int = 160) -> bytes:
@@ -70,7 +94,5 @@ def png(figure: Figure, *, dpi: int = 160) -> bytes:
 
 
 def save_png(figure: Figure, path: str | Path, *, dpi: int = 160) -> None:
-    """Write a figure to a PNG file, whole or not at all."""
-    content = png(figure, dpi=dpi)
-    with files.atomic(path, "wb") as file:
-        file.write(content)
+    """Write a figure to a PNG file, wholly or not at all."""
+    files.write_bytes(path, png(figure, dpi=dpi))

@@ -1,62 +1,121 @@
-"""The part of the reproduction that is on identification (paper section III): tables, figures, claims, sections."""
+"""The part on identification (paper section III): Tables I and II, Figs. 3, 5 and 6, claims C6 and C7."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from hyperflex import paper
+import numpy as np
+
 from hyperflex.identification import Revision, RevisionProfile
-from hyperflex.paper import SWINGS, methods, revised
-from hyperflex.paper.identification import LENGTH, LINK_MASS, LINKS, NOISE, POINTS, RATE, guess, per_sample, true_rope
-from hyperflex.paper.identification_figures import DRAWN, periods_text
-from hyperflex.paper.report import identification_figures as revision_figures
-from hyperflex.paper.report.part import Part, write_numbers, write_picture
-from hyperflex.report.page import Picture, Section
-from hyperflex.report.style import png
-from hyperflex.report.tables import TextTable
-
-NAMES = ("table1", "table2", "fig3", "fig5", "fig6")
-TITLE = "Identifying a rope by iterative revision"
-CLAIMS = "Claims of the paper on identification, simulated"
-LEAD = (
-    "Identification by iterative revision: section III of Suzuki and Ebihara, Casting Control for Hyper-Flexible "
-    "Manipulation (ICRA 2007), on a simulated twin of its experiment. Length and mass of the rope are inferred."
+from hyperflex.paper import identification_results as results
+from hyperflex.paper.identification import (
+    FEW,
+    LENGTH,
+    LINK_MASS,
+    LINKS,
+    NOISE,
+    POINTS,
+    RATE,
+    SMALL,
+    SWINGS,
+    Swing,
+    guess,
+    methods,
+    per_sample,
+    record,
+    revised,
+    true_rope,
 )
+from hyperflex.paper.identification_results import CURVES, DRAWN, periods_text
+from hyperflex.paper.report.part import Item, Part
+from hyperflex.report.page import Picture, Section, TextTable
+from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 PROFILES: tuple[RevisionProfile, ...] = ("response", "calculated", "measured", "measured rates")
-_CAPTIONS = {
-    "fig3": "Initial angles as measured and as the downhill simplex finds them, and what the tip link is off by from "
-    "either start, with the revised J and eta.",
-    "fig5": "Angle of the last link: measured, with the first guess (and the initial angles that suit it best), and "
-    "after the revision. Below, measured less calculated.",
-    "fig6": "E over all 81 samples after a revision that used only the first ones. The paper's two printed values are "
-    "marked.",
-}
 _PAPER_TABLE1 = (("5.09", "1.26", "4.64"), ("0.143", "0.631", "2.23"), ("0.143", "0.631", "2.23"))
 _PAPER_TABLE2 = {"NF": ("102", "16.3"), "CM": ("5.09", "2.62"), "IR": ("0.143", "2.23"), "IR(theta_0)": ("0.143", "")}
+PAPER_FIG6 = {22: 0.046, 81: 0.040}  # rad^2, as printed
+COLOURS = (BLUE, RED, GREEN)
 
 
-def write(wanted: Sequence[str], folder: Path, tell: Callable[[str], None]) -> Part:
-    """Write the wanted tables and figures to `folder`."""
-    written: list[str] = []
-    sections: list[Section] = []
-    pictures = []
-    for name in wanted:
-        tell(f"making {name}; each revision takes a second or two")
-        table = getattr(paper, name)()
-        if name in _CAPTIONS:
-            content = png(getattr(revision_figures, name)())
-            written += write_picture(folder, name, content, table)
-            pictures.append(Picture(content, _CAPTIONS[name]))
-        else:
-            written += write_numbers(folder, name, table)
-            sections += _table1() if name == "table1" else _table2()
-    tell("measuring the claims on identification")
-    claims = paper.identification_claims()
-    if pictures:
-        sections.append(Section("Figures on identification", pictures=tuple(pictures)))
-    sections.append(Section("Set-up of the identification", text=(_setup_text(),)))
-    return Part(written, claims, sections)
+def fig3() -> Figure:
+    """Initial angles, measured and optimised, and the tip's error that follows from each."""
+    with new_figure(9.4, 5.8, "Measured and optimised initial angles, simulated (Fig. 3)") as figure:
+        for row, swing in zip(figure.subplots(len(SWINGS), 2, width_ratios=(1, 2.2)), SWINGS, strict=True):
+            _starts(row[0], swing)
+            _errors(row[1], swing)
+    return figure
+
+
+def _starts(axis: Any, swing: Swing) -> None:
+    link = np.arange(1, LINKS + 1)
+    axis.axhline(0.0, color=GREY, lw=1.0, label="true")
+    for q, marker, colour, label in (
+        (record(swing).data[0], "o", RED, "measured"),
+        (revised(swing).best.q, "s", BLUE, "optimised"),
+    ):
+        axis.plot(link, 1e3 * (q - swing.angle), marker, color=colour, ms=5.5, label=label)
+    axis.set(xticks=link, xlabel="link", ylabel="off the truth, mrad")
+    axis.set_title(f"initial angles, let go at {swing.angle:g} rad")
+    axis.margins(x=0.12, y=0.15)
+    axis.legend(fontsize=8.0, loc="best")
+
+
+def _errors(axis: Any, swing: Swing) -> None:
+    recording, found, away = record(swing), revised(swing), results.start_residuals(swing)
+    for name, marker, colour, error in (
+        ("measured", "o", RED, found.best.measured_start),
+        ("optimised", "s", BLUE, found.error),
+    ):
+        axis.plot(
+            recording.t, 1e3 * away[name], marker, ls="-", lw=0.7, color=colour, ms=2.8, label=f"E = {error:.4f} rad²"
+        )
+    axis.axhspan(-1e3 * NOISE, 1e3 * NOISE, color=GREY, alpha=0.15, lw=0, label="noise (rms)")
+    axis.set(xlabel="time, s", ylabel="residual, mrad", xlim=(0.0, recording.t[-1]))
+    axis.set_title("tip link: measured less calculated from either start")
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high + 0.3 * (high - low))
+    axis.legend(fontsize=8.0, loc="upper right", ncols=3)
+
+
+def fig5() -> Figure:
+    """Tip angle against time: measured, calculated by the revision, and with the first guess."""
+    recording, (guessed, found) = record(SMALL), results.fig5_curves()
+    title = f"Angle of the rope's tip, simulated, let go at {SMALL.angle:g} rad (Fig. 5)"
+    with new_figure(9.4, 4.9, title) as figure:
+        top, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1))
+        below.axhspan(-1e3 * NOISE, 1e3 * NOISE, color=GREY, alpha=0.15, lw=0, label="noise (rms)")
+        for curve, colour, dash, label in (
+            (guessed, RED, (0, (4.0, 1.6)), "first guess (CM), its best start"),
+            (found, BLUE, "-", "revised (IR)"),
+        ):
+            top.plot(curve.t, curve.angle, color=colour, ls=dash, label=label)
+            below.plot(recording.t, 1e3 * curve.residuals, "o", ls="-", lw=0.6, ms=2.6, color=colour)
+        top.plot(recording.t, recording.data[:, -1], "o", ms=4.2, mfc="none", mec=INK, mew=0.9, label="measured")
+        top.set(ylabel="angle of link 5, rad", xlim=(0.0, recording.t[-1]))
+        below.set(ylabel="residual, mrad", xlabel="time, s")
+        top.legend(fontsize=8.5, loc="upper right", ncols=3)
+        below.legend(fontsize=8.0, loc="lower left")
+    return figure
+
+
+def fig6() -> Figure:
+    """E over all samples against how many of them were used."""
+    table = results.fig6()
+    counts = table.columns["samples"]
+    with new_figure(7.6, 4.4, "Identification error and samples used, simulated (Fig. 6)") as figure:
+        axis = figure.subplots()
+        for swing, colour in zip(CURVES, COLOURS, strict=False):
+            axis.plot(counts, table.columns[f"error_{swing.key}"], "o-", ms=4.5, color=colour, label=swing.title)
+        axis.plot(*zip(*PAPER_FIG6.items(), strict=True), "D", ms=6.5, mfc="none", mec=INK, mew=1.3, label="the paper")
+        axis.axvline(FEW, color=GREY, lw=0.8, ls=(0, (4.0, 2.0)))
+        axis.set(xlabel="samples used, from the first on", ylabel="E over all 81 samples, rad²", ylim=(0.0, None))
+        axis.annotate("3 s", (FEW, 0.0), (4, 4), textcoords="offset points", color=GREY, fontsize=8.5)
+        axis.legend(fontsize=8.5, loc="upper right")
+    return figure
 
 
 def _table1() -> list[Section]:
@@ -163,3 +222,48 @@ def _setup_text() -> str:
         f"second, noise {NOISE:g} rad rms. The finer rope has {DRAWN[-1].links} links, is a thin cylinder and "
         "bends with the same friction: the fitted J and eta are then what 5 links need to move like it."
     )
+
+
+def _sections(tables: list[Section], pictures: tuple[Picture, ...]) -> list[Section]:
+    figures = [Section("Figures on identification", pictures=pictures)] if pictures else []
+    return [*tables, *figures, Section("Set-up of the identification", text=(_setup_text(),))]
+
+
+def _items() -> dict[str, Item]:
+    return {
+        "table1": Item(results.table1, sections=_table1),
+        "table2": Item(results.table2, sections=_table2),
+        "fig3": Item(
+            results.fig3,
+            fig3,
+            "Initial angles as measured and as the downhill simplex finds them, and the residuals of the tip link from "
+            "either start, with the revised J and eta.",
+        ),
+        "fig5": Item(
+            results.fig5,
+            fig5,
+            "Angle of the last link: measured, with the first guess (and the initial angles that suit it best), and "
+            "after the revision. Below, measured less calculated.",
+        ),
+        "fig6": Item(
+            results.fig6,
+            fig6,
+            "E over all 81 samples after a revision that used only the first ones. The paper's two printed values are "
+            "marked.",
+        ),
+    }
+
+
+PART = Part(
+    title="Identifying a rope by iterative revision",
+    lead=(
+        "Identification by iterative revision: section III of Suzuki and Ebihara, Casting Control for Hyper-Flexible "
+        "Manipulation (ICRA 2007), on a simulated twin of its experiment. Length and mass of the rope are inferred."
+    ),
+    claims_title="Claims of the paper on identification, simulated",
+    message="identifying; each revision takes a second or two",
+    names=("table1", "table2", "fig3", "fig5", "fig6"),
+    items=_items,
+    claims=results.identification_claims,
+    sections=_sections,
+)

@@ -1,43 +1,139 @@
-"""A part of the paper as it is reproduced: what was written, what was measured, and what the page says of it."""
+"""A part of the paper as it is reproduced: items to write (figures, tables), claims and sections of the page."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hyperflex import files
-from hyperflex.paper import Claim, Table
-from hyperflex.report.page import Section
+from hyperflex.paper.casting import Reading
+from hyperflex.paper.results import Claim, Table
+from hyperflex.report.folder import Progress
+from hyperflex.report.page import Picture, Section, TextTable
+from hyperflex.report.style import png
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Item:
+    """A figure or table of the paper.
+
+    Attributes
+    ----------
+    table : callable
+        Returns the numbers.
+    draw : callable, optional
+        Draws the figure; without, there is a table alone.
+    caption : str
+        Of the figure.
+    sections : callable, optional
+        Returns sections of the page, of a table.
+    """
+
+    table: Callable[[], Table]
+    draw: Callable[[], Figure] | None = None
+    caption: str = ""
+    sections: Callable[[], list[Section]] = list
 
 
 @dataclass(frozen=True)
 class Part:
-    """What became of one part of the paper.
+    """A part of the paper.
 
     Attributes
     ----------
-    written : list of str
-        Names of files, in order.
-    claims : list of Claim
-        Its claims with their verdicts.
-    sections : list of Section
-        Of the page.
+    title, lead, claims_title : str
+        For the page, and for the text file of the claims.
+    message : str
+        What takes long in it.
+    items : callable
+        Returns its figures and tables by name, in the paper's order.
+    claims : callable
+        Measures its claims.
+    sections : callable
+        Returns the sections of the page, given those of its tables and its pictures.
     """
 
-    written: list[str]
+    title: str
+    lead: str
+    claims_title: str
+    message: str
+    names: tuple[str, ...]
+    items: Callable[[], Mapping[str, Item]]
+    claims: Callable[[], list[Claim]]
+    sections: Callable[[list[Section], tuple[Picture, ...]], list[Section]]
+
+
+@dataclass(frozen=True)
+class Written:
+    """Names of the files of a part, in order, its claims, and its sections of the page."""
+
+    names: list[str]
     claims: list[Claim]
     sections: list[Section]
 
 
-def write_picture(folder: Path, name: str, content: bytes, table: Table) -> list[str]:
-    """Write a PNG and the CSV file behind it to `folder`; return their names."""
-    with files.atomic(folder / f"{name}.png", "wb") as file:
-        file.write(content)
-    return [f"{name}.png", *write_numbers(folder, name, table)]
+def write_part(part: Part, names: Sequence[str], folder: Path, progress: Progress) -> Written:
+    """Write the items of these names to `folder`, and measure the part's claims."""
+    progress(part.message)
+    written: list[str] = []
+    sections: list[Section] = []
+    pictures = []
+    items = part.items()
+    for name in names:
+        progress(f"making {name}")
+        item = items[name]
+        if item.draw is not None:
+            content = png(item.draw())
+            files.write_bytes(folder / f"{name}.png", content)
+            written.append(f"{name}.png")
+            pictures.append(Picture(content, item.caption))
+        table = item.table()
+        rows = list(zip(*table.columns.values(), strict=True))
+        files.write_table(folder / f"{name}.csv", list(table.columns), rows, notes=table.notes)
+        written.append(f"{name}.csv")
+        sections += item.sections()
+    progress("measuring the claims")
+    return Written(written, part.claims(), part.sections(sections, tuple(pictures)))
 
 
-def write_numbers(folder: Path, name: str, table: Table) -> list[str]:
-    """Write a table to a CSV file in `folder`; return its name."""
-    rows = list(zip(*table.columns.values(), strict=True))
-    files.write_table(folder / f"{name}.csv", list(table.columns), rows, notes=table.notes)
-    return [f"{name}.csv"]
+def claims_table(claims: Sequence[Claim]) -> TextTable:
+    """Return measured values, thresholds and verdicts of the paper's claims."""
+    rows = tuple(
+        (
+            claim.name,
+            claim.statement,
+            claim.case.title,
+            f"{claim.measured:.3g}" if claim.measured < 0.1 else f"{claim.measured:.4f}",
+            f"{claim.relation} {claim.threshold:g}",
+            "holds" if claim.holds else "does not hold",
+            claim.note,
+        )
+        for claim in claims
+    )
+    return TextTable(("claim", "what is measured", "in", "value", "threshold", "verdict", "note"), rows)
+
+
+def verdicts(claims: Sequence[Claim]) -> tuple[str, ...]:
+    """Return a sentence for each claim on where it holds and where not."""
+    sentences = []
+    for name in dict.fromkeys(claim.name for claim in claims):
+        own = [claim for claim in claims if claim.name == name]
+        titles = list(dict.fromkeys(claim.case.title for claim in own))
+        broken = [title for title in titles if not all(c.holds for c in own if c.case.title == title)]
+        kept = [title for title in titles if title not in broken]
+        what = "readings" if isinstance(own[0].case, Reading) else "swings"
+        if not broken:
+            sentences.append(f"{name} holds in all {len(titles)} {what}.")
+        elif not kept:
+            sentences.append(f"{name} holds in none of the {len(titles)} {what}.")
+        else:
+            sentences.append(
+                f"{name} holds in {len(kept)} of {len(titles)} {what} ({'; '.join(kept)}), "
+                f"not in the others ({'; '.join(broken)})."
+            )
+    return tuple(sentences)

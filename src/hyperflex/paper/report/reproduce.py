@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from hyperflex import checks, files
-from hyperflex.paper import Claim
-from hyperflex.paper.report import casting as casting_part
-from hyperflex.paper.report import identification as identification_part
-from hyperflex.paper.report import timing as timing_part
-from hyperflex.paper.report.part import Part
-from hyperflex.paper.report.tables import claims_table, verdicts
-from hyperflex.report.folder import whole_folder
-from hyperflex.report.page import Section, write_page
-from hyperflex.report.tables import markdown
+from hyperflex.paper.report import casting, identification, timing
+from hyperflex.paper.report.part import Part, Written, claims_table, verdicts, write_part
+from hyperflex.paper.results import Claim
+from hyperflex.report.folder import Progress, silent, whole_folder
+from hyperflex.report.page import Section, markdown, write_page
 
-PARTS = (identification_part, casting_part, timing_part)
-FIGURES = tuple(name for part in PARTS for name in part.NAMES)
+PARTS = (identification.PART, casting.PART, timing.PART)
+FIGURES = tuple(name for part in PARTS for name in part.names)
 
 
 @dataclass(frozen=True)
@@ -37,9 +33,7 @@ class Reproduction:
     claims: tuple[Claim, ...]
 
 
-def reproduce(
-    names: Sequence[str], directory: str | Path, *, progress: Callable[[str], None] | None = None
-) -> Reproduction:
+def reproduce(names: Sequence[str], directory: str | Path, *, progress: Progress = silent) -> Reproduction:
     """Write figures of the paper (PNG and CSV), the table of its claims (Markdown) and a page that shows it all.
 
     Parameters
@@ -49,9 +43,9 @@ def reproduce(
         casting, "fig13" on timing control, or "all". The claims of whichever of the three is asked for are measured
         with them.
     directory : str or Path
-        Folder to write to, whole or not at all; made if it is not there, other files in it stay.
-    progress : callable, optional
-        Told in words what is being done.
+        Folder to write to, wholly or not at all; made if it is not there, other files in it stay.
+    progress : callable
+        Called with a message on what is being done.
 
     Returns
     -------
@@ -66,40 +60,22 @@ def reproduce(
     """
     chosen = [checks.choice("figure", name, (*FIGURES, "all")) for name in names]
     wanted = [name for name in FIGURES if "all" in chosen or name in chosen]
-    tell = progress or (lambda _: None)
     with whole_folder(directory) as stage:
-        written, claims = _write(wanted, stage, tell)
-    return Reproduction(tuple(Path(directory) / name for name in written), claims)
+        parts = [(part, [name for name in wanted if name in part.names]) for part in PARTS]
+        done = [(part, write_part(part, own, stage, progress)) for part, own in parts if own]
+        files.write_text(stage / "claims.md", "\n\n".join(_claims_text(*each) for each in done) + "\n")
+        sections = [section for part, each in done for section in (_verdict(part, each), *each.sections)]
+        title, lead = "; ".join(part.title for part, _ in done), " ".join(part.lead for part, _ in done)
+        write_page(stage / "report.html", title, lead, "simulated", sections)
+    written = [name for _, each in done for name in each.names]
+    claims = tuple(claim for _, each in done for claim in each.claims)
+    return Reproduction(tuple(Path(directory) / name for name in (*written, "claims.md", "report.html")), claims)
 
 
-def _write(
-    wanted: Sequence[str], folder: Path, tell: Callable[[str], None]
-) -> tuple[tuple[str, ...], tuple[Claim, ...]]:
-    """Write everything to `folder`; return the names of the files, in order, and the claims."""
-    written: list[str] = []
-    claims: list[Claim] = []
-    sections: list[Section] = []
-    texts, leads, titles = [], [], []
-    for part in PARTS:
-        own = [name for name in wanted if name in part.NAMES]
-        if not own:
-            continue
-        done = part.write(own, folder, tell)
-        written += done.written
-        claims += done.claims
-        sections += [_verdict(part.TITLE, done.claims), *done.sections]
-        texts.append(_claims_text(part.CLAIMS, done))
-        leads.append(part.LEAD)
-        titles.append(part.TITLE)
-    files.write_text(folder / "claims.md", "\n\n".join(texts) + "\n")
-    write_page(folder / "report.html", "; ".join(titles), " ".join(leads), "simulated", sections)
-    return (*written, "claims.md", "report.html"), tuple(claims)
-
-
-def _claims_text(title: str, done: Part) -> str:
+def _claims_text(part: Part, done: Written) -> str:
     """Return the claims of a part and its tables as Markdown."""
     parts = [
-        f"# {title}",
+        f"# {part.claims_title}",
         markdown(claims_table(done.claims)).rstrip(),
         "\n".join(f"- {sentence}" for sentence in verdicts(done.claims)),
     ]
@@ -110,11 +86,11 @@ def _claims_text(title: str, done: Part) -> str:
     return "\n\n".join(parts)
 
 
-def _verdict(title: str, claims: Sequence[Claim]) -> Section:
-    held = sum(claim.holds for claim in claims)
+def _verdict(part: Part, done: Written) -> Section:
+    held = sum(claim.holds for claim in done.claims)
     return Section(
-        f"Claims: {title[0].lower()}{title[1:]}",
-        text=verdicts(claims),
-        tiles=((f"{held} of {len(claims)}", "claims hold, each counted once in each reading or swing"),),
-        table=claims_table(claims),
+        f"Claims: {part.title[0].lower()}{part.title[1:]}",
+        text=verdicts(done.claims),
+        tiles=((f"{held} of {len(done.claims)}", "claims hold, each counted once in each reading or swing"),),
+        table=claims_table(done.claims),
     )

@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex import winding
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.model import Peg
-from hyperflex.planning.wind.outcome import Cast
+from hyperflex.planning.wind.outcome import SLIP, Cast
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import Tug
 
@@ -84,3 +84,17 @@ def bearing(cast: Cast, peg: Peg, asked: float) -> Cast:
         return cast
     bears = f"it bears {held.force:.3g} N" if held.tug.slipped else f"it was pulled with {held.force:.3g} N at most"
     return replace(cast, held=False, reason=f"{bears}, and {asked:.3g} N are asked")
+
+
+def tug_wound(cast: Cast | None, peg: Peg) -> Holding | None:
+    """Tug at the rope of a verified cast; None unless it is wound and does not slip off by itself.
+
+    Parameters
+    ----------
+    cast : Cast or None
+    peg : Peg
+        The target.
+    """
+    if cast is None or cast.run is None or not cast.wound or not cast.slipped < SLIP:
+        return None
+    return holding(cast.run, peg)

@@ -1,4 +1,4 @@
-"""Pictures of a planned cast: the strike as a stroboscope shows it, the course of the cast, the tug at the end."""
+"""Figures of a planned cast: the strike, its time course, and the tug at the wound rope."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperflex import winding
-from hyperflex.checks import Array
-from hyperflex.planning import CastPlan
+from hyperflex.planning import CastPlan, Holding
 from hyperflex.planning.files import run_of
-from hyperflex.planning.wind.holding import Holding
 from hyperflex.planning.wind.outcome import SETTLING, WOUND
+from hyperflex.report.cast.words import sense, way
 from hyperflex.report.strobe import strobe
-from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, look, new_figure
+from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure, note
+from hyperflex.report.time_course import ArmMoves, time_course
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,9 +25,7 @@ _ALLOWED = 5.0  # mm, slip up to which a tug is held
 def strike_figure(plan: CastPlan) -> Figure:
     """Draw the rope at many instants about the strike; before the arm stops, where there is none."""
     run = run_of(plan)
-    middle = plan.cast.strike if plan.cast is not None else np.nan
-    if not np.isfinite(middle):
-        middle = _stop(plan) - _AFTER
+    middle = _strike(plan) if np.isfinite(_strike(plan)) else _stop(plan) - _AFTER
     start, end = max(middle - _BEFORE, run.t[0]), min(middle + _AFTER, run.t[-1])
     title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); red: the target"
     return strobe(run, start=float(start), end=float(end), count=56, title=title)
@@ -35,115 +33,63 @@ def strike_figure(plan: CastPlan) -> Figure:
 
 def course_figure(plan: CastPlan) -> Figure:
     """Draw arm angle, turns, tension and the motor's torque over time."""
-    run = run_of(plan)
+    run, strike, watched = run_of(plan), _strike(plan), _stop(plan) + SETTLING
     wound = winding.wound(run, plan.peg)
-    sense = sense_of(plan)
-    with look():
-        figure = new_figure(8.6, 8.4)
-        arm, turns, pull, torque = figure.subplots(4, 1, sharex=True, height_ratios=(1.2, 1.2, 1.0, 0.8))
-        arm.plot(run.t, np.degrees(run.arm_angle), color=BLUE)
-        arm.set(ylabel="arm, degrees", title="What the arm does: swings numbered, then the last move")
-        _number_swings(arm, plan)
-        turns.plot(run.t, sense * wound.turns, color=GREEN)
+
+    def draw(turns: Any, pull: Any) -> None:
+        turns.plot(run.t, sense(plan) * wound.turns, color=GREEN)
         turns.axhline(WOUND, color=GREY, ls="--", lw=1.0)
-        turns.text(run.t[0], WOUND, f" {WOUND:g} turns are asked", va="bottom", fontsize=8.0, color="#5a6472")
+        note(turns, run.t[0], WOUND, f" {WOUND:g} turns are needed")
         turns.set(ylabel="turns", title=f"Turns about the target, {way(plan)} counted positive")
+        low, high = turns.get_ylim()
+        turns.set_ylim(low, high + 0.15 * (high - low))
+        place = {"transform": turns.get_xaxis_transform(), "va": "top"}
+        if np.isfinite(strike):
+            note(turns, strike, 0.97, f"strikes at {strike:.2f} s ", RED, ha="right", **place)
+        note(turns, watched, 0.97, " slip is measured", GREEN, **place)
         pull.plot(run.t, wound.before, color=BLUE, label="towards the arm")
         pull.plot(run.t, wound.after, color=RED, label="towards the tip")
         pull.set(ylabel="tension, N", title="Tension of the rope where it leaves the target")
         pull.legend(loc="upper left", fontsize=8.0)
-        torque.plot(run.t, run.motor_torque, color=INK, lw=1.0)
-        torque.set(ylabel="torque, N m", title="Torque that the rope asks of the motor", xlabel="time, s")
-        for axis in (arm, turns, pull, torque):
-            _mark_times(axis, plan)
-        _name_times(turns, plan)
-        figure.suptitle("Course of the cast, simulated", x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK)
-    return figure
+        for axis in turns.figure.axes:
+            axis.axvspan(watched, run.t[-1], color=GREEN, alpha=0.10, lw=0)
+
+    return time_course(run, "the cast", _moves(plan), strike, draw)
 
 
 def tug_figure(held: Holding) -> Figure:
     """Draw the pull at the wound rope and its slip over the way of the pull."""
     run = held.tug.run
-    way = 1e3 * np.hypot(*(run.joints[:, 0] - run.joints[0, 0]).T)
-    with look():
-        figure = new_figure(8.6, 4.0)
+    pulled_way = 1e3 * np.hypot(*(run.joints[:, 0] - run.joints[0, 0]).T)
+    with new_figure(8.6, 4.0, "A tug at the wound rope, simulated") as figure:
         pull, slip = figure.subplots(2, 1, sharex=True)
         pulled = winding.tension(run)[:, 0]
-        pull.plot(way, pulled, color=BLUE, lw=1.0, label="pull at the rope's first joint")
+        pull.plot(pulled_way, pulled, color=BLUE, lw=1.0, label="pull at the rope's first joint")
         least = "" if held.tug.slipped else "at least "
         pull.axhline(held.force, color=GREEN, ls="--", lw=1.2, label=f"hold force {least}{held.force:.2f} N")
         pull.axhline(held.rule, color=GREY, ls=":", lw=1.4, label=f"tail weight x e^(mu angle) {held.rule:.2f} N")
         pull.set(ylabel="pull, N", ylim=(0.0, 1.05 * max(held.force, held.rule, float(pulled.max()))))
         pull.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8.0)
-        slip.plot(way, 1e3 * np.abs(held.tug.slip), color=RED)
+        slip.plot(pulled_way, 1e3 * np.abs(held.tug.slip), color=RED)
         slip.axhline(_ALLOWED, color=GREY, ls="--", lw=1.0)
-        slip.text(way[0], _ALLOWED, f" {_ALLOWED:g} mm: has slipped", va="bottom", fontsize=8.0, color="#5a6472")
+        note(slip, pulled_way[0], _ALLOWED, f" {_ALLOWED:g} mm: has slipped")
         slip.set(ylabel="slip, mm", xlabel="way of the pull away from the target, mm")
-        title = "A tug at the wound rope, simulated"
-        figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK)
     return figure
 
 
-def sense_of(plan: CastPlan) -> float:
-    """Return 1 where the rope winds counterclockwise in the end, else -1."""
-    return -1.0 if plan.cast is not None and plan.cast.turns < 0.0 else 1.0
-
-
-def way(plan: CastPlan) -> str:
-    """Return the sense in which the rope winds, in a word."""
-    return "clockwise" if sense_of(plan) < 0.0 else "counterclockwise"
+def _strike(plan: CastPlan) -> float:
+    return float("nan") if plan.cast is None else plan.cast.strike
 
 
 def _stop(plan: CastPlan) -> float:
     return 0.0 if plan.motion is None else float(plan.motion.breaks[-1])
 
 
-def _number_swings(axis: Any, plan: CastPlan) -> None:
-    """Write beside each move of the arm what it is."""
+def _moves(plan: CastPlan) -> ArmMoves | None:
+    """Return the swings and the last move."""
     if plan.throw is None:
-        return
-    starts, angles = plan.throw.starts(plan.thrower.limits), plan.throw.angles(plan.thrower.limits)
-    ends = starts + plan.thrower.limits.fastest(np.diff(angles), 1.0)[0]
-    count = plan.throw.count
-    number_moves(axis, starts[:count], ends[:count], angles[: count + 1])
-    if starts.size > count:
-        place, height = plan.throw.stops(plan.thrower.limits), np.degrees(angles[count + 1])
-        axis.annotate("last", (place, height), (4, 5), textcoords="offset points", fontsize=8.5, color=INK)
-
-
-def number_moves(axis: Any, starts: Array, ends: Array, angles: Array) -> None:
-    """Write the number of each move on a curve of the arm's angle.
-
-    Parameters
-    ----------
-    axis : Axes
-        In s and degrees.
-    starts, ends : (k,) float64
-        s.
-    angles : (k + 1,) float64
-        Between the moves, rad.
-    """
-    places, heights = 0.5 * (starts + ends), 0.5 * np.degrees(angles[:-1] + angles[1:])
-    patch = {"boxstyle": "circle,pad=0.2", "facecolor": "white", "edgecolor": "#b9c0c9", "linewidth": 0.7}
-    for number, (place, height) in enumerate(zip(places, heights, strict=True), start=1):
-        axis.text(place, height, str(number), fontsize=8.5, color=INK, ha="center", va="center", bbox=patch)
-
-
-def _mark_times(axis: Any, plan: CastPlan) -> None:
-    """Mark the strike, and the time in which the rope is watched."""
-    run = run_of(plan)
-    axis.set_xlim(run.t[0], run.t[-1])
-    axis.axvspan(_stop(plan) + SETTLING, run.t[-1], color=GREEN, alpha=0.10, lw=0)
-    if plan.cast is not None and np.isfinite(plan.cast.strike):
-        axis.axvline(plan.cast.strike, color=RED, lw=1.0, ls="--")
-
-
-def _name_times(axis: Any, plan: CastPlan) -> None:
-    low, high = axis.get_ylim()
-    axis.set_ylim(low, high + 0.15 * (high - low))
-    across = axis.get_xaxis_transform()
-    if plan.cast is not None and np.isfinite(plan.cast.strike):
-        words = f"strikes at {plan.cast.strike:.2f} s "
-        axis.text(plan.cast.strike, 0.97, words, transform=across, ha="right", va="top", fontsize=8.0, color=RED)
-    place = _stop(plan) + SETTLING
-    axis.text(place, 0.97, " watched", transform=across, va="top", fontsize=8.0, color=GREEN)
+        return None
+    limits = plan.thrower.limits
+    starts, angles = plan.throw.starts(limits), plan.throw.angles(limits)
+    names = (*(str(k + 1) for k in range(plan.throw.count)), "last")
+    return ArmMoves(starts, starts + limits.fastest(np.diff(angles), 1.0)[0], angles, names)

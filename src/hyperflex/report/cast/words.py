@@ -1,4 +1,4 @@
-"""A planned cast in words: target, swings, strike, turns, hold, what it asks of the motor, or why it fails."""
+"""A planned cast in words: target, swings, strike, turns, hold, or why it fails."""
 
 from __future__ import annotations
 
@@ -7,32 +7,22 @@ import math
 import numpy as np
 
 from hyperflex.model import Peg
-from hyperflex.planning import CastPlan, WhipPlan
-from hyperflex.planning.wind.holding import Holding
-from hyperflex.planning.wind.outcome import BOUNCE, SLIP, WATCH, WOUND, Cast
-from hyperflex.report.cast.figures import way
-from hyperflex.report.cast_setup_words import NOT_KNOWN, arm_words, asked_of_motor, rope_words
-from hyperflex.report.tables import TextTable
-from hyperflex.simulation.time_budget import NAME as OUT_OF_PATIENCE
+from hyperflex.planning import Cast, CastPlan, Holding, Nearest
+from hyperflex.planning.wind.outcome import BOUNCE, SLIP, WATCH, WOUND
+from hyperflex.report.page import TextTable
+from hyperflex.report.plan import NOT_KNOWN, counted, searched, source
+from hyperflex.simulation.time_budget import NAME as OUT_OF_TIME
 
-_TOO_LONG = f"the simulation failed ({OUT_OF_PATIENCE})"
-Tiles = tuple[tuple[str, str], ...]
+_TOO_LONG = f"the simulation failed ({OUT_OF_TIME})"
 
 
 def lead(plan: CastPlan) -> str:
-    """Return what this is about, and where it comes from."""
+    """Return what the plan is about, and where it comes from."""
     thrown = "is thrown" if plan.success else "is to be thrown"
     return (
         f"A rope that hangs from a motor-driven arm {thrown} round a peg, so that it winds round it and holds. "
-        f"{source(plan)}; nothing here was measured."
+        f"{source(plan)}"
     )
-
-
-def source(plan: CastPlan | WhipPlan) -> str:
-    """Return where a plan comes from."""
-    if plan.success:
-        return "Planned and verified by simulation"
-    return "Searched for by simulation" if searched(plan) else "Judged beforehand, without a search"
 
 
 def title(plan: CastPlan) -> str:
@@ -48,61 +38,74 @@ def target_words(peg: Peg) -> str:
 
 def swings_words(plan: CastPlan) -> str:
     """Return how many swings the arm makes."""
-    count = 0 if plan.throw is None else plan.throw.count
-    return f"{count} swing{'' if count == 1 else 's'}"
+    return counted(0 if plan.throw is None else plan.throw.count, "swing")
+
+
+def sense(plan: CastPlan) -> float:
+    """Return 1 where the rope winds counterclockwise in the end, else -1."""
+    return -1.0 if plan.cast is not None and plan.cast.turns < 0.0 else 1.0
+
+
+def way(plan: CastPlan) -> str:
+    """Return the sense in which the rope winds, in a word."""
+    return "clockwise" if sense(plan) < 0.0 else "counterclockwise"
 
 
 def verdict(plan: CastPlan) -> str:
-    """Return in a sentence whether the cast stands."""
+    """Return in a sentence whether the cast succeeds."""
     if plan.success and plan.cast is not None:
         return f"The rope winds {abs(plan.cast.turns):.2f} turns round the target and holds, in simulation."
-    return f"No cast that winds and holds was found: {why(plan)}."
+    return f"No cast that winds and holds was found: {failure(plan)}."
 
 
-def why(plan: CastPlan) -> str:
-    """Return why a plan fails, without a full stop; what the rule of thumb says is said to be that."""
+def failure(plan: CastPlan) -> str:
+    """Return why a plan fails, without a full stop; a heuristic criterion is called one."""
     if plan.reason == plan.reach.reason and not plan.reach.impossible:
         return plan.reason.replace("out of reach", "out of reach by a rule of thumb", 1)
     return plain(plan.reason)
 
 
 def plain(reason: str) -> str:
-    """Return the reason of a cast that fails in words for people."""
-    told = "the verification of the best throw took longer than the time allowed for it; give more --patience"
-    return reason.replace(_TOO_LONG, told)
+    """Return why a cast fails, with names of status codes put into words."""
+    message = "the verification of the best throw took longer than the time allowed for it; give more --time-budget"
+    return reason.replace(_TOO_LONG, message)
 
 
-def instead(plan: CastPlan) -> tuple[str, ...]:
-    """Return, for a plan that fails, where a target would do, and what would do for this one."""
+def advice(plan: CastPlan) -> tuple[str, ...]:
+    """Return, for a plan that fails, where a target would work, and what would help for this one."""
     if plan.success:
         return ()
-    told, near = [], plan.nearest
-    wanted = "should be easier" if plan.reach.within else "should be in reach"
-    if near is None and not plan.unfinished:
-        told.append(f"No place was found where a target like this {wanted}.")
-    elif near is not None:
-        where = f"x = {near.peg.x:.4g} m, y = {near.peg.y:.4g} m, {1e2 * near.away:.3g} cm away"
-        if near.plan is not None:
-            told.append(
-                f"Nearest target that works: {where}. A throw was planned for it that winds and holds, simulated."
-            )
-        else:
-            tried = (
-                f"nearer places planned for in vain: {near.tried}; this one not" if near.tried else "not planned for"
-            )
-            told.append(f"Nearest target that {wanted}: {where}; expected by a rule of thumb, {tried}.")
+    lines = []
+    if plan.nearest is not None:
+        lines.append(_nearest(plan, plan.nearest))
+    elif not plan.unfinished:
+        lines.append(f"No place was found where a target like this {_expected(plan)}.")
     if plan.unfinished:
-        on = "to let the search go on" if plan.interrupted else "a longer --patience, less load on the machine"
-        told.append(f"By a rule of thumb the target itself is in reach. What may help: {on}, another --seed.")
+        on = "to let the search go on" if plan.interrupted else "a longer --time-budget, less load on the machine"
+        lines.append(f"By a rule of thumb the target itself is in reach. What may help: {on}, another --seed.")
     elif lacking := _lacks(plan):
-        told.append(lacking)
+        lines.append(lacking)
     elif plan.reach.within:
-        told.append("By the same rule this target is in reach, too: a longer --patience or another --seed may help.")
+        lines.append(
+            "By the same rule this target is in reach, too: a longer --time-budget or another --seed may help."
+        )
     if plan.remedies:
-        told.append(f"By the same rule this target would be in reach with {' or '.join(plan.remedies)}.")
+        lines.append(f"By the same rule this target would be in reach with {' or '.join(plan.remedies)}.")
     if not (searched(plan) or plan.reach.impossible):
-        told.append("Near its edge the rule may be wrong: --regardless searches all the same.")
-    return tuple(told)
+        lines.append("Near its edge the rule may be wrong: --skip-feasibility searches all the same.")
+    return tuple(lines)
+
+
+def _expected(plan: CastPlan) -> str:
+    return "should be easier" if plan.reach.within else "should be in reach"
+
+
+def _nearest(plan: CastPlan, near: Nearest) -> str:
+    where = f"x = {near.peg.x:.4g} m, y = {near.peg.y:.4g} m, {1e2 * near.away:.3g} cm away"
+    if near.plan is not None:
+        return f"Nearest target that works: {where}. A throw was planned for it that winds and holds, simulated."
+    tried = f"nearer places planned for in vain: {near.tried}; this one not" if near.tried else "not planned for"
+    return f"Nearest target that {_expected(plan)}: {where}; expected by a rule of thumb, {tried}."
 
 
 def _lacks(plan: CastPlan) -> str:
@@ -119,29 +122,29 @@ def _lacks(plan: CastPlan) -> str:
     return ""
 
 
-def tiles(plan: CastPlan, held: Holding | None) -> Tiles:
+def tiles(plan: CastPlan, held: Holding | None) -> tuple[tuple[str, str], ...]:
     """Return the key figures."""
-    peg = plan.peg
+    peg, cast = plan.peg, plan.cast
     place = f"target, a round peg: radius; centre at x = {peg.x:.3g} m, y = {peg.y:.3g} m from the motor's shaft"
     shown = [(f"{1e3 * peg.radius:.3g} mm", place)]
     if plan.throw is not None:
         shown.append((swings_words(plan), "of the arm to and fro, then one last move"))
-    if plan.cast is not None and plan.cast.run is not None:
-        struck = math.isfinite(plan.cast.strike)
-        strike = f"{plan.cast.strike:.2f} s" if struck else "never"
-        shown.append((strike, f"{'after the start ' if struck else ''}the rope strikes the target"))
-        if struck:
-            counted = (
+    if cast is not None and cast.run is not None:
+        if math.isfinite(cast.strike):
+            shown.append((f"{cast.strike:.2f} s", "after the start the rope strikes the target"))
+            counted_from = (
                 f"in the end, {way(plan)}, from the arm's tip to the rope's end, "
-                f"{math.degrees(plan.cast.contact):.0f}\N{DEGREE SIGN} of it on the target; {WOUND:g} are asked"
+                f"{math.degrees(cast.contact):.0f}\N{DEGREE SIGN} of it on the target; {WOUND:g} are needed"
             )
-            shown.append((f"{abs(plan.cast.turns):.2f} turns", counted))
+            shown.append((f"{abs(cast.turns):.2f} turns", counted_from))
+        else:
+            shown.append(("never", "the rope strikes the target"))
     elif plan.throw is not None:
         shown.append((NOT_KNOWN, "strike, turns and hold: the throw was not verified to its end"))
     if held is not None:
         least = "" if held.tug.slipped else "at least "
         shown.append(
-            (f"{least}{held.force:.2f}\u00a0N", "hold force: the tug that the wound rope bears before it slips")
+            (f"{least}{held.force:.2f}\u00a0N", "hold force: the pull that the wound rope bears before it slips")
         )
     return tuple(shown)
 
@@ -154,33 +157,34 @@ def story(plan: CastPlan, held: Holding | None) -> tuple[str, ...]:
     starts, stop = plan.throw.starts(limits), plan.throw.stops(limits)
     times = ", ".join(f"{start:.2f}" for start in starts[:-1])
     begin = np.degrees(plan.throw.angles(limits)[0])
-    told = [f"Target: a round peg, {target_words(plan.peg)}."]
-    told.append(
-        f"The rope hangs at rest from the arm at {begin:.0f} degrees (0 hangs down). The arm makes "
-        f"{swings_words(plan)}, begun at {times} s, and a last move at {starts[-1]:.2f} s; it stands still from "
-        f"{stop:.2f} s on."
-    )
+    lines = [
+        f"Target: a round peg, {target_words(plan.peg)}.",
+        (
+            f"The rope hangs at rest from the arm at {begin:.0f} degrees (0 hangs down). The arm makes "
+            f"{swings_words(plan)}, begun at {times} s, and a last move at {starts[-1]:.2f} s; it stands still from "
+            f"{stop:.2f} s on."
+        ),
+    ]
     if cast is not None and cast.run is not None:
-        told.append(_outcome(plan))
+        lines.append(_outcome(plan, cast))
     else:
-        told.append("What the rope then does is not known: the throw was not verified to its end.")
+        lines.append("What the rope then does is not known: the throw was not verified to its end.")
     if warning := folds(plan):
-        told.append(warning)
+        lines.append(warning)
     if held is not None:
-        told.append(_hold(held))
+        lines.append(_hold(held))
     if plan.stated is not None:
-        told.append(
-            f"How sure: in simulated worlds drawn afresh (rope, friction and motor as little known as was said), the "
-            f"throw wins {plan.stated}."
+        lines.append(
+            f"Success probability: in simulated scenarios with rope, friction and motor drawn anew from the given "
+            f"uncertainty, the throw succeeds {plan.stated}."
         )
-    return tuple(told)
+    return tuple(lines)
 
 
-def _outcome(plan: CastPlan) -> str:
-    cast = plan.cast
-    if cast is None or not math.isfinite(cast.strike):
+def _outcome(plan: CastPlan, cast: Cast) -> str:
+    if not math.isfinite(cast.strike):
         return "The rope does not touch the target."
-    struck = f"{grazes(cast)}The rope strikes the target at {cast.strike:.2f} s"
+    struck = f"{_grazes(cast)}The rope strikes the target at {cast.strike:.2f} s"
     if not math.isfinite(cast.slipped):
         return f"{struck} and does not stay wound on it: {plain(cast.reason)}."
     return (
@@ -193,7 +197,7 @@ def _outcome(plan: CastPlan) -> str:
     )
 
 
-def grazes(cast: Cast) -> str:
+def _grazes(cast: Cast) -> str:
     """Return a sentence about a touch that does not last, which comes before the strike."""
     if cast.strike - cast.touch <= BOUNCE:
         return ""
@@ -201,7 +205,7 @@ def grazes(cast: Cast) -> str:
 
 
 def folds(plan: CastPlan) -> str:
-    """Return a warning of a rope that is folded through itself on the way, else nothing."""
+    """Return a warning of a rope that folds through itself on the way, else nothing."""
     folded = [cast for cast in (plan.cast, plan.finer) if cast is not None and cast.folded]
     if not folded:
         return ""
@@ -222,54 +226,22 @@ def _hold(held: Holding) -> str:
     return (
         f"Hold force (mean over 0.1 s): pulled away from the target at 20 mm/s, {bore}. For comparison, the tail that "
         f"hangs beyond the target weighs {held.tail:.3f} N; times e^(mu angle), with mu = {held.mu:g} and "
-        f"{held.angle:.1f} rad of contact, that is {held.rule:.2f} N. This rule leaves out the weight of the rope on "
-        "the target and of the rope between target and arm, which the pull bears as well."
+        f"{held.angle:.1f} rad of contact, that is {held.rule:.2f} N (Capstan equation). It leaves out the weight of "
+        "the rope on the target and of the rope between target and arm, which the pull bears as well."
     )
 
 
-def motor_table(plan: CastPlan) -> TextTable:
-    """Return what the cast asks of the motor beside what it can do."""
-    run = plan.cast.run if plan.cast is not None else None
-    return asked_of_motor(plan.thrower.limits, plan.motion, run)
-
-
 def checks_table(plan: CastPlan) -> TextTable:
-    """Return what the verified runs say, with the links and with shorter ones."""
+    """Return the results of the verified runs, with the links as planned and with shorter ones."""
     rows = []
     for name, cast in (("as planned", plan.cast), ("shorter links", plan.finer)):
         if cast is None:
             rows.append((name, "not run", "", "", "", ""))
-            continue
-        if cast.run is None:
-            rows.append((name, "not finished", NOT_KNOWN, NOT_KNOWN, NOT_KNOWN, NOT_KNOWN))
-            continue
-        links = str(cast.run.q.shape[1])
-        slip = f"{1e3 * cast.slipped:.2g} mm" if math.isfinite(cast.slipped) else "does not stay"
-        strike = f"{cast.strike:.2f} s" if math.isfinite(cast.strike) else "never"
-        turns = f"{abs(cast.turns):.2f}" if math.isfinite(cast.strike) else "none"
-        rows.append((name, links, strike, turns, slip, "yes" if cast.success else "no"))
+        elif cast.run is None:
+            rows.append((name, "not finished", *4 * (NOT_KNOWN,)))
+        else:
+            struck = math.isfinite(cast.strike)
+            strike, turns = (f"{cast.strike:.2f} s", f"{abs(cast.turns):.2f}") if struck else ("never", "none")
+            slip = f"{1e3 * cast.slipped:.2g} mm" if math.isfinite(cast.slipped) else "does not stay"
+            rows.append((name, str(cast.run.q.shape[1]), strike, turns, slip, "yes" if cast.success else "no"))
     return TextTable(("run", "links", "strikes", "turns", "slips", "winds and holds"), tuple(rows))
-
-
-def searched(plan: CastPlan | WhipPlan) -> bool:
-    """Whether a search was made, or at least begun."""
-    return bool(plan.runs) or plan.interrupted or plan.motion is not None
-
-
-def search_words(plan: CastPlan | WhipPlan) -> str:
-    """Return how the plan was found."""
-    if not searched(plan):
-        return "No search was made: the target was judged beforehand."
-    ended = ", interrupted before its end" if plan.interrupted else ""
-    runs = f"{plan.runs} simulated run{'' if plan.runs == 1 else 's'}"
-    return f"The search took {plan.seconds:.0f} s and {runs}{ended}."
-
-
-def setup_words(plan: CastPlan) -> tuple[str, ...]:
-    """Return rope, arm and target as they were given."""
-    peg = plan.peg
-    words = (
-        f"{rope_words(plan.thrower)}; links near the target are cut shorter for the verified runs. "
-        f"{arm_words(plan.thrower)} Target: a round peg at {target_words(peg)}, friction mu = {peg.mu:g}."
-    )
-    return (words,)

@@ -8,8 +8,10 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification import BAND, HeldOut, Identification, correlogram
-from hyperflex.report.identification.fitted import Fitted
-from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, look, new_figure
+from hyperflex.model import Rope
+from hyperflex.report.identification.fitted import FittedChannels
+from hyperflex.report.identification.parameters import Number, numbers
+from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
 from hyperflex.report.units import Unit, readable
 
 if TYPE_CHECKING:
@@ -19,6 +21,8 @@ _WIDTH = 10.0  # inches, of every figure on the page
 _LAGS = 40
 _COLUMNS = 4  # of small multiples
 _SHAPES = 5  # instants
+_FEW_WINDOWS = 3  # so few are seen well enough on the whole
+_LEAST_LINKS = 6  # with values of their own; fewer are read in a table
 _SPARSE, _DENSE = 120, 4000  # samples: below, each is drawn as a ring; above, as a speck
 
 
@@ -40,11 +44,10 @@ def samples(axis: Any, t: Array, values: Array) -> None:
         axis.plot(t, values, ".", ms=3.0 if t.size < _DENSE else 2.0, color=GREY, label="measured")
 
 
-def fit_figure(view: Fitted) -> Figure:
+def fit_figure(view: FittedChannels) -> Figure:
     """Draw the chosen channels over all time, and beside them the window in which each fits worst."""
-    zoomed = np.unique(view.window).size > FEW_WINDOWS
-    with look():
-        figure = new_figure(_WIDTH, 0.9 + 1.75 * len(view.chosen))
+    zoomed = np.unique(view.window).size > _FEW_WINDOWS
+    with new_figure(_WIDTH, 0.9 + 1.75 * len(view.chosen)) as figure:
         axes = figure.subplots(
             len(view.chosen), 2 if zoomed else 1, squeeze=False, width_ratios=(2.6, 1.0) if zoomed else None
         )
@@ -58,14 +61,11 @@ def fit_figure(view: Fitted) -> Figure:
                 _draw_worst(row[1], view, channel)
         for axis in axes[-1]:
             axis.set_xlabel("time, s")
-        figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=4, fontsize=8.5)
+        legend(figure, axes[0, 0])
     return figure
 
 
-FEW_WINDOWS = 3  # so few are seen well enough on the whole
-
-
-def _draw_fit(axis: Any, view: Fitted, channel: int) -> None:
+def _draw_fit(axis: Any, view: FittedChannels, channel: int) -> None:
     samples(axis, view.t, view.measured[:, channel])
     broken(axis, view.fit_t, view.fitted[:, channel], view.window, color=BLUE, label="fitted")
     held = view.found.held_out
@@ -84,7 +84,7 @@ def _stretch(held: HeldOut) -> Array:
     return np.asarray(np.searchsorted(held.starts, held.t, side="left"), dtype=np.float64)
 
 
-def _draw_worst(axis: Any, view: Fitted, channel: int) -> None:
+def _draw_worst(axis: Any, view: FittedChannels, channel: int) -> None:
     """Draw the worst window with its neighbours' nearest parts."""
     number, start, end = view.worst_window(channel)
     margin = 0.25 * (end - start)
@@ -99,14 +99,13 @@ def _draw_worst(axis: Any, view: Fitted, channel: int) -> None:
     axis.locator_params(axis="x", nbins=4)
 
 
-def _label(view: Fitted, channel: int) -> str:
+def _label(view: FittedChannels, channel: int) -> str:
     return "angle, rad" if view.found.unit == "rad" else f"{view.names[channel][-1]}, m"
 
 
-def prediction_figure(view: Fitted, held: HeldOut) -> Figure:
+def prediction_figure(view: FittedChannels, held: HeldOut) -> Figure:
     """Draw what the held-out part shows beside its prediction, and the error in the band that the fit expects."""
-    with look():
-        figure = new_figure(_WIDTH, 0.9 + 1.75 * len(view.chosen))
+    with new_figure(_WIDTH, 0.9 + 1.75 * len(view.chosen)) as figure:
         axes = figure.subplots(len(view.chosen), 2, squeeze=False, sharex=True)
         for row, channel in zip(axes, view.chosen, strict=True):
             inside = view.t >= view.end
@@ -116,12 +115,11 @@ def prediction_figure(view: Fitted, held: HeldOut) -> Figure:
             _draw_error(row[1], view, held, channel)
         for axis in axes[-1]:
             axis.set_xlabel("time, s")
-        handles, labels = (a + b for a, b in zip(*(x.get_legend_handles_labels() for x in axes[0]), strict=True))
-        figure.legend(handles, labels, loc="outside upper right", ncols=4, fontsize=8.5)
+        legend(figure, *axes[0])
     return figure
 
 
-def _draw_error(axis: Any, view: Fitted, held: HeldOut, channel: int) -> None:
+def _draw_error(axis: Any, view: FittedChannels, held: HeldOut, channel: int) -> None:
     predicted = held.predicted[:, channel]
     error = held.measured[:, channel] - np.where(np.isfinite(predicted), predicted, np.nan)
     band = BAND * held.sd[:, channel]
@@ -141,12 +139,11 @@ def _draw_error(axis: Any, view: Fitted, held: HeldOut, channel: int) -> None:
     axis.set_ylim(-tallest / unit.size, tallest / unit.size) if tallest > 0.0 else None
 
 
-def residual_figure(view: Fitted) -> Figure:
+def residual_figure(view: FittedChannels) -> Figure:
     """Draw what the fit leaves of the chosen channels: over time, how it is spread, and how it hangs together."""
     found = view.found
     lag, correlation, band = correlogram(view.fit_t, found.residuals, _LAGS)
-    with look():
-        figure = new_figure(_WIDTH, 0.6 + 1.75 * len(view.chosen))
+    with new_figure(_WIDTH, 0.6 + 1.75 * len(view.chosen)) as figure:
         axes = figure.subplots(len(view.chosen), 3, squeeze=False, width_ratios=(2.2, 1.0, 1.3))
         for row, channel in zip(axes, view.chosen, strict=True):
             unit = readable(found.unit, found.residual_rms[channel])
@@ -182,12 +179,11 @@ def _draw_correlogram(axis: Any, lag: Array, correlation: Array, band: Array) ->
     axis.set_ylim(-1.0, 1.0)
 
 
-def multiples_figure(view: Fitted) -> Figure:
+def multiples_figure(view: FittedChannels) -> Figure:
     """Draw every channel small: measured, fitted, predicted."""
     count = len(view.names)
     rows = -(-count // _COLUMNS)
-    with look():
-        figure = new_figure(_WIDTH, 0.5 + 1.15 * rows)
+    with new_figure(_WIDTH, 0.5 + 1.15 * rows) as figure:
         axes = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True)
         for channel, axis in enumerate(axes.ravel()):
             if channel >= count:
@@ -202,7 +198,7 @@ def multiples_figure(view: Fitted) -> Figure:
     return figure
 
 
-def shapes_figure(view: Fitted) -> Figure:
+def shapes_figure(view: FittedChannels) -> Figure:
     """Draw markers and fit as the camera sees them, at instants spread over the fitted time, side by side."""
     fitted = view.fitted.reshape(view.fit_t.size, -1, 2)
     measured = fitted + view.found.residuals.reshape(fitted.shape)
@@ -211,9 +207,8 @@ def shapes_figure(view: Fitted) -> Figure:
     picked = rows[np.unique(np.linspace(0, rows.size - 1, _SHAPES).round().astype(int))]
     low, high = np.nanmin(fitted, axis=(0, 1)), np.nanmax(fitted, axis=(0, 1))
     margin = 0.05 * float((high - low).max())
-    with look():
-        tall = float(np.clip((high - low)[1] / max((high - low)[0], 1e-9), 0.6, 2.2)) * (_WIDTH / picked.size)
-        figure = new_figure(_WIDTH, 0.7 + tall)
+    tall = float(np.clip((high - low)[1] / max((high - low)[0], 1e-9), 0.6, 2.2)) * (_WIDTH / picked.size)
+    with new_figure(_WIDTH, 0.7 + tall) as figure:
         axes = figure.subplots(1, picked.size, squeeze=False, sharex=True, sharey=True)[0]
         for axis, row in zip(axes, picked, strict=True):
             axis.plot(*fitted[row].T, "-", color=BLUE, lw=1.2)
@@ -227,8 +222,7 @@ def shapes_figure(view: Fitted) -> Figure:
 
 def history_figure(found: Identification) -> Figure:
     """Draw how the cost fell, round by round, stage by stage, each over the least of its stage."""
-    with look():
-        figure = new_figure(_WIDTH, 2.4)
+    with new_figure(_WIDTH, 2.4) as figure:
         axis: Any = figure.subplots()
         first = 0
         for stage in dict.fromkeys(entry["stage"] for entry in found.history):
@@ -242,4 +236,31 @@ def history_figure(found: Identification) -> Figure:
             first += cost.size
         axis.set(yscale="log", xlabel="round", ylabel="cost over its stage's least", xlim=(-0.5, first - 0.5))
         axis.locator_params(axis="x", integer=True)
+    return figure
+
+
+def along_figure(found: Identification, guess: Rope | None = None) -> Figure | None:
+    """Draw each property that many links have of their own, with 95 % intervals; None where there is no such one."""
+    own: dict[str, list[Number]] = {}
+    for each in numbers(found):
+        if each.place is not None and each.name != "arc":
+            own.setdefault(each.name, []).append(each)
+    shown = {name: each for name, each in own.items() if len(each) >= _LEAST_LINKS}
+    if not shown:
+        return None
+    with new_figure(10.0, 0.5 + 2.0 * len(shown)) as figure:
+        axes = figure.subplots(len(shown), 1, squeeze=False, sharex=True)[:, 0]
+        for axis, (name, every) in zip(axes, shown.items(), strict=True):
+            places = np.array([each.place for each in every])
+            values, low, high = (np.array([getattr(each, key) for each in every]) for key in ("value", "low", "high"))
+            unit = readable(name, values)
+            axis.vlines(places, low / unit.size, high / unit.size, color=BLUE, lw=2.0, alpha=0.45)
+            axis.plot(places, values / unit.size, "o", ms=4.0, color=BLUE, label="identified, 95 % interval")
+            if guess is not None:
+                start = getattr(guess, name)[places] / unit.size
+                axis.plot(places, start, "x", ms=4.0, color=GREY, label="first guess")
+            axis.set(ylabel=unit.name, title=name.replace("_", " "))
+        axes[-1].set_xlabel("link, from the first joint to the tip")
+        axes[-1].locator_params(axis="x", integer=True)
+        legend(figure, axes[0], columns=2)
     return figure

@@ -14,7 +14,7 @@ FEW = 4  # channels that are all shown large
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedChannels:
     """A recording and its fit in the same channels.
 
     Attributes
@@ -60,13 +60,13 @@ class Fitted:
         return float(worst), float(inside[0]), float(inside[-1])
 
 
-def beside(recording: Recording, found: Identification) -> Fitted:
+def fitted_channels(recording: Recording, found: Identification) -> FittedChannels:
     """Return a recording and what was fitted to it, in the same channels."""
     channels = recording.angles() if found.unit == "rad" else recording
     rows = np.searchsorted(channels.t, found.residual_t)
     fitted = np.asarray(channels.data[rows] - found.residuals)
     names, chosen = _names(channels, found), _chosen(found)
-    return Fitted(found, channels.t, channels.data, found.residual_t, fitted, names, chosen)
+    return FittedChannels(found, channels.t, channels.data, found.residual_t, fitted, names, chosen)
 
 
 def _names(channels: Recording, found: Identification) -> tuple[str, ...]:
@@ -76,7 +76,7 @@ def _names(channels: Recording, found: Identification) -> tuple[str, ...]:
 
 
 def _chosen(found: Identification) -> tuple[int, ...]:
-    """Return the channels to show: all of a few, see :class:`Fitted`; of a marker both places."""
+    """Return the channels to show: all of a few, see :class:`FittedChannels`; of a marker both places."""
     rms = found.residual_rms
     if rms.size <= FEW:
         return tuple(range(rms.size))

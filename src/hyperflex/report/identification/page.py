@@ -1,8 +1,9 @@
-"""The report of any identification: one page that shows what was found, how well, and what cannot be known."""
+"""The report of an identification: a page with parameters, intervals, fit, prediction and residuals."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,8 +11,8 @@ from hyperflex.identification import HeldOut, Identification
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.report.folder import whole_folder
-from hyperflex.report.identification.along import along_figure
 from hyperflex.report.identification.figures import (
+    along_figure,
     fit_figure,
     history_figure,
     multiples_figure,
@@ -19,12 +20,15 @@ from hyperflex.report.identification.figures import (
     residual_figure,
     shapes_figure,
 )
-from hyperflex.report.identification.fitted import Fitted, beside
+from hyperflex.report.identification.fitted import FittedChannels, fitted_channels
 from hyperflex.report.identification.parameters import numbers, parameters_table, ratios_table, rope_table, ties
 from hyperflex.report.identification.setting import fit_table, lead, recording_table
-from hyperflex.report.page import Picture, Section, write_page
+from hyperflex.report.page import Picture, Section, TextTable, write_page
 from hyperflex.report.style import png
 from hyperflex.report.units import readable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LONG = 16  # rows of a table that are shown at once
 _MODEL_ERROR = ("The residuals are no noise", "The residuals are not white")  # how the verdict's warnings begin
@@ -70,7 +74,7 @@ def identification_page(
     path: str | Path, recording: Recording, found: Identification, guess: Rope | None = None
 ) -> None:
     """Write the page alone: one HTML file with its figures inside. Arguments as of :func:`write_identification`."""
-    view = beside(recording, found)
+    view = fitted_channels(recording, found)
     many = len(view.names) > len(view.chosen)
     sections = [
         _verdict(found),
@@ -152,37 +156,37 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
     if tied := ties(found):
         notes.append(f"These err together (correlation): {', '.join(tied)}.")
     along = along_figure(found, guess)
-    pictures = () if along is None else (Picture(png(along, dpi=_DPI), "Values along the rope with 95 % intervals."),)
-    long = f"All {len(table.rows)} numbers" if len(table.rows) > LONG else ""
-    sections = [Section("Parameters", pictures=pictures, table=table, notes=tuple(notes), folded=long)]
+    pictures = () if along is None else (_picture(along, "Values along the rope with 95 % intervals."),)
+    sections = [
+        Section("Parameters", pictures=pictures, table=table, notes=tuple(notes), folded=_folded(table, "numbers"))
+    ]
     ratios = ratios_table(found)
     if ratios is not None:
         text = (
             "What a free swing can tell at most, whatever the rope weighs: everything over p1, the first moment of "
             "link 0 about its joint. Moments and inertias count all mass beyond a link as if it sat at its far end."
         )
-        long = f"All {len(ratios.rows)} ratios" if len(ratios.rows) > LONG else ""
-        sections.append(Section("Ratios", text=(text,), table=ratios, folded=long))
+        sections.append(Section("Ratios", text=(text,), table=ratios, folded=_folded(ratios, "ratios")))
     return sections
 
 
-def _fit(view: Fitted, many: bool) -> Section:
+def _fit(view: FittedChannels, many: bool) -> Section:
     which = "First, middle and last link" if view.found.unit == "rad" else "Middle and last marker"
     held = "" if view.found.held_out is None else "; red: what was held out"
     some = f"{which}, and the one that fits worst. " if many else ""
     pictures = [
-        Picture(
-            png(fit_figure(view), dpi=_DPI),
+        _picture(
+            fit_figure(view),
             f"{some}The fit goes window by window, each from a state of its own{held}.",
         )
     ]
     if view.found.unit == "m":
-        pictures.append(Picture(png(shapes_figure(view), dpi=_DPI), "Markers (rings) and fit (line) at some instants."))
+        pictures.append(_picture(shapes_figure(view), "Markers (rings) and fit (line) at some instants."))
     links = (("all", f"All {len(view.names)} channels"),) if many else ()
     return Section("Fit over data", pictures=tuple(pictures), links=links)
 
 
-def _prediction(view: Fitted) -> Section:
+def _prediction(view: FittedChannels) -> Section:
     found, held = view.found, view.found.held_out
     title = "Prediction of what the fit has not seen"
     if held is None:
@@ -200,32 +204,40 @@ def _prediction(view: Fitted) -> Section:
         "linearisation: the parameters' covariance, the state's uncertainty and the noise, by the exact derivatives of "
         "the motion. Where it is narrower than the errors, the model is wrong by the difference."
     )
-    return Section(title, text=(text,), pictures=(Picture(png(prediction_figure(view, held), dpi=_DPI), caption),))
+    return Section(title, text=(text,), pictures=(_picture(prediction_figure(view, held), caption),))
 
 
-def _residuals(view: Fitted) -> Section:
+def _residuals(view: FittedChannels) -> Section:
     caption = (
         "What the fit leaves: over time; how often each size occurs, beside a normal distribution; and how far a "
         "residual tells its successors. Residuals that are noise alone stay within the shaded band."
     )
-    return Section("Residuals", pictures=(Picture(png(residual_figure(view), dpi=_DPI), caption),))
+    return Section("Residuals", pictures=(_picture(residual_figure(view), caption),))
 
 
 def _history(found: Identification) -> Section:
     if not found.history:
         return Section("How the fit went", text=("It was interrupted before its first round was done.",))
     caption = "What the fit leaves after each round, over the least of its stage; short windows forgive a poor guess."
-    return Section("How the fit went", pictures=(Picture(png(history_figure(found), dpi=_DPI), caption),))
+    return Section("How the fit went", pictures=(_picture(history_figure(found), caption),))
 
 
 def _rope(found: Identification) -> Section:
     table = rope_table(found.rope, found)
-    long = f"All {found.rope.n_links} links" if found.rope.n_links > LONG else ""
     total = f"{found.rope.total_length:.4g} m, {found.rope.total_mass:.4g} kg in all."
     notes = ("* fitted; all else as the guess has it",)
-    return Section("The rope", text=(total,), table=table, notes=notes, folded=long)
+    return Section("The rope", text=(total,), table=table, notes=notes, folded=_folded(table, "links"))
 
 
-def _all(view: Fitted) -> Section:
-    picture = Picture(png(multiples_figure(view), dpi=_DPI), "Every channel: measured, fitted (blue), predicted (red).")
+def _folded(table: TextTable, what: str) -> str:
+    """Return the line above a table that is folded because it is long; else nothing."""
+    return f"All {len(table.rows)} {what}" if len(table.rows) > LONG else ""
+
+
+def _picture(figure: Figure, caption: str) -> Picture:
+    return Picture(png(figure, dpi=_DPI), caption)
+
+
+def _all(view: FittedChannels) -> Section:
+    picture = _picture(multiples_figure(view), "Every channel: measured, fitted (blue), predicted (red).")
     return Section("All channels", pictures=(picture,), folded=f"Show all {len(view.names)} channels", anchor="all")

@@ -10,7 +10,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification import BAND, Identification
 from hyperflex.model import Rope
-from hyperflex.report.tables import TextTable
+from hyperflex.report.page import TextTable
 from hyperflex.report.units import readable, rounded, short
 
 WORDS = {

@@ -11,7 +11,7 @@ from hyperflex.identification import Identification
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.report.identification.parameters import PER_LINK, numbers
-from hyperflex.report.tables import TextTable
+from hyperflex.report.page import TextTable
 from hyperflex.report.units import readable
 
 _PACKAGES = ("hyperflex", "numpy", "numba")

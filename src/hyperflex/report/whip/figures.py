@@ -1,4 +1,4 @@
-"""Pictures of a planned whip: the rope about the peak, the tip's way past the target, the course of the whip."""
+"""Figures of a planned whip: the rope about the peak, the tip's path past the target, and the time course."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.planning import WhipPlan
 from hyperflex.planning.whip.files import lash_of, motion_of
-from hyperflex.report.cast.figures import number_moves
 from hyperflex.report.shapes import shapes
 from hyperflex.report.strobe import strobe
-from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, look, new_figure
+from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure, note
+from hyperflex.report.time_course import ArmMoves, time_course
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,8 +40,7 @@ def passing_figure(plan: WhipPlan) -> Figure:
     times = np.linspace(max(seen.t - span, run.t[0]), min(seen.t + span, run.t[-1]), _WAY_POINTS)
     way = 1e3 * (shapes(run, times).joints[:, -1] - mark.point)
     speed = np.interp(times, run.t, np.hypot(*run.tip_velocity.T))
-    with look():
-        figure = new_figure(8.6, 5.6)
+    with new_figure(8.6, 5.6) as figure:
         axis: Any = figure.subplots()
         _draw_way(figure, axis, way, speed)
         size = 0.55e3 * half
@@ -56,7 +55,7 @@ def passing_figure(plan: WhipPlan) -> Figure:
         axis.set(xlim=(-1e3 * half, 1e3 * half), ylim=(-1e3 * half, 1e3 * half), aspect="equal")
         axis.set(xlabel="x from the target, mm", ylabel="y from the target, mm (up)")
         axis.set_title("How the tip passes the target, simulated")
-        figure.legend(loc="outside lower center", ncols=2, fontsize=8.0)
+        legend(figure, axis, place="lower center", columns=2)
     return figure
 
 
@@ -64,40 +63,30 @@ def course_figure(plan: WhipPlan) -> Figure:
     """Draw arm angle, the tip's speed, its distance from the target and the motor's torque over time."""
     seen, mark = lash_of(plan), plan.mark
     run = seen.run
-    with look():
-        figure = new_figure(8.6, 8.0)
-        arm, speed, away, torque = figure.subplots(4, 1, sharex=True, height_ratios=(1.1, 1.3, 1.0, 0.8))
-        arm.plot(run.t, np.degrees(run.arm_angle), color=BLUE)
-        arm.set(ylabel="arm, degrees", title="What the arm does, strokes numbered")
-        _number_strokes(arm, plan)
+
+    def draw(speed: Any, away: Any) -> None:
         speed.plot(run.t, np.hypot(*run.tip_velocity.T), color=GREEN)
         speed.axhline(mark.speed, color=GREY, ls="--", lw=1.0)
-        speed.text(run.t[0], mark.speed, f" {mark.speed:.3g} m/s are asked", va="bottom", fontsize=8.0, color="#5a6472")
+        note(speed, run.t[0], mark.speed, f" {mark.speed:.3g} m/s are needed")
         speed.set(ylabel="speed, m/s", title="Speed of the tip")
-        words = f"peak at {seen.t:.2f} s: {seen.speed:.1f} m/s "
-        speed.text(
-            seen.t, 0.97, words, transform=speed.get_xaxis_transform(), ha="right", va="top", fontsize=8.0, color=RED
-        )
+        peak = f"peak at {seen.t:.2f} s: {seen.speed:.1f} m/s "
+        note(speed, seen.t, 0.97, peak, RED, transform=speed.get_xaxis_transform(), ha="right", va="top")
         away.plot(run.t, np.hypot(*(run.tip - mark.point).T), color=BLUE)
         away.set(ylabel="distance, m", title="Distance of the tip from the target")
         away.set_ylim(bottom=0.0)
-        torque.plot(run.t, run.motor_torque, color=INK, lw=1.0)
-        torque.set(ylabel="torque, N m", title="Torque that the rope asks of the motor", xlabel="time, s")
-        for axis in (arm, speed, away, torque):
-            axis.set_xlim(run.t[0], run.t[-1])
-            axis.axvline(seen.t, color=RED, lw=1.0, ls="--")
-        figure.suptitle("Course of the whip, simulated", x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK)
-    return figure
+
+    return time_course(run, "the whip", _moves(plan), seen.t, draw)
 
 
-def _number_strokes(axis: Any, plan: WhipPlan) -> None:
+def _moves(plan: WhipPlan) -> ArmMoves | None:
+    """Return the strokes that begin within the run."""
     if plan.strokes is None:
-        return
+        return None
     limits = plan.thrower.limits
     starts, angles = plan.strokes.starts(limits), plan.strokes.angles(limits)
-    shown = starts < lash_of(plan).run.t[-1]
     ends = np.minimum(starts + limits.fastest(np.diff(angles))[0], motion_of(plan).breaks[-1])
-    number_moves(axis, starts[shown], ends[shown], angles[: int(shown.sum()) + 1])
+    count = int((starts < lash_of(plan).run.t[-1]).sum())
+    return ArmMoves(starts[:count], ends[:count], angles[: count + 1], tuple(str(k + 1) for k in range(count)))
 
 
 def _draw_way(figure: Figure, axis: Any, way: Array, speed: Array) -> None:

@@ -1,4 +1,4 @@
-"""A planned whip in words: target, strokes, peak, miss, blow, or why it fails."""
+"""A planned whip in words: target, strokes, peak, miss, impact, or why it fails."""
 
 from __future__ import annotations
 
@@ -9,29 +9,32 @@ import numpy as np
 from hyperflex.planning import Impact, Lash, Mark, WhipPlan
 from hyperflex.planning.whip.aim import FRICTION, LENGTH, TIMING
 from hyperflex.planning.whip.impact import BLOW, RADIUS
-from hyperflex.report.cast.words import source
-from hyperflex.report.cast_setup_words import arm_words, rope_words
-from hyperflex.report.tables import TextTable
+from hyperflex.report.page import TextTable
+from hyperflex.report.plan import counted, source
 
-Tiles = tuple[tuple[str, str], ...]
+FINER_NOTE = (
+    "The second run makes the same strokes with a rope cut twice as finely: its miss is the error that cutting into "
+    "links makes at a fast tip. It may be as large as the uncertainty of the plan itself, and 3 mm in any case; where "
+    "that matters, plan with shorter links."
+)
 
 
 def lead(plan: WhipPlan) -> str:
-    """Return what this is about, and where it comes from."""
+    """Return what the plan is about, and where it comes from."""
     whipped = "is whipped" if plan.success else "is to be whipped"
     return (
         f"A rope that hangs from a motor-driven arm {whipped}, so that its tip passes a point at a peak of its speed. "
-        f"{source(plan)}; nothing here was measured."
+        f"{source(plan)}"
     )
 
 
 def target_words(mark: Mark) -> str:
-    """Return where the target is and what is asked there."""
+    """Return where the target is, and direction and speed that are needed there."""
     return f"x = {mark.x:.3g} m, y = {mark.y:.3g} m, {direction_words(mark)}, at {mark.speed:.3g} m/s or more"
 
 
 def direction_words(mark: Mark) -> str:
-    """Return in which direction the tip shall pass."""
+    """Return in which direction the tip must pass."""
     if mark.anyhow:
         return "in any direction"
     asked = np.degrees(mark.direction)
@@ -40,12 +43,11 @@ def direction_words(mark: Mark) -> str:
 
 def strokes_words(plan: WhipPlan) -> str:
     """Return how many strokes the arm makes."""
-    count = 0 if plan.strokes is None else plan.strokes.ends.size
-    return f"{count} stroke{'' if count == 1 else 's'}"
+    return counted(0 if plan.strokes is None else plan.strokes.ends.size, "stroke")
 
 
 def verdict(plan: WhipPlan) -> str:
-    """Return in a sentence whether the whip stands."""
+    """Return in a sentence whether the whip succeeds."""
     if plan.success and plan.lash is not None:
         return (
             f"The tip passes the target at {plan.lash.speed:.1f} m/s, {1e3 * plan.lash.miss:.2g} mm off, in simulation."
@@ -53,47 +55,52 @@ def verdict(plan: WhipPlan) -> str:
     return f"No whip that meets the target was found: {plan.reason}."
 
 
-def tiles(plan: WhipPlan, blow: Impact | None) -> Tiles:
+def tiles(plan: WhipPlan, impact: Impact | None) -> tuple[tuple[str, str], ...]:
     """Return the key figures."""
     mark, seen = plan.mark, plan.lash
     shown = [(f"{mark.x:.3g}, {mark.y:.3g} m", "target: x and y (up) from the motor's shaft")]
     if plan.strokes is not None:
         shown.append((strokes_words(plan), "of the arm to and fro"))
     if seen is not None:
-        shown.append((f"{seen.speed:.1f} m/s", f"speed of the tip at its peak; {mark.speed:.3g} are asked"))
+        shown.append((f"{seen.speed:.1f} m/s", f"speed of the tip at its peak; {mark.speed:.3g} are needed"))
         shown.append((f"{1e3 * seen.miss:.2g} mm", "miss: from the target to the tip at its peak"))
         if not mark.anyhow:
             allowed = f"{np.degrees(mark.within):.3g}"
-            shown.append((f"{np.degrees(seen.off):.1f} degrees", f"off the direction asked; {allowed} allowed"))
+            shown.append((f"{np.degrees(seen.off):.1f} degrees", f"off the direction needed; {allowed} allowed"))
         shown.append((f"{seen.t:.2f} s", "after the start the tip's speed peaks"))
-    if blow is not None and math.isfinite(blow.t):
-        shown.append((f"{1e3 * blow.impulse:.1f} mN s", f"blow on a small peg of {1e3 * RADIUS:g} mm at the target"))
+    if impact is not None and math.isfinite(impact.t):
+        shown.append(
+            (
+                f"{1e3 * impact.impulse:.1f} mN s",
+                f"impulse of the impact on a small peg of {1e3 * RADIUS:g} mm at the target",
+            )
+        )
     return tuple(shown)
 
 
-def story(plan: WhipPlan, blow: Impact | None) -> tuple[str, ...]:
+def story(plan: WhipPlan, impact: Impact | None) -> tuple[str, ...]:
     """Return what happens, in order."""
-    told = [f"Target: {target_words(plan.mark)}."]
+    lines = [f"Target: {target_words(plan.mark)}."]
     if plan.strokes is None:
-        return tuple(told)
+        return tuple(lines)
     limits = plan.thrower.limits
     starts, angles = plan.strokes.starts(limits), np.degrees(plan.strokes.angles(limits))
     to = ", ".join(f"{end:.0f} degrees from {start:.2f} s on" for start, end in zip(starts, angles[1:], strict=True))
-    told.append(
+    lines.append(
         f"The rope hangs at rest from the arm at {angles[0]:.0f} degrees (0 hangs down). The arm makes "
         f"{strokes_words(plan)}: to {to}."
     )
     if plan.lash is not None:
-        told.append(_peak(plan, plan.lash))
-    if blow is not None:
-        told.append(_blow(blow))
+        lines.append(_peak(plan, plan.lash))
+    if impact is not None:
+        lines.append(_impact(impact))
     if math.isfinite(plan.doubt):
-        told.append(
-            f"How sure: the place of the peak has a standard deviation of {1e3 * plan.doubt:.0f} mm if friction is "
+        lines.append(
+            f"Uncertainty: the place of the peak has a standard deviation of {1e3 * plan.doubt:.0f} mm if friction is "
             f"known to {100 * FRICTION:g} %, length to {100 * LENGTH:g} % and each rest of the arm to "
             f"{1e3 * TIMING:g} ms."
         )
-    return tuple(told)
+    return tuple(lines)
 
 
 def _peak(plan: WhipPlan, seen: Lash) -> str:
@@ -107,13 +114,13 @@ def _peak(plan: WhipPlan, seen: Lash) -> str:
     )
 
 
-def _blow(blow: Impact) -> str:
-    if not math.isfinite(blow.t):
+def _impact(impact: Impact) -> str:
+    if not math.isfinite(impact.t):
         return "A small peg behind the target is not touched by the rope."
     return (
-        f"Blow: a fixed peg of {1e3 * RADIUS:g} mm radius just behind the target, struck by the rope's link "
-        f"{blow.link + 1}, takes up {1e3 * blow.impulse:.1f} mN s in {1e3 * BLOW:g} ms ({1e3 * blow.along:.1f} mN s in "
-        f"the tip's direction), and the rope loses {1e3 * blow.energy:.0f} mJ."
+        f"Impact: a fixed peg of {1e3 * RADIUS:g} mm radius just behind the target, struck by the rope's link "
+        f"{impact.link + 1}, takes up {1e3 * impact.impulse:.1f} mN s in {1e3 * BLOW:g} ms "
+        f"({1e3 * impact.along:.1f} mN s in the tip's direction), and the rope loses {1e3 * impact.energy:.0f} mJ."
     )
 
 
@@ -128,18 +135,3 @@ def checks_table(plan: WhipPlan) -> TextTable:
         links = str(seen.run.q.shape[1])
         rows.append((name, links, f"{seen.t:.3f} s", f"{seen.speed:.2f} m/s", f"{1e3 * seen.miss:.2g} mm", off))
     return TextTable(("run", "links", "peak", "speed", "misses by", "off the direction"), tuple(rows))
-
-
-def finer_words() -> str:
-    """Return what the run with finer links says."""
-    return (
-        "The second run makes the same strokes with a rope cut twice as finely: its miss is what cutting into links "
-        "does to a fast tip. It may be as large as what the plan itself leaves in doubt, and 3 mm in any case; where "
-        "that matters, plan with shorter links."
-    )
-
-
-def setup_words(plan: WhipPlan) -> tuple[str, ...]:
-    """Return rope, arm and target as they were given."""
-    thrower = plan.thrower
-    return (f"{rope_words(thrower)}. {arm_words(thrower)} Target: {target_words(plan.mark)}.",)

@@ -1,16 +1,17 @@
-"""The paper's claims on casting (section IV), each measured against a threshold."""
+"""Results on casting (paper section IV): the tables behind Figs. 9 to 12, and the claims C1 to C4."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from collections.abc import Iterator
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.paper import linearization
-from hyperflex.paper.casting import READINGS, T_MOVE, Cast, Reading, cast
+from hyperflex.paper.casting import OUTCOMES, READINGS, T_MOVE, T_REST, TIME_CONSTANT, Cast, Outcome, Reading, cast
+from hyperflex.paper.results import Claim, Table
 
+TABLE_RATE = 100  # rows per second
 WINDOW = 2.0  # s
 LINEAR_ERROR = 1e-9
 REACH_RATIO = 1.6
@@ -20,48 +21,70 @@ CONCENTRATION = 0.9
 NEARLY_FULL = 0.9  # share of the greatest r up to which the rope counts as being pumped up
 
 
-class Titled(Protocol):
-    """What a claim may be measured in: a reading of the cast, a swing of the identification twin."""
-
-    @property
-    def title(self) -> str:
-        """It in words."""
+def casts() -> dict[tuple[Reading, Outcome], Cast]:
+    """Return success and failure in the four readings."""
+    return {(reading, outcome): cast(reading, outcome) for reading in READINGS for outcome in OUTCOMES}
 
 
-@dataclass(frozen=True)
-class Claim:
-    """What a claim demands and what was measured.
+def fig9() -> Table:
+    """Arm angle against time (Fig. 9)."""
+    columns = {}
+    for (reading, outcome), subject in _one_friction():
+        columns[f"arm_{reading.path}_{outcome}"] = _thin(subject, subject.arm_angle)
+    return _table("fig9", "arm angle", columns, "t in s; arm in rad")
 
-    Attributes
-    ----------
-    name : str
-        "C1" to "C7".
-    statement : str
-        The claim in words.
-    reading : Reading or Swing
-        What it was measured in.
-    measured : float
-        The measured value.
-    threshold : float
-        The value at which the claim just holds.
-    note : str
-        What else the measurement shows.
-    relation : {">=", "<="}
-        On which side of the threshold it holds.
-    """
 
-    name: str
-    statement: str
-    reading: Titled
-    measured: float
-    threshold: float
-    note: str = ""
-    relation: Literal[">=", "<="] = ">="
+def fig10() -> Table:
+    """Tip position against time (Fig. 10)."""
+    columns = {}
+    for (reading, outcome), subject in casts().items():
+        for axis, name in enumerate("xy"):
+            columns[f"{name}_{reading.key}_{outcome}"] = _thin(subject, subject.tip[:, axis])
+    return _table("fig10", "tip position", columns, "t in s; x, y in m")
 
-    @property
-    def holds(self) -> bool:
-        """Whether the measured value lies on the right side of the threshold."""
-        return self.measured >= self.threshold if self.relation == ">=" else self.measured <= self.threshold
+
+def fig11() -> Table:
+    """Spiral coordinates of the tip against time (Fig. 11)."""
+    columns = {}
+    for (reading, outcome), subject in casts().items():
+        columns[f"r_{reading.key}_{outcome}"] = _thin(subject, subject.spiral.r)
+        columns[f"theta_{reading.key}_{outcome}"] = _thin(subject, subject.spiral.theta)
+    for (reading, outcome), subject in _one_friction():
+        columns[f"arm_{reading.path}_{outcome}"] = _thin(subject, subject.arm_angle)
+    return _table("fig11", "spiral coordinates of the tip", columns, "t in s; r in m; theta, arm in rad")
+
+
+def fig12() -> Table:
+    """Phase portrait of the tip (Fig. 12); ``moving`` is 1 while the arm moves and 0 while it rests."""
+    columns = {}
+    for (reading, outcome), subject in casts().items():
+        columns[f"x_{reading.key}_{outcome}"] = _thin(subject, subject.spiral.x)
+        columns[f"cxd_{reading.key}_{outcome}"] = _thin(subject, subject.spiral.scaled_velocity)
+    for outcome in OUTCOMES:
+        subject = cast(READINGS[0], outcome)
+        moves = (subject.t % subject.period < T_MOVE).astype(np.float64)
+        columns[f"moving_{outcome}"] = _thin(subject, moves)
+    return _table("fig12", "phase portrait of the tip", columns, "t in s; x, cxd (c times the velocity) in m")
+
+
+def _one_friction() -> Iterator[tuple[tuple[Reading, Outcome], Cast]]:
+    """Yield the casts of the physical friction only, for what does not depend on it."""
+    yield from ((key, subject) for key, subject in casts().items() if key[0].friction == "relative")
+
+
+def _table(name: str, title: str, columns: dict[str, Array], units: str) -> Table:
+    parameters = "; ".join(
+        f"{outcome}: t_a = {T_MOVE} s, t_c = {T_REST[outcome]} s, c = {TIME_CONSTANT[outcome]} s"
+        for outcome in OUTCOMES
+    )
+    time = {"t": _thin(cast(READINGS[0], "success"), cast(READINGS[0], "success").t)}
+    notes = {"title": title, "source": "simulated", "units": units, "parameters": parameters}
+    return Table(name, title, {**time, **columns}, notes)
+
+
+def _thin(subject: Cast, values: Array) -> Array:
+    step = round(1.0 / (TABLE_RATE * (subject.t[1] - subject.t[0])))
+    return values[::step]
 
 
 def reach_table(subject: Cast) -> Array:
@@ -164,7 +187,7 @@ def _pumped_up(subject: Cast) -> float:
     return float(t[np.argmax(level >= NEARLY_FULL * level.max())])
 
 
-def claims() -> list[Claim]:
+def casting_claims() -> list[Claim]:
     """Measure C1 to C4 in the four readings."""
     return [
         measure(reading)

@@ -1,4 +1,4 @@
-"""Where a target is: a drawing to scale of arm, rope, target and what the rope can touch, without a run."""
+"""A map of the target: arm, rope, target and the rope's reach, to scale, without a run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.model import Peg
 from hyperflex.planning import CastPlan
-from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, look, new_figure
+from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,7 +19,7 @@ _LEAST = 0.012  # of the picture's width, to which small pegs are widened so tha
 _MARGIN = 1.08
 
 
-def place_figure(plan: CastPlan) -> Figure:
+def target_map(plan: CastPlan) -> Figure:
     """Draw the target, the arm with its rope at rest, and the circle beyond which the rope does not come."""
     arm, far = plan.thrower.arm, plan.thrower.arm.length + plan.thrower.rope.total_length
     pivot: Array = np.array(arm.pivot, dtype=np.float64)
@@ -28,8 +28,7 @@ def place_figure(plan: CastPlan) -> Figure:
     corners += [np.array([peg.x, peg.y]) + side * peg.radius for peg in pegs for side in (-1.0, 1.0)]
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     middle, half = 0.5 * (low + high), 0.5 * _MARGIN * (high - low)
-    with look():
-        figure = new_figure(8.6, 6.4)
+    with new_figure(8.6, 6.4) as figure:
         axis: Any = figure.subplots()
         _circle(axis, pivot, far, GREY, f"the rope's end comes no farther than {far:.3g} m")
         _circle(axis, pivot, arm.length, BLUE, "circle of the arm's tip")
@@ -43,12 +42,12 @@ def place_figure(plan: CastPlan) -> Figure:
         axis.set(xlim=(middle - half)[0] + np.array([0.0, 2.0 * half[0]]), aspect="equal")
         axis.set(ylim=(middle - half)[1] + np.array([0.0, 2.0 * half[1]]))
         axis.set(xlabel="x, m", ylabel="y, m (up)")
-        figure.legend(loc="outside lower center", ncols=2, fontsize=8.5)
+        legend(figure, axis, place="lower center", columns=2)
     return figure
 
 
-def place_caption(plan: CastPlan) -> str:
-    """Return what there is to see in :func:`place_figure`."""
+def target_map_caption(plan: CastPlan) -> str:
+    """Return the caption of :func:`target_map`."""
     near = "" if plan.nearest is None else f" Green: {_kind(plan)}."
     return f"Arm and rope as they begin, and the target (red), to scale; a drawing, nothing of it was simulated.{near}"
 

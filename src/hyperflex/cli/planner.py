@@ -1,0 +1,175 @@
+"""What `cast` and `whip` share: options, the set-up file, and how they end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+from hyperflex import checks
+from hyperflex.cli import output
+from hyperflex.errors import FileProblem, InvalidInput
+
+if TYPE_CHECKING:
+    from hyperflex.model import Arm, Ground, Peg, Rope, Wall
+    from hyperflex.planning import CastPlan, MotorLimits, WhipPlan
+
+    Obstacle = Peg | Wall | Ground
+
+Setup = Annotated[
+    Path | None,
+    typer.Argument(help="TOML file with [rope], [arm], [limits] and the target; options override it."),
+]
+RopeFile = Annotated[
+    Path | None, typer.Option("--rope", help="TOML file with the rope, such as identify writes; in place of [rope].")
+]
+Target = Annotated[
+    tuple[float, float] | None, typer.Option(help="The target's place from the motor's shaft, x and y (up), m.")
+]
+Output = Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if need be.")]
+ArmLength = Annotated[float | None, typer.Option(help="Of the arm that the motor turns, m. [default: 0.105]")]
+Speed = Annotated[float | None, typer.Option(help="Greatest speed of the motor, rad/s. [default: 8.61, the paper's]")]
+Acceleration = Annotated[
+    float | None, typer.Option(help="Greatest acceleration, rad/s^2. [default: 23.6, the paper's]")
+]
+Torque = Annotated[float | None, typer.Option(help="Greatest torque, N m. [default: not limited]")]
+SkipFeasibility = Annotated[
+    bool, typer.Option("--skip-feasibility", help="Search even for a target that is called out of reach.")
+]
+Rate = Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz.")]
+TimeBudget = Annotated[float, typer.Option(help="Processor time of the search, s; a plan that succeeds ends it.")]
+Seed = Annotated[int, typer.Option(help="Of the search.")]
+
+_OBSTACLES = ("pegs", "walls", "grounds")
+_WRITTEN = {
+    "page": "the whole story on one page",
+    "film": "the {} as a film",
+    "motion": "the motion for the motor",
+    "plan": "the set-up, for simulate",
+    "nearest": "the nearest target's, for simulate",
+    "run": "the verified run",
+}
+
+
+class Task(NamedTuple):
+    """What is planned with: rope, arm, limits of the motor, obstacles, and the table [target] of a set-up file."""
+
+    rope: Rope
+    arm: Arm
+    limits: MotorLimits
+    obstacles: tuple[Obstacle, ...]
+    target: Mapping[str, Any]
+
+
+def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, limits: Mapping[str, Any]) -> Task:
+    """Return what a set-up file and the options give; options override the file.
+
+    Parameters
+    ----------
+    setup, rope : Path or None
+        TOML files.
+    arm_length : float or None
+        m.
+    limits : mapping
+        Arguments of MotorLimits; None for those that are not given.
+    """
+    from hyperflex import files
+    from hyperflex.model import Arm, Rope, Setup
+    from hyperflex.planning import MotorLimits
+
+    content = {} if setup is None else files.read_toml(setup)
+    given = content.get("limits", {}) | {name: value for name, value in limits.items() if value is not None}
+    try:
+        motor = MotorLimits(**given)
+    except TypeError:
+        raise InvalidInput(
+            "the table [limits] does not fit", got=sorted(given), allowed="arguments of MotorLimits"
+        ) from None
+    cable = None if rope is None else Rope.from_toml(rope)
+    arm: Arm = Arm()
+    obstacles: tuple[Obstacle, ...] = ()
+    if setup is not None:
+        tables = {name: content[name] for name in ("rope", "arm", *_OBSTACLES) if name in content}
+        if cable is not None:
+            tables["rope"] = cable.table()
+        read = Setup.loads(files.dumps_toml(tables), str(setup))
+        cable, arm, obstacles = read.rope, read.arm or arm, read.pegs
+    if cable is None:
+        raise InvalidInput("no rope is given", fix="Give --rope FILE, or a set-up file with a table [rope]")
+    if arm_length is not None:
+        arm = replace(arm, length=checks.number("--arm-length", arm_length, sign="positive", unit="m"))
+    return Task(cable, arm, motor, obstacles, content.get("target", {}))
+
+
+def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, mu: float | None) -> Peg:
+    """Return the target of a cast: the set-up's only obstacle, or a peg as the options say."""
+    from hyperflex.model import Peg
+
+    pegs = [each for each in task.obstacles if isinstance(each, Peg)]
+    if len(pegs) > 1 or len(pegs) < len(task.obstacles):
+        raise InvalidInput(
+            "the set-up holds more than a target", got=task.obstacles, allowed="one peg: casts know no other obstacle"
+        )
+    given = {"radius": radius, "mu": mu} | dict(zip("xy", place or (None, None), strict=True))
+    named = {name: value for name, value in given.items() if value is not None}
+    if pegs:
+        return replace(pegs[0], **named)
+    missing = [option for option, value in (("--target", place), ("--radius", radius)) if value is None]
+    if missing:
+        raise InvalidInput(f"{' and '.join(missing)} missing", fix="Give them, or a set-up file with a table [pegs]")
+    return Peg(**named)
+
+
+def check_folder(out: Path) -> None:
+    """Refuse, before any work, a folder's name that is a file's."""
+    if out.exists() and not out.is_dir():
+        raise FileProblem(f"{out} is a file, not a folder. Give another name with -o.")
+
+
+def finish(
+    name: str,
+    plan: CastPlan | WhipPlan,
+    result: Mapping[str, Any],
+    pairs: Sequence[tuple[str, str]],
+    messages: Sequence[str],
+    files: Mapping[str, Path],
+    *,
+    as_json: bool,
+) -> None:
+    """Print what a planner found, for people or as JSON, and exit with its code.
+
+    Parameters
+    ----------
+    name : str
+        "cast" or "whip".
+    plan : CastPlan or WhipPlan
+    result : mapping
+        For JSON.
+    pairs : sequence of (str, str)
+        Key figures: what it is, and the value.
+    messages : sequence of str
+        Sentences, the verdict first.
+    files : mapping of str to Path
+        What was written.
+    as_json : bool
+
+    Raises
+    ------
+    typer.Exit
+        Unless the plan succeeds: NO_PLAN, or INTERRUPTED.
+    """
+    if not as_json:
+        output.print_pairs(f"{name.capitalize()} (simulated)", pairs)
+        output.console().print("\n".join(line for line in messages if line), markup=False)
+        written = [(words.format(name), str(files[kind])) for kind, words in _WRITTEN.items() if kind in files]
+        output.print_pairs("Written", written)
+    if plan.interrupted:
+        message = f"Interrupted; the best so far is in {files['page'].parent}. {messages[0]}"
+        raise typer.Exit(output.interrupted(message, result, as_json=as_json))
+    if as_json:
+        output.print_json(result)
+    if not plan.success:
+        raise typer.Exit(output.NO_PLAN)

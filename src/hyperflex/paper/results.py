@@ -1,0 +1,74 @@
+"""The form of the paper's results: claims with thresholds, and tables of numbers behind its figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from hyperflex.checks import Array
+
+
+class Case(Protocol):
+    """What a claim is measured in: a reading of the cast, or a swing of the identification twin."""
+
+    @property
+    def title(self) -> str:
+        """It in words."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim of the paper: its threshold, and the measured value.
+
+    Attributes
+    ----------
+    name : str
+        "C1" to "C7".
+    statement : str
+        The claim in words.
+    case : Reading or Swing
+        What it was measured in.
+    measured : float
+        The measured value.
+    threshold : float
+        The value at which the claim just holds.
+    note : str
+        What else the measurement shows.
+    relation : {">=", "<="}
+        On which side of the threshold it holds.
+    """
+
+    name: str
+    statement: str
+    case: Case
+    measured: float
+    threshold: float
+    note: str = ""
+    relation: Literal[">=", "<="] = ">="
+
+    @property
+    def holds(self) -> bool:
+        """Whether the measured value lies on the right side of the threshold."""
+        return self.measured >= self.threshold if self.relation == ">=" else self.measured <= self.threshold
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns of equal length, and notes for the head of their file.
+
+    Attributes
+    ----------
+    name : str
+        "fig10" and the like; the stem of file names.
+    title : str
+        What it shows.
+    columns : dict of str to (T,) float64
+        Values by column name.
+    notes : dict of str to str
+        Units, source and parameters.
+    """
+
+    name: str
+    title: str
+    columns: dict[str, Array]
+    notes: dict[str, str]

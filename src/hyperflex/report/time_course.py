@@ -1,0 +1,66 @@
+"""The time course of a planned motion: arm angle, two panels of the planner's own, and the motor's torque."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.report.style import BLUE, INK, RED, new_figure
+from hyperflex.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class ArmMoves(NamedTuple):
+    """Moves of the arm, in order: start and end (k,), s, angles between them (k + 1,), rad, and their names."""
+
+    starts: Array
+    ends: Array
+    angles: Array
+    names: tuple[str, ...]
+
+
+def time_course(
+    run: Trajectory, what: str, moves: ArmMoves | None, event: float, draw: Callable[[Any, Any], None]
+) -> Figure:
+    """Draw a run over time.
+
+    Parameters
+    ----------
+    run : Trajectory
+    what : str
+        Named in the title.
+    moves : ArmMoves or None
+        Named in the uppermost panel.
+    event : float
+        Marked in all panels, s; NaN where there is none.
+    draw : callable
+        Draws the two panels in the middle, to which it is called with.
+    """
+    with new_figure(8.6, 8.2, f"Time course of {what}, simulated") as figure:
+        axes = figure.subplots(4, 1, sharex=True, height_ratios=(1.15, 1.25, 1.0, 0.8))
+        arm, upper, lower, torque = axes
+        arm.plot(run.t, np.degrees(run.arm_angle), color=BLUE)
+        arm.set(ylabel="arm, degrees", title="Angle of the arm, its moves numbered")
+        if moves is not None:
+            _name(arm, moves)
+        torque.plot(run.t, run.motor_torque, color=INK, lw=1.0)
+        torque.set(ylabel="torque, N m", title="Torque of the motor for the rope", xlabel="time, s")
+        for axis in axes:
+            axis.set_xlim(run.t[0], run.t[-1])
+            if np.isfinite(event):
+                axis.axvline(event, color=RED, lw=1.0, ls="--")
+        draw(upper, lower)
+    return figure
+
+
+def _name(axis: Any, moves: ArmMoves) -> None:
+    """Write the name of each move on the curve of the arm's angle."""
+    patch = {"boxstyle": "round,pad=0.2,rounding_size=0.8", "facecolor": "white", "edgecolor": "#b9c0c9", "lw": 0.7}
+    places, heights = 0.5 * (moves.starts + moves.ends), 0.5 * np.degrees(moves.angles[:-1] + moves.angles[1:])
+    for name, place, height in zip(moves.names, places, heights, strict=True):
+        axis.text(place, height, name, fontsize=8.5, color=INK, ha="center", va="center", bbox=patch)
