@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import hyperflex as hf
-from hyperflex import paper
-from hyperflex.paper.report import casting_figures as casting
-from hyperflex.paper.report import identification_figures as revision_figures
+from hyperflex.paper.report import casting, identification
 from hyperflex.report.animation import animate
 from hyperflex.report.identification.figures import prediction_figure
 from hyperflex.report.identification.fitted import fitted_channels
 from hyperflex.report.strobe import strobe
-from hyperflex.report.style import BLUE, GREY, RED, look, new_figure, save_png
+from hyperflex.report.style import BLUE, GREY, RED, new_figure, save_png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,8 +39,7 @@ def whip() -> hf.Trajectory:
 def growth() -> Figure:
     """Growth of small errors along the paper's cast, with its friction and with none."""
     cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    with look():
-        figure = new_figure(6.4, 3.0)
+    with new_figure(6.4, 3.0) as figure:
         axes = figure.add_subplot()
         axes.axhspan(100.0, 1e12, color="#f3f4f6", lw=0)
         axes.text(4.6, 160.0, "0.01 mm has become more than 1 mm", color=GREY, size=8.5)
@@ -82,12 +79,11 @@ def main() -> None:
     speed = np.linalg.norm(cracked.tip_velocity, axis=1)
     print(f"whip: {speed.max():.0f} m/s at t = {cracked.t[speed.argmax()]:.2f} s")
     save_png(growth(), IMAGES / "growth.png", dpi=2 * DPI)
-    for figure in (revision_figures.fig3, revision_figures.fig5, revision_figures.fig6):
+    for figure in (identification.fig3, identification.fig5, identification.fig6):
         save_png(figure(), IMAGES / f"{figure.__name__}.png", dpi=DPI)
     save_png(identified(), IMAGES / "identified.png", dpi=DPI)
-    casts = paper.casts()
     for draw in (casting.fig10, casting.fig11, casting.fig12):
-        save_png(draw(casts), IMAGES / f"{draw.__name__}.png", dpi=DPI)
+        save_png(draw(), IMAGES / f"{draw.__name__}.png", dpi=DPI)
 
 
 if __name__ == "__main__":

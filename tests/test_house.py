@@ -60,7 +60,8 @@ def public_callables() -> dict[str, object]:
     found: dict[str, object] = {}
     for name in hyperflex.__all__:
         obj = getattr(hyperflex, name)
-        if callable(obj):
+        plain = inspect.isclass(obj) and issubclass(obj, Exception) and "__init__" not in vars(obj)
+        if callable(obj) and not plain:  # a plain exception takes a message, as all do
             found[name] = obj
         if inspect.isclass(obj) and not issubclass(obj, Exception):
             members = inspect.getmembers_static(obj, lambda m: isinstance(m, classmethod | staticmethod) or callable(m))

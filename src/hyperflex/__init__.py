@@ -10,6 +10,14 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
+    from hyperflex.errors import (
+        FileProblem,
+        HyperflexError,
+        IdentificationError,
+        InvalidInput,
+        MissingExtra,
+        SimulationError,
+    )
     from hyperflex.identification import (
         Bootstrap,
         Design,
@@ -69,6 +77,12 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "FileProblem": "errors",
+    "HyperflexError": "errors",
+    "IdentificationError": "errors",
+    "InvalidInput": "errors",
+    "MissingExtra": "errors",
+    "SimulationError": "errors",
     "CastPlan": "planning",
     "MotorLimits": "planning",
     "Uncertainty": "planning",
@@ -140,8 +154,13 @@ __all__ = [
     "Design",
     "Event",
     "Experiment",
+    "FileProblem",
     "Ground",
+    "HyperflexError",
     "Identification",
+    "IdentificationError",
+    "InvalidInput",
+    "MissingExtra",
     "ModelComparison",
     "Motion",
     "MotorLimits",
@@ -152,6 +171,7 @@ __all__ = [
     "Rope",
     "Sensitivities",
     "Setup",
+    "SimulationError",
     "State",
     "Trajectory",
     "Tug",

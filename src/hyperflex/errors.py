@@ -1,4 +1,4 @@
-"""What hyperflex raises. Every message says what was wrong, the value got, what is allowed and what to do."""
+"""Exceptions of hyperflex. Every message says what was wrong, the value got, what is allowed and what to do."""
 
 from __future__ import annotations
 
@@ -39,8 +39,10 @@ class FileProblem(HyperflexError, OSError):
 class SimulationError(HyperflexError, RuntimeError):
     """A rollout could not be finished within its tolerance.
 
-    Attributes
+    Parameters
     ----------
+    message : str
+        What happened, and what to do.
     status : str
         Name of the status code (see ``hyperflex.core.status``).
     time : float

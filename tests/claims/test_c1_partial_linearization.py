@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hyperflex.paper import READINGS, linearized
+from hyperflex.paper import READINGS
+from hyperflex.paper.casting_results import linearized
 from hyperflex.paper.linearization import replay
 
 pytestmark = pytest.mark.claims

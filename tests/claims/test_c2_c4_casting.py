@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.paper import (
-    READINGS,
-    cast,
-    claims,
+from hyperflex.paper import READINGS
+from hyperflex.paper.casting import cast, run
+from hyperflex.paper.casting_results import (
+    casting_claims,
     concentration,
     reach_table,
     rise_phases,
-    run,
     steady_step_phase,
     straight_phase,
     success_over_failure,
@@ -88,7 +87,7 @@ def test_c4_is_not_met_through_the_bottom_and_the_report_says_so(reading):
 
 
 def test_every_claim_is_measured_in_every_reading():
-    listed = claims()
+    listed = casting_claims()
     assert len(listed) == 4 * len(READINGS)
     assert {claim.name for claim in listed} == {"C1", "C2", "C3", "C4"}
     assert sum(claim.holds for claim in listed) == 14  # all but C4 through the bottom

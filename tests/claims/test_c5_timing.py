@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.paper import LEADS, READINGS, largest_in_the_end, timed
+from hyperflex.paper import READINGS
+from hyperflex.paper.timing import LEADS, largest_in_the_end, timed
 
 pytestmark = pytest.mark.claims
 

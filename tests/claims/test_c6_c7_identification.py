@@ -6,9 +6,22 @@ import numpy as np
 import pytest
 
 from hyperflex.identification import revise
-from hyperflex.paper import FINER, SMALL, SWINGS, WIDE, methods, record, revised
-from hyperflex.paper.identification import FRICTION, INERTIA, POINTS, guess, per_sample, whole_error
-from hyperflex.paper.identification_claims import few_samples_do, finds_the_truth, in_order, settles
+from hyperflex.paper.identification import (
+    FINER,
+    FRICTION,
+    INERTIA,
+    POINTS,
+    SMALL,
+    SWINGS,
+    WIDE,
+    guess,
+    methods,
+    per_sample,
+    record,
+    revised,
+    whole_error,
+)
+from hyperflex.paper.identification_results import few_samples_do, finds_the_truth, in_order, settles
 
 pytestmark = pytest.mark.claims
 

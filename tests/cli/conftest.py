@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from hyperflex.cli.app import run
-from hyperflex.demo.report import DemoReport, write_demo
+from hyperflex.demo import DemoReport, write_demo
 
 Run = Callable[..., tuple[int, str, str]]
 

@@ -45,7 +45,20 @@ def arguments(rope, out, *more, target=("-0.83", "-1.07"), radius="0.04"):
 
 def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     asked = ready("winds")
-    options = ("--mu", "0.4", "--arm-length", "0.2", "--speed", "5", "--torque", "2", "--patience", "7", "--seed", "3")
+    options = (
+        "--mu",
+        "0.4",
+        "--arm-length",
+        "0.2",
+        "--speed",
+        "5",
+        "--torque",
+        "2",
+        "--time-budget",
+        "7",
+        "--seed",
+        "3",
+    )
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out", *options))
     assert code == 0
     assert asked["rope"] == CABLE
@@ -60,6 +73,45 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     assert told["hold"]["force_N"] > told["hold"]["tail_weight_times_exp_N"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
     assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["arm_stops_s"], abs=5e-3)
+
+
+def test_a_set_up_file_gives_rope_arm_limits_and_target(hyperflex, ready, tmp_path):
+    peg, setup = hf.Peg(-0.83, -1.07, 0.04, 0.25), tmp_path / "setup.toml"
+    hf.Setup(CABLE, hf.swings(), hf.Arm(length=0.15), pegs=(peg,)).to_toml(setup)
+    setup.write_text(setup.read_text() + "\n[limits]\nspeed = 4.0\ntorque = 3.0\n")
+    asked = ready("winds")
+    assert hyperflex("cast", setup, "-o", tmp_path / "out")[0] == 0
+    assert (asked["rope"], asked["arm"], asked["target"]) == (CABLE, hf.Arm(length=0.15), peg)
+    assert asked["limits"] == hf.MotorLimits(speed=4.0, torque=3.0)
+    options = ("--speed", "5", "--mu", "0.5", "--arm-length", "0.2", "--target", "0", "1")
+    assert hyperflex("cast", setup, *options, "-o", tmp_path / "out")[0] == 0
+    assert (asked["target"], asked["arm"]) == (hf.Peg(0.0, 1.0, 0.04, 0.5), hf.Arm(length=0.2))
+    assert asked["limits"] == hf.MotorLimits(speed=5.0, torque=3.0)
+
+
+def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, rope_file, ready, tmp_path):
+    asked = ready("winds")
+    assert hyperflex(*arguments(rope_file, tmp_path / "out"))[0] == 0
+    assert hyperflex("cast", tmp_path / "out" / "cast.toml", "-o", tmp_path / "again")[0] == 0
+    assert asked["target"] == planned().peg
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "no rope is given"),
+        ("ROPE", "--target and --radius missing"),
+        ("ROPE\n[limits]\npace = 3.0\n", "[limits] does not fit"),
+        ("ROPE\n[pegs]\nx = [0.0, 1.0]\ny = [1.0, 1.0]\nradius = [0.1, 0.1]\n", "more than a target"),
+    ],
+)
+def test_a_set_up_file_that_does_not_do_is_refused(hyperflex, tmp_path, content, words):
+    hf.Setup(CABLE).to_toml(tmp_path / "plain.toml")
+    plain = (tmp_path / "plain.toml").read_text()
+    (tmp_path / "setup.toml").write_text("tol = 1e-5\n" + content.replace("ROPE", plain[plain.index("[rope]") :]))
+    code, out, err = hyperflex("cast", tmp_path / "setup.toml", "-o", tmp_path / "out")
+    assert (code, out) == (2, "")
+    assert words in err
 
 
 def test_a_robust_plan_says_how_often_it_wins(hyperflex, rope_file, ready, tmp_path):
@@ -107,14 +159,14 @@ def test_a_target_out_of_reach_comes_with_the_nearest_one_and_with_remedies(
 
 def test_a_target_out_of_reach_is_searched_for_if_one_insists(hyperflex_json, rope_file, ready, tmp_path):
     asked = ready("misses")
-    hyperflex_json(*arguments(rope_file, tmp_path / "out", "--regardless", "--time-limit", "9.5"))
+    hyperflex_json(*arguments(rope_file, tmp_path / "out", "--skip-feasibility", "--time-limit", "9.5"))
     assert (asked["regardless"], asked["time_limit"]) == (True, 9.5)
 
 
 def test_a_plan_for_the_nearest_target_is_written(hyperflex, rope_file, ready, tmp_path):
     near = Nearest(planned().peg, 0.0712, planned(), 1)
     asked = ready("misses", nearest=near)
-    code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", "--elsewhere"))
+    code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", "--fallback-targets"))
     assert (code, asked["elsewhere"]) == (4, True)
     assert "Nearest target that works: x = -0.8338 m, y = -1.074 m, 7.12 cm away" in " ".join(out.split())
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES - {"tug.png"} | {"nearest.toml"}
@@ -150,7 +202,7 @@ def test_a_throw_that_was_not_verified_has_no_numbers(hyperflex, hyperflex_json,
         assert "not known" in words
         assert "strikes" not in words
         assert "the target itself is in reach" in words
-        assert ("time allowed for it; give more --patience" in words) == (name == "late")
+        assert ("time allowed for it; give more --time-budget" in words) == (name == "late")
         assert ("best so far" in err) == (name == "stopped")
 
 
@@ -172,7 +224,7 @@ def test_a_target_that_cannot_be_wound_is_told_at_once(hyperflex, rope_file, tmp
     code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", target=target))
     assert code == 4
     assert words in out
-    assert ("--regardless" in out) == (words == "rule of thumb")  # for the others no search helps
+    assert ("--skip-feasibility" in out) == (words == "rule of thumb")  # for the others no search helps
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["report.html"]
     assert words in (tmp_path / "out" / "report.html").read_text()
 
@@ -189,7 +241,7 @@ def test_a_target_that_cannot_be_wound_is_told_at_once(hyperflex, rope_file, tmp
         ({}, ("--acceleration", "0"), "motor acceleration"),
         ({}, ("--torque", "0"), "motor torque"),
         ({}, ("--arm-length", "0"), "--arm-length"),
-        ({}, ("--patience", "0"), "patience"),
+        ({}, ("--time-budget", "0"), "--time-budget"),
         ({}, ("--time-limit", "0"), "--time-limit"),
         ({}, ("--rate", "0"), "--rate"),
         ({}, ("--hold", "-1"), "hold"),
@@ -213,7 +265,7 @@ def test_a_rope_of_one_link_is_refused(hyperflex, tmp_path):
 
 def test_a_rope_with_dry_friction_is_refused(hyperflex, tmp_path):
     CABLE.replace(dry_friction=1e-4).to_toml(tmp_path / "dry.toml")
-    code, _, err = hyperflex(*arguments(tmp_path / "dry.toml", tmp_path / "out", "--patience", "5"))
+    code, _, err = hyperflex(*arguments(tmp_path / "dry.toml", tmp_path / "out", "--time-budget", "5"))
     assert code == 2
     assert "dry friction" in err
 

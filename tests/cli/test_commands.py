@@ -84,7 +84,7 @@ SWALLOWED = (
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C cannot be sent to one process")
 @pytest.mark.parametrize("met", [PLAIN, SWALLOWED], ids=["plain", "made another error by a library"])
 def test_a_real_ctrl_c_says_so(tmp_path, met):
-    code = "import os, signal; from hyperflex.report import demo; from hyperflex.cli import main\n"
+    code = "import os, signal; from hyperflex import demo; from hyperflex.cli import main\n"
     code += "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # whatever the tests' own parent has set
     code += f"def work(*_):\n{met}demo.write_demo = work\nmain()"
     done = subprocess.run(

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hyperflex.demo import report as demo
+from hyperflex import demo
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_demo_as_json(hyperflex_json, ready, tmp_path):
     assert result["source"] == "simulated"
     assert all(Path(path).exists() for path in result["files"].values())
     assert result["plan"]["success"]
-    assert result["hold_force_N"] == ready.winding.held.force
+    assert result["hold_force_N"] == ready.demo.held.force
     for name, parameter in result["parameters"].items():
         low, high = parameter["interval_95"]
         assert parameter["covered"] == (low <= parameter["mapped_truth"] <= high), name

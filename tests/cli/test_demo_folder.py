@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.demo.figures import prediction_figure
 from hyperflex.demo.report import held_out_rms, write_demo
 from hyperflex.errors import FileProblem
 
@@ -29,7 +28,7 @@ def test_the_folder_is_complete(demo_report):
         "course.png",
         "tug.png",
         "motion.csv",
-        "plan.toml",
+        "wound.toml",
         "rope.toml",
         "identification.json",
         "summary.md",
@@ -47,12 +46,6 @@ def test_intervals_cover_the_mapped_truth_and_exclude_the_guess(demo_report):
         assert low < each.mapped < high, each
         assert each.covered
         assert not low < each.guess < high, each
-
-
-def test_links_of_the_prediction_are_counted_from_1(demo_report):
-    demo = demo_report.demo
-    figure = prediction_figure(demo.recording, demo.identification, (0, 9))
-    assert [axis.get_title("left") for axis in figure.axes] == ["link 1 of 10", "link 10 of 10 (the tip)"]
 
 
 def test_a_parameter_outside_its_interval_is_told(demo_report):
@@ -85,17 +78,17 @@ def test_files_can_be_used_again(demo_report):
 
 
 def test_the_demo_ends_wound_and_held(demo_report):
-    plan, held = demo_report.demo.plan, demo_report.winding.held
+    plan, held = demo_report.demo.plan, demo_report.demo.held
     assert plan.success, plan.reason
     assert abs(plan.cast.turns) >= 1.25
     assert held.force > held.tail
-    wound = hf.read_trajectory(demo_report.files["wound"])
+    wound = hf.read_trajectory(demo_report.files["run"])
     np.testing.assert_array_equal(wound.q, plan.cast.run.q)
     page = demo_report.files["page"].read_text("utf-8")
     for told in (f"{abs(plan.cast.turns):.2f} turns", f"{held.force:.2f} N", f"{plan.throw.count} swings", "40 links"):
         assert told in page
     # Whether the rope of the recording winds too is told as it is: it is no promise of a plan on an identified rope.
-    assert (demo_report.winding.verdicts[1][0]) == demo_report.demo.proof.success
+    assert (demo_report.verdicts[1][0]) == demo_report.demo.proof.success
 
 
 def test_the_page_says_simulated_and_names_no_folder(demo_report):

@@ -12,7 +12,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import files, identification
-from hyperflex.cli import output, rounds
+from hyperflex.cli import identify, output
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ DECLARED = ("--time-unit", "ms", "--unit", "deg")
 
 
 def test_identify_writes_the_rope_and_its_figures(hyperflex, swing):
-    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml")
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml")
     code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments, *DECLARED)
     assert code == 0
     assert "friction" in out
@@ -41,7 +41,7 @@ def test_identify_writes_the_rope_and_its_figures(hyperflex, swing):
 
 
 def test_identify_as_json_with_a_held_out_part(hyperflex_json, swing):
-    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "--free", "inertia", "--train", "2")
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "--free", "inertia", "--train", "2")
     code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "-o", swing / "rope.toml", *DECLARED)
     assert code == 0
     assert result["values"]["friction"][0] == pytest.approx(2e-4, rel=1e-2)
@@ -51,7 +51,7 @@ def test_identify_as_json_with_a_held_out_part(hyperflex_json, swing):
 
 def test_what_is_not_declared_is_refused(hyperflex_json, swing):
     code, result = hyperflex_json(
-        "identify", swing / "swing.csv", "--rope", swing / "guess.toml", "-o", swing / "rope.toml", "--time-unit", "ms"
+        "identify", swing / "swing.csv", "--guess", swing / "guess.toml", "-o", swing / "rope.toml", "--time-unit", "ms"
     )
     assert code == 2
     assert "unit" in result["error"]
@@ -62,7 +62,7 @@ def test_columns_can_be_named(hyperflex_json, swing):
     names, values = files.read_table(swing / "swing.csv")
     files.write_table(swing / "other.csv", ["clock", "hinge", "note"], np.column_stack([values, values[:, 0]]))
     assert names == ["t", "th1"]
-    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     named = ("--kind", "angles", "--time", "clock", "--columns", "hinge")
     code, result = hyperflex_json("identify", swing / "other.csv", *arguments, *named)
     assert code == 0
@@ -78,7 +78,7 @@ def test_ctrl_c_keeps_the_best_so_far_and_exits_with_130(hyperflex_json, swing, 
         return dataclasses.replace(whole(*arguments, **options), status="interrupted")
 
     monkeypatch.setattr(identification, "identify", interrupted)
-    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the tests' own parent has set
     try:
         code, result = hyperflex_json("identify", swing / "swing.csv", *arguments)
@@ -96,7 +96,7 @@ def test_a_fit_that_did_not_converge_is_written_marked_and_exits_with_3(hyperfle
         return dataclasses.replace(whole(*arguments, **options), status="not converged")
 
     monkeypatch.setattr(identification, "identify", unsettled)
-    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments)
     assert code == 3
     assert "not converged" in "".join(out.splitlines()[:2])
@@ -113,7 +113,7 @@ def test_ctrl_c_prints_the_best_so_far(hyperflex, swing, monkeypatch):
         return dataclasses.replace(whole(*arguments, **options), status="interrupted")
 
     monkeypatch.setattr(identification, "identify", interrupted)
-    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     code, out, err = hyperflex("identify", swing / "swing.csv", *arguments)
     assert code == 130
     assert "friction" in out
@@ -122,7 +122,7 @@ def test_ctrl_c_prints_the_best_so_far(hyperflex, swing, monkeypatch):
 
 
 def test_intervals_and_the_fastest_turn_can_be_chosen(hyperflex, hyperflex_json, swing):
-    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "--intervals", "none")
     assert code == 0
     assert result["intervals"] == {}
@@ -138,7 +138,7 @@ def test_intervals_and_the_fastest_turn_can_be_chosen(hyperflex, hyperflex_json,
 @pytest.mark.parametrize("taken", ["swing.csv", "guess.toml"])
 def test_no_input_is_overwritten(hyperflex, swing, taken):
     before = (swing / taken).read_bytes()
-    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / taken, *DECLARED)
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / taken, *DECLARED)
     code, out, err = hyperflex("identify", swing / "swing.csv", *arguments)
     assert (code, out) == (2, "")
     assert "is one of the inputs" in err
@@ -146,7 +146,7 @@ def test_no_input_is_overwritten(hyperflex, swing, taken):
 
 
 def test_a_wrong_suffix_is_refused(hyperflex, swing):
-    arguments = ("--rope", swing / "guess.toml", "-o", swing / "rope.nc", *DECLARED)
+    arguments = ("--guess", swing / "guess.toml", "-o", swing / "rope.nc", *DECLARED)
     code, _, err = hyperflex("identify", swing / "swing.csv", *arguments)
     assert code == 2
     assert ".toml" in err
@@ -157,7 +157,7 @@ def test_a_wrong_suffix_is_refused(hyperflex, swing):
 
 
 def test_a_folder_gets_rope_figures_and_page(hyperflex, swing):
-    arguments = ("--rope", swing / "guess.toml", "--free", "friction,inertia", "--train", "2", *DECLARED)
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction,inertia", "--train", "2", *DECLARED)
     code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments, "-o", swing / "found")
     assert code == 0
     assert sorted(path.name for path in (swing / "found").iterdir()) == [
@@ -177,7 +177,7 @@ def test_a_folder_gets_rope_figures_and_page(hyperflex, swing):
 
 def test_a_folder_as_json_names_its_files(hyperflex_json, swing):
     (swing / "found.v2").mkdir()  # a folder that is there already may have any name
-    arguments = ("--rope", swing / "guess.toml", "--free", "friction", *DECLARED)
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", *DECLARED)
     code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "-o", swing / "found.v2")
     assert code == 0
     assert result["files"]["page"] == str(swing / "found.v2" / "report.html")
@@ -189,7 +189,7 @@ def test_a_folder_does_not_overwrite_its_own_input(hyperflex, swing):
     guess = swing / "found" / "rope.toml"
     (swing / "guess.toml").rename(guess)
     before = guess.read_bytes()
-    code, _, err = hyperflex("identify", swing / "swing.csv", "--rope", guess, "-o", swing / "found", *DECLARED)
+    code, _, err = hyperflex("identify", swing / "swing.csv", "--guess", guess, "-o", swing / "found", *DECLARED)
     assert code == 2
     assert "is one of the inputs" in err
     assert guess.read_bytes() == before
@@ -202,7 +202,7 @@ def test_an_interrupted_fit_leaves_a_whole_folder_marked_as_such(hyperflex, swin
         return dataclasses.replace(whole(*arguments, **options), status="interrupted")
 
     monkeypatch.setattr(identification, "identify", interrupted)
-    arguments = ("--rope", swing / "guess.toml", "--free", "friction", *DECLARED)
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", *DECLARED)
     code, out, err = hyperflex("identify", swing / "swing.csv", *arguments, "-o", swing / "found")
     assert code == 130
     assert "friction" in out  # the table of the best so far
@@ -233,9 +233,11 @@ def led(tmp_path):
 MARKERS = ("--kind", "markers", "--time-unit", "s", "--unit", "m", "--y-axis", "up", "--free", "friction:shared")
 
 
-@pytest.mark.parametrize("arcs", [("--arc", "0.05,0.1,0.2,0.3"), ("--arc", "0.05,0.1", "--arc", "0.2,0.3")])
+@pytest.mark.parametrize(
+    "arcs", [("--arc-lengths", "0.05,0.1,0.2,0.3"), ("--arc-lengths", "0.05,0.1", "--arc-lengths", "0.2,0.3")]
+)
 def test_arcs_origin_and_setup_reach_the_fit(hyperflex_json, led, arcs):
-    arguments = ("--rope", led / "guess.toml", "--setup", led / "setup.toml", "--origin", "0.05,-0.02", *arcs)
+    arguments = ("--guess", led / "guess.toml", "--setup", led / "setup.toml", "--origin", "0.05,-0.02", *arcs)
     options = ("--loss", "huber", "--train", "inf", *MARKERS)
     code, result = hyperflex_json("identify", led / "led.csv", *arguments, *options, "-o", led / "rope.toml")
     assert code == 0
@@ -249,13 +251,13 @@ def test_arcs_origin_and_setup_reach_the_fit(hyperflex_json, led, arcs):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--arc", "0.1,here"), "--arc holds something that is no number"),
-        (("--arc", "0.05,0.1,0.2,0.3", "--origin", "0.05"), "origin"),
-        (("--arc", "0.05,0.1,0.2,0.3", "--loss", "cubes"), "loss"),
+        (("--arc-lengths", "0.1,here"), "--arc-lengths holds something that is no number"),
+        (("--arc-lengths", "0.05,0.1,0.2,0.3", "--origin", "0.05"), "origin"),
+        (("--arc-lengths", "0.05,0.1,0.2,0.3", "--loss", "cubes"), "loss"),
     ],
 )
 def test_bad_options_are_refused_by_name(hyperflex, led, options, message):
-    arguments = ("--rope", led / "guess.toml", *options, *MARKERS, "-o", led / "found")
+    arguments = ("--guess", led / "guess.toml", *options, *MARKERS, "-o", led / "found")
     code, _, err = hyperflex("identify", led / "led.csv", *arguments)
     assert code == 2
     assert message in err
@@ -266,7 +268,15 @@ def test_a_torque_cannot_lead_an_identification(hyperflex, led):
     rope = hf.Rope.from_toml(led / "guess.toml")
     torque = hf.torque_profile([0.0, 1.0], [0.1, 0.1])
     hf.Setup(rope, arm=hf.Arm(length=0.1, inertia=1e-3), torque=torque).to_toml(led / "torque.toml")
-    arguments = ("--rope", led / "guess.toml", "--arc", "0.05,0.1,0.2,0.3", "--setup", led / "torque.toml", *MARKERS)
+    arguments = (
+        "--guess",
+        led / "guess.toml",
+        "--arc-lengths",
+        "0.05,0.1,0.2,0.3",
+        "--setup",
+        led / "torque.toml",
+        *MARKERS,
+    )
     code, _, err = hyperflex("identify", led / "led.csv", *arguments, "-o", led / "found")
     assert code == 2
     assert "drives its arm by a torque" in err
@@ -279,14 +289,14 @@ def test_the_bar_moves_forward_and_tells_stage_and_round(monkeypatch, capsys):
     entries = [
         {"stage": stage, "stages": 2, "round": k, "window": 0.25, "gain": 0.5} for stage in range(2) for k in range(9)
     ]
-    parts = [rounds.reached(entry) for entry in entries]
+    parts = [identify._part_done(entry) for entry in entries]
     assert parts == sorted(parts)
     assert 0.0 < parts[0] < 0.5
     assert parts[9] > 0.5
     assert parts[-1] < 1.0
-    assert rounds.told(entries[10]) == "stage 2 of 2, windows of 0.25 s: round 2 gained 50 %"
+    assert identify._message(entries[10]) == "stage 2 of 2, windows of 0.25 s: round 2 gained 50 %"
     monkeypatch.setattr(output, "watched", lambda as_json: True)
-    with rounds.bar(False) as hear:
+    with identify._bar(False) as hear:
         for entry in entries:
             hear(entry)
     assert capsys.readouterr().out == ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hyperflex.paper.report import casting_figures as casting
+from hyperflex.paper.report import casting
 
 
 def test_reproduce_writes_files_and_prints_verdicts(hyperflex, tmp_path):
@@ -38,7 +38,7 @@ def test_an_unknown_figure_is_refused(hyperflex_json, tmp_path):
 
 
 def test_ctrl_c_while_drawing_leaves_the_folder_as_it_was(hyperflex, tmp_path, monkeypatch):
-    def interrupted(_):
+    def interrupted():
         raise KeyboardInterrupt
 
     monkeypatch.setattr(casting, "fig10", interrupted)

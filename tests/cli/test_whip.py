@@ -43,8 +43,19 @@ def arguments(rope, out, *more, target=("0.3", "-0.9")):
 
 def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     asked = ready(planned_whip())
-    options = ("--direction", "30", "--within", "15", "--tip-speed", "2", "--arm-length", "0.2", "--speed", "5")
-    code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out", *options, "--patience", "7", "--seed", "3"))
+    options = (
+        "--direction",
+        "30",
+        "--angle-tolerance",
+        "15",
+        "--least-speed",
+        "2",
+        "--arm-length",
+        "0.2",
+        "--speed",
+        "5",
+    )
+    code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out", *options, "--time-budget", "7", "--seed", "3"))
     assert code == 0
     assert (asked["rope"], asked["arm"], asked["point"]) == (ROPE, hf.Arm(length=0.2), (0.3, -0.9))
     np.testing.assert_allclose(asked["direction"], [math.cos(math.pi / 6), 0.5], rtol=1e-12)
@@ -55,9 +66,37 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     assert (told["source"], told["reason"], told["strokes"]) == ("simulated", "", 3)
     assert told["lash"]["miss_m"] == planned_whip().lash.miss
     assert told["target"]["direction_rad"] == planned_whip().mark.direction
-    assert told["blow"]["impulse_Ns"] == planned_whip().impact().impulse
+    assert told["impact"]["impulse_Ns"] == planned_whip().impact().impulse
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
     assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["arm_stops_s"], abs=5e-3)
+
+
+def test_a_set_up_file_gives_rope_arm_and_target(hyperflex, ready, tmp_path):
+    setup = tmp_path / "setup.toml"
+    hf.Setup(ROPE, arm=hf.Arm(length=0.15)).to_toml(setup)
+    target = "[target]\nx = 0.3\ny = -0.9\ndirection = 0.5\nangle_tolerance = 0.2\nleast_speed = 3.0\n"
+    setup.write_text(setup.read_text() + target)
+    asked = ready(planned_whip())
+    assert hyperflex("whip", setup, "-o", tmp_path / "out")[0] == 0
+    assert (asked["rope"], asked["arm"], asked["point"]) == (ROPE, hf.Arm(length=0.15), (0.3, -0.9))
+    np.testing.assert_allclose(asked["direction"], [math.cos(0.5), math.sin(0.5)], rtol=1e-12)
+    assert (asked["within"], asked["least_speed"]) == (0.2, 3.0)
+    assert hyperflex("whip", setup, "--target", "0.1", "-0.8", "--least-speed", "2", "-o", tmp_path / "out")[0] == 0
+    assert (asked["point"], asked["least_speed"], asked["within"]) == ((0.1, -0.8), 2.0, 0.2)
+    setup.write_text(setup.read_text() + "speed = 3.0\n")
+    code, _, err = hyperflex("whip", setup, "-o", tmp_path / "out")
+    assert code == 2
+    assert "[target] does not fit" in err
+
+
+def test_obstacles_and_a_missing_target_are_refused(hyperflex, rope_file, tmp_path):
+    hf.Setup(ROPE, pegs=(hf.Peg(0.0, 1.0, 0.1),)).to_toml(tmp_path / "setup.toml")
+    code, _, err = hyperflex("whip", tmp_path / "setup.toml", "--target", "0.3", "-0.9", "-o", tmp_path / "out")
+    assert code == 2
+    assert "without obstacles" in err
+    code, _, err = hyperflex("whip", "--rope", rope_file, "-o", tmp_path / "out")
+    assert code == 2
+    assert "--target is missing" in err
 
 
 def test_without_a_direction_any_will_do(hyperflex_json, rope_file, ready, tmp_path):
@@ -65,7 +104,7 @@ def test_without_a_direction_any_will_do(hyperflex_json, rope_file, ready, tmp_p
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
     assert code == 0
     assert asked["direction"] is None
-    assert set(told["target"]) == {"x_m", "y_m", "speed_m_s"}
+    assert set(told["target"]) == {"x_m", "y_m", "least_speed_m_s"}
     assert "off_rad" not in told["lash"]
     assert "in any direction" in (tmp_path / "out" / "report.html").read_text()
 
@@ -99,13 +138,13 @@ def test_a_target_out_of_reach_is_a_page_with_the_reason(hyperflex, rope_file, r
     ("more", "words"),
     [
         (("--direction", "nan"), "--direction"),
-        (("--within", "0"), "--within"),
-        (("--within", "200"), "within is too large"),
-        (("--tip-speed", "0"), "--tip-speed"),
+        (("--angle-tolerance", "0"), "--angle-tolerance"),
+        (("--angle-tolerance", "200"), "within is too large"),
+        (("--least-speed", "0"), "--least-speed"),
         (("--arm-length", "0"), "--arm-length"),
         (("--speed", "0"), "motor speed"),
         (("--acceleration", "0"), "motor acceleration"),
-        (("--patience", "0"), "patience"),
+        (("--time-budget", "0"), "--time-budget"),
         (("--rate", "0"), "--rate"),
         (("--seed", "-1"), "seed"),
     ],

@@ -5,18 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex import paper
-from hyperflex.paper import READINGS, T_MOVE, cast
+from hyperflex.paper import READINGS, T_MOVE, cable
+from hyperflex.paper import casting_results as results
+from hyperflex.paper.casting import cast
 
 
 def test_the_cable_is_the_papers():
-    cable = paper.cable()
-    assert cable.n_links == 50
-    assert cable.total_length == pytest.approx(2.0, rel=1e-14)
-    assert cable.total_mass == pytest.approx(0.125, rel=1e-14)
+    rope = cable()
+    assert rope.n_links == 50
+    assert rope.total_length == pytest.approx(2.0, rel=1e-14)
+    assert rope.total_mass == pytest.approx(0.125, rel=1e-14)
     # Printed with four digits in the specification; the paper's own 3.37e-4 is a thousand times too large.
-    assert cable.inertia[0] == pytest.approx(3.372e-7, rel=2e-4)
-    assert paper.cable("printed").friction_model == "printed"
+    assert rope.inertia[0] == pytest.approx(3.372e-7, rel=2e-4)
+    assert cable("printed").friction_model == "printed"
 
 
 def test_a_cast_starts_hanging_with_the_arm_to_the_left():
@@ -38,7 +39,7 @@ def test_the_arm_moves_in_the_intervals_and_rests_between_them():
 
 @pytest.mark.parametrize("name", ["fig9", "fig10", "fig11", "fig12"])
 def test_tables_have_equal_columns_units_and_a_source(name):
-    table = getattr(paper, name)()
+    table = getattr(results, name)()
     assert table.name == name
     sizes = {column.size for column in table.columns.values()}
     assert sizes == {1401}  # 14 s at 100 rows a second, both ends
@@ -49,7 +50,7 @@ def test_tables_have_equal_columns_units_and_a_source(name):
 
 
 def test_tables_hold_every_reading_and_outcome():
-    columns = paper.fig10().columns
+    columns = results.fig10().columns
     for reading in READINGS:
         for outcome in ("success", "failure"):
             for axis, name in enumerate("xy"):
@@ -58,6 +59,6 @@ def test_tables_hold_every_reading_and_outcome():
 
 
 def test_portraits_and_tables_agree_on_when_the_arm_moves():
-    moving = paper.fig12().columns["moving_success"]
+    moving = results.fig12().columns["moving_success"]
     # 0.73 s of each 1.26 s; 14 s hold 11 whole cycles and a bit that moves.
     assert moving.mean() == pytest.approx((11 * 0.73 + 0.14) / 14.0, abs=0.01)  # 12 cycles of samples, each 1/1400

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 import hyperflex as hf
+from hyperflex import planning
 from hyperflex.model import divided
 from hyperflex.planning import Mark, MotorLimits, Strokes, Thrower, WhipPlan, WhipReach
 from hyperflex.planning.whip.outcome import lash
@@ -38,9 +39,9 @@ def planned_whip(meets: bool = True, anyhow: bool = False) -> WhipPlan:
 
 def far_whip() -> WhipPlan:
     """Return the plan for a target that is out of reach."""
-    return hf.casting.plan_whip(ROPE, hf.Arm(length=0.1), (2.5, 0.0), (1.0, 0.0), known=_map())
+    return planning.plan_whip(ROPE, hf.Arm(length=0.1), (2.5, 0.0), (1.0, 0.0), known=_map())
 
 
 @functools.cache
-def _map() -> hf.casting.WhipMap:
-    return hf.casting.whip_map(Thrower(ROPE, hf.Arm(length=0.1), MotorLimits(), 2.0), swings=8)
+def _map() -> planning.WhipMap:
+    return planning.whip_map(Thrower(ROPE, hf.Arm(length=0.1), MotorLimits(), 2.0), swings=8)

@@ -11,13 +11,14 @@ import pytest
 from PIL import Image
 
 import hyperflex as hf
-from hyperflex.planning.wind.holding import holding
+from hyperflex.planning import tug_wound
 from hyperflex.planning.wind.nearest_target import Nearest
 from hyperflex.report.animation import animate
 from hyperflex.report.cast.figures import course_figure, strike_figure, tug_figure
-from hyperflex.report.cast.folder import FILES, film_note, write_cast
-from hyperflex.report.cast.place import place_figure
-from hyperflex.report.cast.words import folds, instead, story, tiles, verdict
+from hyperflex.report.cast.report import film_note
+from hyperflex.report.cast.report import write_cast as write_cast_report
+from hyperflex.report.cast.target_map import target_map
+from hyperflex.report.cast.words import advice, folds, story, tiles, verdict
 from hyperflex.report.style import png
 from tests.planning.known import PEG, late, planned, stopped, unreachable
 
@@ -26,17 +27,21 @@ def opened(path):
     return Image.open(io.BytesIO(path.read_bytes()))
 
 
+def write_cast(folder, plan, held=None):
+    return write_cast_report(folder, plan, held)
+
+
 def words_of(path):
     return re.sub(r"\s+", " ", re.sub(r"<[^>]*>|src=\"data:[^\"]*\"", " ", path.read_text("utf-8")))
 
 
 @pytest.fixture(scope="module")
 def held():
-    return holding(planned().cast.run, PEG)
+    return tug_wound(planned().cast, PEG)
 
 
-def test_the_page_names_target_swings_turns_and_hold(tmp_path):
-    files, held = write_cast(tmp_path / "out", planned())
+def test_the_page_names_target_swings_turns_and_hold(tmp_path, held):
+    files = write_cast(tmp_path / "out", planned(), held)
     page = words_of(files["page"])
     for told in (
         "x = -0.834 m, y = -1.07 m",
@@ -59,8 +64,8 @@ def test_the_page_names_target_swings_turns_and_hold(tmp_path):
 
 
 def test_a_plan_without_a_throw_is_a_page_with_the_reason(tmp_path):
-    files, held = write_cast(tmp_path / "out", unreachable())
-    assert held is None
+    assert tug_wound(unreachable().cast, PEG) is None
+    files = write_cast(tmp_path / "out", unreachable())
     assert list(files) == ["page"]
     assert "out of reach: the rope ends" in words_of(files["page"])
 
@@ -68,7 +73,7 @@ def test_a_plan_without_a_throw_is_a_page_with_the_reason(tmp_path):
 @pytest.mark.parametrize(
     ("made", "told"),
     [
-        (late, "the verification of the best throw took longer than the time allowed for it; give more --patience."),
+        (late, "the verification of the best throw took longer than the time allowed for it; give more --time-budget."),
         (stopped, "interrupted before any throw was verified."),
         (unreachable, "out of reach: the rope ends 0.36 m short of the target."),
         (lambda: planned(winds=False), "the rope does not touch the peg."),
@@ -76,7 +81,7 @@ def test_a_plan_without_a_throw_is_a_page_with_the_reason(tmp_path):
     ids=["late", "stopped", "unreachable", "misses"],
 )
 def test_a_plan_that_fails_says_so_first(tmp_path, made, told):
-    page = words_of(write_cast(tmp_path / "out", made())[0]["page"])
+    page = words_of(write_cast(tmp_path / "out", made())["page"])
     assert page.index("No cast found round a target at x") < page.index("In short")
     after = page[page.index("In short") + len("In short") :].strip()
     assert after.startswith(f"No cast that winds and holds was found: {told}")
@@ -86,7 +91,7 @@ def test_a_plan_that_fails_says_so_first(tmp_path, made, told):
 
 @pytest.mark.parametrize("made", [late, stopped], ids=["late", "stopped"])
 def test_what_was_not_run_to_its_end_is_not_known(tmp_path, made):
-    path = write_cast(tmp_path / "out", made())[0]["page"]
+    path = write_cast(tmp_path / "out", made())["page"]
     page = words_of(path)
     assert "not known strike, turns and hold" in page
     assert 'class="bad"' not in path.read_text("utf-8")
@@ -98,7 +103,7 @@ def test_what_was_not_run_to_its_end_is_not_known(tmp_path, made):
 @pytest.mark.parametrize("made", [late, stopped, lambda: stopped(None)], ids=["late", "stopped", "no throw"])
 def test_a_target_in_reach_that_is_not_to_blame_comes_with_advice(tmp_path, made):
     plan = made()
-    page = words_of(write_cast(tmp_path / "out", plan)[0]["page"])
+    page = words_of(write_cast(tmp_path / "out", plan)["page"])
     assert "the target itself is in reach" in page
     assert "another --seed" in page
     assert "Nearest" not in page
@@ -119,9 +124,9 @@ def test_advice_is_about_what_failed(change, told):
     who = dataclasses.replace(plan.thrower, limits=hf.MotorLimits(torque=0.3))
     cast = dataclasses.replace(plan.cast, **({"torque": 0.1} | change))
     failed = dataclasses.replace(plan, thrower=who, cast=cast, reason="it fails", nearest=Nearest(PEG, 0.0))
-    advice = " ".join(instead(failed))
-    assert told in advice
-    assert ("--seed" in advice) == ("--seed" in told)
+    given = " ".join(advice(failed))
+    assert told in given
+    assert ("--seed" in given) == ("--seed" in told)
 
 
 def test_a_graze_and_a_fold_are_told(tmp_path):
@@ -135,18 +140,17 @@ def test_a_graze_and_a_fold_are_told(tmp_path):
     assert "folds by 229 degrees" in told
 
 
-def test_files_of_an_earlier_cast_go_with_it(tmp_path):
-    write_cast(tmp_path, planned())
+def test_files_of_an_earlier_cast_go_with_it(tmp_path, held):
+    write_cast(tmp_path, planned(), held)
     assert (tmp_path / "motion.csv").exists()
     (tmp_path / "notes.txt").write_text("mine")
     write_cast(tmp_path, stopped(None))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "report.html"]
-    assert set(FILES) >= {path.name for path in write_cast(tmp_path / "new", planned())[0].values()}
 
 
 def test_a_target_in_reach_that_no_throw_winds_is_not_said_to_be_out_of_reach():
     plan = dataclasses.replace(planned(winds=False), nearest=Nearest(PEG, 0.0))
-    told = " ".join(instead(plan))
+    told = " ".join(advice(plan))
     assert "Nearest target that should be easier" in told
     assert "this target is in reach, too" in told
 
@@ -161,9 +165,9 @@ def test_what_the_rule_of_thumb_says_is_said_to_be_that():
 
 def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
     plan = unreachable()
-    page = write_cast(tmp_path / "out", plan)[0]["page"].read_text("utf-8")
+    page = write_cast(tmp_path / "out", plan)["page"].read_text("utf-8")
     assert page.count("data:image/png") == 1
-    figure = place_figure(plan)
+    figure = target_map(plan)
     (axis,) = figure.axes
     discs = [(patch.center, patch.radius) for patch in axis.patches]
     assert discs[0][0] == (2.5, 0.0)

@@ -5,26 +5,27 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex import files, paper
-from hyperflex.paper import SMALL, SWINGS, WIDE, Claim, Swing, identification_figures, methods, record, revised
-from hyperflex.paper.report import identification as identification_part
-from hyperflex.paper.report import identification_figures as revision_figures
+from hyperflex import files
+from hyperflex.paper import Claim
+from hyperflex.paper import identification_results as results
+from hyperflex.paper.identification import SMALL, SWINGS, WIDE, Swing, methods, record, revised
+from hyperflex.paper.report import identification
+from hyperflex.paper.report.part import verdicts, write_part
 from hyperflex.paper.report.reproduce import reproduce
-from hyperflex.paper.report.tables import verdicts
 
 
 @pytest.fixture
 def few_counts(monkeypatch):
     """Fig. 6 with three counts in place of nine, and no finer chain: seconds in place of half a minute."""
-    monkeypatch.setattr(identification_figures, "COUNTS", (22, 41, 81))
-    monkeypatch.setattr(revision_figures, "CURVES", SWINGS)
-    monkeypatch.setattr(revision_figures, "CURVES", SWINGS)
+    monkeypatch.setattr(results, "COUNTS", (22, 41, 81))
+    monkeypatch.setattr(results, "CURVES", SWINGS)
+    monkeypatch.setattr(identification, "CURVES", SWINGS)
 
 
 def test_fig3_shows_both_starts_of_every_link():
-    figure = revision_figures.fig3()
+    figure = identification.fig3()
     assert len(figure.axes) == 2 * len(SWINGS)
-    table = paper.fig3()
+    table = results.fig3()
     for axis, swing in zip(figure.axes[::2], SWINGS, strict=True):
         drawn = {line.get_label(): line.get_ydata() for line in axis.get_lines()}
         for name in ("measured", "optimised"):
@@ -36,22 +37,22 @@ def test_fig3_shows_both_starts_of_every_link():
 
 
 def test_fig5_shows_circles_where_it_was_measured_and_what_is_left():
-    top, below = revision_figures.fig5().axes
+    top, below = identification.fig5().axes
     circles = next(line for line in top.get_lines() if line.get_label() == "measured")
     assert circles.get_linestyle() == "None"
     np.testing.assert_array_equal(circles.get_ydata(), record(SMALL).data[:, -1])
     left = {line.get_color(): np.sqrt(np.mean(line.get_ydata() ** 2)) for line in below.get_lines()}
-    revised_left, guessed_left = left[revision_figures.BLUE], left[revision_figures.RED]
+    revised_left, guessed_left = left[identification.BLUE], left[identification.RED]
     assert revised_left < 12.0 < guessed_left  # mrad; the noise is 10
-    table = paper.fig5()
+    table = results.fig5()
     away = table.columns["measured_5"] - table.columns["calculated_5"]
     assert 1e3 * np.sqrt(np.mean(away**2)) == pytest.approx(revised_left, rel=1e-3)
 
 
 def test_fig6_has_a_curve_for_each_swing_and_the_papers_two_values(few_counts):
-    axis = revision_figures.fig6().axes[0]
+    axis = identification.fig6().axes[0]
     drawn = {line.get_label(): line for line in axis.get_lines()}
-    table = paper.fig6()
+    table = results.fig6()
     for swing in SWINGS:
         np.testing.assert_array_equal(drawn[swing.title].get_ydata(), table.columns[f"error_{swing.key}"])
     np.testing.assert_array_equal(drawn["the paper"].get_xydata(), [[22, 0.046], [81, 0.040]])
@@ -59,22 +60,22 @@ def test_fig6_has_a_curve_for_each_swing_and_the_papers_two_values(few_counts):
 
 
 def test_tables_hold_the_rounds_and_the_methods():
-    rounds, compared = paper.table1(), paper.table2()
+    rounds, compared = results.table1(), results.table2()
     own = (rounds.columns["angle"] == SMALL.angle) & (rounds.columns["data_links"] == SMALL.links)
     np.testing.assert_array_equal(rounds.columns["inertia"][own], [each.inertia for each in revised(SMALL).rounds])
     own = (compared.columns["angle"] == SMALL.angle) & (compared.columns["data_links"] == SMALL.links)
     np.testing.assert_array_equal(compared.columns["error"][own], [each.error for each in methods(SMALL)])
     assert compared.notes["methods"].startswith("0: NF; 1: CM; 2: IR")
     assert "1.61 s" in compared.notes["periods"]
-    cells = identification_part.rounds_table().rows
+    cells = identification.rounds_table().rows
     assert cells[0] == ("the paper", "0", "5.09", "1.26", "", "4.64")
     assert any(row[1] == "sd" for row in cells)
-    assert ("the paper", "NF", "102", "", "16.3") in identification_part.methods_table().rows
+    assert ("the paper", "NF", "102", "", "16.3") in identification.methods_table().rows
 
 
 def test_files_say_that_they_are_simulated(tmp_path):
-    done = identification_part.write(["fig5"], tmp_path, lambda _: None)
-    assert done.written == ["fig5.png", "fig5.csv"]
+    done = write_part(identification.PART, ["fig5"], tmp_path, lambda _: None)
+    assert done.names == ["fig5.png", "fig5.csv"]
     notes = files.read_notes(tmp_path / "fig5.csv")
     assert notes["source"] == "simulated"
     assert "inferred" in notes["parameters"]

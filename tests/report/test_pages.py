@@ -9,10 +9,9 @@ import pytest
 from hyperflex import files
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.paper import READINGS, Claim
+from hyperflex.paper.report.part import verdicts
 from hyperflex.paper.report.reproduce import reproduce
-from hyperflex.paper.report.tables import verdicts
-from hyperflex.report.page import Picture, Section, write_page
-from hyperflex.report.tables import TextTable, markdown
+from hyperflex.report.page import Picture, Section, TextTable, markdown, write_page
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

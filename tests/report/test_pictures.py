@@ -10,9 +10,10 @@ import pytest
 from PIL import Image
 
 import hyperflex as hf
-from hyperflex import paper
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.paper.report import casting_figures as casting
+from hyperflex.paper.casting import READINGS
+from hyperflex.paper.casting_results import casts
+from hyperflex.paper.report import casting
 from hyperflex.report.animation import animate
 from hyperflex.report.shapes import shapes
 from hyperflex.report.strobe import strobe
@@ -137,11 +138,10 @@ def test_a_picture_into_a_missing_folder_is_refused(short_cast, tmp_path):
 
 
 def test_figures_show_every_reading_with_solid_success_and_dashed_failure():
-    casts = paper.casts()
-    for figure in (casting.fig10(casts), casting.fig11(casts)):
+    for figure in (casting.fig10(), casting.fig11()):
         panels = [axis for axis in figure.axes if axis.get_title("left")]
-        assert [axis.get_title("left") for axis in panels] == [reading.title for reading in paper.READINGS]
-    lines = casting.fig10(casts).axes[0].get_lines()
+        assert [axis.get_title("left") for axis in panels] == [reading.title for reading in READINGS]
+    lines = casting.fig10().axes[0].get_lines()
     assert {line.get_label().split()[0].strip(","): line.get_linestyle() for line in lines} == {
         "success": "-",
         "failure": "--",
@@ -149,7 +149,7 @@ def test_figures_show_every_reading_with_solid_success_and_dashed_failure():
 
 
 def test_phase_portraits_are_thick_in_motion_with_circles_and_crosses():
-    axis = casting.fig12(paper.casts()).axes[0]
+    axis = casting.fig12().axes[0]
     resting, moving = axis.collections
     assert moving.get_linewidths()[0] > 2.0 * resting.get_linewidths()[0]
     starts, ends = (line for line in axis.get_lines() if line.get_marker() in ("o", "x"))
@@ -159,18 +159,17 @@ def test_phase_portraits_are_thick_in_motion_with_circles_and_crosses():
 
 
 def test_arms_of_fig9_reach_half_a_turn():
-    for axis in casting.fig9(paper.casts()).axes:
+    for axis in casting.fig9().axes:
         for line in axis.get_lines():
             assert np.ptp(line.get_ydata()) == pytest.approx(180.0, abs=1e-9)
 
 
 def test_figures_that_cut_spikes_off_say_where_and_how_high_they_are():
-    casts = paper.casts()
-    greatest_r = max(cast.spiral.r.max() for cast in casts.values())
-    greatest_v = max(np.abs(cast.spiral.scaled_velocity).max() for cast in casts.values())
+    greatest_r = max(cast.spiral.r.max() for cast in casts().values())
+    greatest_v = max(np.abs(cast.spiral.scaled_velocity).max() for cast in casts().values())
     for figure, axis, greatest in (
-        (casting.fig11(casts), 0, greatest_r),
-        (casting.fig12(casts), 0, greatest_v),
+        (casting.fig11(), 0, greatest_r),
+        (casting.fig12(), 0, greatest_v),
     ):
         top = figure.axes[axis].get_ylim()[1]
         assert greatest > top  # else there is nothing to say

@@ -13,7 +13,7 @@ from hyperflex.report.animation import animate
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import png
 from hyperflex.report.whip.figures import course_figure, passing_figure, peak_figure
-from hyperflex.report.whip.folder import film_note, write_whip
+from hyperflex.report.whip.report import film_note, write_whip
 from tests.planning.known_whip import far_whip, planned_whip
 
 
@@ -21,9 +21,10 @@ def words_of(path):
     return re.sub(r"\s+", " ", re.sub(r"<[^>]*>|src=\"data:[^\"]*\"", " ", path.read_text("utf-8")))
 
 
-def test_the_page_names_target_strokes_peak_and_blow(tmp_path):
+def test_the_page_names_target_strokes_peak_and_impact(tmp_path):
     plan = planned_whip()
-    files, blow = write_whip(tmp_path / "out", plan)
+    impact = plan.impact()
+    files = write_whip(tmp_path / "out", plan, impact)
     page = words_of(files["page"])
     for told in (
         "x = -0.244 m, y = -1.07 m",
@@ -31,7 +32,7 @@ def test_the_page_names_target_strokes_peak_and_blow(tmp_path):
         "3 strokes",
         "speed peaks at 1.29 m/s",
         "0.5 mm from the target",
-        f"takes up {1e3 * blow.impulse:.1f} mN s",
+        f"takes up {1e3 * impact.impulse:.1f} mN s",
         "5.7 degrees",
         "standard deviation of 4 mm",
         "links of half the length",
@@ -43,8 +44,7 @@ def test_the_page_names_target_strokes_peak_and_blow(tmp_path):
 
 
 def test_a_plan_without_strokes_is_a_page_with_the_reason(tmp_path):
-    files, blow = write_whip(tmp_path / "out", far_whip())
-    assert blow is None
+    files = write_whip(tmp_path / "out", far_whip(), None)
     assert list(files) == ["page"]
     assert "out of reach: the rope ends" in words_of(files["page"])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -43,7 +43,7 @@ Rate = Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz
 TimeBudget = Annotated[float, typer.Option(help="Processor time of the search, s; a plan that succeeds ends it.")]
 Seed = Annotated[int, typer.Option(help="Of the search.")]
 
-_OBSTACLES = ("pegs", "walls", "grounds")
+_TABLES = ("rope", "arm", "pegs", "walls", "grounds")  # of a set-up file, as for simulate
 _WRITTEN = {
     "page": "the whole story on one page",
     "film": "the {} as a film",
@@ -81,27 +81,22 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
     from hyperflex.planning import MotorLimits
 
     content = {} if setup is None else files.read_toml(setup)
+    for name in ("limits", "target"):
+        if not isinstance(content.get(name, {}), Mapping):
+            raise InvalidInput(f"{name} of {setup} is not a table", got=content[name], allowed=f"[{name}]")
     given = content.get("limits", {}) | {name: value for name, value in limits.items() if value is not None}
-    try:
-        motor = MotorLimits(**given)
-    except TypeError:
-        raise InvalidInput(
-            "the table [limits] does not fit", got=sorted(given), allowed="arguments of MotorLimits"
-        ) from None
-    cable = None if rope is None else Rope.from_toml(rope)
-    arm: Arm = Arm()
-    obstacles: tuple[Obstacle, ...] = ()
-    if setup is not None:
-        tables = {name: content[name] for name in ("rope", "arm", *_OBSTACLES) if name in content}
-        if cable is not None:
-            tables["rope"] = cable.table()
-        read = Setup.loads(files.dumps_toml(tables), str(setup))
-        cable, arm, obstacles = read.rope, read.arm or arm, read.pegs
-    if cable is None:
+    if unknown := set(given) - {field.name for field in fields(MotorLimits)}:
+        raise InvalidInput("the table [limits] does not fit", got=sorted(unknown), allowed="arguments of MotorLimits")
+    tables = {name: content[name] for name in _TABLES if name in content}
+    if rope is not None:
+        tables["rope"] = Rope.from_toml(rope).table()
+    if "rope" not in tables:
         raise InvalidInput("no rope is given", fix="Give --rope FILE, or a set-up file with a table [rope]")
+    read = Setup.loads(files.dumps_toml(tables), str(setup or rope))
+    arm = read.arm or Arm()
     if arm_length is not None:
         arm = replace(arm, length=checks.number("--arm-length", arm_length, sign="positive", unit="m"))
-    return Task(cable, arm, motor, obstacles, content.get("target", {}))
+    return Task(read.rope, arm, MotorLimits(**given), read.pegs, content.get("target", {}))
 
 
 def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, mu: float | None) -> Peg:

@@ -50,17 +50,18 @@ def time_course(
             _name(arm, moves)
         torque.plot(run.t, run.motor_torque, color=INK, lw=1.0)
         torque.set(ylabel="torque, N m", title="Torque of the motor for the rope", xlabel="time, s")
+        draw(upper, lower)
         for axis in axes:
             axis.set_xlim(run.t[0], run.t[-1])
             if np.isfinite(event):
                 axis.axvline(event, color=RED, lw=1.0, ls="--")
-        draw(upper, lower)
     return figure
 
 
 def _name(axis: Any, moves: ArmMoves) -> None:
     """Write the name of each move on the curve of the arm's angle."""
-    patch = {"boxstyle": "round,pad=0.2,rounding_size=0.8", "facecolor": "white", "edgecolor": "#b9c0c9", "lw": 0.7}
+    patch = {"facecolor": "white", "edgecolor": "#b9c0c9", "linewidth": 0.7}
     places, heights = 0.5 * (moves.starts + moves.ends), 0.5 * np.degrees(moves.angles[:-1] + moves.angles[1:])
     for name, place, height in zip(moves.names, places, heights, strict=True):
-        axis.text(place, height, name, fontsize=8.5, color=INK, ha="center", va="center", bbox=patch)
+        box = {"boxstyle": "circle,pad=0.2" if len(name) == 1 else "round,pad=0.25", **patch}
+        axis.text(place, height, name, fontsize=8.5, color=INK, ha="center", va="center", bbox=box)
