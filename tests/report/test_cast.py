@@ -14,11 +14,9 @@ import hyperflex as hf
 from hyperflex.planning import tug_wound
 from hyperflex.planning.wind.nearest_target import Nearest
 from hyperflex.report.animation import animate
+from hyperflex.report.cast import CastReport
 from hyperflex.report.cast.figures import course_figure, strike_figure, tug_figure
-from hyperflex.report.cast.report import film_note
-from hyperflex.report.cast.report import write_cast as write_cast_report
 from hyperflex.report.cast.target_map import target_map
-from hyperflex.report.cast.words import advice, folds, story, tiles, verdict
 from hyperflex.report.style import png
 from tests.planning.known import PEG, late, planned, stopped, unreachable
 
@@ -28,7 +26,7 @@ def opened(path):
 
 
 def write_cast(folder, plan, held=None):
-    return write_cast_report(folder, plan, held)
+    return CastReport(plan, held).write(folder)
 
 
 def words_of(path):
@@ -124,18 +122,18 @@ def test_advice_is_about_what_failed(change, told):
     who = dataclasses.replace(plan.thrower, limits=hf.MotorLimits(torque=0.3))
     cast = dataclasses.replace(plan.cast, **({"torque": 0.1} | change))
     failed = dataclasses.replace(plan, thrower=who, cast=cast, reason="it fails", nearest=Nearest(PEG, 0.0))
-    given = " ".join(advice(failed))
+    given = " ".join(CastReport(failed, None).advice)
     assert told in given
     assert ("--seed" in given) == ("--seed" in told)
 
 
 def test_a_graze_and_a_fold_are_told(tmp_path):
     plan = planned()
-    assert "grazes" not in " ".join(story(plan, None))
-    assert folds(plan) == ""
+    assert "grazes" not in " ".join(CastReport(plan, None).story)
+    assert CastReport(plan, None).warning == ""
     cast = dataclasses.replace(plan.cast, touch=plan.cast.strike - 2.0, bend=4.0)
     plan = dataclasses.replace(plan, cast=cast)
-    told = " ".join(story(plan, None))
+    told = " ".join(CastReport(plan, None).story)
     assert f"grazes the target at {plan.cast.touch:.2f} s and comes off again. The rope strikes" in told
     assert "folds by 229 degrees" in told
 
@@ -150,17 +148,18 @@ def test_files_of_an_earlier_cast_go_with_it(tmp_path, held):
 
 def test_a_target_in_reach_that_no_throw_winds_is_not_said_to_be_out_of_reach():
     plan = dataclasses.replace(planned(winds=False), nearest=Nearest(PEG, 0.0))
-    told = " ".join(advice(plan))
+    told = " ".join(CastReport(plan, None).advice)
     assert "Nearest target that should be easier" in told
     assert "this target is in reach, too" in told
 
 
 def test_what_the_rule_of_thumb_says_is_said_to_be_that():
     rope, arm = planned().thrower.rope, planned().thrower.arm
-    assert "out of reach by a rule of thumb: wound it bears 2.94 N at most" in verdict(
-        hf.plan_cast(rope, arm, PEG, hold=20.0)
-    )
-    assert "found: out of reach: the rope ends" in verdict(unreachable())  # no rule of thumb but geometry
+    asked = CastReport(hf.plan_cast(rope, arm, PEG, hold=20.0), None)
+    assert "out of reach by a rule of thumb: wound it bears 2.94 N at most" in asked.verdict
+    assert (
+        "found: out of reach: the rope ends" in CastReport(unreachable(), None).verdict
+    )  # no rule of thumb but geometry
 
 
 def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
@@ -183,7 +182,7 @@ def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
 
 
 def test_the_film_tells_the_course(held):
-    note = film_note(planned(), held)
+    note = CastReport(planned(), held).film_note()
     assert "6 swings to come" in note(0.2)
     assert "arm: swing 1 of 6" in note(0.8)
     assert "arm: rests after swing 1 of 6" in note(1.4)
@@ -196,7 +195,7 @@ def test_the_film_tells_the_course(held):
 
 
 def test_the_film_of_a_miss_says_why():
-    note = film_note(planned(winds=False), None)
+    note = CastReport(planned(winds=False), None).film_note()
     assert "FAILS: the rope does not touch the peg" in note(planned(winds=False).cast.run.t[-1])
 
 
@@ -242,15 +241,15 @@ def test_pictures_of_a_miss_and_of_a_tug(held):
 
 def test_a_pull_that_did_not_slip_is_a_lower_bound(held):
     firm = dataclasses.replace(held, tug=dataclasses.replace(held.tug, slipped=False))
-    assert "or more (tug)" in film_note(planned(), firm)(11.0)
+    assert "or more (tug)" in CastReport(planned(), firm).film_note()(11.0)
     labels = [text.get_text() for text in tug_figure(firm).axes[0].get_legend().get_texts()]
     assert f"hold force at least {held.force:.2f} N" in labels
-    assert any(f"at least {held.force:.2f}" in value for value, _ in tiles(planned(), firm))
-    assert any("so it holds more" in told for told in story(planned(), firm))
+    assert any(f"at least {held.force:.2f}" in value for value, _ in CastReport(planned(), firm).tiles)
+    assert any("so it holds more" in told for told in CastReport(planned(), firm).story)
 
 
 def test_a_long_reason_has_room_in_a_film():
     plan = dataclasses.replace(planned(), reason="with shorter links the simulation failed (out of patience)")
-    lines = film_note(plan, None)(11.0).split("\n")
+    lines = CastReport(plan, None).film_note()(11.0).split("\n")
     assert "time allowed for it" in " ".join(lines)
     assert max(len(line) for line in lines) <= 90

@@ -12,8 +12,8 @@ from PIL import Image
 from hyperflex.report.animation import animate
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import png
+from hyperflex.report.whip import WhipReport
 from hyperflex.report.whip.figures import course_figure, passing_figure, peak_figure
-from hyperflex.report.whip.report import film_note, write_whip
 from tests.planning.known_whip import far_whip, planned_whip
 
 
@@ -24,7 +24,7 @@ def words_of(path):
 def test_the_page_names_target_strokes_peak_and_impact(tmp_path):
     plan = planned_whip()
     impact = plan.impact()
-    files = write_whip(tmp_path / "out", plan, impact)
+    files = WhipReport(plan, impact).write(tmp_path / "out")
     page = words_of(files["page"])
     for told in (
         "x = -0.244 m, y = -1.07 m",
@@ -44,20 +44,20 @@ def test_the_page_names_target_strokes_peak_and_impact(tmp_path):
 
 
 def test_a_plan_without_strokes_is_a_page_with_the_reason(tmp_path):
-    files = write_whip(tmp_path / "out", far_whip(), None)
+    files = WhipReport(far_whip(), None).write(tmp_path / "out")
     assert list(files) == ["page"]
     assert "out of reach: the rope ends" in words_of(files["page"])
 
 
 def test_the_film_tells_the_course():
     plan = planned_whip()
-    note = film_note(plan)
+    note = WhipReport(plan, None).film_note()
     assert "3 strokes to come" in note(0.01)
     assert "stroke 1 of 3" in note(0.2)
     assert "m/s or more" in note(0.0)
     assert "met" not in note(1.5)
     assert "met at 1.90 s: 1.3 m/s, 0.5 mm off" in note(1.95)
-    assert "FAILS: the tip misses" in film_note(planned_whip(meets=False))(1.95)
+    assert "FAILS: the tip misses" in WhipReport(planned_whip(meets=False), None).film_note()(1.95)
 
 
 def test_the_way_past_the_target_is_centred_on_it():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -67,7 +66,7 @@ def cast(
     reason and with the nearest target that should work.
     """
     from hyperflex.planning import Uncertainty, plan_cast, tug_wound
-    from hyperflex.report.cast import write_cast
+    from hyperflex.report.cast import CastReport
 
     planner.check_folder(out)
     rate = number("--rate", rate, sign="positive", unit="Hz")
@@ -91,9 +90,14 @@ def cast(
     with output.spinner(json) as progress:
         progress("tugging at the rope")
         held = tug_wound(plan.cast, plan.peg)
-        files = write_cast(out, plan, held, rate=rate, progress=progress)
-    result = _result(plan, held, uncertainty) | {"files": files}
-    planner.finish("cast", plan, result, _pairs(plan, held, uncertainty), _messages(plan), files, as_json=json)
+        report = CastReport(plan, held)
+        files = report.write(out, rate=rate, progress=progress)
+    notes = [report.warning] if report.warning else []
+    if uncertainty is not None:
+        notes.append(f"Uncertain: {uncertainty.words()}.")
+    if plan.stated is not None:
+        notes.append(f"Success probability: {plan.stated}.")
+    planner.finish(report, files, _result(plan, held, uncertainty), [*notes, *report.advice], as_json=json)
 
 
 def _result(plan: CastPlan, held: Holding | None, uncertainty: Uncertainty | None) -> dict[str, Any]:
@@ -113,31 +117,3 @@ def _result(plan: CastPlan, held: Holding | None, uncertainty: Uncertainty | Non
             "tail_weight_times_exp_N": held.rule,
         }
     return result
-
-
-def _pairs(plan: CastPlan, held: Holding | None, uncertainty: Uncertainty | None) -> list[tuple[str, str]]:
-    from hyperflex.report.cast.words import swings_words, target_words
-
-    pairs = [("target", target_words(plan.peg))]
-    if plan.throw is not None:
-        pairs.append(("the arm makes", f"{swings_words(plan)} and a last move"))
-    if plan.cast is not None and math.isfinite(plan.cast.strike):
-        pairs.append(("strikes", f"{plan.cast.strike:.2f} s after the start"))
-        pairs.append(("turns in the end", f"{abs(plan.cast.turns):.2f}, from the arm's tip to the rope's end"))
-        pairs.append(("rope on the target", f"{math.degrees(plan.cast.contact):.0f} degrees"))
-    if plan.throw is not None and (plan.cast is None or plan.cast.run is None):
-        pairs.append(("strike, turns, hold", "not known: the throw was not verified to its end"))
-    if held is not None:
-        pairs.append(("hold force", f"{'' if held.tug.slipped else 'at least '}{held.force:.2f} N, by a tug"))
-        pairs.append(("tail weight times e^(mu angle)", f"{held.rule:.2f} N"))
-    if uncertainty is not None:
-        pairs.append(("uncertain", uncertainty.words()))
-    if plan.stated is not None:
-        pairs.append(("success probability", str(plan.stated)))
-    return pairs
-
-
-def _messages(plan: CastPlan) -> tuple[str, ...]:
-    from hyperflex.report.cast.words import advice, folds, verdict
-
-    return (verdict(plan), folds(plan), *advice(plan))

@@ -15,7 +15,8 @@ from hyperflex.errors import FileProblem, InvalidInput
 
 if TYPE_CHECKING:
     from hyperflex.model import Arm, Ground, Peg, Rope, Wall
-    from hyperflex.planning import CastPlan, MotorLimits, WhipPlan
+    from hyperflex.planning import MotorLimits
+    from hyperflex.report.plan import PlanReport
 
     Obstacle = Peg | Wall | Ground
 
@@ -125,12 +126,10 @@ def check_folder(out: Path) -> None:
 
 
 def finish(
-    name: str,
-    plan: CastPlan | WhipPlan,
-    result: Mapping[str, Any],
-    pairs: Sequence[tuple[str, str]],
-    messages: Sequence[str],
+    report: PlanReport[Any],
     files: Mapping[str, Path],
+    result: Mapping[str, Any],
+    notes: Sequence[str],
     *,
     as_json: bool,
 ) -> None:
@@ -138,17 +137,13 @@ def finish(
 
     Parameters
     ----------
-    name : str
-        "cast" or "whip".
-    plan : CastPlan or WhipPlan
-    result : mapping
-        For JSON.
-    pairs : sequence of (str, str)
-        Key figures: what it is, and the value.
-    messages : sequence of str
-        Sentences, the verdict first.
+    report : PlanReport
     files : mapping of str to Path
         What was written.
+    result : mapping
+        For JSON.
+    notes : sequence of str
+        Sentences to print after the verdict.
     as_json : bool
 
     Raises
@@ -156,15 +151,16 @@ def finish(
     typer.Exit
         Unless the plan succeeds: NO_PLAN, or INTERRUPTED.
     """
+    result = {**result, "files": files}
     if not as_json:
-        output.print_pairs(f"{name.capitalize()} (simulated)", pairs)
-        output.console().print("\n".join(line for line in messages if line), markup=False)
-        written = [(words.format(name), str(files[kind])) for kind, words in _WRITTEN.items() if kind in files]
+        output.print_pairs(f"{report.name.capitalize()} (simulated)", report.tiles)
+        output.console().print("\n".join((report.verdict, *notes)), markup=False)
+        written = [(words.format(report.name), str(files[kind])) for kind, words in _WRITTEN.items() if kind in files]
         output.print_pairs("Written", written)
-    if plan.interrupted:
-        message = f"Interrupted; the best so far is in {files['page'].parent}. {messages[0]}"
+    if report.plan.interrupted:
+        message = f"Interrupted; the best so far is in {files['page'].parent}. {report.verdict}"
         raise typer.Exit(output.interrupted(message, result, as_json=as_json))
     if as_json:
         output.print_json(result)
-    if not plan.success:
+    if not report.plan.success:
         raise typer.Exit(output.NO_PLAN)

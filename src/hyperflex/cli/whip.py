@@ -58,7 +58,7 @@ def whip(
     The exit code is 4 if no whip that meets the target was found; the best is written all the same, with the reason.
     """
     from hyperflex.planning import plan_whip
-    from hyperflex.report.whip import write_whip
+    from hyperflex.report.whip import WhipReport
 
     planner.check_folder(out)
     rate = number("--rate", rate, sign="positive", unit="Hz")
@@ -85,9 +85,9 @@ def whip(
     with output.spinner(json) as progress:
         progress("striking a small peg")
         impact = None if plan.lash is None else plan.impact()
-        files = write_whip(out, plan, impact, rate=rate, progress=progress)
-    result = _result(plan, impact) | {"files": files}
-    planner.finish("whip", plan, result, _pairs(plan, impact), _messages(plan), files, as_json=json)
+        report = WhipReport(plan, impact)
+        files = report.write(out, rate=rate, progress=progress)
+    planner.finish(report, files, _result(plan, impact), (), as_json=json)
 
 
 def _target(
@@ -133,26 +133,3 @@ def _result(plan: WhipPlan, impact: Impact | None) -> dict[str, Any]:
             "link": impact.link,
         }
     return result
-
-
-def _pairs(plan: WhipPlan, impact: Impact | None) -> list[tuple[str, str]]:
-    from hyperflex.report.whip.words import strokes_words, target_words
-
-    pairs = [("target", target_words(plan.mark))]
-    if plan.strokes is not None:
-        pairs.append(("the arm makes", strokes_words(plan)))
-    if plan.lash is not None:
-        seen = plan.lash
-        pairs.append(("the tip's speed peaks", f"{seen.t:.2f} s after the start, at {seen.speed:.2f} m/s"))
-        pairs.append(("misses the target by", f"{1e3 * seen.miss:.2g} mm"))
-    if plan.finer is not None:
-        pairs.append(("with links of half the length", f"{1e3 * plan.finer.miss:.2g} mm"))
-    if impact is not None and math.isfinite(impact.t):
-        pairs.append(("impulse on a small peg there", f"{1e3 * impact.impulse:.1f} mN s"))
-    return pairs
-
-
-def _messages(plan: WhipPlan) -> tuple[str, ...]:
-    from hyperflex.report.whip.words import verdict
-
-    return (verdict(plan),)

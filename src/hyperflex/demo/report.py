@@ -13,13 +13,12 @@ from hyperflex.demo.figures import casts_figure, parameters_figure
 from hyperflex.demo.run import INTERVAL, Demo, run_demo
 from hyperflex.paper import T_MOVE, T_REST, casting_arm
 from hyperflex.report.animation import animate
-from hyperflex.report.cast import cast_report
-from hyperflex.report.cast.words import plain
+from hyperflex.report.cast import CastReport, plain
 from hyperflex.report.folder import Progress, silent, whole_folder
 from hyperflex.report.identification.figures import fit_figure
 from hyperflex.report.identification.fitted import fitted_channels
 from hyperflex.report.page import Picture, Section, TextTable, markdown, write_page
-from hyperflex.report.plan import PlanReport, pictures, search_summary, write_results
+from hyperflex.report.plan import film_progress, search_summary
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import png
 from hyperflex.trajectory import Trajectory
@@ -91,14 +90,14 @@ def write_demo(directory: str | Path, progress: Progress = silent) -> DemoReport
     """
     with whole_folder(directory) as stage:
         demo = run_demo(progress)
-        winding = cast_report(demo.plan, demo.held, "wound")
+        winding = CastReport(demo.plan, demo.held, "wound")
         verdicts = ((demo.plan.success, winding.verdict), *_proof(demo))
         report = DemoReport({}, demo, _parameters_table(demo), _reaches_table(demo), verdicts)
         names = _write(stage, report, winding, progress)
     return replace(report, files={kind: Path(directory) / name for kind, name in names.items()})
 
 
-def _write(folder: Path, report: DemoReport, winding: PlanReport, progress: Progress) -> dict[str, str]:
+def _write(folder: Path, report: DemoReport, winding: CastReport, progress: Progress) -> dict[str, str]:
     """Write everything to `folder`; return the names of the files by what they are."""
     demo, found = report.demo, report.demo.identification
     progress("drawing")
@@ -114,20 +113,20 @@ def _write(folder: Path, report: DemoReport, winding: PlanReport, progress: Prog
         frame_rate=_FILM_RATE,
         width=560,
         title="identified rope, simulated",
-        progress=lambda done, total: progress(f"filming, frame {done} of {total}"),
+        progress=film_progress(progress),
     )
     shown["film"] = (folder / names["film"]).read_bytes()
     progress("writing")
     demo.cast.to_netcdf(folder / names["cast"])
     found.to_toml(folder / names["rope"])
     found.to_json(folder / names["identification"])
-    wound = write_results(folder, winding, progress=progress)
+    wound = winding.write_results(folder, progress=progress)
     section = Section(
         "The identified rope, wound round a target",
         text=(*winding.story, _MODEL.format(coarse=demo.recording.n_links)),
         tiles=winding.tiles,
         marks=report.verdicts,
-        pictures=tuple(pictures(folder, winding, wound).values()),
+        pictures=tuple(winding.pictures(folder, wound).values()),
         table=winding.checks,
         notes=(search_summary(demo.plan),),
     )

@@ -1,5 +1,5 @@
-"""The report of a planned cast: page, figures, film, and its words for the command line."""
+"""The report of a planned cast: page, figures, film."""
 
-from hyperflex.report.cast.report import cast_report, write_cast
+from hyperflex.report.cast.report import CastReport, plain
 
-__all__ = ["cast_report", "write_cast"]
+__all__ = ["CastReport", "plain"]

@@ -10,7 +10,6 @@ from hyperflex import winding
 from hyperflex.planning import CastPlan, Holding
 from hyperflex.planning.files import run_of
 from hyperflex.planning.wind.outcome import SETTLING, WOUND
-from hyperflex.report.cast.words import sense, way
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure, note
 from hyperflex.report.time_course import ArmMoves, time_course
@@ -75,6 +74,16 @@ def tug_figure(held: Holding) -> Figure:
         note(slip, pulled_way[0], _ALLOWED, f" {_ALLOWED:g} mm: has slipped")
         slip.set(ylabel="slip, mm", xlabel="way of the pull away from the target, mm")
     return figure
+
+
+def sense(plan: CastPlan) -> float:
+    """Return 1 where the rope winds counterclockwise in the end, else -1."""
+    return -1.0 if plan.cast is not None and plan.cast.turns < 0.0 else 1.0
+
+
+def way(plan: CastPlan) -> str:
+    """Return the sense in which the rope winds, in a word."""
+    return "clockwise" if sense(plan) < 0.0 else "counterclockwise"
 
 
 def _strike(plan: CastPlan) -> float:

@@ -1,124 +1,316 @@
-"""The report of a planned cast: its page, film and figures put together."""
+"""The report of a planned cast: its words, film and figures."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from pathlib import Path
 from textwrap import fill
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from hyperflex import winding
-from hyperflex.planning import CastPlan, Holding
-from hyperflex.planning.files import RATE, run_of
-from hyperflex.report.cast import words
-from hyperflex.report.cast.figures import course_figure, strike_figure, tug_figure
+from hyperflex.model import Peg
+from hyperflex.planning import Cast, CastPlan, Holding, Nearest
+from hyperflex.planning.files import run_of
+from hyperflex.planning.wind.outcome import BOUNCE, SLIP, WATCH, WOUND
+from hyperflex.report.cast.figures import course_figure, sense, strike_figure, tug_figure, way
 from hyperflex.report.cast.target_map import target_map, target_map_caption
-from hyperflex.report.folder import Progress, silent
-from hyperflex.report.page import Picture, Section
-from hyperflex.report.plan import PlanReport, rope_and_arm, write_plan
+from hyperflex.report.page import Picture, Section, TextTable
+from hyperflex.report.plan import NOT_KNOWN, PlanReport, counted, searched
 from hyperflex.report.style import png
+from hyperflex.simulation.time_budget import NAME as OUT_OF_TIME
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_TOO_LONG = f"the simulation failed ({OUT_OF_TIME})"
 _LINE = 90  # letters that fit beside each other in a film
 _END = 2.0  # s at the end of a film in which the hold force is shown
-_CAPTIONS = {
-    "film": "The planned cast, simulated: arm (white), rope (yellow), target (red).",
-    "strike": "The rope about the strike, early instants dark, late ones bright; simulated.",
-    "course": "Arm angle, turns, tension and torque over time. Dashed red: the strike. Green: slip is measured.",
-    "tug": "The simulated tug that gives the hold force: pull, and slip of the rope on the target.",
-}
-_LAYOUT = {"The cast": ("film", "strike"), "Time course": ("course",), "Hold": ("tug",)}
 
 
-def write_cast(
-    directory: str | Path, plan: CastPlan, held: Holding | None, *, rate: float = RATE, progress: Progress = silent
-) -> dict[str, Path]:
-    """Write the report of a planned cast; see :func:`hyperflex.report.plan.write_plan`.
+class CastReport(PlanReport[CastPlan]):
+    """The report of a planned cast.
 
     Parameters
     ----------
-    directory : str or Path
-        Folder to write to.
     plan : CastPlan
         One without a throw leaves no more than a page with the reason and where the target is.
     held : Holding or None
         Result of a tug at the wound rope, if there was one.
-    rate : float
-        Rows a second of the motor's file, Hz.
-    progress : callable
-        Called with a message on what is being done.
+    name : str
+        Stem of the file names.
     """
-    return write_plan(directory, cast_report(plan, held), rate=rate, progress=progress)
+
+    captions: ClassVar = {
+        "film": "The planned cast, simulated: arm (white), rope (yellow), target (red).",
+        "strike": "The rope about the strike, early instants dark, late ones bright; simulated.",
+        "course": "Arm angle, turns, tension and torque over time. Dashed red: the strike. Green: slip is measured.",
+        "tug": "The simulated tug that gives the hold force: pull, and slip of the rope on the target.",
+    }
+    layout: ClassVar = {"The cast": ("film", "strike"), "Time course": ("course",), "Hold": ("tug",)}
+
+    def __init__(self, plan: CastPlan, held: Holding | None, name: str = "cast") -> None:
+        super().__init__(plan, None if plan.cast is None else plan.cast.run)
+        self.held, self.name = held, name
+        thrown, found = ("is", "A planned cast") if plan.success else ("is to be", "No cast found")
+        self.title = (
+            f"{found} round a target at x\u00a0=\u00a0{plan.peg.x:.3g}\u00a0m, y\u00a0=\u00a0{plan.peg.y:.3g}\u00a0m"
+        )
+        self.task = f"A rope on a motor-driven arm {thrown} thrown round a peg, so that it winds round it and holds."
+        self.target = f"a round peg at {_place(plan.peg)}, friction mu = {plan.peg.mu:g}"
+        self.verdict = f"No cast that winds and holds was found: {_failure(plan)}."
+        if plan.success and plan.cast is not None:
+            self.verdict = f"The rope winds {abs(plan.cast.turns):.2f} turns round the target and holds, in simulation."
+        self.warning, self.advice = _warning(plan), _advice(plan)
+        self.tiles, self.story, self.checks = self._tiles(), self._story(), _checks(plan)
+        self.others = {"nearest": None if plan.nearest is None else plan.nearest.plan}
+        if self.run is None:
+            place = Picture(png(target_map(plan)), target_map_caption(plan))
+            self.without_run = (Section("Where the target is", pictures=(place,)),)
+
+    def _tiles(self) -> tuple[tuple[str, str], ...]:
+        plan, peg, cast = self.plan, self.plan.peg, self.plan.cast
+        place = f"target, a round peg: radius; centre at x = {peg.x:.3g} m, y = {peg.y:.3g} m from the motor's shaft"
+        shown = [(f"{1e3 * peg.radius:.3g} mm", place)]
+        if plan.throw is not None:
+            shown.append((_swings(plan), "of the arm to and fro, then one last move"))
+        if cast is not None and cast.run is not None:
+            if math.isfinite(cast.strike):
+                shown.append((f"{cast.strike:.2f} s", "after the start the rope strikes the target"))
+                counted_from = (
+                    f"in the end, {way(plan)}, from the arm's tip to the rope's end, "
+                    f"{math.degrees(cast.contact):.0f}\N{DEGREE SIGN} of it on the target; {WOUND:g} are needed"
+                )
+                shown.append((f"{abs(cast.turns):.2f} turns", counted_from))
+            else:
+                shown.append(("never", "the rope strikes the target"))
+        elif plan.throw is not None:
+            shown.append((NOT_KNOWN, "strike, turns and hold: the throw was not verified to its end"))
+        if self.held is not None:
+            least = "" if self.held.tug.slipped else "at least "
+            shown.append(
+                (
+                    f"{least}{self.held.force:.2f}\u00a0N",
+                    "hold force: the pull that the wound rope bears before it slips",
+                )
+            )
+        return tuple(shown)
+
+    def _story(self) -> tuple[str, ...]:
+        plan, cast, limits = self.plan, self.plan.cast, self.plan.thrower.limits
+        if plan.throw is None:
+            return ()
+        starts, stop = plan.throw.starts(limits), plan.throw.stops(limits)
+        times = ", ".join(f"{start:.2f}" for start in starts[:-1])
+        begin = np.degrees(plan.throw.angles(limits)[0])
+        lines = [
+            f"Target: a round peg, {_place(plan.peg)}.",
+            (
+                f"The rope hangs at rest from the arm at {begin:.0f} degrees (0 hangs down). The arm makes "
+                f"{_swings(plan)}, begun at {times} s, and a last move at {starts[-1]:.2f} s; it stands still from "
+                f"{stop:.2f} s on."
+            ),
+        ]
+        if cast is not None and cast.run is not None:
+            lines.append(_outcome(plan, cast))
+        else:
+            lines.append("What the rope then does is not known: the throw was not verified to its end.")
+        if self.warning:
+            lines.append(self.warning)
+        if self.held is not None:
+            lines.append(_hold(self.held))
+        if plan.stated is not None:
+            lines.append(
+                f"Success probability: in simulated scenarios with rope, friction and motor drawn anew from the given "
+                f"uncertainty, the throw succeeds {plan.stated}."
+            )
+        return tuple(lines)
+
+    def figures(self) -> dict[str, Figure]:
+        """Draw strike, time course, and tug if there was one."""
+        drawn = {"strike": strike_figure(self.plan), "course": course_figure(self.plan)}
+        return drawn if self.held is None else drawn | {"tug": tug_figure(self.held)}
+
+    def film(self) -> dict[str, Any]:
+        """Return title and notes of the film."""
+        return {"title": "planned cast, simulated", "note": self.film_note()}
+
+    def film_note(self) -> Callable[[float], str]:
+        """Return what the film says at a time, s: target, arm, turns, and at the end the hold."""
+        run, cast = run_of(self.plan), self.plan.cast
+        turns = sense(self.plan) * winding.turns(run, self.plan.peg)
+        strike = np.inf if cast is None or not np.isfinite(cast.strike) else cast.strike
+
+        def note(t: float) -> str:
+            lines = [f"target: {_place(self.plan.peg)}", f"arm: {self._arm_words(t)}"]
+            if t < strike:
+                lines.append("rope: in the air")
+            else:
+                lines.append(f"rope: {np.interp(t, run.t, turns):.2f} turns round the target, {way(self.plan)}")
+            if t > run.t[-1] - _END:
+                lines.append(self._end_words())
+            return "\n".join(lines)
+
+        return note
+
+    def _arm_words(self, t: float) -> str:
+        if self.plan.throw is None:
+            return ""
+        limits, count = self.plan.thrower.limits, self.plan.throw.count
+        begun = int((self.plan.throw.starts(limits) <= t).sum())
+        if begun == 0:
+            return f"at rest, {_swings(self.plan)} to come"
+        if begun <= count:
+            rests = self.plan.motion is not None and float(self.plan.motion.rate(t)) == 0.0
+            return f"{'rests after ' if rests else ''}swing {begun} of {count}"
+        done = t >= self.plan.throw.stops(limits)
+        return f"stands still, {_swings(self.plan)} done" if done else f"last move after {_swings(self.plan)}"
+
+    def _end_words(self) -> str:
+        if not self.plan.success:
+            return fill(f"FAILS: {_failure(self.plan)}", _LINE)
+        if self.held is None:
+            return "wound and held"
+        return f"wound and held; hold force {self.held.force:.2f} N" + (
+            " (tug)" if self.held.tug.slipped else " or more (tug)"
+        )
 
 
-def cast_report(plan: CastPlan, held: Holding | None, name: str = "cast") -> PlanReport:
-    """Return what the report of a plan says and shows; `name` is the stem of its files."""
-    run = None if plan.cast is None else plan.cast.run
-    figures = {"strike": lambda: strike_figure(plan), "course": lambda: course_figure(plan)}
-    if held is not None:
-        figures["tug"] = lambda: tug_figure(held)
-    film = {} if run is None else {"title": "planned cast, simulated", "note": film_note(plan, held)}
-    place = Section("Where the target is", pictures=(Picture(png(target_map(plan)), target_map_caption(plan)),))
-    return PlanReport(
-        plan=plan,
-        name=name,
-        run=run,
-        title=words.title(plan),
-        lead=words.lead(plan),
-        verdict=words.verdict(plan),
-        setup=(
-            f"{rope_and_arm(plan.thrower)} Links near the target are cut shorter for the verified runs. Target: a "
-            f"round peg at {words.target_words(plan.peg)}, friction mu = {plan.peg.mu:g}."
-        ),
-        tiles=words.tiles(plan, held),
-        advice=words.advice(plan),
-        story=words.story(plan, held),
-        checks=words.checks_table(plan),
-        captions=_CAPTIONS,
-        figures=figures,
-        layout=_LAYOUT,
-        film=film,
-        without_run=(place,) if run is None else (),
-        others={"nearest": None if plan.nearest is None else plan.nearest.plan},
+def _place(peg: Peg) -> str:
+    """Return where the target is and how large."""
+    return f"x = {peg.x:.3g} m, y = {peg.y:.3g} m, radius {1e3 * peg.radius:.3g} mm"
+
+
+def _swings(plan: CastPlan) -> str:
+    """Return how many swings the arm makes."""
+    return counted(0 if plan.throw is None else plan.throw.count, "swing")
+
+
+def _failure(plan: CastPlan) -> str:
+    """Return why a plan fails, without a full stop; a heuristic criterion is called one."""
+    if plan.reason == plan.reach.reason and not plan.reach.impossible:
+        return plan.reason.replace("out of reach", "out of reach by a rule of thumb", 1)
+    return plain(plan.reason)
+
+
+def plain(reason: str) -> str:
+    """Return why a cast fails, with names of status codes put into words."""
+    message = "the verification of the best throw took longer than the time allowed for it; give more --time-budget"
+    return reason.replace(_TOO_LONG, message)
+
+
+def _advice(plan: CastPlan) -> tuple[str, ...]:
+    """Return, for a plan that fails, where a target would work, and what would help for this one."""
+    if plan.success:
+        return ()
+    lines = []
+    if plan.nearest is not None:
+        lines.append(_nearest(plan, plan.nearest))
+    elif not plan.unfinished:
+        lines.append(f"No place was found where a target like this {_expected(plan)}.")
+    if plan.unfinished:
+        on = "to let the search go on" if plan.interrupted else "a longer --time-budget, less load on the machine"
+        lines.append(f"By a rule of thumb the target itself is in reach. What may help: {on}, another --seed.")
+    elif lacking := _lacks(plan):
+        lines.append(lacking)
+    elif plan.reach.within:
+        lines.append(
+            "By the same rule this target is in reach, too: a longer --time-budget or another --seed may help."
+        )
+    if plan.remedies:
+        lines.append(f"By the same rule this target would be in reach with {' or '.join(plan.remedies)}.")
+    if not (searched(plan) or plan.reach.impossible):
+        lines.append("Near its edge the rule may be wrong: --skip-feasibility searches all the same.")
+    return tuple(lines)
+
+
+def _expected(plan: CastPlan) -> str:
+    return "should be easier" if plan.reach.within else "should be in reach"
+
+
+def _nearest(plan: CastPlan, near: Nearest) -> str:
+    where = f"x = {near.peg.x:.4g} m, y = {near.peg.y:.4g} m, {1e2 * near.away:.3g} cm away"
+    if near.plan is not None:
+        return f"Nearest target that works: {where}. A throw was planned for it that winds and holds, simulated."
+    tried = f"nearer places planned for in vain: {near.tried}; this one not" if near.tried else "not planned for"
+    return f"Nearest target that {_expected(plan)}: {where}; expected by a rule of thumb, {tried}."
+
+
+def _lacks(plan: CastPlan) -> str:
+    """Return what a throw that winds lacks, where more searching is not what helps; else nothing."""
+    cast, given = plan.cast, plan.thrower.limits.torque
+    if cast is None or not cast.wound:
+        return ""
+    if cast.torque > given:
+        return f"For this throw a motor of {cast.torque:.3g} N m is needed; {given:.3g} N m are given."
+    if SLIP <= cast.slipped < math.inf:
+        return (
+            "The rope winds but slips: with more friction on the target, or a weight at the rope's end, it would hold."
+        )
+    return ""
+
+
+def _outcome(plan: CastPlan, cast: Cast) -> str:
+    if not math.isfinite(cast.strike):
+        return "The rope does not touch the target."
+    struck = f"{_grazes(cast)}The rope strikes the target at {cast.strike:.2f} s"
+    if not math.isfinite(cast.slipped):
+        return f"{struck} and does not stay wound on it: {plain(cast.reason)}."
+    return (
+        f"{struck}, winds {way(plan)}, and lies round it with "
+        f"{abs(cast.turns):.2f} turns: the angle swept about the target's centre from the arm's tip along the rope to "
+        f"its end, so straight parts and the hanging tail count beside what lies on the target "
+        f"({math.degrees(cast.contact):.0f} degrees), and a tail that swings "
+        f"changes it. In the last {WATCH:g} s the rope slips on the target by {1e3 * cast.slipped:.2g} mm; "
+        f"{1e3 * SLIP:g} mm are allowed."
     )
 
 
-def film_note(plan: CastPlan, held: Holding | None) -> Callable[[float], str]:
-    """Return what a film of the verified run says at a time, s: target, arm, turns, and at the end the hold."""
-    run, cast = run_of(plan), plan.cast
-    turns = words.sense(plan) * winding.turns(run, plan.peg)
-    strike = np.inf if cast is None or not np.isfinite(cast.strike) else cast.strike
-
-    def note(t: float) -> str:
-        lines = [f"target: {words.target_words(plan.peg)}", f"arm: {_arm_words(plan, t)}"]
-        if t < strike:
-            lines.append("rope: in the air")
-        else:
-            lines.append(f"rope: {np.interp(t, run.t, turns):.2f} turns round the target, {words.way(plan)}")
-        if t > run.t[-1] - _END:
-            lines.append(_end_words(plan, held))
-        return "\n".join(lines)
-
-    return note
-
-
-def _arm_words(plan: CastPlan, t: float) -> str:
-    if plan.throw is None:
+def _grazes(cast: Cast) -> str:
+    """Return a sentence about a touch that does not last, which comes before the strike."""
+    if cast.strike - cast.touch <= BOUNCE:
         return ""
-    limits, count = plan.thrower.limits, plan.throw.count
-    begun = int((plan.throw.starts(limits) <= t).sum())
-    if begun == 0:
-        return f"at rest, {words.swings_words(plan)} to come"
-    if begun <= count:
-        rests = plan.motion is not None and float(plan.motion.rate(t)) == 0.0
-        return f"{'rests after ' if rests else ''}swing {begun} of {count}"
-    done = t >= plan.throw.stops(limits)
-    return f"stands still, {words.swings_words(plan)} done" if done else f"last move after {words.swings_words(plan)}"
+    return f"The rope grazes the target at {cast.touch:.2f} s and comes off again. "
 
 
-def _end_words(plan: CastPlan, held: Holding | None) -> str:
-    if not plan.success:
-        return fill(f"FAILS: {words.failure(plan)}", _LINE)
-    if held is None:
-        return "wound and held"
-    return f"wound and held; hold force {held.force:.2f} N" + (" (tug)" if held.tug.slipped else " or more (tug)")
+def _hold(held: Holding) -> str:
+    bore = (
+        f"the rope bore {held.force:.2f} N and then slipped"
+        if held.tug.slipped
+        else f"the rope bore {held.force:.2f} N and had not slipped when the pull ended, so it holds more"
+    )
+    return (
+        f"Hold force (mean over 0.1 s): pulled away from the target at 20 mm/s, {bore}. For comparison, the tail that "
+        f"hangs beyond the target weighs {held.tail:.3f} N; times e^(mu angle), with mu = {held.mu:g} and "
+        f"{held.angle:.1f} rad of contact, that is {held.rule:.2f} N (Capstan equation). It leaves out the weight of "
+        "the rope on the target and of the rope between target and arm, which the pull bears as well."
+    )
+
+
+def _checks(plan: CastPlan) -> TextTable:
+    rows = []
+    for name, cast in (("as planned", plan.cast), ("shorter links", plan.finer)):
+        if cast is None:
+            rows.append((name, "not run", "", "", "", ""))
+        elif cast.run is None:
+            rows.append((name, "not finished", *4 * (NOT_KNOWN,)))
+        else:
+            struck = math.isfinite(cast.strike)
+            strike, turns = (f"{cast.strike:.2f} s", f"{abs(cast.turns):.2f}") if struck else ("never", "none")
+            slip = f"{1e3 * cast.slipped:.2g} mm" if math.isfinite(cast.slipped) else "does not stay"
+            rows.append((name, str(cast.run.q.shape[1]), strike, turns, slip, "yes" if cast.success else "no"))
+    return TextTable(("run", "links", "strikes", "turns", "slips", "winds and holds"), tuple(rows))
+
+
+def _warning(plan: CastPlan) -> str:
+    """Return a warning of a rope that folds through itself on the way, else nothing."""
+    folded = [cast for cast in (plan.cast, plan.finer) if cast is not None and cast.folded]
+    if not folded:
+        return ""
+    bend = math.degrees(max(cast.bend for cast in folded))
+    return (
+        f"On the way the simulated rope folds by {bend:.0f} degrees from one link to the next, through itself: its "
+        "contact with itself is not simulated. A real rope makes a loop or a kink there, so what comes after is less "
+        "sure."
+    )

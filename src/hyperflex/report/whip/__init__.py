@@ -1,5 +1,5 @@
-"""The report of a planned whip: page, figures, film, and its words for the command line."""
+"""The report of a planned whip: page, figures, film."""
 
-from hyperflex.report.whip.report import whip_report, write_whip
+from hyperflex.report.whip.report import WhipReport
 
-__all__ = ["whip_report", "write_whip"]
+__all__ = ["WhipReport"]

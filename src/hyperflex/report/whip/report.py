@@ -1,91 +1,183 @@
-"""The report of a planned whip: its page, film and figures put together."""
+"""The report of a planned whip: its words, film and figures."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from hyperflex.planning import Impact, WhipPlan
-from hyperflex.planning.files import RATE
+import numpy as np
+
+from hyperflex.planning import Impact, Lash, Mark, WhipPlan
+from hyperflex.planning.whip.aim import FRICTION, LENGTH, TIMING
 from hyperflex.planning.whip.files import lash_of
-from hyperflex.report.folder import Progress, silent
-from hyperflex.report.plan import PlanReport, rope_and_arm, write_plan
-from hyperflex.report.whip import words
+from hyperflex.planning.whip.impact import BLOW, RADIUS
+from hyperflex.report.page import TextTable
+from hyperflex.report.plan import PlanReport, counted
 from hyperflex.report.whip.figures import course_figure, passing_figure, peak_figure
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _SLOW = 0.5  # speed of the film, part of real time
-_CAPTIONS = {
-    "film": "The planned whip, simulated, at half speed: arm (white), rope (yellow), target (red ring).",
-    "peak": "The rope about the peak, early instants dark, late ones bright; simulated.",
-    "passing": "How the tip passes the target: its path, coloured by its speed; simulated.",
-    "course": "Arm angle, the tip's speed and distance from the target, and torque over time. Dashed red: the peak.",
-}
-_LAYOUT = {"The whip": ("film", "peak", "passing"), "Time course": ("course",)}
+_FINER_NOTE = (
+    "The second run makes the same strokes with a rope cut twice as finely: its miss is the error that cutting into "
+    "links makes at a fast tip. It may be as large as the uncertainty of the plan itself, and 3 mm in any case; where "
+    "that matters, plan with shorter links."
+)
 
 
-def write_whip(
-    directory: str | Path, plan: WhipPlan, impact: Impact | None, *, rate: float = RATE, progress: Progress = silent
-) -> dict[str, Path]:
-    """Write the report of a planned whip; see :func:`hyperflex.report.plan.write_plan`.
+class WhipReport(PlanReport[WhipPlan]):
+    """The report of a planned whip.
 
     Parameters
     ----------
-    directory : str or Path
-        Folder to write to.
     plan : WhipPlan
         One without strokes leaves no more than a page with the reason.
     impact : Impact or None
         On a small peg at the target, if it was simulated.
-    rate : float
-        Rows a second of the motor's file, Hz.
-    progress : callable
-        Called with a message on what is being done.
     """
-    return write_plan(directory, whip_report(plan, impact), rate=rate, progress=progress)
+
+    name = "whip"
+    captions: ClassVar = {
+        "film": "The planned whip, simulated, at half speed: arm (white), rope (yellow), target (red ring).",
+        "peak": "The rope about the peak, early instants dark, late ones bright; simulated.",
+        "passing": "How the tip passes the target: its path, coloured by its speed; simulated.",
+        "course": "Arm angle, speed of the tip, its distance from the target, and torque over time. Dashed: the peak.",
+    }
+    layout: ClassVar = {"The whip": ("film", "peak", "passing"), "Time course": ("course",)}
+    checks_note: ClassVar = (_FINER_NOTE,)
+
+    def __init__(self, plan: WhipPlan, impact: Impact | None) -> None:
+        super().__init__(plan, None if plan.lash is None else plan.lash.run)
+        self.impact, mark = impact, plan.mark
+        self.title = "A planned whip" if plan.success else "No whip found that meets its target"
+        whipped = "is" if plan.success else "is to be"
+        self.task = (
+            f"A rope on a motor-driven arm {whipped} whipped, so that its tip passes a point at a peak of its speed."
+        )
+        self.verdict = f"No whip that meets the target was found: {plan.reason}."
+        if plan.success and (seen := plan.lash) is not None:
+            self.verdict = (
+                f"The tip passes the target at {seen.speed:.1f} m/s, {1e3 * seen.miss:.2g} mm off, in simulation."
+            )
+        self.target = f"x = {mark.x:.3g} m, y = {mark.y:.3g} m, {_direction(mark)}, at {mark.speed:.3g} m/s or more"
+        self.tiles, self.story, self.checks = self._tiles(), self._story(), _checks(plan)
+
+    def _tiles(self) -> tuple[tuple[str, str], ...]:
+        plan, mark, seen, impact = self.plan, self.plan.mark, self.plan.lash, self.impact
+        shown = [(f"{mark.x:.3g}, {mark.y:.3g} m", "target: x and y (up) from the motor's shaft")]
+        if plan.strokes is not None:
+            shown.append((_strokes(plan), "of the arm to and fro"))
+        if seen is not None:
+            shown.append((f"{seen.speed:.1f} m/s", f"speed of the tip at its peak; {mark.speed:.3g} are needed"))
+            shown.append((f"{1e3 * seen.miss:.2g} mm", "miss: from the target to the tip at its peak"))
+            if not mark.anyhow:
+                allowed = f"{np.degrees(mark.within):.3g}"
+                shown.append((f"{np.degrees(seen.off):.1f} degrees", f"off the direction needed; {allowed} allowed"))
+            shown.append((f"{seen.t:.2f} s", "after the start the tip's speed peaks"))
+        if impact is not None and math.isfinite(impact.t):
+            shown.append(
+                (
+                    f"{1e3 * impact.impulse:.1f} mN s",
+                    f"impulse of the impact on a small peg of {1e3 * RADIUS:g} mm at the target",
+                )
+            )
+        return tuple(shown)
+
+    def _story(self) -> tuple[str, ...]:
+        plan, impact, lines = self.plan, self.impact, [f"Target: {self.target}."]
+        if plan.strokes is None:
+            return tuple(lines)
+        limits = plan.thrower.limits
+        starts, angles = plan.strokes.starts(limits), np.degrees(plan.strokes.angles(limits))
+        to = ", ".join(
+            f"{end:.0f} degrees from {start:.2f} s on" for start, end in zip(starts, angles[1:], strict=True)
+        )
+        lines.append(
+            f"The rope hangs at rest from the arm at {angles[0]:.0f} degrees (0 hangs down). The arm makes "
+            f"{_strokes(plan)}: to {to}."
+        )
+        if plan.lash is not None:
+            lines.append(_peak(plan.lash))
+        if impact is not None:
+            lines.append(_impact(impact))
+        if math.isfinite(plan.doubt):
+            lines.append(
+                f"Uncertainty: the place of the peak has a standard deviation of {1e3 * plan.doubt:.0f} mm if friction "
+                f"is known to {100 * FRICTION:g} %, length to {100 * LENGTH:g} % and each rest of the arm to "
+                f"{1e3 * TIMING:g} ms."
+            )
+        return tuple(lines)
+
+    def figures(self) -> dict[str, Figure]:
+        """Draw the rope about the peak, the tip's path past the target, and the time course."""
+        plan = self.plan
+        return {"peak": peak_figure(plan), "passing": passing_figure(plan), "course": course_figure(plan)}
+
+    def film(self) -> dict[str, Any]:
+        """Return title, notes and speed of the film, and the target to mark."""
+        title = "planned whip, simulated, at half speed"
+        return {"title": title, "note": self.film_note(), "speed": _SLOW, "targets": self.plan.mark.point[None]}
+
+    def film_note(self) -> Callable[[float], str]:
+        """Return what the film says at a time, s: target, arm, and from the peak on speed and miss."""
+        seen, mark = lash_of(self.plan), self.plan.mark
+        starts = None if self.plan.strokes is None else self.plan.strokes.starts(self.plan.thrower.limits)
+
+        def note(t: float) -> str:
+            begun = 0 if starts is None else int((starts <= t).sum())
+            arm = f"stroke {begun} of {_strokes(self.plan)}" if begun else f"{_strokes(self.plan)} to come"
+            end = f"met at {seen.t:.2f} s: {seen.speed:.1f} m/s, {1e3 * seen.miss:.2g} mm off"
+            if not self.plan.success:
+                end = f"FAILS: {self.plan.reason}"
+            target = f"target: x = {mark.x:.3g} m, y = {mark.y:.3g} m, {mark.speed:.3g} m/s or more"
+            return "\n".join((target, f"arm: {arm}", end if t >= seen.t else ""))
+
+        return note
 
 
-def whip_report(plan: WhipPlan, impact: Impact | None) -> PlanReport:
-    """Return what the report of a plan says and shows."""
-    film = {}
-    if plan.lash is not None:
-        film = {"title": "planned whip, simulated, at half speed", "note": film_note(plan)}
-        film |= {"speed": _SLOW, "targets": plan.mark.point[None]}
-    return PlanReport(
-        plan=plan,
-        name="whip",
-        run=None if plan.lash is None else plan.lash.run,
-        title="A planned whip" if plan.success else "No whip found that meets its target",
-        lead=words.lead(plan),
-        verdict=words.verdict(plan),
-        setup=f"{rope_and_arm(plan.thrower)} Target: {words.target_words(plan.mark)}.",
-        tiles=words.tiles(plan, impact),
-        advice=(),
-        story=words.story(plan, impact),
-        checks=words.checks_table(plan),
-        checks_note=(words.FINER_NOTE,),
-        captions=_CAPTIONS,
-        figures={
-            "peak": lambda: peak_figure(plan),
-            "passing": lambda: passing_figure(plan),
-            "course": lambda: course_figure(plan),
-        },
-        layout=_LAYOUT,
-        film=film,
+def _direction(mark: Mark) -> str:
+    """Return in which direction the tip must pass."""
+    if mark.anyhow:
+        return "in any direction"
+    asked = np.degrees(mark.direction)
+    return f"within {np.degrees(mark.within):.3g} degrees of the direction {asked:.3g} degrees (0 is +x, 90 up)"
+
+
+def _strokes(plan: WhipPlan) -> str:
+    """Return how many strokes the arm makes."""
+    return counted(0 if plan.strokes is None else plan.strokes.ends.size, "stroke")
+
+
+def _peak(seen: Lash) -> str:
+    way = np.degrees(np.arctan2(*seen.velocity[::-1]))
+    before = (
+        "it was slower at all times before" if seen.before <= seen.speed else f"it reached {seen.before:.1f} before"
+    )
+    return (
+        f"At {seen.t:.2f} s the tip's speed peaks at {seen.speed:.2f} m/s ({before}), {1e3 * seen.miss:.2g} mm from "
+        f"the target, in the direction {way:.0f} degrees."
     )
 
 
-def film_note(plan: WhipPlan) -> Callable[[float], str]:
-    """Return what a film of the verified run says at a time, s: target, arm, and from the peak on speed and miss."""
-    seen, mark = lash_of(plan), plan.mark
-    starts = None if plan.strokes is None else plan.strokes.starts(plan.thrower.limits)
+def _impact(impact: Impact) -> str:
+    if not math.isfinite(impact.t):
+        return "A small peg behind the target is not touched by the rope."
+    return (
+        f"Impact: a fixed peg of {1e3 * RADIUS:g} mm radius just behind the target, struck by the rope's link "
+        f"{impact.link + 1}, takes up {1e3 * impact.impulse:.1f} mN s in {1e3 * BLOW:g} ms "
+        f"({1e3 * impact.along:.1f} mN s in the tip's direction), and the rope loses {1e3 * impact.energy:.0f} mJ."
+    )
 
-    def note(t: float) -> str:
-        begun = 0 if starts is None else int((starts <= t).sum())
-        arm = f"stroke {begun} of {words.strokes_words(plan)}" if begun else f"{words.strokes_words(plan)} to come"
-        end = f"met at {seen.t:.2f} s: {seen.speed:.1f} m/s, {1e3 * seen.miss:.2g} mm off"
-        if not plan.success:
-            end = f"FAILS: {plan.reason}"
-        target = f"target: x = {mark.x:.3g} m, y = {mark.y:.3g} m, {mark.speed:.3g} m/s or more"
-        return "\n".join((target, f"arm: {arm}", end if t >= seen.t else ""))
 
-    return note
+def _checks(plan: WhipPlan) -> TextTable:
+    rows = []
+    for name, seen in (("as planned", plan.lash), ("links of half the length", plan.finer)):
+        if seen is None:
+            rows.append((name, "no peak there", "", "", "", ""))
+            continue
+        off = "any" if plan.mark.anyhow else f"{np.degrees(seen.off):.1f} degrees"
+        links = str(seen.run.q.shape[1])
+        rows.append((name, links, f"{seen.t:.3f} s", f"{seen.speed:.2f} m/s", f"{1e3 * seen.miss:.2g} mm", off))
+    return TextTable(("run", "links", "peak", "speed", "misses by", "off the direction"), tuple(rows))
