@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hyperflex.paper.casting_results import fig10
 from hyperflex.paper.report import casting
+from hyperflex.paper.report.part import Item
 
 
 def test_reproduce_writes_files_and_prints_verdicts(hyperflex, tmp_path):
@@ -41,7 +43,7 @@ def test_ctrl_c_while_drawing_leaves_the_folder_as_it_was(hyperflex, tmp_path, m
     def interrupted():
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(casting, "fig10", interrupted)
+    monkeypatch.setitem(casting.PART.items, "fig10", Item(fig10, interrupted))
     (tmp_path / "fig9.png").write_text("earlier")
     code, out, err = hyperflex("reproduce", "fig9", "fig10", "-o", tmp_path)
     assert (code, out) == (130, "")

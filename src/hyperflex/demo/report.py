@@ -17,7 +17,7 @@ from hyperflex.report.cast import CastReport, plain
 from hyperflex.report.folder import Progress, silent, whole_folder
 from hyperflex.report.identification.figures import fit_figure
 from hyperflex.report.identification.fitted import fitted_channels
-from hyperflex.report.page import Picture, Section, TextTable, markdown, write_page
+from hyperflex.report.page import Picture, Section, TextTable, sections_markdown, write_page
 from hyperflex.report.plan import film_progress, search_summary
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import png
@@ -130,8 +130,10 @@ def _write(folder: Path, report: DemoReport, winding: CastReport, progress: Prog
         table=winding.checks,
         notes=(search_summary(demo.plan),),
     )
-    files.write_text(folder / names["summary"], _summary(report, section))
-    _write_page(folder / names["page"], report, shown, section)
+    sections = _sections(report, shown, section)
+    files.write_text(folder / names["summary"], sections_markdown("Demo (simulated)", sections))
+    lead = _LEAD.format(fine=demo.reference.q.shape[1], coarse=demo.recording.n_links)
+    write_page(folder / names["page"], "A rope, identified and cast", lead, "simulated", sections)
     return names | {"wound_film" if kind == "film" else kind: name for kind, name in wound.items()}
 
 
@@ -198,36 +200,17 @@ def _notes(demo: Demo) -> tuple[str, ...]:
     return mapped, " ".join((intervals, *demo.identification.verdict)), recording
 
 
-def _summary(report: DemoReport, winding: Section) -> str:
-    demo = report.demo
-    errors = (
-        f"Prediction error on the held-out part, 1 s ahead: {1e3 * held_out_rms(demo):.1f} mrad, "
-        f"of which the camera's noise alone is {1e3 * float(demo.angle_noise.mean()):.1f} mrad."
-    )
-    parts = [
-        "# Demo: recording, identified rope, cast (simulated)",
-        markdown(report.parameters).rstrip(),
-        "\n".join(f"- {note}" for note in _notes(demo)),
-        errors,
-        "## Greatest |x| of the tip in each 2 s of the cast, m",
-        markdown(report.reaches).rstrip(),
-        f"## {winding.title}",
-        *winding.text,
-        "\n".join(f"- {sentence}" for _, sentence in winding.marks) + "\n",
-    ]
-    return "\n\n".join(parts)
-
-
 def _in_short(demo: Demo) -> Section:
     covered = sum(each.covered for each in demo.parameters)
     reach, own = float(np.abs(demo.cast.tip[:, 0]).max()), float(np.abs(demo.reference.tip[:, 0]).max())
+    rope, recording = demo.identification.rope, demo.recording
+    error, noise = 1e3 * held_out_rms(demo), 1e3 * float(demo.angle_noise.mean())
     tiles = (
         (f"{covered} of {len(demo.parameters)}", "95 % intervals hold the mapped truth"),
-        (f"{1e3 * held_out_rms(demo):.1f} mrad", "prediction error 1 s ahead, on data that the fit has not seen"),
-        (f"{1e3 * float(demo.angle_noise.mean()):.1f} mrad", "noise of a measured angle, for comparison"),
+        (f"{error:.1f} mrad", "prediction error 1 s ahead, on data that the fit has not seen"),
+        (f"{noise:.1f} mrad", "noise of a measured angle, for comparison"),
         (f"{1e2 * abs(reach - own):.1f} cm", f"between the greatest reaches of the two casts ({reach:.2f} m)"),
     )
-    rope, recording = demo.identification.rope, demo.recording
     setup = (
         f"Rope: {rope.total_length:g} m, {rope.total_mass:g} kg. Recording: {recording.t.size} frames over "
         f"{recording.duration:g} s, {recording.n_links + 1} markers, the first "
@@ -237,19 +220,17 @@ def _in_short(demo: Demo) -> Section:
     return Section("In short", tiles=tiles, text=(setup,))
 
 
-def _write_page(path: Path, report: DemoReport, contents: Mapping[str, bytes], winding: Section) -> None:
+def _sections(report: DemoReport, contents: Mapping[str, bytes], winding: Section) -> list[Section]:
     demo = report.demo
 
     def shown(*kinds: str) -> tuple[Picture, ...]:
         return tuple(Picture(contents[kind], _CAPTIONS[kind]) for kind in kinds)
 
     reaches = ("The table gives the greatest |x| of the tip in each 2 s, m.",)
-    sections = [
+    return [
         _in_short(demo),
         winding,
         Section("The paper's cast", pictures=shown("film", "strobe", "casts"), table=report.reaches, notes=reaches),
         Section("The identified rope", pictures=shown("parameters"), table=report.parameters, notes=_notes(demo)),
         Section("Measured, fitted, predicted", text=(_HELD_OUT,), pictures=shown("prediction")),
     ]
-    lead = _LEAD.format(fine=demo.reference.q.shape[1], coarse=demo.recording.n_links)
-    write_page(path, "A rope, identified and cast", lead, "simulated", sections)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,47 +32,25 @@ class Variable(NamedTuple):
             raise InvalidInput(f"variable {name!r} holds no numbers", got=self.values) from None
 
 
-@dataclass(frozen=True)
-class NetCDF:
-    """The content of a NetCDF file.
+class NetCDF(NamedTuple):
+    """The content of a file: variables and attributes of the root group, and the variables of each sub-group.
 
-    Attributes
-    ----------
-    variables : dict of str to Variable
-        Of the root group. A dimension is as long as the first variable that names it.
-    attributes : dict of str to object
-        Of the root group: texts and numbers.
-    groups : dict of str to dict of str to Variable
-        Variables of each sub-group, by its name.
+    A dimension is as long as the first variable that names it.
     """
 
     variables: dict[str, Variable]
     attributes: dict[str, Any]
-    groups: dict[str, dict[str, Variable]] = field(default_factory=dict)
+    groups: Mapping[str, dict[str, Variable]] = {}
 
 
 def write_netcdf(path: PathLike, content: NetCDF) -> None:
-    """Write a NetCDF-4 file, wholly or not at all.
-
-    Parameters
-    ----------
-    path : path-like
-        Usually ends in ``.nc``.
-    content : NetCDF
-        Values are numbers or texts.
-
-    Raises
-    ------
-    FileProblem
-        As for :func:`hyperflex.files.atomic_path`; an earlier file still stands.
-    """
+    """Write a NetCDF-4 file, wholly or not at all. Raises FileProblem as :func:`hyperflex.files.atomic_path` does."""
     import h5netcdf
 
     with atomic_path(path) as part, h5netcdf.File(part, "w") as file:
         for dims, values, _ in content.variables.values():
-            file.dimensions.update(
-                {name: size for name, size in zip(dims, np.shape(values), strict=True) if name not in file.dimensions}
-            )
+            sizes = dict(zip(dims, np.shape(values), strict=True))
+            file.dimensions.update({name: size for name, size in sizes.items() if name not in file.dimensions})
         _put(file, content.variables)
         file.attrs.update(content.attributes)
         for name, variables in content.groups.items():

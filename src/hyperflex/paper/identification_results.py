@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -116,26 +115,19 @@ def start_residuals(swing: Swing) -> dict[str, Array]:
     }
 
 
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """The calculated angle of the last link in Fig. 5: t (m,), s, angle (m,), rad, and the residuals (81,), rad."""
+def fig5_curves() -> list[tuple[Array, Array, Array]]:
+    """Return the curves with the first guess, from the initial angles that suit it best, and after the revision.
 
-    t: Array
-    angle: Array
-    residuals: Array
-
-
-def fig5_curves() -> tuple[Curve, Curve]:
-    """Return what is calculated with the first guess, from the initial angles that suit it best, and revised."""
+    Each a time (m,), s, the angle of the last link then (m,), rad, and its residuals at the samples (81,), rad.
+    """
     found, first = revised(SMALL), revised(SMALL).rounds[0]
     end = record(SMALL).t[-1]
     t = np.linspace(0.0, end, round(end * _FRAMES) + 1)
     guessed = found.rope.replace(inertia=np.full(LINKS, first.inertia), friction=np.full(LINKS, first.friction))
-    curves = []
-    for rope, start in ((guessed, first.q), (found.rope, found.best.q)):
-        angle = motion(rope, np.append(start, np.zeros(LINKS)), t)[:, -1]
-        curves.append(Curve(t, angle, residuals(SMALL, rope, start)))
-    return curves[0], curves[1]
+    return [
+        (t, motion(rope, np.append(start, np.zeros(LINKS)), t)[:, -1], residuals(SMALL, rope, start))
+        for rope, start in ((guessed, first.q), (found.rope, found.best.q))
+    ]
 
 
 def fig6() -> Table:

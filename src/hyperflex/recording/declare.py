@@ -52,35 +52,18 @@ class Raw:
     source: str = ""
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """What the caller declares; None stands for nothing."""
-
-    time_unit: str | None = None
-    unit: str | None = None
-    frame_rate: float | None = None
-    y_axis: str | None = None
-    scale: float | None = None
-    zero: str | None = None
-    sense: str | None = None
-    angles: str | None = None
-    wrapped: bool | None = None
-    noise: object = None
-    max_rate: float = FASTEST
-
-
-def to_recording(raw: Raw, given: Arguments) -> Recording:
-    """Return `raw` as a Recording, or say what has not been declared."""
+def to_recording(raw: Raw, given: Mapping[str, object], max_rate: float) -> Recording:
+    """Return `raw` as a Recording by what the file and the caller (`given`; None for nothing) declare."""
     declared = _Declarations(raw, given)
     declared.require_all()
     _check_size(raw)
     t = _seconds(raw, declared)
-    noise = _noise(raw, given)
+    noise = _noise(raw, given.get("noise"))
     convert = _angles if raw.kind == "angles" else _markers
     data, noise, rates, convention = convert(raw, declared, noise)
     recording = Recording(t, data, raw.kind, noise, rates, raw.convention or convention, raw.name, raw.source)
     if recording.kind == "angles":
-        _check_speed(recording, checks.number("max_rate", given.max_rate, sign="positive", unit="rad/s"))
+        _check_speed(recording, checks.number("max_rate", max_rate, sign="positive", unit="rad/s"))
     return recording
 
 
@@ -97,17 +80,17 @@ def _check_size(raw: Raw) -> None:
             )
 
 
-def _noise(raw: Raw, given: Arguments) -> Array | None:
+def _noise(raw: Raw, given: object) -> Array | None:
     """Return the noise of each sample: the caller's, which must not contradict a note, or the file's."""
     note = raw.declared.get("noise")
     own = raw.noise if note is None else note
-    if given.noise is None:
+    if given is None:
         return None if own is None else per_sample(own, raw.data)
-    noise = per_sample(given.noise, raw.data)
+    noise = per_sample(given, raw.data)
     if note is not None and not np.array_equal(noise, per_sample(note, raw.data)):
         raise InvalidInput(
             f"{raw.source} declares noise = {note!r}, the argument something else",
-            got=given.noise,
+            got=given,
             fix="Leave noise out, or mend the file",
         )
     return noise
@@ -116,12 +99,12 @@ def _noise(raw: Raw, given: Arguments) -> Array | None:
 class _Declarations:
     """Look-up of declarations: the caller's and the file's must agree; else the format's convention or the default."""
 
-    def __init__(self, raw: Raw, given: Arguments) -> None:
+    def __init__(self, raw: Raw, given: Mapping[str, object]) -> None:
         self.raw, self.given = raw, given
 
     def find(self, key: str) -> object:
         """Return what is declared for `key`, or None."""
-        argument, file = getattr(self.given, key), self.raw.declared.get(key)
+        argument, file = self.given.get(key), self.raw.declared.get(key)
         if argument is not None and file is not None and argument != file:
             raise InvalidInput(
                 f"{self.raw.source} declares {key} = {file!r}, the argument something else",

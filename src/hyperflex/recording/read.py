@@ -10,7 +10,7 @@ from hyperflex.files import PathLike, as_path
 from hyperflex.recording import csv as _csv
 from hyperflex.recording import matfile as _matfile
 from hyperflex.recording import netcdf as _netcdf
-from hyperflex.recording.declare import FASTEST, Arguments, to_recording
+from hyperflex.recording.declare import FASTEST, to_recording
 from hyperflex.recording.recording import Recording
 
 
@@ -109,7 +109,12 @@ def read_recording(
             raise InvalidInput(f"{path} holds {raw.kind}", got=kind, fix="Leave kind out")
     else:
         raise InvalidInput(f"{path} has no known suffix", got=suffix, allowed=".csv, .txt, .nc, .mat")
-    given = Arguments(
-        time_unit, unit, frame_rate, y_axis, scale, zero, sense, angles, wrapped, noise=noise, max_rate=max_rate
-    )
-    return to_recording(replace(raw, name=name or raw.name or file.stem), given)
+    given: dict[str, object] = {
+        "time_unit": time_unit,
+        "unit": unit,
+        "frame_rate": frame_rate,
+        "y_axis": y_axis,
+        "scale": scale,
+    }
+    given |= {"zero": zero, "sense": sense, "angles": angles, "wrapped": wrapped, "noise": noise}
+    return to_recording(replace(raw, name=name or raw.name or file.stem), given, max_rate)

@@ -139,3 +139,15 @@ def markdown(table: TextTable) -> str:
 
     rule = "|" + "|".join("-" * (width + 2) for width in widths) + "|"
     return "\n".join([row(cells[0]), rule, *map(row, cells[1:])]) + "\n"
+
+
+def sections_markdown(title: str, sections: Sequence[Section]) -> str:
+    """Return the text, findings, tables and notes of sections as Markdown; pictures are left out."""
+    parts = [f"# {title}"]
+    for section in sections:
+        parts += [f"## {section.title}", *section.text]
+        findings = [sentence for _, sentence in section.marks] + [f"{what}: {value}" for value, what in section.tiles]
+        parts += ["\n".join(f"- {finding}" for finding in findings)] if findings else []
+        parts += [markdown(section.table).rstrip()] if section.table else []
+        parts += ["\n".join(f"- {note}" for note in section.notes)] if section.notes else []
+    return "\n\n".join(parts) + "\n"

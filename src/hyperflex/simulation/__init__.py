@@ -3,58 +3,6 @@
 :func:`angles` and :class:`Slopes` give the bare arrays that identification needs.
 """
 
-from __future__ import annotations
+from hyperflex.lazy import attach
 
-from typing import TYPE_CHECKING
-
-from hyperflex.lazy import loader
-
-if TYPE_CHECKING:
-    from hyperflex.simulation.batch.batch import Batch, simulate_batch
-    from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
-    from hyperflex.simulation.lyapunov import Predictability, predictability
-    from hyperflex.simulation.runs import angles, simulate
-    from hyperflex.simulation.sensitivity.sensitivity import Sensitivities, Slopes, sensitivities
-    from hyperflex.simulation.stability import runge_kutta_limit
-
-_HOMES = {
-    "Batch": "batch.batch",
-    "Event": "events",
-    "Predictability": "lyapunov",
-    "Sensitivities": "sensitivity.sensitivity",
-    "Slopes": "sensitivity.sensitivity",
-    "angle_reached": "events",
-    "angles": "runs",
-    "phase_reached": "events",
-    "predictability": "lyapunov",
-    "runge_kutta_limit": "stability",
-    "sensitivities": "sensitivity.sensitivity",
-    "simulate": "runs",
-    "simulate_batch": "batch.batch",
-    "tip_crosses": "events",
-    "tip_speed_peak": "events",
-}
-
-__all__ = [
-    "Batch",
-    "Event",
-    "Predictability",
-    "Sensitivities",
-    "Slopes",
-    "angle_reached",
-    "angles",
-    "phase_reached",
-    "predictability",
-    "runge_kutta_limit",
-    "sensitivities",
-    "simulate",
-    "simulate_batch",
-    "tip_crosses",
-    "tip_speed_peak",
-]
-
-__getattr__ = loader(__name__, _HOMES)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

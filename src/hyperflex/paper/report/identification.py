@@ -83,17 +83,15 @@ def _errors(axis: Any, swing: Swing) -> None:
 
 def fig5() -> Figure:
     """Tip angle against time: measured, calculated by the revision, and with the first guess."""
-    recording, (guessed, found) = record(SMALL), results.fig5_curves()
+    recording = record(SMALL)
     title = f"Angle of the rope's tip, simulated, let go at {SMALL.angle:g} rad (Fig. 5)"
     with new_figure(9.4, 4.9, title) as figure:
         top, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1))
         below.axhspan(-1e3 * NOISE, 1e3 * NOISE, color=GREY, alpha=0.15, lw=0, label="noise (rms)")
-        for curve, colour, dash, label in (
-            (guessed, RED, (0, (4.0, 1.6)), "first guess (CM), its best start"),
-            (found, BLUE, "-", "revised (IR)"),
-        ):
-            top.plot(curve.t, curve.angle, color=colour, ls=dash, label=label)
-            below.plot(recording.t, 1e3 * curve.residuals, "o", ls="-", lw=0.6, ms=2.6, color=colour)
+        styles = ((RED, (0, (4.0, 1.6)), "first guess (CM), its best start"), (BLUE, "-", "revised (IR)"))
+        for (t, angle, residuals), (colour, dash, label) in zip(results.fig5_curves(), styles, strict=True):
+            top.plot(t, angle, color=colour, ls=dash, label=label)
+            below.plot(recording.t, 1e3 * residuals, "o", ls="-", lw=0.6, ms=2.6, color=colour)
         top.plot(recording.t, recording.data[:, -1], "o", ms=4.2, mfc="none", mec=INK, mew=0.9, label="measured")
         top.set(ylabel="angle of link 5, rad", xlim=(0.0, recording.t[-1]))
         below.set(ylabel="residual, mrad", xlabel="time, s")
@@ -229,8 +227,15 @@ def _sections(tables: list[Section], pictures: tuple[Picture, ...]) -> list[Sect
     return [*tables, *figures, Section("Set-up of the identification", text=(_setup_text(),))]
 
 
-def _items() -> dict[str, Item]:
-    return {
+PART = Part(
+    title="Identifying a rope by iterative revision",
+    lead=(
+        "Identification by iterative revision: section III of Suzuki and Ebihara, Casting Control for Hyper-Flexible "
+        "Manipulation (ICRA 2007), on a simulated twin of its experiment. Length and mass of the rope are inferred."
+    ),
+    claims_title="Claims of the paper on identification, simulated",
+    message="identifying; each revision takes a second or two",
+    items={
         "table1": Item(results.table1, sections=_table1),
         "table2": Item(results.table2, sections=_table2),
         "fig3": Item(
@@ -251,19 +256,7 @@ def _items() -> dict[str, Item]:
             "E over all 81 samples after a revision that used only the first ones. The paper's two printed values are "
             "marked.",
         ),
-    }
-
-
-PART = Part(
-    title="Identifying a rope by iterative revision",
-    lead=(
-        "Identification by iterative revision: section III of Suzuki and Ebihara, Casting Control for Hyper-Flexible "
-        "Manipulation (ICRA 2007), on a simulated twin of its experiment. Length and mass of the rope are inferred."
-    ),
-    claims_title="Claims of the paper on identification, simulated",
-    message="identifying; each revision takes a second or two",
-    names=("table1", "table2", "fig3", "fig5", "fig6"),
-    items=_items,
+    },
     claims=results.identification_claims,
     sections=_sections,
 )

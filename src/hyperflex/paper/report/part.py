@@ -50,8 +50,8 @@ class Part:
         For the page, and for the text file of the claims.
     message : str
         What takes long in it.
-    items : callable
-        Returns its figures and tables by name, in the paper's order.
+    items : dict of str to Item
+        Its figures and tables by name, in the paper's order.
     claims : callable
         Measures its claims.
     sections : callable
@@ -62,8 +62,7 @@ class Part:
     lead: str
     claims_title: str
     message: str
-    names: tuple[str, ...]
-    items: Callable[[], Mapping[str, Item]]
+    items: Mapping[str, Item]
     claims: Callable[[], list[Claim]]
     sections: Callable[[list[Section], tuple[Picture, ...]], list[Section]]
 
@@ -83,10 +82,9 @@ def write_part(part: Part, names: Sequence[str], folder: Path, progress: Progres
     written: list[str] = []
     sections: list[Section] = []
     pictures = []
-    items = part.items()
     for name in names:
         progress(f"making {name}")
-        item = items[name]
+        item = part.items[name]
         if item.draw is not None:
             content = png(item.draw())
             files.write_bytes(folder / f"{name}.png", content)

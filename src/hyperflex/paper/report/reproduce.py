@@ -11,10 +11,10 @@ from hyperflex.paper.report import casting, identification, timing
 from hyperflex.paper.report.part import Part, Written, claims_table, verdicts, write_part
 from hyperflex.paper.results import Claim
 from hyperflex.report.folder import Progress, silent, whole_folder
-from hyperflex.report.page import Section, markdown, write_page
+from hyperflex.report.page import Section, sections_markdown, write_page
 
 PARTS = (identification.PART, casting.PART, timing.PART)
-FIGURES = tuple(name for part in PARTS for name in part.names)
+FIGURES = tuple(name for part in PARTS for name in part.items)
 
 
 @dataclass(frozen=True)
@@ -61,29 +61,19 @@ def reproduce(names: Sequence[str], directory: str | Path, *, progress: Progress
     chosen = [checks.choice("figure", name, (*FIGURES, "all")) for name in names]
     wanted = [name for name in FIGURES if "all" in chosen or name in chosen]
     with whole_folder(directory) as stage:
-        parts = [(part, [name for name in wanted if name in part.names]) for part in PARTS]
+        parts = [(part, [name for name in wanted if name in part.items]) for part in PARTS]
         done = [(part, write_part(part, own, stage, progress)) for part, own in parts if own]
-        files.write_text(stage / "claims.md", "\n\n".join(_claims_text(*each) for each in done) + "\n")
+        texts = [
+            sections_markdown(part.claims_title, [_verdict(part, each), *(s for s in each.sections if not s.pictures)])
+            for part, each in done
+        ]
+        files.write_text(stage / "claims.md", "\n".join(texts))
         sections = [section for part, each in done for section in (_verdict(part, each), *each.sections)]
         title, lead = "; ".join(part.title for part, _ in done), " ".join(part.lead for part, _ in done)
         write_page(stage / "report.html", title, lead, "simulated", sections)
     written = [name for _, each in done for name in each.names]
     claims = tuple(claim for _, each in done for claim in each.claims)
     return Reproduction(tuple(Path(directory) / name for name in (*written, "claims.md", "report.html")), claims)
-
-
-def _claims_text(part: Part, done: Written) -> str:
-    """Return the claims of a part and its tables as Markdown."""
-    parts = [
-        f"# {part.claims_title}",
-        markdown(claims_table(done.claims)).rstrip(),
-        "\n".join(f"- {sentence}" for sentence in verdicts(done.claims)),
-    ]
-    for section in done.sections:
-        if not section.pictures:
-            parts += [f"## {section.title}", *section.text]
-            parts += [markdown(section.table).rstrip()] if section.table else []
-    return "\n\n".join(parts)
 
 
 def _verdict(part: Part, done: Written) -> Section:

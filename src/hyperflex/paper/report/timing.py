@@ -86,8 +86,7 @@ PART = Part(
     ),
     claims_title="Claim of the paper on timing control, simulated",
     message="simulating the timing control",
-    names=("fig13",),
-    items=lambda: {"fig13": Item(timing.fig13, fig13, _CAPTION)},
+    items={"fig13": Item(timing.fig13, fig13, _CAPTION)},
     claims=timing.timing_claims,
     sections=_sections,
 )

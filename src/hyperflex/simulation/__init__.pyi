@@ -1,0 +1,15 @@
+from hyperflex.simulation.batch.batch import Batch as Batch
+from hyperflex.simulation.batch.batch import simulate_batch as simulate_batch
+from hyperflex.simulation.events import Event as Event
+from hyperflex.simulation.events import angle_reached as angle_reached
+from hyperflex.simulation.events import phase_reached as phase_reached
+from hyperflex.simulation.events import tip_crosses as tip_crosses
+from hyperflex.simulation.events import tip_speed_peak as tip_speed_peak
+from hyperflex.simulation.lyapunov import Predictability as Predictability
+from hyperflex.simulation.lyapunov import predictability as predictability
+from hyperflex.simulation.runs import angles as angles
+from hyperflex.simulation.runs import simulate as simulate
+from hyperflex.simulation.sensitivity.sensitivity import Sensitivities as Sensitivities
+from hyperflex.simulation.sensitivity.sensitivity import Slopes as Slopes
+from hyperflex.simulation.sensitivity.sensitivity import sensitivities as sensitivities
+from hyperflex.simulation.stability import runge_kutta_limit as runge_kutta_limit
