@@ -142,6 +142,7 @@ def test_netcdf_keeps_every_bit(tmp_path):
     assert back.setup.dumps() == run.setup.dumps()
     for name in ("t", "step", "work", "dissipated"):
         assert getattr(back.state, name) == getattr(run.state, name)
+    assert all(isinstance(getattr(back.state, name), float) for name in ("t", "step", "work", "dissipated"))
     np.testing.assert_array_equal(back.state.q, run.state.q)
     np.testing.assert_array_equal(back.state.qd, run.state.qd)
     assert back.state.checkpoint.keys() == run.state.checkpoint.keys()

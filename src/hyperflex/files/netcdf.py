@@ -27,7 +27,7 @@ class Variable(NamedTuple):
     def numbers(self, name: str) -> npt.NDArray[np.float64]:
         """Return the values as float64; InvalidInput, with the variable's `name`, where they are no numbers."""
         try:
-            return np.ascontiguousarray(self.values, dtype=np.float64)
+            return np.asarray(self.values, dtype=np.float64)
         except (ValueError, TypeError):
             raise InvalidInput(f"variable {name!r} holds no numbers", got=self.values) from None
 
