@@ -53,6 +53,7 @@ def array(
     unit: str = "",
     scalar: bool = False,
     gaps: bool = False,
+    infinite: bool = False,
 ) -> Array:
     """Return `value` as a fresh read-only float64 array of the given shape.
 
@@ -65,7 +66,9 @@ def array(
     scalar : bool
         Let a single number stand for all elements.
     gaps : bool
-        Let NaN pass (a missing sample); infinities never do.
+        Let NaN pass (a missing sample).
+    infinite : bool
+        Let +inf pass.
 
     Raises
     ------
@@ -82,13 +85,16 @@ def array(
     if result.ndim != len(shape) or any(w >= 0 and w != s for w, s in zip(shape, result.shape, strict=True)):
         raise InvalidInput(f"{name} has the wrong shape", got=result.shape, allowed=f"shape {want}")
     bad = np.isinf(result) if gaps else ~np.isfinite(result)
+    if infinite:
+        bad &= result != np.inf
     if sign == "positive":
         bad |= result <= 0.0
     elif sign == "nonnegative":
         bad |= result < 0.0
     if bad.any():
         index = tuple(int(k) for k in np.argwhere(bad)[0])
-        allowed = _ALLOWED[sign] + (" (NaN marks a gap)" if gaps else "") + (f", in {unit}" if unit else "")
+        also = " (NaN marks a gap)" if gaps else " (or inf)" if infinite else ""
+        allowed = _ALLOWED[sign] + also + (f", in {unit}" if unit else "")
         raise InvalidInput(f"{name}{list(index)} cannot be used", got=float(result[index]), allowed=allowed)
     result.setflags(write=False)
     return result

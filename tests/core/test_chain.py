@@ -81,7 +81,7 @@ def test_the_papers_cable_at_rest_and_whirling() -> None:
     length, mass = 0.04, 2.5e-3
     links = dense.Links(
         length * one, mass * one, length / 2 * one, mass * (3 * 0.0025**2 + length**2) / 12 * one,
-        5e-4 * one, 0 * one, 0 * one, 0 * one, 0.0, 0.0, -9.81, 1.0,
+        5e-4 * one, 0 * one, 0 * one, 0 * one, 0 * one, np.inf * one, 0.0, 0.0, -9.81, 1.0,
     )  # fmt: skip
     for seed in range(3):
         state = random_state(n, seed)

@@ -38,6 +38,8 @@ def random_links(n: int, seed: int, *, reaction: float = 1.0, joints: bool = Tru
         dry=on * rng.uniform(0.0, 2e-3, n),
         stiffness=on * rng.uniform(0.0, 5e-2, n),
         rest=on * rng.normal(0.0, 0.2, n),
+        drag=np.zeros(n),
+        max_bend=np.full(n, np.inf),
         tip_mass=float(rng.uniform(0.005, 0.05)) if tip else 0.0,
         gx=float(rng.normal(0.0, 2.0)),
         gy=-9.81,

@@ -32,6 +32,8 @@ class Links(NamedTuple):
     dry: Real
     stiffness: Real
     rest: Real
+    drag: Real
+    max_bend: Real
     tip_mass: float
     gx: float
     gy: float

@@ -106,4 +106,6 @@ class Arm:
             dry=joined(self.dry_friction, rope.dry_friction),
             stiffness=joined(0.0, rope.stiffness),
             rest=joined(0.0, rope.rest_angle),
+            drag=joined(0.0, rope.drag),
+            max_bend=joined(math.inf, rope.max_bend),
         )

@@ -50,7 +50,7 @@ def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, rat
     differ it goes straight from the one to the next. The first joint is a hinge: the rope turns in it as a whole, by
     the same angle however finely it is cut, so it keeps its friction and stiffness, and the pieces of the first link
     bend as the rope does at the second joint. Dry friction, a torque that any bend must overcome, is every joint's
-    alike; a rest angle stays with its joint.
+    alike; a rest angle stays with its joint. Air drag is per length; the greatest bend goes with a joint's length.
 
     Examples
     --------
@@ -102,6 +102,7 @@ def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
     begins = np.append(0, np.cumsum(pieces)[:-1])  # where the old joints are among the new ones
     rest = np.zeros(length.size)
     rest[begins] = rope.rest_angle
+    bent = _along(1.0 / rope.max_bend, rope.length, pieces)
     return rope.replace(
         length=length,
         mass=mass,
@@ -111,6 +112,8 @@ def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
         stiffness=_along(rope.stiffness, rope.length, pieces),
         dry_friction=np.repeat(rope.dry_friction, pieces),
         rest_angle=rest,
+        drag=np.repeat(rope.drag, pieces),
+        max_bend=np.where(bent > 0.0, 1.0 / np.maximum(bent, 1e-300), np.inf),
     )
 
 

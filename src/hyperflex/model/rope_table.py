@@ -12,16 +12,18 @@ from hyperflex.errors import InvalidInput
 
 MOST_LINKS = 100_000  # far beyond use; a slip of the pen must not fill the memory
 
-# per-link fields: (sign, unit)
-LINK_FIELDS: dict[str, tuple[checks.Sign, str]] = {
-    "length": ("positive", "m"),
-    "mass": ("nonnegative", "kg"),
-    "com": ("any", "m"),
-    "inertia": ("nonnegative", "kg m^2"),
-    "friction": ("nonnegative", "N m s/rad"),
-    "dry_friction": ("nonnegative", "N m"),
-    "stiffness": ("nonnegative", "N m/rad"),
-    "rest_angle": ("any", "rad"),
+# per-link fields: (sign, unit, whether inf is allowed)
+LINK_FIELDS: dict[str, tuple[checks.Sign, str, bool]] = {
+    "length": ("positive", "m", False),
+    "mass": ("nonnegative", "kg", False),
+    "com": ("any", "m", False),
+    "inertia": ("nonnegative", "kg m^2", False),
+    "friction": ("nonnegative", "N m s/rad", False),
+    "dry_friction": ("nonnegative", "N m", False),
+    "stiffness": ("nonnegative", "N m/rad", False),
+    "rest_angle": ("any", "rad", False),
+    "drag": ("nonnegative", "kg/m^2", False),
+    "max_bend": ("positive", "rad", True),
 }
 
 TOTALS = ("length", "mass")  # of the whole rope or of each link: a file says which
@@ -65,7 +67,7 @@ def from_table(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]
                 allowed=f"total_{name} for the whole rope, link_{name} for each link, or an array",
             )
         if np.ndim(value) == 0:
-            sign, unit = LINK_FIELDS[name]
+            sign, unit, _ = LINK_FIELDS[name]
             single = checks.number(f"rope {given[0]}", value, sign=sign, unit=unit)
             value = np.full(n, single / n if given[0].startswith("total") else single)
         content[name] = value

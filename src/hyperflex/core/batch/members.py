@@ -17,7 +17,7 @@ from hyperflex.core.jit import inlined, kernel
 class Members(NamedTuple):
     """What the members of a batch are made of; drives lie one after the other, member m's from first[m] on."""
 
-    links: Array  # (m, 9, n): length, mass, com, inertia, viscous, stiffness, rest, dry, lever
+    links: Array  # (m, 11, n): length, mass, com, inertia, viscous, dry, stiffness, rest, drag, max_bend, lever
     whole: Array  # (m, 5): tip mass, gravity x, y, arm length, torque limit
     start: Array  # (m, 2 n + 2) states at begin
     breaks: Array  # (sum of k + 1,), s
@@ -38,7 +38,8 @@ class Terms(NamedTuple):
     rounding: float  # m, as in Scheme
 
 
-LENGTH, MASS, COM, INERTIA, VISCOUS, STIFFNESS, REST, DRY, LEVER = range(9)
+# rows of ``links``: the fields of a Chain in their order, and the lever
+LENGTH, MASS, COM, INERTIA, VISCOUS, DRY, STIFFNESS, REST, DRAG, MAX_BEND, LEVER = range(11)
 TIP_MASS, GRAVITY_X, GRAVITY_Y, ARM_LENGTH, TORQUE_LIMIT = range(5)
 # a lane's clock, s: as in rollout, with the piece of the drive that holds and the step wanted next
 # RETRY: 1.0 while a step is being shortened to end at an event
@@ -166,6 +167,8 @@ def chain_of(members, terms, m, gx, gy):  # type: ignore[no-untyped-def]
         link[DRY],
         link[STIFFNESS],
         link[REST],
+        link[DRAG],
+        link[MAX_BEND],
         members.whole[m, TIP_MASS],
         gx,
         gy,

@@ -29,6 +29,8 @@ class Chain(NamedTuple):
     dry: Array
     stiffness: Array
     rest: Array
+    drag: Array
+    max_bend: Array
     tip_mass: float
     gx: float
     gy: float

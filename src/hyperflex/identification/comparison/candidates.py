@@ -124,12 +124,15 @@ def recut(rope: Rope, n_links: int) -> Rope:
     length = np.full(n_links, ends[-1] / n_links)
     joints = {name: _joints(getattr(rope, name), rope.length, cuts, ends) for name in ("friction", *RESISTANCES)}
     joints["dry_friction"] = np.interp(cuts[:-1], ends[:-1], rope.dry_friction)
+    bent = _joints(1.0 / rope.max_bend, rope.length, cuts, ends)
     return Rope(
         length,
         total,
         com,
         inertia + 0.25 * total * rope.radius**2,
         **joints,
+        drag=part @ rope.drag / length,
+        max_bend=np.where(bent > 0.0, 1.0 / np.maximum(bent, 1e-300), np.inf),
         tip_mass=rope.tip_mass,
         gravity=rope.gravity,
         friction_model=rope.friction_model,

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.batch.members import Members
+from hyperflex.core.batch.members import LEVER, Members
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive
 from hyperflex.errors import InvalidInput
@@ -72,12 +72,7 @@ def starts_of(setups: list[Setup], rows: list[Array | None]) -> Array:
 
 def members_of(chains: list[Chain], drives: list[Drive], starts: Array) -> Members:
     """Put what each member is made of side by side."""
-    links = np.stack(
-        [
-            np.stack([c.length, c.mass, c.com, c.inertia, c.viscous, c.stiffness, c.rest, c.dry, lever(c)])
-            for c in chains
-        ]
-    )
+    links = np.stack([np.stack([*c[:LEVER], lever(c)]) for c in chains])
     whole = np.array(
         [[c.tip_mass, c.gx, c.gy, d.arm_length, d.torque_limit] for c, d in zip(chains, drives, strict=True)]
     )
