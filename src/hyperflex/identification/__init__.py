@@ -15,6 +15,7 @@ from hyperflex.identification.comparison.compare import compare_models
 from hyperflex.identification.comparison.result import FittedModel, ModelComparison
 from hyperflex.identification.experiment_design.choice import Design, Plan, design
 from hyperflex.identification.experiment_design.experiments import Experiment
+from hyperflex.identification.model.names import perturbed
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import BAND, HeldOut
@@ -53,6 +54,7 @@ __all__ = [
     "lumped",
     "natural_frequency_inertia",
     "natural_period",
+    "perturbed",
     "profile",
     "ratios",
     "regression",

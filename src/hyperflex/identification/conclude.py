@@ -8,7 +8,6 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.misfit import poor, poor_torque
-from hyperflex.identification.model.parameters import SCALARS
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.sensors import Angles
 from hyperflex.identification.prediction import HeldOut
@@ -91,7 +90,7 @@ def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array
     result: dict[str, Array] = {}
     for parameter, number in zip(parameters.all, numbers, strict=True):
         name, held = parameter.name, np.zeros(n)
-        if name in SCALARS:
+        if not parameter.links:
             result[name] = np.array(number)
         elif parameter.law != "own":
             result[parameter.label] = np.array(number)

@@ -14,7 +14,8 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import MUTUAL, PRINTED, Chain
 from hyperflex.errors import InvalidInput
-from hyperflex.model.rope_table import LINK_FIELDS, MOST_LINKS, from_table, to_table
+from hyperflex.model.properties import LINKS
+from hyperflex.model.rope_table import MOST_LINKS, from_table, to_table
 
 GRAVITY = (0.0, -9.81)  # m/s^2
 FrictionModel = Literal["relative", "printed"]
@@ -108,36 +109,29 @@ class Rope:
         radius: float = 0.0,
         name: str = "",
     ) -> None:
-        n = _number_of_links(
-            length=length,
-            mass=mass,
-            com=com,
-            inertia=inertia,
-            friction=friction,
-            dry_friction=dry_friction,
-            stiffness=stiffness,
-            rest_angle=rest_angle,
-            drag=drag,
-            max_bend=max_bend,
-        )
-
-        def per_link(name: str, value: npt.ArrayLike) -> Array:
-            sign, unit, infinite = LINK_FIELDS[name]
-            result = checks.array(f"rope {name}", value, (n,), sign=sign, unit=unit, scalar=True, infinite=infinite)
-            object.__setattr__(self, name, result)
-            return result
-
-        lengths, masses = per_link("length", length), per_link("mass", mass)
+        given: dict[str, npt.ArrayLike | None] = {
+            "length": length,
+            "mass": mass,
+            "com": com,
+            "inertia": inertia,
+            "friction": friction,
+            "dry_friction": dry_friction,
+            "stiffness": stiffness,
+            "rest_angle": rest_angle,
+            "drag": drag,
+            "max_bend": max_bend,
+        }
+        n = _number_of_links(given)
         r = checks.number("radius", radius, sign="nonnegative", unit="m")
-        centres = per_link("com", 0.5 * lengths if com is None else com)
-        cylinder = masses * (3.0 * r**2 + lengths**2) / 12.0
-        inertias = per_link("inertia", cylinder if inertia is None else inertia)
-        per_link("friction", friction)
-        per_link("dry_friction", dry_friction)
-        per_link("stiffness", stiffness)
-        per_link("rest_angle", rest_angle)
-        per_link("drag", drag)
-        per_link("max_bend", max_bend)
+        for each in LINKS:
+            value = given[each.name]
+            if each.name == "com" and value is None:
+                value = 0.5 * self.length
+            elif each.name == "inertia" and value is None:
+                value = self.mass * (3.0 * r**2 + self.length**2) / 12.0
+            bounds: dict[str, Any] = {"sign": each.sign, "unit": each.unit, "infinite": each.default == np.inf}
+            array = checks.array(f"rope {each.name}", value, (n,), scalar=True, **bounds)
+            object.__setattr__(self, each.name, array)
         for field, value in (
             ("radius", r),
             ("tip_mass", checks.number("tip_mass", tip_mass, sign="nonnegative", unit="kg")),
@@ -146,7 +140,7 @@ class Rope:
             ("name", str(name)),
         ):
             object.__setattr__(self, field, value)
-        empty = inertias + masses * centres**2 <= 0.0
+        empty = self.inertia + self.mass * self.com**2 <= 0.0
         empty[-1] &= self.tip_mass <= 0.0
         if empty.any():
             raise InvalidInput(
@@ -250,20 +244,11 @@ class Rope:
     def chain(self) -> Chain:
         """Return the arrays as the kernels take them."""
         return Chain(
-            self.length,
-            self.mass,
-            self.com,
-            self.inertia,
-            self.friction,
-            self.dry_friction,
-            self.stiffness,
-            self.rest_angle,
-            self.drag,
-            self.max_bend,
-            self.tip_mass,
-            float(self.gravity[0]),
-            float(self.gravity[1]),
-            MUTUAL if self.friction_model == "relative" else PRINTED,
+            **{each.field: getattr(self, each.name) for each in LINKS},
+            tip_mass=self.tip_mass,
+            gx=float(self.gravity[0]),
+            gy=float(self.gravity[1]),
+            bears=MUTUAL if self.friction_model == "relative" else PRINTED,
         )
 
     def table(self) -> dict[str, Any]:
@@ -299,7 +284,7 @@ def _names(cls: type) -> str:
     return ", ".join(f.name for f in fields(cls))
 
 
-def _number_of_links(**values: npt.ArrayLike | None) -> int:
+def _number_of_links(values: Mapping[str, npt.ArrayLike | None]) -> int:
     sizes: dict[str, int] = {}
     for name, value in values.items():
         try:

@@ -1,12 +1,11 @@
 """The equation of motion as a regression: everything that is linear in it, link by link (paper (4)-(6)).
 
-The first moments p, the inertias J about the joints, friction, dry friction and stiffness enter the torques of a chain
+The first moments p, the inertias J about the joints and all resistances enter the torques of a chain
 linearly, and so do masses and inertias where lengths and centres of mass are known.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -18,12 +17,12 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.model import Rope
+from hyperflex.model.properties import RESISTANCES, parsed
 
-LUMPED = ("p", "J", "friction", "dry_friction", "stiffness")  # blocks of n columns, in this order
+LUMPED = ("p", "J", *(each.name for each in RESISTANCES))  # blocks of n columns, in this order
 NAMES = ("inertia", "mass", "tip_mass", *LUMPED)
 WITHIN = {"p": {"mass", "tip_mass"}, "J": {"inertia", "mass", "tip_mass"}}  # what a lumped one already contains
 ALIKE = 1e-10  # singular values below this part of the largest mean that columns cannot be told apart
-_NAME = re.compile(r"(?P<name>[A-Za-z_]+)(?:\[(?P<link>\d+)\])?(?P<shared>:shared)?\Z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +131,7 @@ def regression(
     q, qd, qdd : (T, n) array_like
         Absolute angles, rad, rates, rad/s, and accelerations, rad/s^2; NaN marks gaps.
     names : sequence of str
-        The unknowns: ``inertia`` (about the centre of mass), ``mass``, ``friction``, ``dry_friction``, ``stiffness`` of
+        The unknowns: ``inertia`` (about the centre of mass), ``mass`` and the resistances, ``friction`` and others, of
         each link; ``friction[2]`` of one link, ``friction:shared`` one value for all; ``tip_mass``; the lumped moments
         ``p`` (kg m) and ``J`` (about the joint, kg m^2) of docs/notation.md. By default the paper's J and eta.
     pivot_acceleration : (T, 2) array_like, optional
@@ -182,7 +181,7 @@ def regression(
         ],
         axis=2,
     )
-    held = np.concatenate([*lumped(rope), rope.friction, rope.dry_friction, rope.stiffness])
+    held = np.concatenate([*lumped(rope), *(getattr(rope, each.name) for each in RESISTANCES)])
     sizes = np.abs(held)
     spread = np.zeros((held.size, len(unknowns)))
     for column, (_, name, links) in zip(spread.T, unknowns, strict=True):
@@ -213,7 +212,7 @@ def _moments(rope: Rope, q: Array, qd: Array, qdd: Array, gravity: Array) -> tup
 
 
 def _joints(rope: Rope, q: Array, qd: Array, angle: Array, rate: Array) -> tuple[Array, Array, Array]:
-    """Return the torques (T, n, n) of a unit of friction, of dry friction and of stiffness in each joint."""
+    """Return the torques (T, n, n) of a unit of each resistance in each joint."""
     turning = np.diff(qd, axis=1, prepend=rate[:, None])
     bent = np.diff(q, axis=1, prepend=angle[:, None]) - rope.rest_angle
     onto = np.eye(rope.n_links)
@@ -226,18 +225,18 @@ def _unknowns(rope: Rope, names: Sequence[str]) -> list[tuple[str, str, list[int
     """Return label, property and links of each unknown."""
     result = []
     for given in [names] if isinstance(names, str) else names:
-        match = _NAME.match(given) if isinstance(given, str) else None
-        name = match["name"] if match else ""
-        if match is None or name not in NAMES or (match["link"] and match["shared"]):
+        label = parsed(given)
+        if label is None or label.name not in NAMES or label.law not in ("", "shared"):
             raise InvalidInput(
                 "an unknown of the regression is not known",
                 got=given,
                 allowed=", ".join(NAMES) + "; friction[2] for one link, friction:shared for all",
             )
-        links = list(range(rope.n_links)) if match["link"] is None else [int(match["link"])]
+        name = label.name
+        links = list(range(rope.n_links)) if label.place is None else [label.place]
         if links[-1] >= rope.n_links or (name == "tip_mass" and given != name):
             raise InvalidInput("a name does not fit the rope", got=given, allowed=f"links 0 to {rope.n_links - 1}")
-        if name == "tip_mass" or match["shared"] or match["link"]:
+        if name == "tip_mass" or given != name:
             result.append((given, name, [0] if name == "tip_mass" else links))
         else:
             result += [(f"{name}[{k}]", name, [k]) for k in links]
@@ -259,9 +258,9 @@ def _refuse_overlaps(unknowns: list[tuple[str, str, list[int]]]) -> None:
 
 
 def _lumped_part(rope: Rope, name: str, link: int) -> tuple[Array, float]:
-    """Return what a unit of a link's property adds to (p, J, friction, dry, stiffness), (5 n,), and its own value."""
+    """Return what a unit of a link's property adds to LUMPED, (n,) of each, and its own value."""
     n = rope.n_links
-    result = np.zeros((5, n))
+    result = np.zeros((len(LUMPED), n))
     if name in LUMPED:
         result[LUMPED.index(name), link] = 1.0
         own = dict(zip(("p", "J"), lumped(rope), strict=True))

@@ -10,10 +10,10 @@ from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive
 from hyperflex.identification.model.parameters import Part
 from hyperflex.model import Arm
+from hyperflex.model.properties import LINKS, PROPERTIES
 
 ANGLE_STEP = 1e-5  # rad, and of x: differences of a smooth function then err by some 1e-10 of it
 RATE_STEP = 1e-3  # rad/s: torque is quadratic in the rates, so that only rounding errs
-_FIELDS = {"friction": "viscous", "dry_friction": "dry", "rest_angle": "rest"}
 
 
 class MotorTorque:
@@ -97,11 +97,9 @@ def _moved(chain: Chain, part: Part, step: float) -> Chain:
     for name, change in part.items():
         if name == "gravity":
             changes |= {"gx": chain.gx + step * float(change[0]), "gy": chain.gy + step * float(change[1])}
-        elif name == "tip_mass":
-            changes[name] = chain.tip_mass + step * float(change[0])
-        elif name not in ("breaks", "coef"):
-            field = _FIELDS.get(name, name)
-            changes[field] = getattr(chain, field) + step * change
+        elif name in PROPERTIES:
+            field = PROPERTIES[name].field
+            changes[field] = getattr(chain, field) + step * (change if PROPERTIES[name] in LINKS else float(change[0]))
     return chain._replace(**changes)  # type: ignore[arg-type]
 
 

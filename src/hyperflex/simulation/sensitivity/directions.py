@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -17,28 +17,24 @@ from hyperflex.core.tangent import directions as dr
 from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.directions import Directions
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Setup
+from hyperflex.model import Arm, Setup
+from hyperflex.model.properties import LINKS
 from hyperflex.motion.variation import parameters, variation
 
-LINK_NAMES = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffness", "rest_angle")
+LINK_NAMES = tuple(each.name for each in LINKS if each.form)
 STATE_NAMES = ("q0", "qd0")
 # parts of a direction that the user makes himself: how often it is told
 PARTS = (*STATE_NAMES, *LINK_NAMES, "tip_mass", "gravity", "arm_length", "breaks", "coef")
 # of a torque-driven arm, the chain's first link: its own names, and those of the links
 ARM_NAMES = {
-    **{f"arm.{name}": name for name in LINK_NAMES if name not in ("stiffness", "rest_angle")},
+    **{f"arm.{each.name}": each.name for each in fields(Arm) if each.name in LINK_NAMES},
     "arm_angle0": "q0",
     "arm_rate0": "qd0",
 }
 Part = dict[str, Array]
 Wrt = Iterable[str | Mapping[str, Mapping[str, npt.ArrayLike]]] | str
-_SEED_OF = {
-    "length": tg.LENGTH,
-    "friction": tg.VISCOUS,
-    "dry_friction": tg.DRY,
-    "stiffness": tg.STIFFNESS,
-    "rest_angle": tg.REST,
-}
+_MOMENTS = ("mass", "com", "inertia")  # they come in as moments about the joint
+_SEED_OF = {each.name: getattr(tg, each.field.upper()) for each in LINKS if each.form and each.name not in _MOMENTS}
 FAINT = 1e-300  # N m, dry friction that is felt by the sign of a joint's rate alone
 
 
@@ -118,7 +114,7 @@ def _link_seeds(part: Part, chain: Chain, out: Array) -> None:
     for name, slot in _SEED_OF.items():
         if name in part:
             out[:, slot] = part[name]
-    mass, com, inertia = (part.get(name, 0.0) for name in ("mass", "com", "inertia"))
+    mass, com, inertia = (part.get(name, 0.0) for name in _MOMENTS)
     out[:, tg.MASS] = mass
     out[:, tg.MA] = chain.com * mass + chain.mass * com
     out[:, tg.INERTIA] = inertia + chain.com**2 * mass + 2.0 * chain.mass * chain.com * com
