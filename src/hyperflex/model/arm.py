@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.errors import InvalidInput
 from hyperflex.model.properties import LINKS
@@ -76,6 +77,20 @@ class Arm:
         if set(table) - set(names):
             raise InvalidInput("arm table does not fit", got=sorted(table), allowed=", ".join(names))
         return cls(**table)
+
+    def shaft_torque(self, gravity: Array, angle: Array, rate: Array, acceleration: Array) -> Array:
+        """Return the torque (T,), N m, that turns the arm alone: for its inertia, weight and friction.
+
+        Parameters
+        ----------
+        gravity : (2,) array, m/s^2
+        angle, rate, acceleration : (T,) arrays, rad, rad/s, rad/s^2
+            At rest, dry friction resists as the arm is about to move.
+        """
+        gx, gy = gravity
+        torque = (self.inertia + self.mass * self.com**2) * acceleration + self.friction * rate
+        torque = torque + self.dry_friction * np.sign(np.where(rate != 0.0, rate, acceleration))
+        return np.asarray(torque - self.mass * self.com * (gx * np.cos(angle) + gy * np.sin(angle)))
 
     def chain(self, rope: Rope) -> Chain:
         """Return arm and rope as one chain of n + 1 links, for a torque-driven arm.

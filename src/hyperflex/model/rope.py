@@ -18,6 +18,7 @@ from hyperflex.model.properties import LINKS
 from hyperflex.model.rope_table import MOST_LINKS, from_table, to_table
 
 GRAVITY = (0.0, -9.81)  # m/s^2
+AIR_DENSITY = 1.204  # kg/m^3, at 20 degrees Celsius and 1013 hPa
 FrictionModel = Literal["relative", "printed"]
 FRICTION_MODELS = ("relative", "printed")
 
@@ -158,6 +159,8 @@ class Rope:
         radius: float = 0.0,
         inertia: float | None = None,
         friction: float = 0.0,
+        drag_coefficient: float = 0.0,
+        air_density: float = AIR_DENSITY,
         **others: Any,
     ) -> Rope:
         """Cut a uniform cable into equal links.
@@ -174,6 +177,9 @@ class Rope:
             Of one link about its centre of mass, kg m^2; by default the cylinder's.
         friction : float
             Viscous friction of each joint, N m s/rad.
+        drag_coefficient, air_density : float
+            Of the cable across the wind (a cylinder's is about 1.2) and of the air, kg/m^3: they give `drag`; by
+            default there is none.
         **others
             Any other field of :class:`Rope`, for instance ``friction_model="printed"``.
 
@@ -198,6 +204,12 @@ class Rope:
         unknown = set(others) - {f.name for f in fields(cls)}
         if unknown:
             raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(cls))
+        coefficient = checks.number("drag_coefficient", drag_coefficient, sign="nonnegative")
+        if coefficient:
+            if "drag" in others or not radius:
+                allowed = "with a radius > 0, and without drag"
+                raise InvalidInput("drag_coefficient cannot be used", got=coefficient, allowed=allowed)
+            others["drag"] = coefficient * checks.number("air_density", air_density, sign="positive") * radius
         return cls(np.full(n, total / n), link_mass, radius=radius, inertia=inertia, friction=friction, **others)
 
     @property

@@ -152,9 +152,5 @@ def _motor_torque(setup: Setup, angle: Array, rate: Array, acceleration: Array, 
     arm = setup.arm
     if arm is None:
         return np.zeros(angle.size)
-    gx, gy = setup.rope.gravity
-    own = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
-    own += arm.dry_friction * np.sign(np.where(rate != 0.0, rate, acceleration))  # at rest: as it is about to move
-    weight = -arm.mass * arm.com * (gx * np.cos(angle) + gy * np.sin(angle))
     pull = arm.length * (np.cos(angle) * scalars[:, 2] + np.sin(angle) * scalars[:, 3])
-    return np.asarray(scalars[:, 4] + pull + own + weight)
+    return np.asarray(scalars[:, 4] + pull + arm.shaft_torque(setup.rope.gravity, angle, rate, acceleration))

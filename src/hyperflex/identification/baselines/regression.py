@@ -117,6 +117,7 @@ def regression(
     qdd: npt.ArrayLike,
     names: Sequence[str] = ("inertia:shared", "friction:shared"),
     *,
+    pivot_velocity: npt.ArrayLike | None = None,
     pivot_acceleration: npt.ArrayLike | None = None,
     arm_angle: npt.ArrayLike = 0.0,
     arm_rate: npt.ArrayLike = 0.0,
@@ -134,8 +135,8 @@ def regression(
         The unknowns: ``inertia`` (about the centre of mass), ``mass`` and the resistances, ``friction`` and others, of
         each link; ``friction[2]`` of one link, ``friction:shared`` one value for all; ``tip_mass``; the lumped moments
         ``p`` (kg m) and ``J`` (about the joint, kg m^2) of docs/notation.md. By default the paper's J and eta.
-    pivot_acceleration : (T, 2) array_like, optional
-        Of the first joint, m/s^2; by default it stands still.
+    pivot_velocity, pivot_acceleration : (T, 2) array_like, optional
+        Of the first joint, m/s (for air drag alone) and m/s^2; by default it stands still.
     arm_angle, arm_rate : (T,) array_like or float
         Of what the first joint is fixed to, rad and rad/s.
 
@@ -169,6 +170,8 @@ def regression(
     accelerations = checks.array("qdd", qdd, shape, unit="rad/s^2", gaps=True)
     moved = np.zeros((shape[0], 2)) if pivot_acceleration is None else pivot_acceleration
     moved = checks.array("pivot_acceleration", moved, (shape[0], 2), unit="m/s^2")
+    velocity = np.zeros((shape[0], 2)) if pivot_velocity is None else pivot_velocity
+    velocity = checks.array("pivot_velocity", velocity, (shape[0], 2), unit="m/s")
     first = [
         checks.array(name, value, (shape[0],), unit=unit, scalar=True)
         for name, value, unit in (("arm_angle", arm_angle, "rad"), ("arm_rate", arm_rate, "rad/s"))
@@ -178,6 +181,7 @@ def regression(
         [
             *_moments(rope, angles, rates, accelerations, rope.gravity - moved),
             *_joints(rope, angles, rates, first[0], first[1]),
+            _drag(rope, angles, rates, velocity),
         ],
         axis=2,
     )
@@ -212,13 +216,33 @@ def _moments(rope: Rope, q: Array, qd: Array, qdd: Array, gravity: Array) -> tup
 
 
 def _joints(rope: Rope, q: Array, qd: Array, angle: Array, rate: Array) -> tuple[Array, Array, Array]:
-    """Return the torques (T, n, n) of a unit of each resistance in each joint."""
+    """Return the torques (T, n, n) of a unit of viscous and dry friction and stiffness, in this order."""
     turning = np.diff(qd, axis=1, prepend=rate[:, None])
     bent = np.diff(q, axis=1, prepend=angle[:, None]) - rope.rest_angle
     onto = np.eye(rope.n_links)
     both = onto - np.eye(rope.n_links, k=1)
     friction = both if rope.friction_model == "relative" else onto
     return friction * turning[:, None, :], friction * np.sign(turning)[:, None, :], both * bent[:, None, :]
+
+
+def _drag(rope: Rope, q: Array, qd: Array, pivot: Array) -> Array:
+    """Return the torques (T, n, n) of a unit of air drag on each link, whose first joint moves at `pivot` (T, 2), m/s.
+
+    Across a link the velocity v = u + s w is linear in the way s along it, so v |v| is a parabola on either side of
+    where v is 0, and two points of Gauss on each are exact for it and for its moment.
+    """
+    length, normal = rope.length, np.stack([np.cos(q), np.sin(q)], axis=2)
+    turn = (length * qd)[:, :, None] * normal
+    u = ((pivot[:, None] + np.cumsum(turn, axis=1) - turn) * normal).sum(axis=2)
+    still = np.clip(np.divide(-u, qd, out=np.zeros_like(u), where=qd != 0.0), 0.0, length)
+    force, moment = np.zeros_like(u), np.zeros_like(u)
+    for low, high in ((0.0, still), (still, length)):
+        for side in (-1.0, 1.0):
+            s = 0.5 * (low + high) + side * (high - low) / np.sqrt(12.0)
+            part = 0.5 * (high - low) * (u + s * qd) * np.abs(u + s * qd)
+            force, moment = force + part, moment + s * part
+    carried = length[:, None] * np.cos(q[:, :, None] - q[:, None, :]) * force[:, None, :]
+    return np.asarray(np.triu(carried, 1) + np.eye(rope.n_links) * moment[:, None, :])
 
 
 def _unknowns(rope: Rope, names: Sequence[str]) -> list[tuple[str, str, list[int]]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hyperflex.checks import Array
@@ -70,13 +72,9 @@ class MotorTorque:
         return np.stack([seen[:, 3], seen[:, 2]], axis=1)
 
     def _torque(self, chain: Chain, drive: Drive, own: Array, t: Array, y: Array, grip: Array) -> Array:
-        arm = self.arm
         rope, angle, rate, acceleration = self._seen(chain, drive, t, y, grip).T
-        turning = (own[0] + arm.mass * arm.com**2) * acceleration + own[1] * rate
-        turning += arm.dry_friction * np.sign(np.where(rate != 0.0, rate, acceleration))  # at rest: as it will move
-        weight = -arm.mass * arm.com * (chain.gx * np.cos(angle) + chain.gy * np.sin(angle))
-        result: Array = rope + turning + weight
-        return result
+        arm = replace(self.arm, inertia=float(own[0]), friction=float(own[1]))
+        return np.asarray(rope + arm.shaft_torque(np.array([chain.gx, chain.gy]), angle, rate, acceleration))
 
     @staticmethod
     def _grip(chain: Chain, drive: Drive, t: Array, y: Array) -> Array:

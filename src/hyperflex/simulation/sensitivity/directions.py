@@ -34,7 +34,11 @@ ARM_NAMES = {
 Part = dict[str, Array]
 Wrt = Iterable[str | Mapping[str, Mapping[str, npt.ArrayLike]]] | str
 _MOMENTS = ("mass", "com", "inertia")  # they come in as moments about the joint
-_SEED_OF = {each.name: getattr(tg, each.field.upper()) for each in LINKS if each.form and each.name not in _MOMENTS}
+_SEED_OF = {
+    each.name: getattr(tg, each.field.upper())
+    for each in LINKS
+    if each.form and each.name not in _MOMENTS and hasattr(tg, each.field.upper())
+}
 FAINT = 1e-300  # N m, dry friction that is felt by the sign of a joint's rate alone
 
 
@@ -65,14 +69,15 @@ class Wanted:
 
     def felt(self, chain: Chain) -> Chain:
         """The chain itself, with the faintest dry friction where there is none but a direction changes it."""
-        faint = np.zeros(chain.length.size)
-        for part in self.parts:
-            faint[part.get("dry_friction", faint) != 0.0] = FAINT
-        if (faint <= chain.dry).all():
-            return chain
-        dry = np.maximum(chain.dry, faint)
-        dry.flags.writeable = chain.dry.flags.writeable  # the compiler makes kernels of its own for either
-        return chain._replace(dry=dry)
+        for each in (each for each in LINKS if each.least):
+            now, faint = getattr(chain, each.field), np.zeros(chain.length.size)
+            for part in self.parts:
+                faint[part.get(each.name, faint) != 0.0] = FAINT
+            if (faint > now).any():
+                more = np.maximum(now, faint)
+                more.flags.writeable = now.flags.writeable  # the compiler makes kernels of its own for either
+                chain = chain._replace(**{each.field: more})
+        return chain
 
     def directions(self, chain: Chain, drive: Drive) -> Directions:
         """The same for the kernels, at the parameters of `chain` and for a drive."""
