@@ -17,7 +17,7 @@ from hyperflex.model.refine import recut
 from hyperflex.model.rope_table import MOST_LINKS
 
 SLIGHT = 1e-3  # dry friction at the start, as a part of gravity's torque
-BESIDE = RESISTANCES[1:]  # what may resist beside viscous friction
+MOST_BESIDE = 2  # resistances beside viscous friction in one candidate
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def candidates(
     guess, free
         As given to ``compare_models``.
     models : mapping, optional
-        Names to words of ``free``, or to a pair of a guess and words; None: viscous, and up to two of BESIDE.
+        Names to words of ``free``, or to a pair of a guess and words; None: what may resist the rope.
     links : sequence of int
         Further numbers of links, each with `free` as it is.
     """
@@ -82,20 +82,31 @@ def _own(name: str, guess: Rope, value: object) -> Candidate:
 
 
 def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
-    """Return the viscous rope, those with one or two resistances beside it; what is not free is 0 in them."""
+    """Return the viscous rope, alone and with one or two resistances beside; and what else damps in its place.
+
+    What is not free is 0 in them, but viscous friction that is not in `free`, which all have as given.
+    """
     if isinstance(free, str):
         raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
-    named = {word: parsed(word) for word in free}
-    own = {label.name: word for word, label in named.items() if label}
-    law = ":shared" if ":" in own.get("friction", "") else ""
-    plain = tuple(word for word in free if word not in [own.get(each.name) for each in BESIDE])
-    for each in BESIDE:  # started from 0 it may stay there: a joint that never sticks tells little of dry friction
+    own: dict[str, tuple[str, ...]] = {}
+    for word in free:
+        label = parsed(word)
+        own.setdefault(label.name if label else "", ())
+        own[label.name if label else ""] += (word,)
+    viscous, *beside = RESISTANCES
+    law = ":shared" if ":" in "".join(own.get(viscous.name, ())) else ""
+    for each in beside:  # started from 0 it may stay there: a joint that never sticks tells little of dry friction
         if each.least and not getattr(guess, each.name).any():
             guess = guess.replace(**{each.name: SLIGHT * lumped(guess)[0] * float(np.hypot(*guess.gravity))})
+    chosen = [(viscous, *more) for count in range(MOST_BESIDE + 1) for more in combinations(beside, count)]
+    varied = [*beside, viscous] if viscous.name in own else beside
+    if viscous in varied:
+        chosen += [(each,) for each in beside if each.damps]
+    plain = tuple(word for name, words in own.items() for word in words if name not in [each.name for each in varied])
     result = []
-    for beside in (chosen for count in range(3) for chosen in combinations(BESIDE, count)):
-        words = tuple(own.get(each.name, each.name + law) for each in beside)
-        absent = {each.name: 0.0 for each in BESIDE if each not in beside}
-        name = " + ".join(each.short for each in (RESISTANCES[0], *beside))
-        result.append(Candidate(name, guess.replace(**absent), plain + words))
+    for those in chosen:
+        words = [word for each in those if each in varied for word in own.get(each.name, (each.name + law,))]
+        absent = {each.name: 0.0 for each in varied if each not in those}
+        name = " + ".join(each.short for each in those)
+        result.append(Candidate(name, guess.replace(**absent), (*plain, *words)))
     return result
