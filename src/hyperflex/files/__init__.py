@@ -6,6 +6,7 @@ sees the earlier file or the complete new one, never a part: not after a full di
 
 from __future__ import annotations
 
+from hyperflex.files.json import dumps_json, plain, write_json
 from hyperflex.files.reading import read_bytes, read_text
 from hyperflex.files.tables import read_notes, read_table, write_table
 from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, write_toml
@@ -16,13 +17,16 @@ __all__ = [
     "as_path",
     "atomic",
     "atomic_path",
+    "dumps_json",
     "dumps_toml",
     "loads_toml",
+    "plain",
     "read_bytes",
     "read_notes",
     "read_table",
     "read_text",
     "read_toml",
+    "write_json",
     "write_table",
     "write_text",
     "write_toml",
