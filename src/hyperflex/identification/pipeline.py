@@ -79,7 +79,8 @@ def identify(
     rope_guess : Rope
         Everything that is not free is taken from it; the free ones start from it.
     free : sequence of str
-        ``inertia``, ``com``, ``mass``, ``length``, ``friction``, ``dry_friction``, ``stiffness`` (each link's own),
+        ``inertia``, ``com``, ``mass``, ``length``, ``friction``, ``dry_friction``, ``stiffness``, ``rest_angle``,
+        ``drag`` (each link's own),
         ``tip_mass``, ``gravity_angle`` (rad; turns gravity, for a camera that is not level), ``delay`` (s; by how much
         `motion` comes later in the recording's time; looked for within a window's length), ``arc`` (m; each marker's
         place, or ``arc[2]``). ``friction[2]`` frees one link only, ``friction:shared`` one value for all links,

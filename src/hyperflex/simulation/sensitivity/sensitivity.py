@@ -72,29 +72,14 @@ class Sensitivities:
         """The same as an ``xarray.Dataset`` with the dimensions time, link, axis and parameter."""
         import xarray as xr
 
-        variables: dict[str, Any] = {
-            "q": (("time", "link"), self.q, {"units": "rad"}),
-            "qd": (("time", "link"), self.qd, {"units": "rad/s"}),
-            "tip": (("time", "axis"), self.tip, {"units": "m"}),
-            "dq": (("time", "link", "parameter"), self.dq, {"long_name": "derivative of q", "units": "rad per unit"}),
-            "dqd": (
-                ("time", "link", "parameter"),
-                self.dqd,
-                {"long_name": "derivative of qd", "units": "rad/s per unit"},
-            ),
-            "dtip": (
-                ("time", "axis", "parameter"),
-                self.dtip,
-                {"long_name": "derivative of tip", "units": "m per unit"},
-            ),
-        }
-        if self.arm_angle is not None:
-            variables |= {
-                "arm_angle": ("time", self.arm_angle, {"units": "rad"}),
-                "arm_rate": ("time", self.arm_rate, {"units": "rad/s"}),
-                "darm_angle": (("time", "parameter"), self.darm_angle, {"units": "rad per unit"}),
-                "darm_rate": (("time", "parameter"), self.darm_rate, {"units": "rad/s per unit"}),
-            }
+        shapes = {"q": ("link",), "qd": ("link",), "tip": ("axis",), "arm_angle": (), "arm_rate": ()}
+        variables: dict[str, Any] = {}
+        for name, shape in shapes.items():
+            unit = {"qd": "rad/s", "arm_rate": "rad/s", "tip": "m"}.get(name, "rad")
+            if getattr(self, name) is not None:
+                about = {"long_name": f"derivative of {name}", "units": f"{unit} per unit"}
+                variables[name] = (("time", *shape), getattr(self, name), {"units": unit})
+                variables[f"d{name}"] = (("time", *shape, "parameter"), getattr(self, f"d{name}"), about)
         coords = {
             "time": ("time", self.t, {"units": "s"}),
             "axis": ("axis", np.array(["x", "y"])),
@@ -132,9 +117,9 @@ def sensitivities(
         What to differentiate by.
 
         ``"q0"``, ``"qd0"``: the start of every link; ``"q0[3]"`` of one.
-        ``"friction"``, and likewise dry_friction, length, mass, com, inertia, stiffness, rest_angle: one number added
-        to that of every link; ``"friction[3]"`` of one link; ``"friction[:]"`` of each. The others stay as they are:
-        more ``"mass"`` does not change the inertia.
+        ``"friction"``, and likewise dry_friction, length, mass, com, inertia, stiffness, rest_angle, drag: one number
+        added to that of every link; ``"friction[3]"`` of one link; ``"friction[:]"`` of each. The others stay as they
+        are: more ``"mass"`` does not change the inertia.
         ``"tip_mass"``, ``"gravity[0]"``, ``"gravity[1]"``, ``"arm.length"``. Without `q0` the rope hangs along gravity
         at the start, and turns with it.
         ``"motion.t_rest"`` and whatever else the motion was made from; ``"motion.delay"`` of any motion.
