@@ -72,11 +72,6 @@ class Property:
     short: str = ""
     least: float = 0.0
 
-    @property
-    def damps(self) -> bool:
-        """Whether it takes energy from the rope: it resists the motion, and is no spring."""
-        return bool(self.ratio) and self.unit != "N m/rad"
-
 
 _TABLE = (
     Property("length", "length", "m", field="length", sign="positive", default=None, form="log", cut="shared"),
@@ -142,6 +137,7 @@ PROPERTIES = {each.name: each for each in _TABLE}
 LINKS = tuple(each for each in _TABLE if each.owner == "link")
 LINK_NAMES = tuple(each.name for each in LINKS)
 RESISTANCES = tuple(each for each in LINKS if each.ratio)  # linear in the torques, beside masses and inertias
+DAMPING = tuple(each.name for each in RESISTANCES if each.unit != "N m/rad")  # but springs: they take energy away
 FREE = {each.name: each for each in _TABLE if each.form}  # what can be fitted
 
 

@@ -12,7 +12,7 @@ from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.model import Rope
-from hyperflex.model.properties import FREE, RESISTANCES, parsed
+from hyperflex.model.properties import DAMPING, FREE, RESISTANCES, parsed
 from hyperflex.model.refine import recut
 from hyperflex.model.rope_table import MOST_LINKS
 
@@ -101,7 +101,7 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
     chosen = [(viscous, *more) for count in range(MOST_BESIDE + 1) for more in combinations(beside, count)]
     varied = [*beside, viscous] if viscous.name in own else beside
     if viscous in varied:
-        chosen += [(each,) for each in beside if each.damps]
+        chosen += [(each,) for each in beside if each.name in DAMPING]
     plain = tuple(word for name, words in own.items() for word in words if name not in [each.name for each in varied])
     result = []
     for those in chosen:

@@ -13,7 +13,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Rope
-from hyperflex.model.properties import RESISTANCES
+from hyperflex.model.properties import DAMPING
 from hyperflex.motion import Motion, lagged, moves
 from hyperflex.planning.cast_setup import Thrower
 from hyperflex.planning.robust.posterior import Fitted
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 MOVES = 32  # whose starts are drawn; a throw of more uses them again
 PARTS, TIMES = ("length", "mass", "friction", "mu"), ("lag", "timing")  # relative, and in seconds
 # What a fit tells of: friction over mass is what a motion shows, so with either fitted the mass counts no more.
-_DAMPING = tuple(each.name for each in RESISTANCES if each.damps)
-TOLD = {"length": ("length",), "mass": ("mass", "inertia", *_DAMPING), "friction": _DAMPING}
+TOLD = {"length": ("length",), "mass": ("mass", "inertia", *DAMPING), "friction": DAMPING}
 LEAST_LAG = 2e-4  # s; a motor that lags less does not
 
 
@@ -205,5 +204,5 @@ def scaled(rope: Rope, length: float, mass: float, friction: float) -> Rope:
         "tip_mass": rope.tip_mass * mass,
         "inertia": rope.inertia * mass * length**2,
     }
-    changes |= {name: getattr(rope, name) * friction for name in _DAMPING}
+    changes |= {name: getattr(rope, name) * friction for name in DAMPING}
     return rope.replace(**changes)
