@@ -215,7 +215,7 @@ def test_all_candidates_are_cut_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     windows: list[object] = []
 
     def noted(*arguments: object, **options: object) -> object:
-        windows.append(options["window"])
+        windows.append(options.get("window"))
         return identify(*arguments, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(_choice, "identify", noted)

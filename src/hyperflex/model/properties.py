@@ -30,11 +30,11 @@ class Property:
         For people.
     unit : str
         SI.
+    field : str
+        In :class:`hyperflex.core.chain.Chain`; of a resistance also the word for it in the names of candidate models.
     owner : str
         Whose it is: of each ``link`` (or of its joint), of the whole ``rope``, of the ``motion``, the ``camera``, each
         ``marker`` or the ``arm``.
-    field : str
-        In :class:`hyperflex.core.chain.Chain`.
     sign : str
         What values are allowed, see :mod:`hyperflex.checks`.
     default : float or None
@@ -50,8 +50,6 @@ class Property:
         from the others.
     symbol, ratio : str
         Of a resistance to the motion: its symbol, and the unit of its ratio over the first moment p1.
-    short : str
-        Word for it in the names of candidate models.
     least : float
         Smallest value of a fit, in parts of its scale: without any dry friction no run turns where it would act, and
         none tells what it would do.
@@ -60,8 +58,8 @@ class Property:
     name: str
     words: str
     unit: str
-    owner: Owner = "link"
     field: str = ""
+    owner: Owner = "link"
     sign: Sign = "nonnegative"
     default: float | None = 0.0
     form: Form | None = "nonnegative"
@@ -69,69 +67,30 @@ class Property:
     cut: Cut | Literal[""] = ""
     symbol: str = ""
     ratio: str = ""
-    short: str = ""
     least: float = 0.0
 
 
 _TABLE = (
-    Property("length", "length", "m", field="length", sign="positive", default=None, form="log", cut="shared"),
-    Property("mass", "mass", "kg", field="mass", default=None, form="log", power=1, cut="shared"),
-    Property("com", "centre of mass, from its joint", "m", field="com", sign="any", default=None, form="linear"),
-    Property("inertia", "moment of inertia about the centre of mass", "kg m^2", field="inertia", default=None, power=1),
+    Property("length", "length", "m", "length", sign="positive", default=None, form="log", cut="shared"),
+    Property("mass", "mass", "kg", "mass", default=None, form="log", power=1, cut="shared"),
+    Property("com", "centre of mass, from its joint", "m", "com", sign="any", default=None, form="linear"),
+    Property("inertia", "moment of inertia about the centre of mass", "kg m^2", "inertia", default=None, power=1),
+    Property("friction", "viscous friction", "N m s/rad", "viscous", power=1, cut="bending", symbol="c", ratio="m/s"),
     Property(
-        "friction",
-        "viscous friction",
-        "N m s/rad",
-        field="viscous",
-        power=1,
-        cut="bending",
-        symbol="c",
-        ratio="m/s",
-        short="viscous",
+        "dry_friction", "dry friction", "N m", "dry", power=1, cut="joint", symbol="tau_d", ratio="m/s^2", least=1e-9
     ),
-    Property(
-        "dry_friction",
-        "dry friction",
-        "N m",
-        field="dry",
-        power=1,
-        cut="joint",
-        symbol="tau_d",
-        ratio="m/s^2",
-        short="dry",
-        least=1e-9,
-    ),
-    Property(
-        "stiffness",
-        "stiffness",
-        "N m/rad",
-        field="stiffness",
-        power=1,
-        cut="bending",
-        symbol="k",
-        ratio="m/s^2",
-        short="stiffness",
-    ),
-    Property("rest_angle", "angle at which it is at rest", "rad", field="rest", sign="any", form="linear", cut="stays"),
-    Property("drag", "air drag", "kg/m^2", field="drag", power=1, cut="alike", symbol="d", ratio="1/m^3", short="drag"),
-    Property(
-        "max_bend",
-        "joint limit",
-        "rad",
-        field="max_bend",
-        sign="positive",
-        default=math.inf,
-        form=None,
-        cut="limit",
-    ),
-    Property("tip_mass", "mass at the tip", "kg", "rope", field="tip_mass", power=1),
-    Property("gravity_angle", "turn of gravity (a camera that is not level)", "rad", "rope", form="linear"),
-    Property("delay", "delay of the motion", "s", "motion", form="linear"),
-    Property("origin_x", "origin of the motion as the camera sees it, x", "m", "camera", form="linear"),
-    Property("origin_y", "origin of the motion as the camera sees it, y", "m", "camera", form="linear"),
-    Property("arc", "place along the rope", "m", "marker", form="linear"),
-    Property("arm_inertia", "moment of inertia of arm and rotor", "kg m^2", "arm"),
-    Property("arm_friction", "viscous friction of the shaft", "N m s/rad", "arm"),
+    Property("stiffness", "stiffness", "N m/rad", "stiffness", power=1, cut="bending", symbol="k", ratio="m/s^2"),
+    Property("rest_angle", "angle at which it is at rest", "rad", "rest", sign="any", form="linear", cut="stays"),
+    Property("drag", "air drag", "kg/m^2", "drag", power=1, cut="alike", symbol="d", ratio="1/m^3"),
+    Property("max_bend", "joint limit", "rad", "max_bend", sign="positive", default=math.inf, form=None, cut="limit"),
+    Property("tip_mass", "mass at the tip", "kg", "tip_mass", owner="rope", power=1),
+    Property("gravity_angle", "turn of gravity (a camera that is not level)", "rad", owner="rope", form="linear"),
+    Property("delay", "delay of the motion", "s", owner="motion", form="linear"),
+    Property("origin_x", "origin of the motion as the camera sees it, x", "m", owner="camera", form="linear"),
+    Property("origin_y", "origin of the motion as the camera sees it, y", "m", owner="camera", form="linear"),
+    Property("arc", "place along the rope", "m", owner="marker", form="linear"),
+    Property("arm_inertia", "moment of inertia of arm and rotor", "kg m^2", owner="arm"),
+    Property("arm_friction", "viscous friction of the shaft", "N m s/rad", owner="arm"),
 )
 PROPERTIES = {each.name: each for each in _TABLE}
 LINKS = tuple(each for each in _TABLE if each.owner == "link")

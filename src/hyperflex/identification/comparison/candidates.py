@@ -107,6 +107,6 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
     for those in chosen:
         words = [word for each in those if each in varied for word in own.get(each.name, (each.name + law,))]
         absent = {each.name: 0.0 for each in varied if each not in those}
-        name = " + ".join(each.short for each in those)
+        name = " + ".join(each.field for each in those)
         result.append(Candidate(name, guess.replace(**absent), (*plain, *words)))
     return result
