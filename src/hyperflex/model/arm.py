@@ -8,9 +8,11 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.errors import InvalidInput
 from hyperflex.model.properties import LINKS
@@ -78,19 +80,34 @@ class Arm:
             raise InvalidInput("arm table does not fit", got=sorted(table), allowed=", ".join(names))
         return cls(**table)
 
-    def shaft_torque(self, gravity: Array, angle: Array, rate: Array, acceleration: Array) -> Array:
-        """Return the torque (T,), N m, that turns the arm alone: for its inertia, weight and friction.
+    def own_torque(
+        self,
+        angle: npt.ArrayLike,
+        rate: npt.ArrayLike,
+        acceleration: npt.ArrayLike,
+        sense: npt.ArrayLike,
+        gravity: npt.ArrayLike,
+    ) -> Array:
+        """Return the torque that the arm asks of its motor for itself: inertia, friction of the shaft, weight.
 
         Parameters
         ----------
-        gravity : (2,) array, m/s^2
-        angle, rate, acceleration : (T,) arrays, rad, rad/s, rad/s^2
-            At rest, dry friction resists as the arm is about to move.
+        angle, rate, acceleration : (...) array_like
+            rad, rad/s, rad/s^2.
+        sense : (...) array_like
+            In which it slips against dry friction: 1, -1; 0 where that is not to count.
+        gravity : (2,) array_like
+            m/s^2.
+
+        Returns
+        -------
+        (...) array, N m
         """
-        gx, gy = gravity
-        torque = (self.inertia + self.mass * self.com**2) * acceleration + self.friction * rate
-        torque = torque + self.dry_friction * np.sign(np.where(rate != 0.0, rate, acceleration))
-        return np.asarray(torque - self.mass * self.com * (gx * np.cos(angle) + gy * np.sin(angle)))
+        turning = (self.inertia + self.mass * self.com**2) * np.asarray(acceleration)
+        gx, gy = np.asarray(gravity)
+        weight = self.mass * self.com * (gx * np.cos(angle) + gy * np.sin(angle))
+        shaft = (self.friction, self.dry_friction, 0.0, 0.0)
+        return np.asarray(turning - joint_law.friction(shaft, np.asarray(rate), np.asarray(sense)) - weight)
 
     def chain(self, rope: Rope) -> Chain:
         """Return arm and rope as one chain of n + 1 links, for a torque-driven arm.

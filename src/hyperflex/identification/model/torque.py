@@ -72,9 +72,10 @@ class MotorTorque:
         return np.stack([seen[:, 3], seen[:, 2]], axis=1)
 
     def _torque(self, chain: Chain, drive: Drive, own: Array, t: Array, y: Array, grip: Array) -> Array:
+        arm = replace(self.arm, inertia=own[0], friction=own[1])
         rope, angle, rate, acceleration = self._seen(chain, drive, t, y, grip).T
-        arm = replace(self.arm, inertia=float(own[0]), friction=float(own[1]))
-        return np.asarray(rope + arm.shaft_torque(np.array([chain.gx, chain.gy]), angle, rate, acceleration))
+        sense = np.sign(np.where(rate != 0.0, rate, acceleration))  # at rest: as it will move
+        return np.asarray(rope + arm.own_torque(angle, rate, acceleration, sense, (chain.gx, chain.gy)))
 
     @staticmethod
     def _grip(chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
