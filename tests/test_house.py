@@ -51,7 +51,9 @@ def undocumented(name: str, obj: object) -> list[str]:
 
 
 def arguments(obj: object) -> set[str]:
-    """Return what a function, or a class when it is made, can be given."""
+    """Return what a function, or a class when it is made, can be given; of a protocol nothing is made."""
+    if getattr(obj, "_is_protocol", False):
+        return set()
     return {name for name in inspect.signature(obj).parameters if name not in {"self", "cls"}}  # type: ignore[arg-type]
 
 

@@ -5,6 +5,7 @@ Each returns the value in the form that the package works with, or raises :class
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -28,7 +29,7 @@ def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infi
         result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         raise InvalidInput(f"{name} is not a number", got=value, allowed=allowed) from None
-    if not np.isfinite(result) and not (infinite and result > 0.0):
+    if not math.isfinite(result) and not (infinite and result > 0.0):
         raise InvalidInput(f"{name} is not finite", got=result, allowed=allowed)
     if (sign == "positive" and result <= 0.0) or (sign == "nonnegative" and result < 0.0):
         raise InvalidInput(f"{name} has the wrong sign", got=result, allowed=allowed)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hyperflex.control.pumping import Pump, Regulate
     from hyperflex.control.reach import reach_time
     from hyperflex.control.rests import PumpPlan, plan_pumping
-    from hyperflex.control.state_source import RopeState, SimulatedCamera, StateSource, TrueState
+    from hyperflex.control.state_source import SimulatedCamera, TrueState
     from hyperflex.control.timing import CrossingRule, Rule
 
 _HOMES = {
@@ -30,11 +30,9 @@ _HOMES = {
     "Pump": "pumping",
     "PumpPlan": "rests",
     "Regulate": "pumping",
-    "RopeState": "state_source",
     "Rule": "timing",
     "SimulatedCamera": "state_source",
     "Spiral": "pseudo_energy",
-    "StateSource": "state_source",
     "Swung": "closed_loop",
     "TrueState": "state_source",
     "driving_constant": "pseudo_energy",
@@ -54,11 +52,9 @@ __all__ = [
     "Pump",
     "PumpPlan",
     "Regulate",
-    "RopeState",
     "Rule",
     "SimulatedCamera",
     "Spiral",
-    "StateSource",
     "Swung",
     "TrueState",
     "driving_constant",

@@ -9,7 +9,6 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.misfit import poor, poor_torque
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.model.sensors import Angles
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis, ratio_spread, ratios
@@ -24,6 +23,7 @@ from hyperflex.identification.verdict import (
     verdict,
 )
 from hyperflex.model import Rope
+from hyperflex.sensors import Angles
 
 
 def conclude(
@@ -96,7 +96,7 @@ def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array
             result[parameter.label] = np.array(number)
         else:
             if name == "arc":
-                held = plant.own[2:] * (rope is not None)
+                held = plant.sensor.values[2:] * (rope is not None)
             elif rope is not None:
                 held = getattr(rope, name).copy()
             result.setdefault(name, held)[list(parameter.links)] = number

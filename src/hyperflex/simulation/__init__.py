@@ -11,18 +11,24 @@ from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
     from hyperflex.simulation.batch.batch import Batch, simulate_batch
+    from hyperflex.simulation.batch.stepper import BatchState, BatchStepper
     from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
     from hyperflex.simulation.lyapunov import Predictability, predictability
     from hyperflex.simulation.runs import angles, simulate
     from hyperflex.simulation.sensitivity.sensitivity import Sensitivities, Slopes, sensitivities
     from hyperflex.simulation.stability import runge_kutta_limit
+    from hyperflex.simulation.stepper import Linearization, Stepper
 
 _HOMES = {
     "Batch": "batch.batch",
+    "BatchState": "batch.stepper",
+    "BatchStepper": "batch.stepper",
     "Event": "events",
+    "Linearization": "stepper",
     "Predictability": "lyapunov",
     "Sensitivities": "sensitivity.sensitivity",
     "Slopes": "sensitivity.sensitivity",
+    "Stepper": "stepper",
     "angle_reached": "events",
     "angles": "runs",
     "phase_reached": "events",
@@ -37,10 +43,14 @@ _HOMES = {
 
 __all__ = [
     "Batch",
+    "BatchState",
+    "BatchStepper",
     "Event",
+    "Linearization",
     "Predictability",
     "Sensitivities",
     "Slopes",
+    "Stepper",
     "angle_reached",
     "angles",
     "phase_reached",

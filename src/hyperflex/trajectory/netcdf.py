@@ -15,7 +15,7 @@ from hyperflex.model import Setup
 from hyperflex.trajectory.run import AXES, DERIVED, FORMAT, OPTIONAL, OWN_ATTRIBUTES, VARIABLES, State, Trajectory
 
 _STATE = {"t": "s", "q": "rad", "qd": "rad/s", "step": "s", "work": "J", "dissipated": "J"}  # name -> units
-_SPIN = {"peg_angle": "rad", "peg_rate": "rad/s"}  # of a state beside pegs that turn
+_MORE = {"peg_angle": "rad", "peg_rate": "rad/s", "arm_angle": "rad", "arm_rate": "rad/s"}  # where there are any
 _CHECKPOINT = "checkpoint_"
 
 
@@ -37,9 +37,9 @@ def write(run: Trajectory, path: str | Path) -> None:
         group = file.create_group("state")
         for name, units in _STATE.items():
             _put(group, name, ("link",) if name in ("q", "qd") else (), getattr(run.state, name), units=units)
-        for name, units in _SPIN.items():
-            if getattr(run.state, name) is not None:
-                _put(group, name, ("peg",), getattr(run.state, name), units=units)
+        for name, units in _MORE.items():
+            if (value := getattr(run.state, name)) is not None:
+                _put(group, name, ("peg",) if np.ndim(value) else (), value, units=units)
         for name, value in run.state.checkpoint.items():
             dims = tuple(f"{name}_{axis}" for axis in range(np.ndim(value)))
             _put(group, _CHECKPOINT + name, dims, value)
@@ -124,8 +124,9 @@ def _state(variables: Mapping[str, Any]) -> State:
         if name.startswith(_CHECKPOINT):
             checkpoint[name.removeprefix(_CHECKPOINT)] = value.item() if np.ndim(value) == 0 else value
     scalars: dict[str, Any] = {name: float(variables[name]) for name in ("t", "step", "work", "dissipated")}
-    spin: dict[str, Any] = {name: _floats(variables[name]) for name in _SPIN if name in variables}
-    return State(q=_floats(variables["q"]), qd=_floats(variables["qd"]), checkpoint=checkpoint, **scalars, **spin)
+    given = {name: variables[name] for name in _MORE if name in variables}
+    more: dict[str, Any] = {name: _floats(value) if np.ndim(value) else float(value) for name, value in given.items()}
+    return State(q=_floats(variables["q"]), qd=_floats(variables["qd"]), checkpoint=checkpoint, **scalars, **more)
 
 
 def _floats(values: Any) -> Array:

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, Chain, energies, sincos
 from hyperflex.core.chain.drive import ANGLE, ROUNDING, TORQUE, X, Y, polynomial
-from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.jit import inlined, kernel
 
 
@@ -24,6 +23,7 @@ class Members(NamedTuple):
     coef: Array  # (sum of k + 1, 4, 6); the last row of each member is not used
     loop: npt.NDArray[np.int64]  # (m,) as in Drive
     first: npt.NDArray[np.int64]  # (m + 1,)
+    clock: Array  # (m, 3) STEP, AFTER and CHATTER of each, changed in place: a batch that goes on needs them
 
 
 class Terms(NamedTuple):
@@ -77,7 +77,14 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
     path[GX * k + j], path[GY * k + j] = whole[GRAVITY_X], whole[GRAVITY_Y]
     energy[0], energy[1] = members.start[m, 2 * n], members.start[m, 2 * n + 1]
     lane[:] = 0.0
-    lane[TIME], lane[STEP], lane[END], lane[AFTER] = terms.begin, FIRST_STEP, terms.begin, np.inf
+    lane[TIME] = lane[END] = terms.begin
+    lane[STEP], lane[AFTER], lane[CHATTER] = members.clock[m]
+
+
+@kernel
+def save_clock(members, m, lane):  # type: ignore[no-untyped-def]
+    """Keep what member m, in the lane with the clock `lane` (CLOCK,), needs to go on."""
+    members.clock[m, 0], members.clock[m, 1], members.clock[m, 2] = lane[STEP], lane[AFTER], lane[CHATTER]
 
 
 @kernel

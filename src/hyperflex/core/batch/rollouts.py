@@ -31,6 +31,7 @@ from hyperflex.core.batch.members import (
     base_motion,
     enter,
     piece,
+    save_clock,
 )
 from hyperflex.core.batch.stiction import conclude, look, new_watch, settle_lane
 from hyperflex.core.chain import lanes as ln
@@ -298,4 +299,5 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
                     write(lanes, n, j, energy, y_out[m, index[j]])
                     index[j] += 1
             if index[j] == t_out.size or code == status.STEP_TOO_SMALL or code == status.NOT_FINITE:
+                save_clock(members, member[j], lane[j])
                 codes[m], reached[m], member[j] = code, lane[j, TIME], -1

@@ -6,7 +6,7 @@ more than was allowed for, it is flown again by the stepper for contacts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -54,30 +54,33 @@ class Beside:
 
     def __init__(self, run: Rollout, setup: Setup, state: State | None) -> None:
         contacts = setup.contacts()
-        saved: Mapping[str, Any] = {} if state is None else state.checkpoint
-        check_outside(setup, run.time, run.progress.y[: run.chain.length.size])
         n, m = run.chain.length.size, contacts.x.size
         self.looser = setup.tol / DEFAULT_TOL
         run.limits = run.limits._replace(tol=FLIGHT_TOL * setup.tol)
         self.run, self.setup = run, setup
         self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), contacts)
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
-        kept = new_kept(n, m)
-        clock = np.zeros(at.CLOCK)
-        clock[at.STEP], clock[at.DUE] = self.longest, 1.0
-        named = list(zip(KEPT, kept, strict=True))
-        if all(name in saved and np.shape(saved[name]) == array.shape for name, array in named):
-            for name, array in named:
-                array[:] = saved[name]
-            clock[at.STEP], clock[at.DUE] = min(float(saved[STEP]), self.longest), 0.0
-        run.spin = starting_spin(setup, state)
-        self.course = at.Course(run.progress.y, clock, run.spin, kept)
+        run.spin, run.seen = np.zeros((2, m)), np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
+        self.course = at.Course(run.progress.y, np.zeros(at.CLOCK), run.spin, new_kept(n, m))
         self.flights, self.flown, self.clear = 0, 0.0, CLEAR
-        run.seen = np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
+        self.enter(state)
+
+    def enter(self, state: State | None) -> None:
+        """Begin anew at the state that the run stands at; forces and modes of contacts are those of `state`, if any."""
+        course, saved = self.course, {} if state is None else state.checkpoint
+        course.clock[:] = 0.0
+        course.clock[at.STEP], course.clock[at.DUE] = self.longest, 1.0
+        course.spin[:] = starting_spin(self.setup, state)
+        for name, array in zip(KEPT, course.kept, strict=True):
+            array[:] = saved[name] if np.shape(saved.get(name, ())) == array.shape else 0
+        if STEP in saved and np.array_equal(saved["y"], course.y):
+            course.clock[at.STEP], course.clock[at.DUE] = min(float(saved[STEP]), self.longest), 0.0
 
     def finish(self, report: Callable[[float], None] | None = None) -> int:
         """Run to the end and return the status code; `report` hears of the simulated time now and then."""
         code = status.RUNNING
+        for own, given in zip(self.system[1][:3], self.run.drive[:3], strict=True):  # it may have been written anew
+            own[:] = given
         while code in (status.RUNNING, status.LEFT):
             code = self._fly()
             if code == status.LEFT:
@@ -180,7 +183,8 @@ class Beside:
 
 
 def beside(run: Rollout, setup: Setup, state: State | None) -> Beside:
-    """Make a prepared rollout one beside the pegs of its set-up."""
+    """Make a prepared rollout one beside the pegs of its set-up; refuses one that starts inside them."""
+    check_outside(setup, run.time, run.progress.y[: run.chain.length.size])
     return Beside(run, setup, state)
 
 

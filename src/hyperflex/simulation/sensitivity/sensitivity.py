@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,16 +11,20 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import Chain, can_stick
-from hyperflex.core.chain.drive import Drive
+from hyperflex.core.chain.drive import Drive, base_state, segment
+from hyperflex.core.chain.lanes import COLUMNS, set_grip
 from hyperflex.core.integrate.progress import JOINT, MODES, REJECTED, TAKEN, Limits
+from hyperflex.core.stiction.constraint_torques import bench
+from hyperflex.core.stiction.slip_modes import decide
 from hyperflex.core.tangent import forward_sensitivity as core
-from hyperflex.core.tangent.directions import place_changes
-from hyperflex.errors import InvalidInput
+from hyperflex.core.tangent.dense_output import bends_along
+from hyperflex.core.tangent.directions import Directions, place_changes
+from hyperflex.core.tangent.extrapolation import room_for
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
+from hyperflex.simulation.arguments import output_times, setup_of
 from hyperflex.simulation.outcome import failure, refuse_unbalanced
 from hyperflex.simulation.rollouts import TABLES, Rollout, finish, limits, prepare
-from hyperflex.simulation.runs import output_times
 from hyperflex.simulation.sensitivity.directions import Wanted, Wrt, refuse_what_is_not_smooth, wanted
 from hyperflex.simulation.sensitivity.stiction import held
 
@@ -161,15 +165,7 @@ def sensitivities(
     >>> cast.dtip.shape
     (201, 2, 2)
     """
-    if isinstance(rope, Setup):
-        beside = {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0}
-        if given := [name for name, value in beside.items() if value is not None]:
-            raise InvalidInput("arguments beside a whole set-up", got=given, allowed="duration, t_eval, wrt")
-        setup = rope if duration is None else replace(rope, duration=duration)
-    elif duration is None:
-        raise InvalidInput("duration is missing", allowed="a number > 0, in s", fix="Give duration=10.0, say")
-    else:
-        setup = Setup(rope, motion, arm, duration=duration, q0=q0, qd0=qd0, tol=tol)  # type: ignore[arg-type]
+    setup = setup_of(rope, motion, arm, duration, q0, qd0, tol, "duration, t_eval, wrt")
     refuse_what_is_not_smooth(setup)
     directions = wanted(setup, wrt)
     t = output_times(t_eval, 0.0, setup.duration)
@@ -252,6 +248,32 @@ def along(run: Rollout, directions: Wanted, start: tuple[Array, Array], t: Array
         core.replay(run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
     first = times.size - t.size
     return y[first:], dy[first:]
+
+
+def acceleration_slopes(
+    chain: Chain, drive: Drive, start: tuple[Array, Array], seeds: Directions, values: Array
+) -> Array:
+    """Return the derivatives (n, p) of the links' accelerations at t = 0 in a state, along directions.
+
+    Parameters
+    ----------
+    chain, drive, seeds : Chain, Drive, Directions
+    start : (n,), (n,) float64
+        Angles, rad, and rates, rad/s; joints that stick there are locked.
+    values : (2 n, p) float64
+        Derivatives of angles and rates.
+    """
+    n, base, grip = chain.length.size, np.empty(9), np.ones(chain.length.size)
+    part = segment(drive, 0.0)
+    torque = base_state(drive, part, 0.0, base)
+    q, qd = (np.array(value) for value in start)
+    if can_stick(chain):
+        decide(chain, q, qd, base[:7], torque, 1.0, grip, bench(n))
+    room = room_for(chain, seeds.kind.size)
+    set_grip(COLUMNS, room.lanes, grip)
+    room.ys[:, :n], room.ys[:, n : 2 * n], room.nodes[:] = q, qd, values
+    bends_along(chain, drive, part, 0.0, 0.0, seeds, room)
+    return np.asarray(room.bends[0])
 
 
 def _labelled(chain: Chain, drive: Drive, directions: Wanted, t: Array, y: Array, dy: Array, own: int) -> Sensitivities:
