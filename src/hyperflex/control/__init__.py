@@ -23,28 +23,6 @@ if TYPE_CHECKING:
     from hyperflex.control.state_source import SimulatedCamera, TrueState
     from hyperflex.control.timing import CrossingRule, Rule
 
-_HOMES = {
-    "Caster": "caster",
-    "CrossingRule": "timing",
-    "PhasePortrait": "pseudo_energy",
-    "Pump": "pumping",
-    "PumpPlan": "rests",
-    "Regulate": "pumping",
-    "Rule": "timing",
-    "SimulatedCamera": "state_source",
-    "Spiral": "pseudo_energy",
-    "Swung": "closed_loop",
-    "TrueState": "state_source",
-    "driving_constant": "pseudo_energy",
-    "phase_portrait": "pseudo_energy",
-    "plan_pumping": "rests",
-    "pseudo_energy": "pseudo_energy",
-    "reach_time": "reach",
-    "spiral": "pseudo_energy",
-    "swing": "closed_loop",
-    "swing_period": "caster",
-}
-
 __all__ = [
     "Caster",
     "CrossingRule",
@@ -67,7 +45,7 @@ __all__ = [
     "swing_period",
 ]
 
-__getattr__ = loader(__name__, _HOMES)
+__getattr__ = loader(__name__, __file__)
 
 
 def __dir__() -> list[str]:

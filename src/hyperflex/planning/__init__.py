@@ -30,41 +30,6 @@ if TYPE_CHECKING:
     from hyperflex.planning.wind.reachability import Reach, reach
     from hyperflex.planning.wind.throw import Throw
 
-_HOMES = {
-    "Cast": "wind.outcome",
-    "CastPlan": "cast_plan",
-    "Draw": "robust.uncertainty",
-    "DrawnWorld": "feedback.simulated_ropes",
-    "DrivenWorld": "feedback.simulated_ropes",
-    "Followed": "feedback.closed_loop",
-    "Holding": "wind.holding",
-    "Impact": "whip.impact",
-    "Lash": "whip.outcome",
-    "Look": "feedback.closed_loop",
-    "Mark": "whip.tip_target",
-    "MotorLimits": "motor_limits",
-    "Nearest": "wind.nearest_target",
-    "Reach": "wind.reachability",
-    "Strokes": "whip.strokes",
-    "Success": "robust.success_probability",
-    "Throw": "wind.throw",
-    "Thrower": "cast_setup",
-    "Uncertainty": "robust.uncertainty",
-    "WhipMap": "whip.search",
-    "WhipPlan": "whip.plan",
-    "WhipReach": "whip.reachability",
-    "follow": "feedback.closed_loop",
-    "plan_cast": "plan",
-    "plan_whip": "whip.plan",
-    "reach": "wind.reachability",
-    "reach_whip": "whip.reachability",
-    "read_plan": "files",
-    "read_whip": "whip.files",
-    "success": "robust.success_probability",
-    "verify": "wind.outcome",
-    "whip_map": "whip.search",
-}
-
 __all__ = [
     "Cast",
     "CastPlan",
@@ -100,7 +65,7 @@ __all__ = [
     "whip_map",
 ]
 
-__getattr__ = loader(__name__, _HOMES)
+__getattr__ = loader(__name__, __file__)
 
 
 def __dir__() -> list[str]:

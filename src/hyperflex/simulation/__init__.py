@@ -19,28 +19,6 @@ if TYPE_CHECKING:
     from hyperflex.simulation.stability import runge_kutta_limit
     from hyperflex.simulation.stepper import Linearization, Stepper
 
-_HOMES = {
-    "Batch": "batch.batch",
-    "BatchState": "batch.stepper",
-    "BatchStepper": "batch.stepper",
-    "Event": "events",
-    "Linearization": "stepper",
-    "Predictability": "lyapunov",
-    "Sensitivities": "sensitivity.sensitivity",
-    "Slopes": "sensitivity.sensitivity",
-    "Stepper": "stepper",
-    "angle_reached": "events",
-    "angles": "runs",
-    "phase_reached": "events",
-    "predictability": "lyapunov",
-    "runge_kutta_limit": "stability",
-    "sensitivities": "sensitivity.sensitivity",
-    "simulate": "runs",
-    "simulate_batch": "batch.batch",
-    "tip_crosses": "events",
-    "tip_speed_peak": "events",
-}
-
 __all__ = [
     "Batch",
     "BatchState",
@@ -63,7 +41,7 @@ __all__ = [
     "tip_speed_peak",
 ]
 
-__getattr__ = loader(__name__, _HOMES)
+__getattr__ = loader(__name__, __file__)
 
 
 def __dir__() -> list[str]:
