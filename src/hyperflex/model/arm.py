@@ -11,6 +11,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.errors import InvalidInput
 from hyperflex.model.properties import LINKS
@@ -88,8 +89,9 @@ class Arm:
             At rest, dry friction resists as the arm is about to move.
         """
         gx, gy = gravity
-        torque = (self.inertia + self.mass * self.com**2) * acceleration + self.friction * rate
-        torque = torque + self.dry_friction * np.sign(np.where(rate != 0.0, rate, acceleration))
+        sense = np.sign(np.where(rate != 0.0, rate, acceleration))
+        torque = (self.inertia + self.mass * self.com**2) * acceleration
+        torque = torque - joint_law.friction((self.friction, self.dry_friction, 0.0, 0.0), rate, sense)
         return np.asarray(torque - self.mass * self.com * (gx * np.cos(angle) + gy * np.sin(angle)))
 
     def chain(self, rope: Rope) -> Chain:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core import status
+from hyperflex.core import joint_law, status
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import TORQUE, Drive
 from hyperflex.core.integrate import rollout
@@ -263,9 +263,9 @@ def stored(chain: Chain, q: Array) -> Array:
     """
     weight = math.hypot(chain.gx, chain.gy) * first_moment(chain)
     hanging = math.atan2(chain.gx, -chain.gy) if weight.any() else 0.0
-    bend = np.diff(q, axis=-1) - chain.rest[1:]
+    bent = joint_law.spring_energy([value[1:] for value in chain.joints], np.diff(q, axis=-1))
     raised = (weight * (1.0 - np.cos(q - hanging))).sum(axis=-1)
-    return np.asarray(raised + 0.5 * (chain.stiffness[1:] * bend**2).sum(axis=-1))
+    return np.asarray(raised + bent.sum(axis=-1))
 
 
 def least_scale(rope: Rope) -> float:

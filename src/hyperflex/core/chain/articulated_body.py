@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperflex.core import joint_law
 from hyperflex.core.jit import inlined, kernel
 
 Array = npt.NDArray[np.float64]
@@ -35,6 +36,11 @@ class Chain(NamedTuple):
     gx: float
     gy: float
     bears: tuple[int, ...]  # as many entries as links bear a joint's friction: MUTUAL or PRINTED
+
+    @property
+    def joints(self) -> tuple[Array, Array, Array, Array]:
+        """All joints as ``joint_law`` takes them."""
+        return self.viscous, self.dry, self.stiffness, self.rest
 
 
 # The compiler knows the length of a tuple, so each friction model gets kernels of its own.
@@ -168,17 +174,9 @@ def sines(q, out, at):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def joint_torque(chain, share, i, angle, rate, h, grip):  # type: ignore[no-untyped-def]
-    """Torque of joint i at relative angle and rate, as ``link_step`` wants it; h > 0 makes it implicit over a step h.
-
-    Returns (T, T_back, kappa, kappa_back), N m and kg m^2.
-    """
-    friction = -chain.viscous[i] * rate - chain.dry[i] * grip
-    k = chain.stiffness[i]
-    spring = -k * (angle - chain.rest[i] + h * rate)
-    slope = h * chain.viscous[i]
-    soft = h * h * k
-    return friction + spring, share * friction + spring, slope + soft, share * slope + soft
+def joint_of(chain, i):  # type: ignore[no-untyped-def]
+    """Joint i as ``joint_law`` takes it."""
+    return chain.viscous[i], chain.dry[i], chain.stiffness[i], chain.rest[i]
 
 
 @kernel
@@ -209,7 +207,7 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
         i = n - 1 - way
         angle = q[i] - (q[i - 1] if i > 0 else base[4])
         rate = w[i] - (w[i - 1] if i > 0 else base[3])
-        t, t_back, kappa, kappa_back = joint_torque(chain, share, i, angle, rate, h, grip[i])
+        t, t_back, kappa, kappa_back = joint_law.torques(joint_of(chain, i), share, angle, rate, grip[i], h)
         if i == 0:
             t += torque
         ma = chain.mass[i] * chain.com[i]
@@ -243,9 +241,7 @@ def friction_power(chain, w, grip, base_rate):  # type: ignore[no-untyped-def]
     share = len(chain.bears) - 1.0
     up = base_rate
     for i in range(w.size):
-        rate = w[i] - up
-        torque = chain.viscous[i] * rate + chain.dry[i] * grip[i]
-        power += torque * (w[i] - share * up)
+        power += joint_law.power(joint_of(chain, i), share, w[i], up, grip[i])
         up = w[i]
     return power
 
@@ -266,8 +262,7 @@ def energies(chain, q, w, base):  # type: ignore[no-untyped-def]
         cvy = vy + a * sin * w[i]
         kinetic += 0.5 * chain.mass[i] * (cvx * cvx + cvy * cvy) + 0.5 * chain.inertia[i] * w[i] * w[i]
         potential -= chain.mass[i] * (chain.gx * (x + a * sin) + chain.gy * (y - a * cos))
-        bend = q[i] - angle - chain.rest[i]
-        potential += 0.5 * chain.stiffness[i] * bend * bend
+        potential += joint_law.spring_energy(joint_of(chain, i), q[i] - angle)
         x += chain.length[i] * sin
         y -= chain.length[i] * cos
         vx += chain.length[i] * cos * w[i]

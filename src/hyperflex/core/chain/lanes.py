@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import link_step, mutual, sincos
 from hyperflex.core.jit import inlined, kernel
 
@@ -96,18 +97,24 @@ def set_grip(width, lanes, grip):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def joint_in(row, k, j):  # type: ignore[no-untyped-def]
+    """Joint of a link as ``joint_law`` takes it."""
+    return (
+        row[(AT + VISCOUS) * k + j],
+        row[(AT + DRY) * k + j],
+        row[(AT + STIFFNESS) * k + j],
+        row[(AT + REST) * k + j],
+    )
+
+
+@inlined
 def load_joint(row, k, j, h, external, share):  # type: ignore[no-untyped-def]
     """Torque and slope of a link's joint as ``link_step`` takes them, and the friction work of the step."""
-    stiffness = row[(AT + STIFFNESS) * k + j]
-    w = row[(AT + W) * k + j]
-    rate = w - row[(UP + W) * k + j]
-    bend = row[(AT + Q) * k + j] - row[(UP + Q) * k + j] - row[(AT + REST) * k + j]
-    spring = -stiffness * (bend + h * rate)
-    friction = -row[(AT + VISCOUS) * k + j] * rate - row[(AT + DRY) * k + j] * row[(AT + GRIP) * k + j]
-    slope = h * row[(AT + VISCOUS) * k + j]
-    soft = h * h * stiffness
-    joint = (friction + spring + external, share * friction + spring, slope + soft, share * slope + soft)
-    return joint, h * friction * (w - share * row[(UP + W) * k + j])
+    joint, grip = joint_in(row, k, j), row[(AT + GRIP) * k + j]
+    w, up = row[(AT + W) * k + j], row[(UP + W) * k + j]
+    angle = row[(AT + Q) * k + j] - row[(UP + Q) * k + j]
+    t, t_back, kappa, kappa_back = joint_law.torques(joint, share, angle, w - up, grip, h)
+    return (t + external, t_back, kappa, kappa_back), h * joint_law.power(joint, share, w, up, grip)
 
 
 @inlined
@@ -188,7 +195,7 @@ def sweep(width, bears, lanes, tip):  # type: ignore[no-untyped-def]
             row[(AT + EX) * k + j] = back[1]
             row[(AT + EY) * k + j] = back[2]
             row[(AT + KD) * k + j] = back[3]
-            answers[(near + DISSIPATED) * k + j] = answers[(far + DISSIPATED) * k + j] - lost
+            answers[(near + DISSIPATED) * k + j] = answers[(far + DISSIPATED) * k + j] + lost
             if not one_place:
                 row[(AT + INV) * k + j] = back[4]
                 row[(AT + STEP) * k + j] = h

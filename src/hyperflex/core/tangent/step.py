@@ -9,6 +9,7 @@ to turn into packed instructions (core/chain/lanes.py says more; tests/core/test
 
 from __future__ import annotations
 
+from hyperflex.core import joint_law
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.jit import inlined, kernel
 
@@ -87,20 +88,19 @@ def link_factors(row, k, j, share):  # type: ignore[no-untyped-def]
     """What multiplies the derivatives of a link's state and of the answer beyond it, (M.21)."""
     length, inv = row[(ln.AT + ln.LENGTH) * k + j], row[(ln.AT + ln.INV) * k + j]
     nx, ny = length * row[(ln.AT + COS) * k + j], length * row[(ln.AT + SIN) * k + j]
-    h, stiffness = row[(ln.AT + ln.STEP) * k + j], row[(ln.AT + ln.STIFFNESS) * k + j]
-    viscous = row[(ln.AT + ln.VISCOUS) * k + j]
+    h, joint = row[(ln.AT + ln.STEP) * k + j], ln.joint_in(row, k, j)
     gx, gy, back = row[(ln.AT + ln.EX) * k + j], row[(ln.AT + ln.EY) * k + j], row[(ln.AT + ln.KD) * k + j]
     if share == 0.0:  # else A is symmetric and f = u
         _, axy, ayx, _, fx, fy, _, _, ux, uy, _, _ = ln.load_answer(row, k, j, share, ln.DOWN)
         gx += inv * (ny * (axy - ayx) + fx - ux)
         gy += inv * (nx * (ayx - axy) + fy - uy)
-        back = h * h * stiffness * inv
+        back = joint_law.slopes(joint, share, h, h * h)[1] * inv
     return (
         (row[(ln.AT + BY_Q) * k + j], row[(ln.AT + BY_W) * k + j], nx, ny),
         (row[(ln.AT + QX) * k + j], row[(ln.AT + QY) * k + j]),
         (row[(ln.AT + WX) * k + j], row[(ln.AT + WY) * k + j]),
         (gx, gy, inv, back),
-        (viscous + h * stiffness, share * viscous + h * stiffness, stiffness),
+        (*joint_law.slopes(joint, share, 1.0, h), joint_law.slopes(joint, share, 0.0, 1.0)[0]),
     )
 
 
@@ -120,19 +120,18 @@ def link_sources(row, k, j, seed, bend, rate, share):  # type: ignore[no-untyped
     far_x, far_y = row[(ln.AT + ln.PX) * k + j], row[(ln.AT + ln.PY) * k + j]
     zx, zy = cos * alpha - sin * w * w, sin * alpha + cos * w * w
     azx, azy = axx * zx + axy * zy, ayx * zx + ayy * zy
-    own = row[(ln.AT + ln.LENGTH) * k + j]
-    pull_x = axx * far_x + axy * far_y + fx * alpha + bx + own * azx
-    pull_y = ayx * far_x + ayy * far_y + fy * alpha + by + own * azy
+    lever = row[(ln.AT + ln.LENGTH) * k + j]
+    pull_x = axx * far_x + axy * far_y + fx * alpha + bx + lever * azx
+    pull_y = ayx * far_x + ayy * far_y + fy * alpha + by + lever * azy
     moment = -inertia * alpha - ma * (cos * px + sin * py)
     moment -= length * (ux * zx + uy * zy + cos * pull_x + sin * pull_y)
     change = alpha - row[(ln.UP + ln.ALPHA) * k + j]
-    stiff, soft = row[(ln.AT + ln.VISCOUS) * k + j], row[(ln.AT + ln.STIFFNESS) * k + j]
-    friction = -dry * row[(ln.AT + ln.GRIP) * k + j] - viscous * (rate + h * change) - stretch * h * stiff * change
-    spring = -stiffness * bend + soft * rest - stretch * h * soft * (rate + 2.0 * h * change)
+    joint, own, grip = ln.joint_in(row, k, j), (viscous, dry, stiffness, rest), row[(ln.AT + ln.GRIP) * k + j]
+    torque, torque_back = joint_law.variation(joint, own, share, bend, rate, change, grip, h, stretch)
     return (
         moment,
-        friction + spring,
-        share * friction + spring,
+        torque,
+        torque_back,
         mass * px + ma * zx + length * azx,
         mass * py + ma * zy + length * azy,
     )

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.core import joint_law
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.model import Rope
@@ -219,10 +220,14 @@ def _joints(rope: Rope, q: Array, qd: Array, angle: Array, rate: Array) -> tuple
     """Return the torques (T, n, n) of a unit of viscous and dry friction and stiffness, in this order."""
     turning = np.diff(qd, axis=1, prepend=rate[:, None])
     bent = np.diff(q, axis=1, prepend=angle[:, None]) - rope.rest_angle
-    onto = np.eye(rope.n_links)
-    both = onto - np.eye(rope.n_links, k=1)
-    friction = both if rope.friction_model == "relative" else onto
-    return friction * turning[:, None, :], friction * np.sign(turning)[:, None, :], both * bent[:, None, :]
+    share = 1.0 if rope.friction_model == "relative" else 0.0
+    onto, back = np.eye(rope.n_links), np.eye(rope.n_links, k=1)
+
+    def unit(*seed: float) -> Array:
+        law = joint_law.variation((0.0,) * 4, seed, share, bent, turning, 0.0, np.sign(turning), 0.0, 0.0)
+        return np.asarray(back * law[1][:, None, :] - onto * law[0][:, None, :])
+
+    return unit(1.0, 0.0, 0.0, 0.0), unit(0.0, 1.0, 0.0, 0.0), unit(0.0, 0.0, 1.0, 0.0)
 
 
 def _drag(rope: Rope, q: Array, qd: Array, pivot: Array) -> Array:
