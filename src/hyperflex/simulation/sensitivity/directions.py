@@ -37,7 +37,7 @@ _MOMENTS = ("mass", "com", "inertia")  # they come in as moments about the joint
 _SEED_OF = {
     each.name: getattr(tg, each.field.upper())
     for each in LINKS
-    if each.form and each.name not in _MOMENTS and hasattr(tg, each.field.upper())
+    if each.form and each.name not in _MOMENTS
 }
 FAINT = 1e-300  # N m, dry friction that is felt by the sign of a joint's rate alone
 
