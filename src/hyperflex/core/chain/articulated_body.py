@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain.drag import air_loads
-from hyperflex.core.jit import inlined, kernel
+from hyperflex.core.jit import inlined, kernel, shared
 
 Array = npt.NDArray[np.float64]
 
@@ -233,6 +233,12 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
         px += chain.length[i] * (work[5 * n + i] * up - work[4 * n + i] * rate2)
         py += chain.length[i] * (work[4 * n + i] * up + work[5 * n + i] * rate2)
     return fx, fy, moment
+
+
+@shared
+def can_stick(chain):  # type: ignore[no-untyped-def]
+    """Whether dry friction may hold a joint."""
+    return chain.dry.any()
 
 
 @kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import PRINTED
+from hyperflex.core.chain.articulated_body import PRINTED, can_stick
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.integrate.end_conditions import NOTHING, PEAK, arm, reading, right_side
 from hyperflex.core.integrate.event_search import AGAIN, EVENT, TRIES, begin, first_late, judge, late
@@ -41,7 +41,7 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
     until = limits.until
     y, grip, clock, search, tools = progress.y, progress.grip, progress.clock, room.search, room.bench
     n = grip.size
-    t, widen, stuck, dry = clock[T], widened(clock[CHATTER], n), not grip.all(), chain.dry.any()
+    t, widen, stuck, sticks = clock[T], widened(clock[CHATTER], n), not grip.all(), can_stick(chain)
     room.locked[:n] = 1.0 - grip * grip
     torque = base_state(drive, part, t, room.before)
     margins(chain, y[:n], y[n : 2 * n], grip, room.before[:7], torque, widen, tools, search.low)
@@ -68,7 +68,7 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
         if sense != 0.0:
             value, slope = reading(until, chain, out[:n], out[n : 2 * n], tools.alpha, room.after)
             search.here[0, n], search.here[1, n] = sense * value, sense * slope
-        first = search.span[TRIES] == 0.0 and (dry or (sense != 0.0 and until.kind == PEAK))
+        first = search.span[TRIES] == 0.0 and (sticks or (sense != 0.0 and until.kind == PEAK))
         if first or (stuck and len(chain.bears) == len(PRINTED)):
             middle(step, y[:n], y[n : 2 * n], room.alpha, out, tools)
             torque = base_state(drive, part, t + 0.5 * step, room.between)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import TORQUE, Drive
 from hyperflex.core.tangent import directions as dr
 from hyperflex.core.tangent import step as tg
@@ -92,7 +92,9 @@ class Wanted:
             if part.keys() & {"breaks", "coef", "arm_length"}:
                 driven[p] = len(rows)
                 rows.append(part)
-        if chain.dry.any() and drive.coef[..., 1:].any():  # events move in every direction, and then the base with them
+        if (
+            can_stick(chain) and drive.coef[..., 1:].any()
+        ):  # events move in every direction, and then the base with them
             driven[driven < 0] = len(rows)
             rows.append({})
         breaks, coef, arm = np.zeros((len(rows), pieces + 1)), np.zeros((len(rows), pieces, 4, 6)), np.zeros(len(rows))

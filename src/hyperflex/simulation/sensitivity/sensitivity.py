@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.core import status
-from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import Drive
 from hyperflex.core.integrate.progress import JOINT, MODES, REJECTED, TAKEN, Limits
 from hyperflex.core.tangent import forward_sensitivity as core
@@ -225,7 +225,7 @@ class Slopes:
 
 def recorded(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Limits, begin: float = 0.0) -> Rollout:
     """Run to the end, noting every step; raises where that fails."""
-    count, width = STEPS, MODES + chain.length.size if chain.dry.any() else JOINT
+    count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
     while True:
         run = prepare(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
         code = finish(run)
