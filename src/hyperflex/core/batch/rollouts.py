@@ -213,7 +213,7 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
 
 @kernel
 def settle(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def]
-    """Note a step of the error `size` in a lane's clock, of a chain that `sticks` or not, and choose the next; a code."""
+    """Note a step of the error `size` in a lane's clock, where a chain `sticks` or not, and choose the next; a code."""
     order = terms.best.size - 1
     step = lane[WANTED]
     if size <= 1.0:
