@@ -48,3 +48,30 @@ def test_drag_is_known_beside_joint_friction(windy: tuple[Recording, Array]) -> 
     assert found.status == "converged"
     assert within(found, "drag:shared", DRAG)
     assert found.sd["drag"][0] < 0.1 * DRAG
+
+
+def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tuple[Recording, Array]) -> None:
+    """Drag grows with the masses; over the first moment it is known as well as if the rope had been weighed."""
+    recording, arcs = windy
+    words = ["mass:factor", "inertia:factor", "friction:shared", "drag:shared"]
+    found = hf.identify(recording, CORD, words, arcs=arcs, origin=(0.0, 0.0))
+    assert not found.identifiable
+    assert "One common factor of mass, inertia, friction, drag" in found.verdict[0]
+    assert np.isinf(found.sd["drag"]).all()
+    assert np.isfinite(found.ratio_sd["d/p1"]).all()
+    truth = DRAG / hf.identification.lumped(CORD)[0][0]
+    assert within(found, "d/p1[0]", truth)
+
+
+@pytest.mark.parametrize("rope", [CORD.replace(friction=0.0), BARE], ids=["drag", "joint friction"])
+def test_drag_is_told_from_joint_friction(rope: hf.Rope) -> None:
+    """Twins with only one of them: their own model is preferred, though both have one parameter."""
+    recording, arcs = swing(rope)
+    guess = CORD.replace(friction=0.0, drag=0.0)
+    found = hf.compare_models(recording, guess, MODELS, arcs=arcs, origin=(0.0, 0.0))
+    assert found.preferred == ("drag" if rope.drag.any() else "joint friction")
+    both = found["both"].identification
+    assert both is not None
+    for name in ("friction", "drag"):
+        value, sd, truth = both.values[name][0], both.sd[name][0], getattr(rope, name)[0]
+        assert abs(value - truth) < 4.0 * sd or (value == truth == 0.0)
