@@ -10,11 +10,10 @@ from hyperflex.checks import Array
 from hyperflex.model import divided
 from hyperflex.recording import Recording
 
-NOISE = 1e-3  # m
+NOISE = 2e-3  # m
 DRAG = 0.0045  # kg/m^2: a cord of 6 mm, coefficient 1.25
-CORD = hf.Rope.uniform(0.6, 0.012, 4, radius=0.003, friction=2e-5, drag=DRAG)  # light: 20 g/m
+CORD = hf.Rope.uniform(0.6, 0.012, 10, radius=0.003, friction=2e-5, drag=DRAG)  # light: 20 g/m
 BARE = CORD.replace(drag=0.0, friction=1e-4)
-START = [1.2, 1.3, 1.4, 1.5]
 MODELS = {
     "joint friction": ["friction:shared"],
     "drag": ["drag:shared"],
@@ -22,13 +21,13 @@ MODELS = {
 }
 
 
-def swing(rope: hf.Rope, *, seed: int = 1, pieces: int = 3, duration: float = 6.0) -> tuple[Recording, Array]:
-    """Markers at the joints of `rope` while a finer one, each link in pieces, swings; and where they sit, m."""
-    t = np.arange(round(50 * duration) + 1) / 50
-    run = hf.simulate(divided(rope, pieces), duration=t[-1], t_eval=t, q0=np.repeat(START, pieces), tol=1e-9)
-    places = run.joints[:, ::pieces]
+def swing(rope: hf.Rope, seed: int = 1) -> tuple[Recording, Array]:
+    """Markers at every second joint of `rope` while one swings whose links are half as long; and where they sit, m."""
+    t = np.arange(301) / 50
+    run = hf.simulate(divided(rope, 2), duration=t[-1], t_eval=t, q0=np.full(2 * rope.n_links, 1.0), tol=1e-9)
+    places = run.joints[:, ::4]
     noise = NOISE * np.random.default_rng(seed).standard_normal(places.shape)
-    arcs = np.append(0.0, np.cumsum(rope.length))
+    arcs = np.append(0.0, np.cumsum(rope.length))[::2]
     return Recording(t, (places + noise).reshape(t.size, -1), kind="markers", noise=np.array(NOISE)), arcs
 
 
@@ -47,7 +46,8 @@ def test_drag_is_known_beside_joint_friction(windy: tuple[Recording, Array]) -> 
     found = hf.identify(recording, guess, ["friction:shared", "drag:shared"], arcs=arcs, origin=(0.0, 0.0))
     assert found.status == "converged"
     assert within(found, "drag:shared", DRAG)
-    assert found.sd["drag"][0] < 0.1 * DRAG
+    assert within(found, "friction:shared", CORD.friction[0])
+    assert found.sd["drag"][0] < 0.02 * DRAG
 
 
 def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tuple[Recording, Array]) -> None:
@@ -72,6 +72,6 @@ def test_drag_is_told_from_joint_friction(rope: hf.Rope) -> None:
     assert found.preferred == ("drag" if rope.drag.any() else "joint friction")
     both = found["both"].identification
     assert both is not None
-    for name in ("friction", "drag"):
-        value, sd, truth = both.values[name][0], both.sd[name][0], getattr(rope, name)[0]
-        assert abs(value - truth) < 4.0 * sd or (value == truth == 0.0)
+    # Without any joint friction the finer twin bends more sharply than ten links can: that moves drag by 3 %.
+    assert both.values["drag"][0] == pytest.approx(rope.drag[0], rel=0.06, abs=4.0 * both.sd["drag"][0])
+    assert both.values["friction"][0] == pytest.approx(rope.friction[0], rel=0.06, abs=4.0 * both.sd["friction"][0])

@@ -103,11 +103,11 @@ class Arm:
         -------
         (...) array, N m
         """
-        turning = (self.inertia + self.mass * self.com**2) * np.asarray(acceleration)
-        gx, gy = np.asarray(gravity)
-        weight = self.mass * self.com * (gx * np.cos(angle) + gy * np.sin(angle))
-        shaft = (self.friction, self.dry_friction, 0.0, 0.0)
-        return np.asarray(turning - joint_law.friction(shaft, np.asarray(rate), np.asarray(sense)) - weight)
+        gx, gy = gravity
+        sense = np.sign(np.where(rate != 0.0, rate, acceleration))
+        torque = (self.inertia + self.mass * self.com**2) * acceleration
+        torque = torque - joint_law.friction((self.friction, self.dry_friction, 0.0, 0.0), rate, sense)
+        return np.asarray(torque - self.mass * self.com * (gx * np.cos(angle) + gy * np.sin(angle)))
 
     def chain(self, rope: Rope) -> Chain:
         """Return arm and rope as one chain of n + 1 links, for a torque-driven arm.

@@ -51,8 +51,8 @@ class Property:
     symbol, ratio : str
         Of a resistance to the motion: its symbol, and the unit of its ratio over the first moment p1.
     least : float
-        Smallest value of a fit, in parts of its scale: without any dry friction no run turns where it would act, and
-        none tells what it would do.
+        Smallest value of a fit, in parts of its scale, of what a run without any leaves out altogether, and so does not
+        tell what it would do.
     """
 
     name: str
@@ -81,7 +81,7 @@ _TABLE = (
     ),
     Property("stiffness", "stiffness", "N m/rad", "stiffness", power=1, cut="bending", symbol="k", ratio="m/s^2"),
     Property("rest_angle", "angle at which it is at rest", "rad", "rest", sign="any", form="linear", cut="stays"),
-    Property("drag", "air drag", "kg/m^2", "drag", power=1, cut="alike", symbol="d", ratio="1/m^3"),
+    Property("drag", "air drag", "kg/m^2", "drag", power=1, cut="alike", symbol="d", ratio="1/m^3", least=1e-9),
     Property("max_bend", "joint limit", "rad", "max_bend", sign="positive", default=math.inf, form=None, cut="limit"),
     Property("tip_mass", "mass at the tip", "kg", "tip_mass", owner="rope", power=1),
     Property("gravity_angle", "turn of gravity (a camera that is not level)", "rad", owner="rope", form="linear"),

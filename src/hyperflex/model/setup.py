@@ -108,9 +108,8 @@ class Setup:
             object.__setattr__(self, name, value)
         self._check_drive()
         self._check_pegs()
-        for name, none in (("drag", 0.0), ("max_bend", math.inf)):
-            if (getattr(self.rope, name) != none).any():
-                raise InvalidInput(f"the simulation does not know {name} yet", allowed=f"{name} = {none}")
+        if (self.rope.max_bend != math.inf).any():
+            raise InvalidInput("the simulation does not know max_bend yet", allowed="max_bend = inf")
 
     def _check_pegs(self) -> None:
         for peg in self.pegs:

@@ -55,6 +55,8 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
     k = len(ln.MEMBERS)
     n = members.links.shape[2]
     link = members.links[m]
+    for slot in (ln.DRAG, ln.FX, ln.FY, ln.S):
+        lanes[slot * k + j] = 0.0
     for i in range(n):
         row = lanes[(i + 1) * ln.ROW * k : (i + 2) * ln.ROW * k]
         ma = link[MASS, i] * link[COM, i]
@@ -66,6 +68,9 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
         row[ln.STIFFNESS * k + j] = link[STIFFNESS, i]
         row[ln.REST * k + j] = link[REST, i]
         row[ln.DRY * k + j] = link[DRY, i]
+        row[ln.DRAG * k + j] = link[DRAG, i]
+        lanes[ln.DRAG * k + j] += link[DRAG, i]
+        row[ln.EXTERNAL * k + j] = 0.0
         row[ln.GRIP * k + j] = 1.0
         row[ln.LEVER * k + j] = link[LEVER, i]
         row[ln.Q_START * k + j] = members.start[m, i]

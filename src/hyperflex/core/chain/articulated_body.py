@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.core import joint_law
+from hyperflex.core.chain.drag import air_loads
 from hyperflex.core.jit import inlined, kernel, shared
 
 Array = npt.NDArray[np.float64]
@@ -201,6 +202,7 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
     n = q.size
     share = len(chain.bears) - 1.0
     sines(q, work, 4 * n)
+    air_x, air_y, _ = air_loads(chain, w, base, work, 0, 4)
     zero = 0.0
     at = (chain.tip_mass, zero, zero, chain.tip_mass, zero, zero, zero, zero, zero, zero, zero, zero)
     for way in range(n):
@@ -208,8 +210,7 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
         angle = q[i] - (q[i - 1] if i > 0 else base[4])
         rate = w[i] - (w[i - 1] if i > 0 else base[3])
         t, t_back, kappa, kappa_back = joint_law.torques(joint_of(chain, i), share, angle, rate, grip[i], h)
-        if i == 0:
-            t += torque
+        t += work[4 * i] + (torque if i == 0 else 0.0)
         ma = chain.mass[i] * chain.com[i]
         link = (chain.length[i], ma, chain.inertia[i] + ma * chain.com[i], chain.mass[i])
         joint = (t, t_back, kappa, kappa_back)
@@ -221,8 +222,8 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
     px = base[0] - chain.gx
     py = base[1] - chain.gy
     up = base[2]
-    fx = at[0] * px + at[1] * py + at[4] * up + at[6]
-    fy = at[2] * px + at[3] * py + at[5] * up + at[7]
+    fx = at[0] * px + at[1] * py + at[4] * up + at[6] - air_x
+    fy = at[2] * px + at[3] * py + at[5] * up + at[7] - air_y
     moment = at[8] * px + at[9] * py + at[10] * up + at[11]
     for i in range(n):
         o = 4 * i
@@ -241,11 +242,11 @@ def can_stick(chain):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def friction_power(chain, w, grip, base_rate):  # type: ignore[no-untyped-def]
-    """Power that friction takes from the chain at rates w (n,), rad/s, slip senses grip (n,), and parent's rate; W."""
-    power = 0.0
+def lost_power(chain, w, grip, base, work):  # type: ignore[no-untyped-def]
+    """Power that friction and the air take from the chain, W; arguments as ``accelerations`` takes and leaves them."""
+    _, _, power = air_loads(chain, w, base, work, 0, 4)
     share = len(chain.bears) - 1.0
-    up = base_rate
+    up = base[3]
     for i in range(w.size):
         power += joint_law.power(joint_of(chain, i), share, w[i], up, grip[i])
         up = w[i]

@@ -22,10 +22,10 @@ PX, PY, ALPHA = BX, BY, BETA
 BEFORE, SIN, COS = range(DQ + 12, DQ + 15)
 # what multiplies the derivatives of angle and rate in the moment and in the force (M.21), in place of what nobody needs
 # once a step is taken
-BY_Q, BY_W, QX, QY, WX, WY = ln.RD, ln.S, ln.BETA, ln.DISSIPATED, ln.EXTERNAL, ln.WORK
+BY_Q, BY_W, QX, QY, WX, WY = ln.RD, ln.S, ln.BETA, ln.DISSIPATED, ln.LOST, ln.WORK
 # the seeds of a direction for one link: changes of its parameters
-LENGTH, MASS, MA, INERTIA, VISCOUS, STIFFNESS, REST, DRY = range(8)
-SEEDS = 8
+LENGTH, MASS, MA, INERTIA, VISCOUS, STIFFNESS, REST, DRY, DRAG = range(9)
+SEEDS = 9
 
 
 @inlined
@@ -229,13 +229,15 @@ def step_all(width, bears, lanes, links, stretch):  # type: ignore[no-untyped-de
 
     Parameters
     ----------
-    width, bears, lanes : as in ``step_state``; RHS of row 0 holds the change of the torque on link 0, N m
+    width, bears, lanes : as in ``step_state``; RHS of row 0 holds the change of the torque on link 0, N m, and with
+        drag RHS of the links that of the air's torques, see ``tangent.drag``
     links : (2, n, SEEDS) changes of the links' parameters
     stretch : (2,) relative change of the step's length in every lane
     """
     k = len(width)
     share = len(bears) - 1.0
     n = lanes.size // (ln.ROW * k) - 2
+    airy = 1.0 if lanes[ln.DRAG * k] > 0.0 else 0.0
     for way in range(n):
         i = n - way
         first = 1.0 if i == 1 else 0.0
@@ -246,10 +248,10 @@ def step_all(width, bears, lanes, links, stretch):  # type: ignore[no-untyped-de
             bend, rate = joint_motion(row, k, j, first)
             factors = link_factors(row, k, j, share)
             m, t, tb, x, y = link_sources(row, k, j, one, bend, rate, share)
-            m += first * row[(ln.UP + RHS) * k + j]
+            m += first * row[(ln.UP + RHS) * k + j] + airy * row[(ln.AT + RHS) * k + j]
             up_one(row, k, j, 0, factors, (m, t, tb, x, y))
             m, t, tb, x, y = link_sources(row, k, j, two, bend, rate, share)
-            m += first * row[(ln.UP + RHS + 1) * k + j]
+            m += first * row[(ln.UP + RHS + 1) * k + j] + airy * row[(ln.AT + RHS + 1) * k + j]
             up_one(row, k, j, 1, factors, (m, t, tb, x, y))
     one_stretch, two_stretch = stretch[0], stretch[1]
     for i in range(1, n + 1):

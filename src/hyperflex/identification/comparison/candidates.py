@@ -6,17 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-import numpy as np
-
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification.model.names import scales
 from hyperflex.model import Rope
 from hyperflex.model.properties import DAMPING, FREE, RESISTANCES, parsed
 from hyperflex.model.refine import recut
 from hyperflex.model.rope_table import MOST_LINKS
 
-SLIGHT = 1e-3  # dry friction at the start, as a part of gravity's torque
+SLIGHT = 0.1  # of its scale, what a guess has none of at the start
 MOST_BESIDE = 2  # resistances beside viscous friction in one candidate
 
 
@@ -97,7 +95,7 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
     law = ":shared" if ":" in "".join(own.get(viscous.name, ())) else ""
     for each in beside:  # started from 0 it may stay there: a joint that never sticks tells little of dry friction
         if each.least and not getattr(guess, each.name).any():
-            guess = guess.replace(**{each.name: SLIGHT * lumped(guess)[0] * float(np.hypot(*guess.gravity))})
+            guess = guess.replace(**{each.name: SLIGHT * scales(guess, each.name)})
     chosen = [(viscous, *more) for count in range(MOST_BESIDE + 1) for more in combinations(beside, count)]
     varied = [*beside, viscous] if viscous.name in own else beside
     if viscous in varied:

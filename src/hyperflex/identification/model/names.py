@@ -92,11 +92,11 @@ def _one(guess: Rope, label: Label, arcs: Array | None, moved: bool, arm: Arm | 
         if not getattr(guess, name).any():
             raise InvalidInput(f"{name}:{law} is free but starts from 0", allowed=f"a guess of {name} that is not 0")
         return [Parameter(name, everyone, f"{name}:{law}", 1.0 if law == "factor" else 0.0, 1.0, law)]  # type: ignore[arg-type]
-    starts, scales = getattr(guess, name), _scales(guess, name)
+    starts, sizes = getattr(guess, name), scales(guess, name)
     if law == "shared":
-        return [Parameter(name, everyone, f"{name}:shared", float(starts.mean()), float(scales.mean()))]
+        return [Parameter(name, everyone, f"{name}:shared", float(starts.mean()), float(sizes.mean()))]
     chosen = everyone if place is None else (place,)
-    return [Parameter(name, (k,), f"{name}[{k}]", float(starts[k]), float(scales[k])) for k in chosen]
+    return [Parameter(name, (k,), f"{name}[{k}]", float(starts[k]), float(sizes[k])) for k in chosen]
 
 
 def _whole(guess: Rope, name: str, arcs: Array | None, moved: bool, arm: Arm | None) -> Parameter:
@@ -137,7 +137,7 @@ def _arcs(guess: Rope, marker: int | None, law: str, arcs: Array | None) -> list
     return [Parameter("arc", (k,), f"arc[{k}]", float(arcs[k]), scale) for k in chosen]
 
 
-def _scales(guess: Rope, name: str) -> Array:
+def scales(guess: Rope, name: str) -> Array:
     """Return the scales (n,) of a property of the links: its value, or by its unit what is typical, if that is more."""
     value: Array = np.array(getattr(guess, name))
     if FREE[name].form == "log":

@@ -34,12 +34,8 @@ ARM_NAMES = {
 Part = dict[str, Array]
 Wrt = Iterable[str | Mapping[str, Mapping[str, npt.ArrayLike]]] | str
 _MOMENTS = ("mass", "com", "inertia")  # they come in as moments about the joint
-_SEED_OF = {
-    each.name: getattr(tg, each.field.upper())
-    for each in LINKS
-    if each.form and each.name not in _MOMENTS and hasattr(tg, each.field.upper())
-}
-FAINT = 1e-300  # N m, dry friction that is felt by the sign of a joint's rate alone
+_SEED_OF = {each.name: getattr(tg, each.field.upper()) for each in LINKS if each.form and each.name not in _MOMENTS}
+FAINT = 1e-300  # N m, kg/m^2: dry friction and drag that change no run, and are felt by its derivatives alone
 
 
 @dataclass(frozen=True)
@@ -68,7 +64,7 @@ class Wanted:
         return np.stack([part.get("length", np.zeros(n)) for part in self.parts], axis=1)
 
     def felt(self, chain: Chain) -> Chain:
-        """The chain itself, with the faintest dry friction where there is none but a direction changes it."""
+        """The chain itself, with a trace of what a run without any leaves out, where a direction changes it."""
         for each in (each for each in LINKS if each.least):
             now, faint = getattr(chain, each.field), np.zeros(chain.length.size)
             for part in self.parts:
