@@ -289,5 +289,6 @@ def _driven(
     base = _base(arm, angle, rate, acceleration)
     qdd = np.empty(n)
     fx, fy, moment = core.accelerations(rope.chain(), q, qd, grip, base, 0.0, 0.0, qdd, np.empty(6 * n))
-    own = arm.own_torque(angle, rate, acceleration, np.sign(rate), rope.gravity)
+    own = arm.shaft_torque(rope.gravity, np.array(angle), np.array(rate), np.zeros(()))
+    own += (arm.inertia + arm.mass * arm.com**2) * acceleration
     return qdd, float(own + moment + arm.length * (cos * fx + sin * fy))

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -80,28 +79,14 @@ class Arm:
             raise InvalidInput("arm table does not fit", got=sorted(table), allowed=", ".join(names))
         return cls(**table)
 
-    def own_torque(
-        self,
-        angle: npt.ArrayLike,
-        rate: npt.ArrayLike,
-        acceleration: npt.ArrayLike,
-        sense: npt.ArrayLike,
-        gravity: npt.ArrayLike,
-    ) -> Array:
-        """Return the torque that the arm asks of its motor for itself: inertia, friction of the shaft, weight.
+    def shaft_torque(self, gravity: Array, angle: Array, rate: Array, acceleration: Array) -> Array:
+        """Return the torque (T,), N m, that turns the arm alone: for its inertia, weight and friction.
 
         Parameters
         ----------
-        angle, rate, acceleration : (...) array_like
-            rad, rad/s, rad/s^2.
-        sense : (...) array_like
-            In which it slips against dry friction: 1, -1; 0 where that is not to count.
-        gravity : (2,) array_like
-            m/s^2.
-
-        Returns
-        -------
-        (...) array, N m
+        gravity : (2,) array, m/s^2
+        angle, rate, acceleration : (T,) arrays, rad, rad/s, rad/s^2
+            At rest, dry friction resists as the arm is about to move.
         """
         gx, gy = gravity
         sense = np.sign(np.where(rate != 0.0, rate, acceleration))

@@ -106,8 +106,7 @@ class MotorTorque:
 
     def _torque(self, chain: Chain, drive: Drive, t: Array, y: Array, grip: Array) -> Array:
         rope, angle, rate, acceleration = self._seen(chain, drive, t, y, grip).T
-        sense = np.sign(np.where(rate != 0.0, rate, acceleration))  # at rest: as it will move
-        return np.asarray(rope + self.arm.own_torque(angle, rate, acceleration, sense, (chain.gx, chain.gy)))
+        return np.asarray(rope + self.arm.shaft_torque(np.array([chain.gx, chain.gy]), angle, rate, acceleration))
 
     @staticmethod
     def _grip(chain: Chain, drive: Drive, t: Array, y: Array) -> Array:

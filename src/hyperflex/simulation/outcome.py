@@ -142,7 +142,5 @@ def _motor_torque(setup: Setup, angle: Array, rate: Array, acceleration: Array, 
     arm = setup.arm
     if arm is None:
         return np.zeros(angle.size)
-    sense = np.sign(np.where(rate != 0.0, rate, acceleration))  # at rest: as it is about to move
-    own = arm.own_torque(angle, rate, acceleration, sense, setup.rope.gravity)
     pull = arm.length * (np.cos(angle) * scalars[:, 2] + np.sin(angle) * scalars[:, 3])
-    return np.asarray(scalars[:, 4] + pull + own)
+    return np.asarray(scalars[:, 4] + pull + arm.shaft_torque(setup.rope.gravity, angle, rate, acceleration))

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import Chain, can_stick
-from hyperflex.core.chain.drive import Drive
+from hyperflex.core.chain.drive import Drive, base_state, segment
+from hyperflex.core.chain.lanes import COLUMNS, set_grip
 from hyperflex.core.integrate.progress import JOINT, MODES, REJECTED, TAKEN, Limits
 from hyperflex.core.stiction.constraint_torques import bench
 from hyperflex.core.stiction.slip_modes import decide
