@@ -13,7 +13,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle
 from hyperflex.model.peg import Peg
-from hyperflex.model.rope import Rope
+from hyperflex.model.rope import Rope, bend_limits, bend_ratios
 from hyperflex.model.stretch import across, uniform
 
 FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
@@ -50,7 +50,8 @@ def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, rat
     differ it goes straight from the one to the next. The first joint is a hinge: the rope turns in it as a whole, by
     the same angle however finely it is cut, so it keeps its friction and stiffness, and the pieces of the first link
     bend as the rope does at the second joint. Dry friction, a torque that any bend must overcome, is every joint's
-    alike; a rest angle stays with its joint. Air drag is per length; the greatest bend goes with a joint's length.
+    alike; a rest angle stays with its joint. Air drag is per length. Joint limits keep the radius that they let the rope
+    bend to (:meth:`Rope.with_bend_radius`).
 
     Examples
     --------
@@ -102,7 +103,8 @@ def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
     begins = np.append(0, np.cumsum(pieces)[:-1])  # where the old joints are among the new ones
     rest = np.zeros(length.size)
     rest[begins] = rope.rest_angle
-    bent = _along(1.0 / rope.max_bend, rope.length, pieces)
+    limits = bend_limits(_along(bend_ratios(rope.max_bend), rope.length, pieces))
+    limits[0] = rope.max_bend[0]
     return rope.replace(
         length=length,
         mass=mass,
@@ -113,7 +115,7 @@ def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
         dry_friction=np.repeat(rope.dry_friction, pieces),
         rest_angle=rest,
         drag=np.repeat(rope.drag, pieces),
-        max_bend=np.where(bent > 0.0, 1.0 / np.maximum(bent, 1e-300), np.inf),
+        max_bend=limits,
     )
 
 

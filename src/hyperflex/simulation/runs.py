@@ -235,7 +235,8 @@ def _finished(
     """Run to the end of a span, s, and return the status code."""
     with progress_bar(*span, progress) as bar:
         report = impatient(bar, patience)
-        return beside(run, setup, state).finish(report) if setup.pegs else finish(run, report)
+        free = not setup.touches or run.limits.until.kind != NEVER.kind
+        return finish(run, report) if free else beside(run, setup, state).finish(report)
 
 
 def angles(

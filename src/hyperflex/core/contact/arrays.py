@@ -1,4 +1,4 @@
-"""Arrays of the search for contact modes: impulses of the contacts, and the motion that they change."""
+"""Arrays of the search for modes: impulses of contacts and of joints, and the motion that they change."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.gaps import Index
 from hyperflex.core.jit import kernel
 
-OPEN, STICK, AHEAD, BACK = range(4)  # modes; the last two: the rope slips along the tangent, or against it
+# Modes. AHEAD, BACK: the rope slips along the tangent, or against it; a joint turns in the positive sense, or against
+# it. UPPER, LOWER: a joint is held at a limit.
+OPEN, STICK, AHEAD, BACK, UPPER, LOWER = range(6)
 
 
 class Impulses(NamedTuple):
@@ -33,6 +35,25 @@ class Impulses(NamedTuple):
     gift: float  # W, power that residual velocities may have
 
 
+class Joints(NamedTuple):
+    """Joints with dry friction or limits, the first ``total[0]`` of ``which``; the other arrays are (n,), by joint."""
+
+    total: Index  # (1,)
+    which: Index
+    mode: Index
+    good_mode: Index  # mode and `start` of the last solution found
+    good: Array
+    impulse: Array  # N m s, of friction and limit together
+    start: Array  # where the proximal method starts from
+    bound: Array  # N m s, what dry friction bears in the step
+    lower: Array  # rad/s, the relative rate after the step may be as low as this
+    upper: Array
+    before: Array  # rad/s, relative rates before the step, and after it
+    after: Array
+    lever: Array  # m, length of the chain beyond the joint
+    free: Array  # (n, 2) as ``Motion.joint``, without friction and limits
+
+
 class Motion(NamedTuple):
     """Rates before and after a step and what moves them."""
 
@@ -40,6 +61,7 @@ class Motion(NamedTuple):
     change: Array  # (n,)
     rho: Array  # (n,)
     joint: Array  # (n, 2)
+    held: Joints
     touch: Array  # (n, 12)
     trig: Array  # (2 n,)
     speed: Array  # (2, n + 1) velocities of the joints at the rates before, in the middle's configuration
@@ -76,13 +98,46 @@ def new_impulses(most, gift):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def new_motion(n):  # type: ignore[no-untyped-def]
-    """Arrays for n links."""
+def new_joints(chain):  # type: ignore[no-untyped-def]
+    """The joints of a chain that have dry friction or limits."""
+    n = chain.length.size
+    total, which, lever = np.zeros(1, np.int64), np.zeros(n, np.int64), np.zeros(n)
+    beyond = 0.0
+    for way in range(n):
+        beyond += chain.length[n - 1 - way]
+        lever[n - 1 - way] = beyond
+    for i in range(n):
+        if chain.dry[i] > 0.0 or chain.max_bend[i] < np.inf:
+            which[total[0]] = i
+            total[0] += 1
+    return Joints(
+        total,
+        which,
+        np.zeros(n, np.int64),
+        np.zeros(n, np.int64),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros(n),
+        lever,
+        np.zeros((n, 2)),
+    )
+
+
+@kernel
+def new_motion(chain):  # type: ignore[no-untyped-def]
+    """Arrays for a chain of n links."""
+    n = chain.length.size
     return Motion(
         np.zeros(n),
         np.zeros(n),
         np.zeros(n),
         np.zeros((n, 2)),
+        new_joints(chain),
         np.zeros((n, 12)),
         np.zeros(2 * n),
         np.zeros((2, n + 1)),

@@ -15,8 +15,9 @@ LOSS = 10.0  # how many times more energy may vanish in a step than appear
 # T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
 # found that obey the law. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest
 # penetration, m. FORCED: steps taken though their energy rose by more than is allowed. APPEARED: energy that came from
-# nowhere, J. DUE: 1.0 where a link touches and an impact is due.
-T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST, DEEPEST, FORCED, APPEARED, DUE, CLOCK = range(13)
+# nowhere, J. DUE: 1.0 where a link touches, or a joint its limit, and an impact is due. BENT: greatest angle of a joint
+# past its limit, rad.
+T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST, DEEPEST, FORCED, APPEARED, DUE, BENT, CLOCK = range(14)
 
 
 class Bounds(NamedTuple):
@@ -26,6 +27,7 @@ class Bounds(NamedTuple):
     step: float  # s, longest step
     rate: float  # W, at which energy may appear from nowhere
     clear: float  # m, smallest gap at which the rope has left the pegs
+    slack: float  # rad, smallest gap, by the present rates, at which joints have left their limits
     budget: int  # steps of one call
 
 

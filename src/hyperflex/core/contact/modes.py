@@ -1,4 +1,4 @@
-"""Which contacts are open, stick or slip, and the impulses that go with it: Coulomb's law with true stick.
+"""Which contacts and joints are open, stick or slip, and the impulses that go with it: Coulomb's law with true stick.
 
 A wrapped rope that sticks is hyperstatic: many impulses give the same motion. The proximal method (an augmented
 Lagrangian) takes those nearest to the last step's, P = P0 - M v with a mass M far above the rope's, and projects them
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from hyperflex.core.contact.arrays import AHEAD, BACK, OPEN, STICK
+from hyperflex.core.contact.joints import judge_joints, let_go, proceed_joints, put_joints
 from hyperflex.core.contact.point import hold, velocity
 from hyperflex.core.contact.sweep import changes, clear
 from hyperflex.core.contact.turning_pegs import turn_pegs
@@ -33,8 +34,9 @@ INSTANT = 1e-6  # s, an impact may give as much as a step of this length
 
 @kernel
 def put(found, impulses, motion, heavy):  # type: ignore[no-untyped-def]
-    """Write the contacts, with their present modes, to ``motion.touch``; `heavy` is M, kg."""
+    """Write contacts and joints, with their present modes, to ``motion.touch`` and ``motion.joint``; `heavy` is M, kg."""
     n = motion.w.size
+    put_joints(motion, heavy)
     for c in range(found.total[0]):
         if impulses.mode[c] == OPEN:
             continue
@@ -54,7 +56,7 @@ def judge_modes(found, impulses, motion, spin, heavy, change):  # type: ignore[n
     What slips sticks again where P0 - M v is back inside the cone, by the same measure by which what sticks leaves it:
     were it asked whether the velocity turns, P0 outside the cone would let neither hold. Returns how many broke it.
     """
-    broke = 0
+    broke = judge_joints(motion, heavy, change)
     for c in range(found.total[0]):
         vn, vt = velocity(found, motion, c)
         vt -= spin.reach[found.peg[c]] * spin.after[found.peg[c]]
@@ -155,29 +157,35 @@ def search(chain, found, impulses, motion, spin, h, heavy):  # type: ignore[no-u
 
 
 @kernel
-def store(found, impulses):  # type: ignore[no-untyped-def]
-    """Remember where the proximal method starts from, and the modes."""
+def store(found, impulses, held):  # type: ignore[no-untyped-def]
+    """Remember where the proximal method starts from, and the modes; `held` are the Joints."""
+    for k in range(held.total[0]):
+        i = held.which[k]
+        held.good_mode[i], held.good[i] = held.mode[i], held.start[i]
     for c in range(found.total[0]):
         impulses.good_mode[c] = impulses.mode[c]
         impulses.good_normal[c], impulses.good_tangent[c] = impulses.normal0[c], impulses.tangent0[c]
 
 
 @kernel
-def restore(found, impulses):  # type: ignore[no-untyped-def]
+def restore(found, impulses, held):  # type: ignore[no-untyped-def]
     """Go back to what was stored last."""
+    for k in range(held.total[0]):
+        i = held.which[k]
+        held.mode[i], held.start[i] = held.good_mode[i], held.good[i]
     for c in range(found.total[0]):
         impulses.mode[c] = impulses.good_mode[c]
         impulses.normal0[c], impulses.tangent0[c] = impulses.good_normal[c], impulses.good_tangent[c]
 
 
 @kernel
-def proceed(found, impulses, heavy):  # type: ignore[no-untyped-def]
+def proceed(found, impulses, motion, heavy):  # type: ignore[no-untyped-def]
     """Store a solution for M = `heavy`, kg, and let the next one start from it.
 
     Returns its residual, m/s, and the energy that the residual stands for, J.
     """
-    store(found, impulses)
-    worst = given = 0.0
+    store(found, impulses, motion.held)
+    worst, given = proceed_joints(motion, heavy)
     for c in range(found.total[0]):
         pn, pt = impulses.normal[c], impulses.tangent[c]
         if impulses.mode[c] != OPEN:
@@ -213,7 +221,7 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
     -------
     int : rounds, negative if the law is not obeyed to within SLIGHT.
     """
-    store(found, impulses)
+    store(found, impulses, motion.held)
     heavy = impulses.heavy[0] if impulses.heavy[0] > 0.0 else STIFF * whole
     last, residual, given = 0.0, math.inf, math.inf
     total, again, rounds = 0, AGAIN, 0
@@ -221,7 +229,7 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
         rounds = search(chain, found, impulses, motion, spin, h, heavy)
         total += abs(rounds)
         if rounds < 0:
-            restore(found, impulses)
+            restore(found, impulses, motion.held)
             if last == 0.0:
                 heavy = SOFTER * min(whole, heavy)
                 continue
@@ -229,7 +237,7 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
                 break
             heavy = math.sqrt(heavy * last)
             continue
-        (residual, given), last = proceed(found, impulses, heavy), heavy
+        (residual, given), last = proceed(found, impulses, motion, heavy), heavy
         if residual > SLIGHT:
             heavy = min(GROW * heavy, STIFFEST * whole)
             continue
@@ -238,9 +246,10 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
             break
         heavy = max(heavy, min(GROW * heavy, STIFF * whole))
     if rounds < 0:
-        restore(found, impulses)
-        for c in range(found.total[0]):
-            if last == 0.0:  # nothing was found at all: let go
+        restore(found, impulses, motion.held)
+        if last == 0.0:  # nothing was found at all: let go
+            let_go(motion)
+            for c in range(found.total[0]):
                 impulses.mode[c] = OPEN
         motion.change[:] = 0.0
         for _ in range(SETTLING):

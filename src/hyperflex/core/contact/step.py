@@ -10,6 +10,7 @@ from hyperflex.core.chain.articulated_body import Array, energies, sines
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.contact.arrays import OPEN, Impulses, Motion, new_impulses, new_motion
 from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joints, nearest, new_contacts, speeds
+from hyperflex.core.contact.joints import BEYOND, room_to_bend, taken_by_joints, watch_joints
 from hyperflex.core.contact.modes import solve
 from hyperflex.core.contact.turning_pegs import Spin, begin, lost_in_bearings, new_spin
 from hyperflex.core.jit import kernel
@@ -26,16 +27,18 @@ NEAR = 1e-4  # m, gap below which a link is watched even at rest
 BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
-FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints and axles, by contacts, put in; J
+FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by friction, by contacts and limits, put in; J
 
 
 class Kept(NamedTuple):
-    """What the last step leaves for the next, by link and peg, and of its search for modes."""
+    """What the last step leaves for the next, by link and peg or by joint, and of its search for modes."""
 
     normal: Array  # (n, m) N
     tangent: Array
     mode: Index
     heavy: Array  # (1,) kg, as in Impulses
+    torque: Array  # (n,) N m, of the joints' dry friction and limits
+    bent: Index  # (n,) their modes
 
 
 class Desk(NamedTuple):
@@ -56,18 +59,21 @@ class Desk(NamedTuple):
     out: Array  # (2 n,) angles and rates after the step
     base: Array  # (3, 9) motion of the first joint before, in the middle and after
     account: Array  # (3,)
-    touch: Array  # (1,) s, from the beginning of the step until a link that is left free touches a peg
+    touch: Array  # (1,) s, from the beginning of the step until a link that is left free touches, or a joint its limit
+    bend: Array  # (2,) rad, smallest gap of a joint to its limit after the step, and what is left of the gaps soon
     fast: float  # m/s; a link that closes faster meets the peg in an impact of its own, at the instant of touching
+    brisk: float  # rad/s; likewise a joint its limit
 
 
 @kernel
-def new_desk(n, pegs, rate, longest):  # type: ignore[no-untyped-def]
-    """Working arrays for n links, the Pegs `pegs` and steps up to `longest`, s; energy may appear at `rate`, W."""
+def new_desk(chain, pegs, rate, longest):  # type: ignore[no-untyped-def]
+    """Working arrays for a chain, the Pegs `pegs` and steps up to `longest`, s; energy may appear at `rate`, W."""
+    n = chain.length.size
     most = n * pegs.reach.size
     return Desk(
         new_contacts(most),
         new_impulses(most, GIFT * rate),
-        new_motion(n),
+        new_motion(chain),
         new_spin(n, pegs),
         np.zeros(n),
         np.zeros((2, n + 1)),
@@ -81,14 +87,23 @@ def new_desk(n, pegs, rate, longest):  # type: ignore[no-untyped-def]
         np.zeros((3, 9)),
         np.zeros(3),
         np.zeros(1),
+        np.zeros(2),
         max(FAST, FALL * longest),
+        BEYOND / longest,
     )
 
 
 @kernel
 def new_kept(n, pegs):  # type: ignore[no-untyped-def]
     """Nothing kept yet."""
-    return Kept(np.zeros((n, pegs)), np.zeros((n, pegs)), np.zeros((n, pegs), np.int64), np.zeros(1))
+    return Kept(
+        np.zeros((n, pegs)),
+        np.zeros((n, pegs)),
+        np.zeros((n, pegs), np.int64),
+        np.zeros(1),
+        np.zeros(n),
+        np.zeros(n, np.int64),
+    )
 
 
 @kernel
@@ -191,8 +206,11 @@ def recall(kept, found, impulses, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def keep(kept, found, impulses, h):  # type: ignore[no-untyped-def]
-    """Keep modes and forces for the next step."""
+def keep(kept, found, impulses, held, h):  # type: ignore[no-untyped-def]
+    """Keep modes and forces for the next step; `held` are the Joints."""
+    for k in range(held.total[0]):
+        i = held.which[k]
+        kept.torque[i], kept.bent[i] = held.impulse[i] / h, held.mode[i]
     kept.heavy[0] = impulses.heavy[0]
     for i in range(kept.mode.shape[0]):
         for p in range(kept.mode.shape[1]):
@@ -243,6 +261,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, s
     motion.base[2] = base[2, 3] - base[0, 3]
     motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
     least = watch(chain, pegs, kept, desk, h, push, bounce, struck)
+    watch_joints(chain, desk, kept, h, struck)
     recall(kept, desk.found, desk.impulses, h)
     begin(desk.spin, motion, h)
     rounds = solve(chain, desk.found, desk.impulses, motion, desk.spin, h, whole)
@@ -250,6 +269,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, s
         rate = motion.w[i] + motion.change[i]
         desk.out[i] = desk.q[i] + 0.5 * h * rate
         desk.out[n + i] = rate
+    desk.bend[0], desk.bend[1] = room_to_bend(chain, desk.out[:n], desk.out[n:], base[2, 4], base[2, 3])
     settle_account(chain, desk, torque, h)
     return least, rounds
 
@@ -264,8 +284,9 @@ def settle_account(chain, desk, torque, h):  # type: ignore[no-untyped-def]
         before = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
         after = desk.out[n + i] - (desk.out[n + i - 1] if i > 0 else base[2, 3])
         taken += h * chain.viscous[i] * after * 0.5 * (before + after)
-    desk.account[FRICTION] = taken + lost_in_bearings(spin)
-    taken = 0.0
+    rubbed, limited = taken_by_joints(motion)
+    desk.account[FRICTION] = taken + rubbed + lost_in_bearings(spin)
+    taken = limited
     for c in range(found.total[0]):
         if impulses.mode[c] == OPEN:
             continue

@@ -162,6 +162,9 @@ def turn_pegs(chain, found, impulses, motion, spin, heavy):  # type: ignore[no-u
     ``motion`` holds the rope's answer to pegs at rest; what ``motion.touch`` holds is lost.
     """
     last = spin.which.size
+    for k in range(motion.held.total[0]):
+        i = motion.held.which[k]
+        spin.joint[i, 1] = motion.joint[i, 1]
     for k in range(last):
         p = spin.which[k]
         answer(chain, found, impulses, motion, spin, heavy, k)

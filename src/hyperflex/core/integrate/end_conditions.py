@@ -1,4 +1,4 @@
-"""What may end a run: a reading of the state whose fall from above zero to zero is the event."""
+"""What may end a run: a reading of the state whose fall from above zero to zero is the event, or a joint's limit."""
 
 from __future__ import annotations
 
@@ -65,6 +65,23 @@ def reading(until, chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
         return -(vx * ax + vy * ay), 0.0
     sin, cos = math.sin(until.a), math.cos(until.a)
     return x * cos - until.b * vx * sin, vx * cos - until.b * ax * sin
+
+
+@kernel
+def to_limit(chain, i, angle, rate):  # type: ignore[no-untyped-def]
+    """Gap of joint i, at a relative angle and rate, to the nearer of its limits, rad, and how fast the gap grows."""
+    bend = angle - chain.rest[i]
+    return chain.max_bend[i] - abs(bend), -rate if bend > 0.0 else rate
+
+
+@kernel
+def limits(chain, q, w, base, out):  # type: ignore[no-untyped-def]
+    """Write the gaps of all joints to their limits, and how they grow, to ``out[:, n : 2 * n]``; base as in ``reading``."""
+    n = q.size
+    up, up_rate = base[4], base[3]
+    for i in range(n):
+        out[0, n + i], out[1, n + i] = to_limit(chain, i, q[i] - up, w[i] - up_rate)
+        up, up_rate = q[i], w[i]
 
 
 @kernel

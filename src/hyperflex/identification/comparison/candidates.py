@@ -12,6 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.model import Rope
+from hyperflex.model.rope import bend_limits, bend_ratios
 from hyperflex.model.rope_table import LINK_FIELDS, MOST_LINKS
 
 SLIGHT = 1e-3  # dry friction at the start, as a part of gravity's torque
@@ -124,7 +125,7 @@ def recut(rope: Rope, n_links: int) -> Rope:
     length = np.full(n_links, ends[-1] / n_links)
     joints = {name: _joints(getattr(rope, name), rope.length, cuts, ends) for name in ("friction", *RESISTANCES)}
     joints["dry_friction"] = np.interp(cuts[:-1], ends[:-1], rope.dry_friction)
-    bent = _joints(1.0 / rope.max_bend, rope.length, cuts, ends)
+    limits = bend_limits(_joints(bend_ratios(rope.max_bend), rope.length, cuts, ends))
     return Rope(
         length,
         total,
@@ -132,7 +133,7 @@ def recut(rope: Rope, n_links: int) -> Rope:
         inertia + 0.25 * total * rope.radius**2,
         **joints,
         drag=part @ rope.drag / length,
-        max_bend=np.where(bent > 0.0, 1.0 / np.maximum(bent, 1e-300), np.inf),
+        max_bend=np.append(rope.max_bend[0], limits[1:]),
         tip_mass=rope.tip_mass,
         gravity=rope.gravity,
         friction_model=rope.friction_model,

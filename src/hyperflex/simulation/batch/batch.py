@@ -154,12 +154,13 @@ def simulate_batch(
     keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns", "peg_angle", "peg_rate"}
         What to keep; memory is (M, T) times this, beside the blocks in work. Turns are those about each round peg.
     pegs : sequence of Peg, Wall or Ground, or of such sequences, optional
-        Pegs of all members, or of each, the same number for all. Members run one by one then, each as
-        :func:`hyperflex.simulate` runs it and with the same result.
+        Pegs of all members, or of each, the same number for all. Members run one by one then, as with joint limits,
+        each as :func:`hyperflex.simulate` runs it and with the same result.
     contact_step, refine
         As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
     patience : float, optional
-        Processor time, s, after which a member beside pegs has failed ("out of patience"); by default it may take any.
+        Processor time, s, after which a member beside pegs or with joint limits has failed ("out of patience"); by
+        default it may take any.
     threads : int, optional
         By default one a processor. Results do not depend on it.
     progress : bool
@@ -187,18 +188,20 @@ def simulate_batch(
     """
     keep = tuple(checks.choice("keep", name, tuple(KEPT)) for name in keep)
     workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
-    if pegs:
+    if not pegs and any("peg" in KEPT[name][0] for name in keep):
+        raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
+    if pegs or any(rope.limited for rope in ([ropes] if isinstance(ropes, Rope) else ropes)):
         if step is not None:
-            raise InvalidInput("step is not there beside pegs", got=step, fix="Give contact_step or tol")
+            raise InvalidInput(
+                "step is not there beside pegs or with joint limits", got=step, fix="Give contact_step or tol"
+            )
         others = {"duration": duration, "tol": tol, "contact_step": contact_step}
         beside = beside_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, patience=patience, others=others)
         t = _outputs(t_eval, beside.setup(0).duration)
         values, names, reached = run_members(beside, t, keep, workers, progress)
         return Batch(t, values, tuple(names), reached)
     if patience is not None:
-        raise InvalidInput("patience is for members beside pegs, and there are none", got=patience)
-    if any("peg" in KEPT[name][0] for name in keep):
-        raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
+        raise InvalidInput("patience is for members beside pegs or with joint limits, and there are none", got=patience)
     rows = [rows_of(name, value) for name, value in (("q0", q0), ("qd0", qd0))]
     setups = setups_of(ropes, motions, rows, arm, duration, tol)
     chains = [setup.chain() for setup in setups]

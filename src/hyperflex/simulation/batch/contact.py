@@ -1,4 +1,4 @@
-"""Many rollouts beside pegs: each as :func:`simulate` runs it, members on threads."""
+"""Many rollouts beside pegs or with joint limits: each as :func:`simulate` runs it, members on threads."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.contact.runs import beside, finer
-from hyperflex.simulation.contact.start import check_outside
+from hyperflex.simulation.contact.start import check_limits, check_outside
 from hyperflex.simulation.outcome import conclude
 from hyperflex.simulation.rollouts import limits, prepare, progress_bar
 from hyperflex.simulation.time_budget import INTERRUPTED, OutOfPatience, impatient
@@ -40,7 +40,7 @@ SHAPES: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Members:
-    """What the members of a batch beside pegs are made of; lists have one entry for all members, or one each."""
+    """What the members of such a batch are made of; lists have one entry for all members, or one each."""
 
     ropes: list[Rope]
     motions: Sequence[Motion | None]
@@ -97,17 +97,15 @@ def pegs_of(pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]]) -> list[tup
 
 
 def check_fit(members: Members) -> None:
-    """Refuse lists of different lengths, pegs of different numbers, and members without a peg."""
+    """Refuse lists of different lengths, and pegs of different numbers."""
     sizes = [len(members.ropes), len(members.motions), len(members.pegs)]
     if 0 in sizes or set(sizes) - {1, members.count}:
         raise InvalidInput(
             "ropes, motions and pegs do not fit together", got=sizes, allowed="one for all members, or as many of each"
         )
     numbers = sorted({len(each) for each in members.pegs})
-    if len(numbers) > 1 or numbers[0] == 0:
-        raise InvalidInput(
-            "members have different numbers of pegs", got=numbers, allowed="the same for all, at least one"
-        )
+    if len(numbers) > 1:
+        raise InvalidInput("members have different numbers of pegs", got=numbers, allowed="the same for all")
     links = sorted({rope.n_links for rope in members.ropes})
     if len(links) > 1:
         raise InvalidInput("ropes of a batch differ in links", got=links, allowed="the same number for all")
@@ -133,6 +131,7 @@ def run_members(
     setups = [members.setup(m) for m in range(members.count)]
     for m, setup in enumerate(setups):
         check_outside(setup, who=f"the rope of member {m}")
+        check_limits(setup, who=f"the rope of member {m}")
     sizes = {"link": max(s.rope.n_links for s in setups), "axis": 2, "peg": len(setups[0].round_pegs)}
     values = {k: np.full((len(setups), t.size, *(sizes[d] for d in SHAPES[k])), np.nan) for k in keep}
     names, reached = [INTERRUPTED] * len(setups), np.zeros(len(setups))
