@@ -50,8 +50,8 @@ def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, rat
     differ it goes straight from the one to the next. The first joint is a hinge: the rope turns in it as a whole, by
     the same angle however finely it is cut, so it keeps its friction and stiffness, and the pieces of the first link
     bend as the rope does at the second joint. Dry friction, a torque that any bend must overcome, is every joint's
-    alike; a rest angle stays with its joint. Air drag is per length. Joint limits keep the radius that they let the rope
-    bend to (:meth:`Rope.with_bend_radius`).
+    alike; a rest angle stays with its joint. Air drag is per length. Joint limits keep the radius to which they let the
+    rope bend (:meth:`Rope.with_bend_radius`).
 
     Examples
     --------

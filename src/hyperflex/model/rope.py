@@ -242,7 +242,7 @@ class Rope:
     def with_bend_radius(self, radius: float) -> Rope:
         """Return the rope with joint limits that let its axis bend to a circle of `radius`, m, and no tighter.
 
-        A joint's limit is 2 atan(l / (2 radius)), for l the half of both its links' lengths: a polygon whose sides touch
+        A joint's limit is 2 atan(l / (2 radius)), with l half of both its links' lengths: a polygon whose sides touch
         the circle in their middles. The first joint is a hinge, and keeps its limit.
         """
         r = checks.number("radius", radius, sign="positive", unit="m")

@@ -55,7 +55,8 @@ class Setup:
     pegs : sequence of Peg, Wall or Ground, optional
         What the rope may touch; for ropes with friction_model="relative".
     contact_step : float
-        Longest step beside a peg, or with a joint at its limit, s; what closes slower than 1 cm/s, or than 50 m/s^2 times it, does not bounce.
+        Longest step beside a peg, or with a joint at its limit, s; what closes slower than 1 cm/s, or than 50 m/s^2
+        times it, does not bounce.
     tip_force : (2,) array_like
         Constant force on the tip beside gravity, N; only in a set-up with pegs.
 
@@ -108,6 +109,8 @@ class Setup:
             object.__setattr__(self, name, value)
         self._check_drive()
         self._check_pegs()
+        if self.rope.drag.any():
+            raise InvalidInput("the simulation does not know drag yet", allowed="drag = 0")
 
     def _check_pegs(self) -> None:
         for peg in self.pegs:

@@ -99,9 +99,9 @@ def first_mode(kept, rate, lower, upper, bound):  # type: ignore[no-untyped-def]
         mode = kept if kept >= UPPER else OPEN
     elif kept == OPEN:
         mode = STICK if abs(rate) <= SLOW else AHEAD if rate > 0.0 else BACK
-    if (mode == STICK or mode == AHEAD) and upper <= 0.0:
+    if mode in (STICK, AHEAD) and upper <= 0.0:
         return UPPER
-    if (mode == STICK or mode == BACK) and lower >= 0.0:
+    if mode in (STICK, BACK) and lower >= 0.0:
         return LOWER
     return mode
 
@@ -113,7 +113,7 @@ def put_joints(motion, heavy):  # type: ignore[no-untyped-def]
     for k in range(held.total[0]):
         i = held.which[k]
         mode, torque, slope = held.mode[i], 0.0, 0.0
-        if mode == AHEAD or mode == BACK:
+        if mode in (AHEAD, BACK):
             torque = -held.bound[i] if mode == AHEAD else held.bound[i]
         elif mode != OPEN:
             slope = heavy * held.lever[i] * held.lever[i]
@@ -152,7 +152,7 @@ def proceed_joints(motion, heavy):  # type: ignore[no-untyped-def]
     for k in range(held.total[0]):
         i = held.which[k]
         mode, lever, impulse = held.mode[i], held.lever[i], held.impulse[i]
-        if mode == AHEAD or mode == BACK:
+        if mode in (AHEAD, BACK):
             left = max(0.0, -held.after[i] if mode == AHEAD else held.after[i]) * lever
         elif mode == OPEN:
             left = 0.0

@@ -34,7 +34,7 @@ INSTANT = 1e-6  # s, an impact may give as much as a step of this length
 
 @kernel
 def put(found, impulses, motion, heavy):  # type: ignore[no-untyped-def]
-    """Write contacts and joints, with their present modes, to ``motion.touch`` and ``motion.joint``; `heavy` is M, kg."""
+    """Write contacts and joints, in their present modes, to ``motion.touch`` and ``motion.joint``; `heavy` is M, kg."""
     n = motion.w.size
     put_joints(motion, heavy)
     for c in range(found.total[0]):

@@ -76,7 +76,7 @@ def to_limit(chain, i, angle, rate):  # type: ignore[no-untyped-def]
 
 @kernel
 def limits(chain, q, w, base, out):  # type: ignore[no-untyped-def]
-    """Write the gaps of all joints to their limits, and how they grow, to ``out[:, n : 2 * n]``; base as in ``reading``."""
+    """Write the gaps of all joints to their limits, rad, and how they grow to ``out[:, n : 2 * n]``."""
     n = q.size
     up, up_rate = base[4], base[3]
     for i in range(n):

@@ -1,4 +1,4 @@
-"""A rope that starts inside an obstacle, across a wall, or bent past its limits, is refused: no stepper could mend it."""
+"""A rope that starts inside an obstacle, across a wall or bent past its limits is refused: no stepper can mend that."""
 
 from __future__ import annotations
 
