@@ -84,7 +84,7 @@ def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> No
     kept.heavy[0], known = 1e-3 * rope.total_mass, []
     for _ in range(60):
         attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, kept, desk, True, 0.0, True)
-        keep(kept, desk.found, desk.impulses, desk.motion.held, STEP)
+        keep(kept, desk.found, desk.impulses, desk.held, STEP)
         known.append(kept.heavy[0])
     assert np.all(np.diff(known) >= 0.0)
     assert known[-1] == pytest.approx(STIFF * rope.total_mass, rel=1e-12)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.core.jit import inlined, kernel
+from hyperflex.core.jit import inlined, lean
 
 Array = npt.NDArray[np.float64]
 
@@ -181,7 +181,7 @@ def joint_torque(chain, share, i, angle, rate, h, grip):  # type: ignore[no-unty
     return friction + spring, share * friction + spring, slope + soft, share * slope + soft
 
 
-@kernel
+@lean
 def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ignore[no-untyped-def]
     """Angular accelerations of all links by one sweep to the motor and one back; O(n).
 
@@ -236,7 +236,7 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
     return fx, fy, moment
 
 
-@kernel
+@lean
 def friction_power(chain, w, grip, base_rate):  # type: ignore[no-untyped-def]
     """Power that friction takes from the chain at rates w (n,), rad/s, slip senses grip (n,), and parent's rate; W."""
     power = 0.0
@@ -250,7 +250,7 @@ def friction_power(chain, w, grip, base_rate):  # type: ignore[no-untyped-def]
     return power
 
 
-@kernel
+@lean
 def energies(chain, q, w, base):  # type: ignore[no-untyped-def]
     """Kinetic and potential energy (gravity and springs; zero with all at the origin), J.
 
@@ -278,7 +278,7 @@ def energies(chain, q, w, base):  # type: ignore[no-untyped-def]
     return kinetic, potential
 
 
-@kernel
+@lean
 def mass_matrix(chain, q, out):  # type: ignore[no-untyped-def]
     """Mass matrix (n, n) in absolute angles: M_ij = l_i p_j cos(q_i - q_j), i < j (M.4); kg m^2, written to `out`."""
     n = q.size

@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.gaps import Index
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, lean
 
 # Modes. AHEAD, BACK: the rope slips along the tangent, or against it; a joint turns in the positive sense, or against
 # it. UPPER, LOWER: a joint is held at a limit.
@@ -36,22 +36,19 @@ class Impulses(NamedTuple):
 
 
 class Joints(NamedTuple):
-    """Joints with dry friction or limits, the first ``total[0]`` of ``which``; the other arrays are (n,), by joint."""
+    """Joints with dry friction or limits. Few arrays: kernels copy what they are called with, word by word."""
 
-    total: Index  # (1,)
-    which: Index
-    mode: Index
-    good_mode: Index  # mode and `start` of the last solution found
-    good: Array
-    impulse: Array  # N m s, of friction and limit together
-    start: Array  # where the proximal method starts from
-    bound: Array  # N m s, what dry friction bears in the step
-    lower: Array  # rad/s, the relative rate after the step may be as low as this
-    upper: Array
-    before: Array  # rad/s, relative rates before the step, and after it
-    after: Array
-    lever: Array  # m, length of the chain beyond the joint
-    free: Array  # (n, 2) as ``Motion.joint``, without friction and limits
+    which: Index  # (k,) the joints
+    mode: Index  # (n,)
+    good_mode: Index  # (n,) of the last solution found
+    of: Array  # (ROWS, n) see the names below
+
+
+# Rows of Joints.of, by joint. IMPULSE: of friction and limit together, N m s. START: where the proximal method starts
+# from; GOOD: that of the last solution found. BOUND: what dry friction bears in the step, N m s. LOWEST, HIGHEST: the
+# relative rate after the step may be between these, rad/s. BEFORE, AFTER: relative rates, rad/s. LEVER: length of the chain
+# beyond the joint, m. FREE, FREE + 1: as ``Motion.joint``, without friction and limits.
+IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, FREE, ROWS = *range(10), 11
 
 
 class Motion(NamedTuple):
@@ -61,7 +58,6 @@ class Motion(NamedTuple):
     change: Array  # (n,)
     rho: Array  # (n,)
     joint: Array  # (n, 2)
-    held: Joints
     touch: Array  # (n, 12)
     trig: Array  # (2 n,)
     speed: Array  # (2, n + 1) velocities of the joints at the rates before, in the middle's configuration
@@ -101,43 +97,24 @@ def new_impulses(most, gift):  # type: ignore[no-untyped-def]
 def new_joints(chain):  # type: ignore[no-untyped-def]
     """The joints of a chain that have dry friction or limits."""
     n = chain.length.size
-    total, which, lever = np.zeros(1, np.int64), np.zeros(n, np.int64), np.zeros(n)
-    beyond = 0.0
-    for way in range(n):
-        beyond += chain.length[n - 1 - way]
-        lever[n - 1 - way] = beyond
+    which, of, count, beyond = np.zeros(n, np.int64), np.zeros((ROWS, n)), 0, 0.0
     for i in range(n):
         if chain.dry[i] > 0.0 or chain.max_bend[i] < np.inf:
-            which[total[0]] = i
-            total[0] += 1
-    return Joints(
-        total,
-        which,
-        np.zeros(n, np.int64),
-        np.zeros(n, np.int64),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        lever,
-        np.zeros((n, 2)),
-    )
+            which[count] = i
+            count += 1
+        beyond += chain.length[n - 1 - i]
+        of[LEVER, n - 1 - i] = beyond
+    return Joints(which[:count].copy(), np.zeros(n, np.int64), np.zeros(n, np.int64), of)
 
 
 @kernel
-def new_motion(chain):  # type: ignore[no-untyped-def]
-    """Arrays for a chain of n links."""
-    n = chain.length.size
+def new_motion(n):  # type: ignore[no-untyped-def]
+    """Arrays for n links."""
     return Motion(
         np.zeros(n),
         np.zeros(n),
         np.zeros(n),
         np.zeros((n, 2)),
-        new_joints(chain),
         np.zeros((n, 12)),
         np.zeros(2 * n),
         np.zeros((2, n + 1)),

@@ -11,9 +11,25 @@ from __future__ import annotations
 
 import math
 
-from hyperflex.core.contact.arrays import AHEAD, BACK, LOWER, OPEN, STICK, UPPER
+from hyperflex.core.contact.arrays import (
+    AFTER,
+    AHEAD,
+    BACK,
+    BEFORE,
+    BOUND,
+    FREE,
+    HIGHEST,
+    IMPULSE,
+    LEVER,
+    LOWER,
+    LOWEST,
+    OPEN,
+    START,
+    STICK,
+    UPPER,
+)
 from hyperflex.core.integrate.end_conditions import to_limit
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import lean
 
 ANY = 1e9  # rad/s, bound of a rate that nothing holds
 REACHED = 1e-5  # rad, gap at which a limit is reached
@@ -24,7 +40,7 @@ RELAXED = 0.99  # of the last step's torque is where the next step starts
 SOON = 0.01  # s, for which the present rate counts in what is left of a gap
 
 
-@kernel
+@lean
 def law(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no-untyped-def]
     """Angular impulse of a joint in a mode, N m s, and the mode that it should have; start is L0, mass is M, kg m^2.
 
@@ -56,7 +72,7 @@ def law(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no-untype
     return -sense * bound, wanted
 
 
-@kernel
+@lean
 def watch_joints(chain, desk, kept, h, struck):  # type: ignore[no-untyped-def]
     """Say what each joint may do in a step `h`, s, and begin with the modes and torques of the last step.
 
@@ -64,20 +80,19 @@ def watch_joints(chain, desk, kept, h, struck):  # type: ignore[no-untyped-def]
     ``desk.brisk`` is left free, and ``desk.touch`` tells when it is there; in an impact (h = 0.0) those that are there
     are held.
     """
-    motion, held = desk.motion, desk.motion.held
-    for k in range(held.total[0]):
-        i = held.which[k]
+    motion, held, of = desk.motion, desk.held, desk.held.of
+    for i in held.which:
         bend = desk.q[i] - (desk.q[i - 1] if i > 0 else desk.base[1, 4]) - chain.rest[i]
         rate = motion.w[i] - (motion.w[i - 1] if i > 0 else desk.base[0, 3])
-        held.before[i], held.bound[i] = rate, h * chain.dry[i]
-        held.free[i, 0], held.free[i, 1] = motion.joint[i, 0], motion.joint[i, 1]
-        held.upper[i] = allowed_rate(desk, chain.max_bend[i] - bend, rate, h, struck)
-        held.lower[i] = -allowed_rate(desk, chain.max_bend[i] + bend, -rate, h, struck)
-        held.start[i] = RELAXED * h * kept.torque[i]
-        held.mode[i] = first_mode(kept.bent[i], rate, held.lower[i], held.upper[i], held.bound[i])
+        of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
+        of[FREE, i], of[FREE + 1, i] = motion.joint[i, 0], motion.joint[i, 1]
+        of[HIGHEST, i] = allowed_rate(desk, chain.max_bend[i] - bend, rate, h, struck)
+        of[LOWEST, i] = -allowed_rate(desk, chain.max_bend[i] + bend, -rate, h, struck)
+        of[START, i] = RELAXED * h * kept.torque[i]
+        held.mode[i] = first_mode(kept.bent[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i])
 
 
-@kernel
+@lean
 def allowed_rate(desk, gap, closing, h, struck):  # type: ignore[no-untyped-def]
     """Greatest rate, rad/s, at which a gap, rad in the middle of a step, may close that closes at `closing` before."""
     if h == 0.0:
@@ -91,7 +106,7 @@ def allowed_rate(desk, gap, closing, h, struck):  # type: ignore[no-untyped-def]
     return max(gap, 0.0) / h
 
 
-@kernel
+@lean
 def first_mode(kept, rate, lower, upper, bound):  # type: ignore[no-untyped-def]
     """Mode of a joint to begin the search with, from the one that was kept."""
     mode = kept
@@ -106,36 +121,34 @@ def first_mode(kept, rate, lower, upper, bound):  # type: ignore[no-untyped-def]
     return mode
 
 
-@kernel
-def put_joints(motion, heavy):  # type: ignore[no-untyped-def]
+@lean
+def put_joints(motion, held, heavy):  # type: ignore[no-untyped-def]
     """Write the joints, with their present modes, to ``motion.joint``; `heavy` is M of the contacts, kg."""
-    held, joint = motion.held, motion.joint
-    for k in range(held.total[0]):
-        i = held.which[k]
+    of, joint = held.of, motion.joint
+    for i in held.which:
         mode, torque, slope = held.mode[i], 0.0, 0.0
         if mode in (AHEAD, BACK):
-            torque = -held.bound[i] if mode == AHEAD else held.bound[i]
+            torque = -of[BOUND, i] if mode == AHEAD else of[BOUND, i]
         elif mode != OPEN:
-            slope = heavy * held.lever[i] * held.lever[i]
-            at = held.upper[i] if mode == UPPER else held.lower[i] if mode == LOWER else 0.0
-            torque = held.start[i] - slope * (held.before[i] - at)
-        joint[i, 0], joint[i, 1] = held.free[i, 0] + torque, held.free[i, 1] + slope
+            slope = heavy * of[LEVER, i] * of[LEVER, i]
+            at = of[HIGHEST, i] if mode == UPPER else of[LOWEST, i] if mode == LOWER else 0.0
+            torque = of[START, i] - slope * (of[BEFORE, i] - at)
+        joint[i, 0], joint[i, 1] = of[FREE, i] + torque, of[FREE + 1, i] + slope
 
 
-@kernel
-def judge_joints(motion, heavy, change):  # type: ignore[no-untyped-def]
+@lean
+def judge_joints(motion, held, heavy, change):  # type: ignore[no-untyped-def]
     """Read rates and impulses off the changes of the rates; with `change`, change the modes that break the law.
 
     Returns how many broke it.
     """
-    held, broke = motion.held, 0
-    for k in range(held.total[0]):
-        i = held.which[k]
-        rate = held.before[i] + motion.change[i] - (motion.change[i - 1] if i > 0 else motion.base[2])
-        mass = heavy * held.lever[i] * held.lever[i]
-        held.after[i] = rate
-        held.impulse[i], wanted = law(
-            held.mode[i], rate, held.lower[i], held.upper[i], held.bound[i], held.start[i], mass
+    of, broke = held.of, 0
+    for i in held.which:
+        rate = of[BEFORE, i] + motion.change[i] - (motion.change[i - 1] if i > 0 else motion.base[2])
+        mass = heavy * of[LEVER, i] * of[LEVER, i]
+        of[AFTER, i] = rate
+        of[IMPULSE, i], wanted = law(
+            held.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i], of[START, i], mass
         )
         if wanted != held.mode[i]:
             broke += 1
@@ -144,41 +157,38 @@ def judge_joints(motion, heavy, change):  # type: ignore[no-untyped-def]
     return broke
 
 
-@kernel
-def proceed_joints(motion, heavy):  # type: ignore[no-untyped-def]
+@lean
+def proceed_joints(held, heavy):  # type: ignore[no-untyped-def]
     """As ``modes.proceed`` for the joints: residual velocity, m/s, and the energy that it stands for, J."""
-    held = motion.held
+    of = held.of
     worst = given = 0.0
-    for k in range(held.total[0]):
-        i = held.which[k]
-        mode, lever, impulse = held.mode[i], held.lever[i], held.impulse[i]
+    for i in held.which:
+        mode, lever, impulse = held.mode[i], of[LEVER, i], of[IMPULSE, i]
         if mode in (AHEAD, BACK):
-            left = max(0.0, -held.after[i] if mode == AHEAD else held.after[i]) * lever
+            left = max(0.0, -of[AFTER, i] if mode == AHEAD else of[AFTER, i]) * lever
         elif mode == OPEN:
             left = 0.0
         else:
-            left = abs(impulse - held.start[i]) / (heavy * lever)
+            left = abs(impulse - of[START, i]) / (heavy * lever)
         worst, given = max(worst, left), given + left / lever * abs(impulse)
-        held.start[i] = impulse
+        of[START, i] = impulse
     return worst, given
 
 
-@kernel
-def let_go(motion):  # type: ignore[no-untyped-def]
+@lean
+def let_go(held):  # type: ignore[no-untyped-def]
     """Where no modes are found: limits hold nothing, and friction acts against the rates before the step."""
-    held = motion.held
-    for k in range(held.total[0]):
-        i = held.which[k]
-        held.mode[i] = OPEN if held.bound[i] == 0.0 else AHEAD if held.before[i] > 0.0 else BACK
+    of = held.of
+    for i in held.which:
+        held.mode[i] = OPEN if of[BOUND, i] == 0.0 else AHEAD if of[BEFORE, i] > 0.0 else BACK
 
 
-@kernel
-def taken_by_joints(motion):  # type: ignore[no-untyped-def]
+@lean
+def taken_by_joints(held):  # type: ignore[no-untyped-def]
     """Energy that dry friction and limits took in a step, J: impulses times mean rates."""
-    held, friction, limits = motion.held, 0.0, 0.0
-    for k in range(held.total[0]):
-        i = held.which[k]
-        taken = -0.5 * held.impulse[i] * (held.before[i] + held.after[i])
+    of, friction, limits = held.of, 0.0, 0.0
+    for i in held.which:
+        taken = -0.5 * of[IMPULSE, i] * (of[BEFORE, i] + of[AFTER, i])
         if held.mode[i] >= UPPER:
             limits += taken
         elif held.mode[i] != OPEN:
@@ -186,7 +196,7 @@ def taken_by_joints(motion):  # type: ignore[no-untyped-def]
     return friction, limits
 
 
-@kernel
+@lean
 def room_to_bend(chain, q, w, angle, rate):  # type: ignore[no-untyped-def]
     """Smallest gap of a joint to its limit, rad, and the smallest that is left SOON; infinite where none has limits.
 

@@ -43,7 +43,7 @@ from hyperflex.core.contact.step import (
 )
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.integrate.step_size import fitted
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, lean
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
@@ -55,7 +55,7 @@ DEEPER = 5e-5  # m, penetration at which a step is tried again at half its lengt
 SINKING = 1.02  # times the greatest depth until then, which a step may have: what sinks slowly sinks at any step
 
 
-@kernel
+@lean
 def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
     """Take the step to ``desk.out``."""
     y, clock, account = course.y, course.clock, desk.account
@@ -77,10 +77,10 @@ def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
     for i in range(n):
         desk.trend[i] = desk.motion.change[i] / h if long else 0.0
     if long:
-        keep(course.kept, desk.found, desk.impulses, desk.motion.held, h)
+        keep(course.kept, desk.found, desk.impulses, desk.held, h)
 
 
-@kernel
+@lean
 def forget(kept):  # type: ignore[no-untyped-def]
     """Forget the modes and forces of the last step."""
     kept.heavy[0] = 0.0
@@ -91,7 +91,7 @@ def forget(kept):  # type: ignore[no-untyped-def]
         kept.torque[i], kept.bent[i] = 0.0, OPEN
 
 
-@kernel
+@lean
 def impact(chain, drive, part, pegs, pull, course, desk, nothing):  # type: ignore[no-untyped-def]
     """Let the links that touch a peg come to rest on it, or bounce, in no time; `nothing` is a Kept without contacts.
 
@@ -106,7 +106,7 @@ def impact(chain, drive, part, pegs, pull, course, desk, nothing):  # type: igno
     course.clock[DUE] = 0.0
 
 
-@kernel
+@lean
 def too_fast(chain, pegs, desk):  # type: ignore[no-untyped-def]
     """Longest step, s, in which no link near a peg moves by more than SAFE of the smallest reach."""
     speed = desk.motion.speed
@@ -121,7 +121,7 @@ def too_fast(chain, pegs, desk):  # type: ignore[no-untyped-def]
     return SAFE * smallest / fastest if fastest > 0.0 else np.inf
 
 
-@kernel
+@lean
 def choose(chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wanted, struck, had):  # type: ignore[no-untyped-def]
     """Try a step, and shorter ones, until one will do; it is left on the desk.
 
