@@ -14,7 +14,7 @@ from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle
 from hyperflex.model.peg import Peg
 from hyperflex.model.properties import LINKS
-from hyperflex.model.rope import Rope
+from hyperflex.model.rope import Rope, bend_limits, bend_ratios
 from hyperflex.model.stretch import across, uniform
 
 FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
@@ -51,7 +51,8 @@ def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, rat
     differ it goes straight from the one to the next. The first joint is a hinge: the rope turns in it as a whole, by
     the same angle however finely it is cut, so it keeps its friction and stiffness, and the pieces of the first link
     bend as the rope does at the second joint. Dry friction, a torque that any bend must overcome, is every joint's
-    alike; a rest angle stays with its joint. Air drag is per length; the greatest bend goes with a joint's length.
+    alike; a rest angle stays with its joint. Air drag is per length. Joint limits keep the radius to which they let the
+    rope bend (:meth:`Rope.with_bend_radius`).
 
     Examples
     --------
@@ -169,8 +170,8 @@ def _joints(rope: Rope, length: Array) -> dict[str, Array]:
         elif each.cut == "bending":
             found[each.name] = _along(value, rope.length, length)
         elif each.cut == "limit":
-            with np.errstate(divide="ignore"):
-                found[each.name] = 1.0 / _along(1.0 / value, rope.length, length)
+            found[each.name] = bend_limits(_along(bend_ratios(value), rope.length, length))
+            found[each.name][0] = value[0]
         elif each.cut == "stays":
             found[each.name] = np.zeros(length.size)
             np.add.at(found[each.name], np.abs(new[:, None] - old).argmin(axis=0), value)

@@ -228,6 +228,11 @@ class Rope:
         return float(self.mass.sum() + self.tip_mass)
 
     @property
+    def limited(self) -> bool:
+        """Whether a joint has a limit."""
+        return bool(np.isfinite(self.max_bend).any())
+
+    @property
     def hanging_angle(self) -> float:
         """Link angle at which the rope hangs along gravity, rad (0 without gravity)."""
         gx, gy = self.gravity
@@ -239,6 +244,16 @@ class Rope:
         if unknown:
             raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(type(self)))
         return replace(self, **changes)
+
+    def with_bend_radius(self, radius: float) -> Rope:
+        """Return the rope with joint limits that let its axis bend to a circle of `radius`, m, and no tighter.
+
+        A joint's limit is 2 atan(l / (2 radius)), with l half of both its links' lengths: a polygon whose sides touch
+        the circle in their middles. The first joint is a hinge, and keeps its limit.
+        """
+        r = checks.number("radius", radius, sign="positive", unit="m")
+        limits = bend_limits(4.0 * r / (self.length[:-1] + self.length[1:]))
+        return self.replace(max_bend=np.append(self.max_bend[0], limits))
 
     def __eq__(self, other: object) -> bool:
         """Whether all properties are equal, bit for bit."""
@@ -290,6 +305,16 @@ class Rope:
         if not isinstance(content.get("rope"), Mapping):
             raise InvalidInput(f"{path} has no [rope] table", got=sorted(content), allowed="a table named rope")
         return cls.from_table(content["rope"])
+
+
+def bend_ratios(max_bend: Array) -> Array:
+    """Return twice the bend radius of joints over the length that each stands for; 0 where there is no limit."""
+    return np.where(max_bend < np.pi, 1.0 / np.tan(0.5 * np.minimum(max_bend, np.pi)), 0.0)
+
+
+def bend_limits(ratios: Array) -> Array:
+    """Return the joint limits, rad, that go with such ratios; inf where one is 0."""
+    return np.where(ratios > 0.0, 2.0 * np.arctan2(1.0, ratios), np.inf)
 
 
 def _names(cls: type) -> str:

@@ -236,8 +236,9 @@ def _finished(
 
 
 def runner(run: Rollout, setup: Setup, state: State | None) -> Callable[..., int]:
-    """Return what runs to the end, beside pegs or without: called with what to report to, it returns the code."""
-    return beside(run, setup, state).finish if setup.pegs else partial(finish, run)
+    """Return what runs to the end, in contact or without: called with what to report to, it returns the code."""
+    free = not setup.touches or run.limits.until.kind != NEVER.kind
+    return partial(finish, run) if free else beside(run, setup, state).finish
 
 
 def angles(

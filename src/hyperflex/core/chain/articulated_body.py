@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain.drag import air_loads
-from hyperflex.core.jit import inlined, kernel, shared
+from hyperflex.core.jit import inlined, kernel, lean, shared
 
 Array = npt.NDArray[np.float64]
 
@@ -180,7 +180,7 @@ def joint_of(chain, i):  # type: ignore[no-untyped-def]
     return chain.viscous[i], chain.dry[i], chain.stiffness[i], chain.rest[i]
 
 
-@kernel
+@lean
 def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ignore[no-untyped-def]
     """Angular accelerations of all links by one sweep to the motor and one back; O(n).
 
@@ -253,7 +253,7 @@ def lost_power(chain, w, grip, base, work):  # type: ignore[no-untyped-def]
     return power
 
 
-@kernel
+@lean
 def energies(chain, q, w, base):  # type: ignore[no-untyped-def]
     """Kinetic and potential energy (gravity and springs; zero with all at the origin), J.
 
@@ -280,7 +280,7 @@ def energies(chain, q, w, base):  # type: ignore[no-untyped-def]
     return kinetic, potential
 
 
-@kernel
+@lean
 def mass_matrix(chain, q, out):  # type: ignore[no-untyped-def]
     """Mass matrix (n, n) in absolute angles: M_ij = l_i p_j cos(q_i - q_j), i < j (M.4); kg m^2, written to `out`."""
     n = q.size

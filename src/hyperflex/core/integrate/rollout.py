@@ -193,14 +193,15 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
 
     Returns
     -------
-    int : OK, RUNNING (call again), REACHED (what ends the run), or why it failed; `progress` tells how far it came.
+    int : OK, RUNNING (call again), REACHED (what ends the run), LIMIT (a joint is at its limit), or why it failed;
+        `progress` tells how far it came.
     """
     y, grip, clock = progress.y, progress.grip, progress.clock
     room = scratch(chain)
     fixed = limits.fixed
     sticks = can_stick(chain)
     awaiting = limits.until.kind != NOTHING
-    watching = sticks or awaiting
+    watching = sticks or awaiting or chain.max_bend.min() < np.inf
     if sticks:
         ln.set_grip(ln.COLUMNS, room.lanes, grip)
     write_until(clock, t_out, clock[T], y, y_out)
@@ -251,6 +252,8 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             succeeded_with(clock, tables, limits, sticks, step, size, lower_size, wanted, table)
         if event == 2:
             return status.REACHED
+        if event == 3:
+            return status.LIMIT
         if event == 1 or t_new >= part.end:
             switched(clock)
     return status.RUNNING if clock[T] < limits.stop else status.OK

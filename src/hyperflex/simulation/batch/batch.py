@@ -150,12 +150,13 @@ def simulate_batch(
     keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns", "peg_angle", "peg_rate"}
         What to keep; memory is (M, T) times this, beside the blocks in work. Turns are those about each round peg.
     pegs : sequence of Peg, Wall or Ground, or of such sequences, optional
-        Pegs of all members, or of each, the same number for all. Members run one by one then, each as
-        :func:`hyperflex.simulate` runs it and with the same result.
+        Pegs of all members, or of each, the same number for all. Members run one by one then, as with joint limits,
+        each as :func:`hyperflex.simulate` runs it and with the same result.
     contact_step, refine
         As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
     patience : float, optional
-        Processor time, s, after which a member beside pegs has failed ("out of patience"); by default it may take any.
+        Processor time, s, after which a member beside pegs or with joint limits has failed ("out of patience"); by
+        default it may take any.
     threads : int, optional
         By default one a processor. Results do not depend on it.
     progress : bool
@@ -185,17 +186,19 @@ def simulate_batch(
     workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
     others = {"duration": duration, "tol": tol, "contact_step": contact_step}
     setups = setups_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, **others)
-    if pegs:
+    if not pegs and any("peg" in KEPT[name][0] for name in keep):
+        raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
+    if any(setup.touches for setup in setups):
         if step is not None:
-            raise InvalidInput("step is not there beside pegs", got=step, fix="Give contact_step or tol")
+            raise InvalidInput(
+                "step is not there beside pegs or with joint limits", got=step, fix="Give contact_step or tol"
+            )
         t = _outputs(t_eval, setups[0].duration)
         shapes = {name: KEPT[name][0] for name in keep}
         values, names, reached = run_members(setups, t, shapes, patience, workers, progress)
         return Batch(t, values, tuple(names), reached)
     if patience is not None:
-        raise InvalidInput("patience is for members beside pegs, and there are none", got=patience)
-    if any("peg" in KEPT[name][0] for name in keep):
-        raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
+        raise InvalidInput("patience is for members beside pegs or with joint limits, and there are none", got=patience)
     chains = [setup.chain() for setup in setups]
     drives = [setup.drive() for setup in setups]
     starts = starts_of(setups)
