@@ -24,6 +24,7 @@ PARTS = {
     "scaling": "A simulated second against the number of links",
     "costs": "The paper's cast with one thing changed: cost and error",
     "batches": "Many ropes at once: throughput where every member was checked",
+    "stepper": "Interval by interval: what a step costs, and whether it is the run's",
     "gradients": "Exact derivatives, in plain rollouts",
     "identification": "From a recording to a rope: time and error",
     "starting": "Imports, compilation and first calls",

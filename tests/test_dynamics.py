@@ -9,7 +9,7 @@ import hyperflex as hf
 from hyperflex.dynamics import bias, input_from_torque, mass_matrix, partial_linearization, torque_from_input
 from hyperflex.errors import InvalidInput
 from tests.reference import dense
-from tests.reference.arm import links_of
+from tests.reference.arm import Stretch, links_of
 from tests.reference.dense import Links
 
 ARM = hf.Arm(length=0.105, inertia=1e-3, mass=0.2, com=0.04, friction=2e-3, dry_friction=5e-3)
@@ -143,3 +143,60 @@ def test_bad_arguments_are_named() -> None:
     ):
         with pytest.raises(InvalidInput, match=word):
             call()
+
+
+def slopes(command: str, friction_model: str, x: np.ndarray, u: float) -> np.ndarray:
+    """Accelerations (n + 1,) of arm and rope by dense algebra in long doubles; x: arm angle, q, arm rate, qd."""
+    cable, n = rope(friction_model), N
+    if command == "torque":
+        return dense.accelerations(with_arm(cable), x[: n + 1], x[n + 1 :], np.zeros(7), torque=u).alpha
+    base = Stretch(0.0, 1.0, x[0], x[n + 1], u)
+    along, across = np.array([np.sin(x[0]), -np.cos(x[0])]), np.array([np.cos(x[0]), np.sin(x[0])])
+    push = ARM.length * (u * across - x[n + 1] ** 2 * along)
+    whole = np.array([*push, u, x[n + 1], x[0], *base.base(0.0, ARM.length)[5:].astype(float)], dtype=np.longdouble)
+    return np.append(u, dense.accelerations(links_of(cable), x[1 : n + 1], x[n + 2 :], whole).alpha)
+
+
+@both
+@pytest.mark.parametrize("command", ["acceleration", "torque"])
+def test_linearization_is_that_of_dense_algebra(command: str, friction_model: str) -> None:
+    """Differences of 1e-6 in long doubles err by 1e-12 of third derivatives, and by 1e-13 of rounding."""
+    (q, qd), u = state(4), 0.7
+    x = np.concatenate([q, qd]).astype(np.longdouble)
+    a, b = hf.linearize(rope(friction_model), ARM, q[1:], qd[1:], q[0], qd[0], command=command, u=u)
+    size = np.longdouble(1e-6)
+    for k, e in enumerate(size * np.eye(x.size, dtype=np.longdouble)):
+        change = slopes(command, friction_model, x + e, u) - slopes(command, friction_model, x - e, u)
+        want = np.asarray(change / (2 * size), float)
+        np.testing.assert_allclose(a[N + 1 :, k], want, rtol=0, atol=1e-8 * max(1.0, np.abs(want).max()))
+    change = slopes(command, friction_model, x, u + size) - slopes(command, friction_model, x, u - size)
+    np.testing.assert_allclose(b[N + 1 :, 0], np.asarray(change / (2 * size), float), rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(a[: N + 1], np.eye(N + 1, 2 * N + 2, N + 1))
+    np.testing.assert_array_equal(b[: N + 1], 0.0)
+
+
+def test_linearization_over_an_interval_is_the_steppers_and_tends_to_the_continuous_one() -> None:
+    cable = rope().replace(dry_friction=0.0)
+    q, qd = state(5)
+    about = (cable, ARM, q[1:], qd[1:], q[0], qd[0])
+    dt = 1e-6
+    for command in ("acceleration", "torque"):
+        a, b = hf.linearize(*about, command=command, u=0.1)
+        ad, bd = hf.linearize(*about, command=command, u=0.1, dt=dt)
+        # (exp(A dt) - 1) / dt - A is A^2 dt / 2
+        np.testing.assert_allclose((ad - np.eye(2 * N + 2)) / dt, a, rtol=0, atol=dt * np.abs(a @ a).max())
+        np.testing.assert_allclose(bd / dt, b, rtol=0, atol=dt * np.abs(a @ b).max() + 1e-6)
+    with pytest.raises(InvalidInput, match="command is not known"):
+        hf.linearize(*about, command="angle")
+    with pytest.raises(InvalidInput, match="q0 has the wrong shape"):
+        hf.linearize(cable, ARM, q, qd)
+
+
+def test_joints_are_those_of_a_trajectory() -> None:
+    arm = hf.Arm(length=0.1, pivot=(0.2, -0.3))
+    run = hf.simulate(rope(), hf.swings(), arm=arm, duration=0.5)
+    places = hf.forward_kinematics(rope(), run.q, arm=arm, arm_angle=run.arm_angle)
+    np.testing.assert_allclose(places, run.joints, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(hf.forward_kinematics(rope(), run.q[3]), run.joints[3] - run.joints[3, 0], atol=1e-14)
+    with pytest.raises(InvalidInput, match="q has the wrong shape"):
+        hf.forward_kinematics(rope(), np.zeros(N + 1))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import inspect
 import re
 import subprocess
@@ -52,7 +51,9 @@ def undocumented(name: str, obj: object) -> list[str]:
 
 
 def arguments(obj: object) -> set[str]:
-    """Return what a function, or a class when it is made, can be given."""
+    """Return what a function, or a class when it is made, can be given; of a protocol nothing is made."""
+    if getattr(obj, "_is_protocol", False):
+        return set()
     return {name for name in inspect.signature(obj).parameters if name not in {"self", "cls"}}  # type: ignore[arg-type]
 
 
@@ -83,13 +84,6 @@ def test_public_name_is_there_and_has_a_docstring(name: str) -> None:
     obj = getattr(hyperflex, name)
     assert name in dir(hyperflex)
     assert isinstance(obj, str) or (obj.__doc__ or "").strip(), name
-
-
-@pytest.mark.parametrize("stub", sorted(SOURCES[0].parent.rglob("__init__.pyi")), ids=lambda p: p.parent.name)
-def test_every_name_in_a_stub_can_be_loaded(stub: Path) -> None:
-    package = importlib.import_module(".".join(stub.relative_to(ROOT / "src").parent.parts))
-    assert package.__all__
-    assert [name for name in package.__all__ if not hasattr(package, name)] == []
 
 
 def test_every_argument_of_a_public_callable_is_documented() -> None:

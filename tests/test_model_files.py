@@ -12,6 +12,7 @@ import hyperflex as hf
 from hyperflex.errors import InvalidInput
 
 ROPE = hf.Rope(length=[0.1, 0.2, 0.3], mass=[0.1 / 3, 0.02, 0.01], friction=1 / 7e4, tip_mass=0.1, name='a "rope"')
+AIRY = hf.Rope.uniform(1.0, 0.1, 3, drag=0.004, max_bend=[np.inf, 1.0, 0.7])
 PIECES = '[motion]\nkind = "pieces"\nbreaks = [0.0, 1.0]\ncoef = [1.0]\nswitch = [true, true]\nloop = -1\n'
 TABLE = "[rope]\nn_links = 10\ntotal_length = 1.0\ntotal_mass = 0.05\n"
 
@@ -38,9 +39,10 @@ def test_setup_round_trip(motion: hf.Motion, tmp_path: Path) -> None:
     assert again.dumps() == setup.dumps()
 
 
-def test_rope_round_trip(tmp_path: Path) -> None:
-    ROPE.to_toml(tmp_path / "rope.toml")
-    assert hf.Rope.from_toml(tmp_path / "rope.toml") == ROPE
+@pytest.mark.parametrize("rope", [ROPE, AIRY])
+def test_rope_round_trip(rope: hf.Rope, tmp_path: Path) -> None:
+    rope.to_toml(tmp_path / "rope.toml")
+    assert hf.Rope.from_toml(tmp_path / "rope.toml") == rope
 
 
 def test_totals_are_shared_out(tmp_path: Path) -> None:

@@ -3,7 +3,169 @@
 Public names are loaded on first use, so that ``import hyperflex`` stays quick.
 """
 
-from hyperflex.lazy import attach
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import loader
+
+if TYPE_CHECKING:
+    from hyperflex.dynamics import forward_kinematics, linearize, mass_matrix
+    from hyperflex.errors import (
+        FileProblem,
+        HyperflexError,
+        IdentificationError,
+        InvalidInput,
+        MissingExtra,
+        SimulationError,
+    )
+    from hyperflex.identification import (
+        Bootstrap,
+        Design,
+        Experiment,
+        Identification,
+        ModelComparison,
+        Revision,
+        bootstrap,
+        compare_models,
+        design,
+        identify,
+        initial_state,
+        regression,
+        revise,
+    )
+    from hyperflex.interfaces import Motor, RopeState, StateSource
+    from hyperflex.model import Arm, Ground, Peg, Rope, Setup, Wall, refined
+    from hyperflex.motion import (
+        Motion,
+        hold,
+        move,
+        moves,
+        moving_point,
+        read_motion,
+        sampled,
+        strokes,
+        swings,
+        torque_profile,
+    )
+    from hyperflex.planning import (
+        CastPlan,
+        MotorLimits,
+        Uncertainty,
+        WhipPlan,
+        follow,
+        plan_cast,
+        plan_whip,
+        read_plan,
+    )
+    from hyperflex.recording import Recording, read_recording
+    from hyperflex.simulation import (
+        Batch,
+        BatchState,
+        BatchStepper,
+        Event,
+        Linearization,
+        Predictability,
+        Sensitivities,
+        Stepper,
+        angle_reached,
+        phase_reached,
+        predictability,
+        sensitivities,
+        simulate,
+        simulate_batch,
+        tip_crosses,
+        tip_speed_peak,
+    )
+    from hyperflex.trajectory import State, Trajectory, read_trajectory
+    from hyperflex.winding import Tug, Winding, slip, tension, tug, wound
 
 __version__ = "0.1.0"
-__getattr__, __dir__, __all__ = attach(__name__, __file__)
+
+__all__ = [
+    "Arm",
+    "Batch",
+    "BatchState",
+    "BatchStepper",
+    "Bootstrap",
+    "CastPlan",
+    "Design",
+    "Event",
+    "Experiment",
+    "FileProblem",
+    "Ground",
+    "HyperflexError",
+    "Identification",
+    "IdentificationError",
+    "InvalidInput",
+    "Linearization",
+    "MissingExtra",
+    "ModelComparison",
+    "Motion",
+    "Motor",
+    "MotorLimits",
+    "Peg",
+    "Predictability",
+    "Recording",
+    "Revision",
+    "Rope",
+    "RopeState",
+    "Sensitivities",
+    "Setup",
+    "SimulationError",
+    "State",
+    "StateSource",
+    "Stepper",
+    "Trajectory",
+    "Tug",
+    "Uncertainty",
+    "Wall",
+    "WhipPlan",
+    "Winding",
+    "__version__",
+    "angle_reached",
+    "bootstrap",
+    "compare_models",
+    "design",
+    "follow",
+    "forward_kinematics",
+    "hold",
+    "identify",
+    "initial_state",
+    "linearize",
+    "mass_matrix",
+    "move",
+    "moves",
+    "moving_point",
+    "phase_reached",
+    "plan_cast",
+    "plan_whip",
+    "predictability",
+    "read_motion",
+    "read_plan",
+    "read_recording",
+    "read_trajectory",
+    "refined",
+    "regression",
+    "revise",
+    "sampled",
+    "sensitivities",
+    "simulate",
+    "simulate_batch",
+    "slip",
+    "strokes",
+    "swings",
+    "tension",
+    "tip_crosses",
+    "tip_speed_peak",
+    "torque_profile",
+    "tug",
+    "wound",
+]
+
+
+__getattr__ = loader(__name__, __file__)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -5,6 +5,7 @@ Each returns the value in the form that the package works with, or raises :class
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -28,7 +29,7 @@ def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infi
         result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         raise InvalidInput(f"{name} is not a number", got=value, allowed=allowed) from None
-    if not np.isfinite(result) and not (infinite and result > 0.0):
+    if not math.isfinite(result) and not (infinite and result > 0.0):
         raise InvalidInput(f"{name} is not finite", got=result, allowed=allowed)
     if (sign == "positive" and result <= 0.0) or (sign == "nonnegative" and result < 0.0):
         raise InvalidInput(f"{name} has the wrong sign", got=result, allowed=allowed)
@@ -53,6 +54,7 @@ def array(
     unit: str = "",
     scalar: bool = False,
     gaps: bool = False,
+    infinite: bool = False,
 ) -> Array:
     """Return `value` as a fresh read-only float64 array of the given shape.
 
@@ -65,7 +67,9 @@ def array(
     scalar : bool
         Let a single number stand for all elements.
     gaps : bool
-        Let NaN pass (a missing sample); infinities never do.
+        Let NaN pass (a missing sample).
+    infinite : bool
+        Let +inf pass.
 
     Raises
     ------
@@ -82,13 +86,16 @@ def array(
     if result.ndim != len(shape) or any(w >= 0 and w != s for w, s in zip(shape, result.shape, strict=True)):
         raise InvalidInput(f"{name} has the wrong shape", got=result.shape, allowed=f"shape {want}")
     bad = np.isinf(result) if gaps else ~np.isfinite(result)
+    if infinite:
+        bad &= result != np.inf
     if sign == "positive":
         bad |= result <= 0.0
     elif sign == "nonnegative":
         bad |= result < 0.0
     if bad.any():
         index = tuple(int(k) for k in np.argwhere(bad)[0])
-        allowed = _ALLOWED[sign] + (" (NaN marks a gap)" if gaps else "") + (f", in {unit}" if unit else "")
+        also = " (NaN marks a gap)" if gaps else " (or inf)" if infinite else ""
+        allowed = _ALLOWED[sign] + also + (f", in {unit}" if unit else "")
         raise InvalidInput(f"{name}{list(index)} cannot be used", got=float(result[index]), allowed=allowed)
     result.setflags(write=False)
     return result

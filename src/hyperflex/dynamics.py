@@ -14,9 +14,14 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain import articulated_body as core
+from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.stiction.constraint_torques import bench
 from hyperflex.core.stiction.slip_modes import decide
-from hyperflex.model import Arm, Rope
+from hyperflex.model import Arm, Rope, Setup
+from hyperflex.simulation.commands import arm_polynomials, set_commands, setup_for, state_directions
+from hyperflex.simulation.rollouts import Interval
+from hyperflex.simulation.sensitivity.sensitivity import acceleration_slopes
+from hyperflex.simulation.stepper import Stepper
 
 
 class PartialLinearization(NamedTuple):
@@ -67,6 +72,108 @@ def mass_matrix(rope: Rope, q: npt.ArrayLike, *, arm: Arm | None = None, arm_ang
     result = np.empty((angles.size, angles.size))
     core.mass_matrix(chain, angles, result)
     return result
+
+
+def forward_kinematics(
+    rope: Rope, q: npt.ArrayLike, *, arm: Arm | None = None, arm_angle: npt.ArrayLike = 0.0
+) -> Array:
+    """Return where the joints and the tip are.
+
+    Parameters
+    ----------
+    rope : Rope
+    q : (..., n) array_like
+        Link angles, rad.
+    arm : Arm, optional
+        Without one the first joint is at the origin.
+    arm_angle : (...) array_like
+        Angle of the arm, rad.
+
+    Returns
+    -------
+    (..., n + 1, 2) float64
+        Joints from the motor's side on, the tip last, m; x to the right, y upwards. For places between joints see
+        :class:`hyperflex.sensors.Markers`.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> rope = hf.Rope.uniform(length=2.0, mass=0.1, n_links=2, radius=0.002)
+    >>> hf.forward_kinematics(rope, [0.0, 0.0], arm=hf.Arm(length=0.5)).tolist()
+    [[0.0, -0.5], [0.0, -1.5], [0.0, -2.5]]
+    """
+    angles = np.asarray(q, dtype=np.float64)
+    angles = checks.array("q", angles, (*angles.shape[:-1], rope.n_links), unit="rad")
+    turned = checks.array("arm_angle", np.broadcast_to(arm_angle, angles.shape[:-1]), angles.shape[:-1], unit="rad")
+    whole = np.concatenate([turned[..., None], angles], axis=-1)
+    lengths = np.append(0.0 if arm is None else arm.length, rope.length)[:, None]
+    links = lengths * np.stack([np.sin(whole), -np.cos(whole)], axis=-1)
+    return np.asarray(np.cumsum(links, axis=-2) + np.array((0.0, 0.0) if arm is None else arm.pivot))
+
+
+def linearize(
+    rope: Rope,
+    arm: Arm,
+    q: npt.ArrayLike,
+    qd: npt.ArrayLike,
+    arm_angle: float = 0.0,
+    arm_rate: float = 0.0,
+    *,
+    command: str = "acceleration",
+    u: float = 0.0,
+    dt: float | None = None,
+) -> tuple[Array, Array]:
+    """Return A and B of rope and arm about a state x = (arm angle, q, arm rate, qd) and a command u.
+
+    Parameters
+    ----------
+    rope, arm : Rope, Arm
+    q, qd : (n,) array_like
+        Link angles, rad, and rates, rad/s.
+    arm_angle, arm_rate : float
+        Of the arm, rad and rad/s.
+    command : {"acceleration", "torque", "angle"}
+        What u is: the arm's acceleration, rad/s^2, or the motor's torque, N m; with `dt` also its angle, rad (see
+        :class:`hyperflex.Stepper`).
+    u : float
+    dt : float, optional
+        An interval, s: then x after it is A x + B u to first order, and else dx/dt.
+
+    Returns
+    -------
+    A : (2 n + 2, 2 n + 2) float64
+    B : (2 n + 2, 1) float64
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+
+    Notes
+    -----
+    Exact derivatives, as (M.19)-(M.25), not differences; O(n^2). Joints that dry friction holds in this state count as
+    locked. For one state after another make a :class:`hyperflex.Stepper`, whose ``linearize`` takes less time.
+    """
+    if dt is not None:
+        stepper = Stepper(rope, arm=arm, command=command)
+        begin = stepper.start(q, qd, arm_angle=arm_angle, arm_rate=arm_rate)
+        over = stepper.linearize(begin, u, dt)
+        return over.A, over.B
+    checks.choice("command", command, ("acceleration", "torque"))
+    setup = setup_for(command, Setup(rope, None, arm, q0=q, qd0=qd, arm_angle0=arm_angle, arm_rate0=arm_rate))  # type: ignore[arg-type]
+    chain, interval, powers = setup.chain(), Interval(setup.drive()), arm_polynomials(command, 1.0)[0]
+    known = np.array([setup.arm_angle0, setup.arm_rate0, checks.number("u", u)])
+    interval.set(0.0, 1.0, TORQUE if command == "torque" else ANGLE, known @ powers)
+    start, seeds = state_directions(command, chain, interval.drive)
+    set_commands(command, seeds, powers)
+    slopes = acceleration_slopes(chain, interval.drive, setup.start(), seeds, start)
+    n, size = chain.length.size, 2 * rope.n_links + 2
+    result = np.zeros((size, size + 1))
+    result[: size // 2, size // 2 : size] = np.eye(size // 2)
+    if command == "acceleration":
+        result[size // 2, size] = 1.0
+    result[-n:] = slopes[:, : size + 1]
+    return result[:, :size].copy(), result[:, size:].copy()
 
 
 def bias(
@@ -182,7 +289,6 @@ def _driven(
     base = _base(arm, angle, rate, acceleration)
     qdd = np.empty(n)
     fx, fy, moment = core.accelerations(rope.chain(), q, qd, grip, base, 0.0, 0.0, qdd, np.empty(6 * n))
-    gx, gy = rope.gravity
-    own = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
-    own += arm.dry_friction * np.sign(rate) - arm.mass * arm.com * (gx * cos + gy * sin)
+    own = arm.shaft_torque(rope.gravity, np.array(angle), np.array(rate), np.zeros(()))
+    own += (arm.inertia + arm.mass * arm.com**2) * acceleration
     return qdd, float(own + moment + arm.length * (cos * fx + sin * fy))

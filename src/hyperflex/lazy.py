@@ -1,8 +1,8 @@
-"""Packages whose names are loaded on first use (PEP 562), listed once in their stub ``__init__.pyi`` (SPEC 1)."""
+"""Names of a package that are loaded on first use (PEP 562), so that its import stays quick."""
 
 from __future__ import annotations
 
-import ast
+import functools
 import importlib
 import sys
 from collections.abc import Callable
@@ -10,25 +10,28 @@ from pathlib import Path
 from typing import Any
 
 
-def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package.
+def loader(package: str, file: str) -> Callable[[str], Any]:
+    """Return a ``__getattr__`` for a package: its names come from the imports under its ``if TYPE_CHECKING:``.
 
     Parameters
     ----------
     package, file : str
-        Its ``__name__`` and ``__file__``. Type checkers read the stub beside `file`: lines such as
-        ``from hyperflex.model import Arm as Arm``; here it says which module each name is loaded from.
+        Its ``__name__`` and ``__file__``.
     """
-    stub = ast.parse(Path(file).with_suffix(".pyi").read_text("utf-8"))
-    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
-    homes = {each.name: str(node.module) for node in imports for each in node.names if each.asname}
-    names = sorted([*homes, *(["__version__"] if hasattr(sys.modules[package], "__version__") else [])])
+
+    @functools.cache
+    def modules() -> dict[str, str]:
+        import ast
+
+        blocks = (node.body for node in ast.parse(Path(file).read_text("utf-8")).body if isinstance(node, ast.If))
+        imports = [node for block in blocks for node in block if isinstance(node, ast.ImportFrom)]
+        return {name.name: str(node.module) for node in imports for name in node.names}
 
     def load(name: str) -> Any:
-        if name not in homes:
+        if name.startswith("__") or name not in modules():
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(homes[name]), name)
+        value = getattr(importlib.import_module(modules()[name]), name)
         setattr(sys.modules[package], name, value)
         return value
 
-    return load, lambda: names, names
+    return load

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.control import Caster, CrossingRule, Pump, Regulate, RopeState, TrueState, reach_time, swing
+from hyperflex.control import Caster, CrossingRule, Pump, Regulate, TrueState, reach_time, swing
 from hyperflex.errors import InvalidInput
+from hyperflex.interfaces import RopeState
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, radius=0.003, friction=1e-3)
 ARM = hf.Arm(length=0.08)

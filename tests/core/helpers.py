@@ -35,6 +35,14 @@ def senses(state: State) -> Real:
     return np.where(np.diff(state.w, prepend=state.base[3]) < 0.0, -1.0, 1.0)
 
 
+def lost_power(links: Any, state: State) -> float:
+    """What friction and the air take by the kernel, W, with every joint slipping."""
+    n = len(state.q)
+    alpha, work = np.empty(n), np.empty(6 * n)
+    kernels.accelerations(chain_of(links), state.q, state.w, senses(state), state.base, 0.0, 0.0, alpha, work)
+    return float(kernels.lost_power(chain_of(links), state.w, senses(state), state.base, work))
+
+
 def sweep(links: Any, state: State, torque: float = 0.0, h: float = 0.0, grip: Real | None = None) -> Sweep:
     """One call of the accelerations kernel, by default with every joint slipping."""
     n = len(state.q)

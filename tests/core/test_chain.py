@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperflex.core.chain import articulated_body as kernels
-from tests.core.helpers import chain_of, senses, sweep
+from tests.core.helpers import chain_of, lost_power, sweep
 from tests.reference import dense
 from tests.reference.cases import random_grip, random_links, random_state
 
@@ -21,7 +21,7 @@ AGREEMENT = 1e-10
 @pytest.mark.parametrize("n", SIZES)
 def test_accelerations_are_those_of_the_dense_reference(n: int, reaction: float, h: float) -> None:
     for seed in range(3):
-        links, state = random_links(n, seed, reaction=reaction), random_state(n, seed)
+        links, state = random_links(n, seed, reaction=reaction, air=True), random_state(n, seed)
         got = sweep(links, state, torque=0.03, h=h)
         want = dense.accelerations(links, *state, torque=0.03, h=h)
         scale = float(np.abs(want.alpha).max())
@@ -37,7 +37,8 @@ def test_accelerations_are_those_of_the_dense_reference(n: int, reaction: float,
 @pytest.mark.parametrize("n", SIZES)
 def test_stuck_joints_are_those_of_a_constrained_chain(n: int, reaction: float, h: float) -> None:
     for seed in range(3):
-        links, state, grip = random_links(n, seed, reaction=reaction), random_state(n, seed), random_grip(n, seed)
+        links, state = random_links(n, seed, reaction=reaction, air=True), random_state(n, seed)
+        grip = random_grip(n, seed)
         got = sweep(links, state, torque=0.03, h=h, grip=grip)
         want = dense.accelerations(links, *state, torque=0.03, h=h, grip=grip)
         scale = float(np.abs(want.alpha).max())
@@ -60,12 +61,12 @@ def test_bare_chain_without_tip_mass_or_joint_torques(n: int) -> None:
     assert got.torque == 0.0  # nothing turns in a joint without friction or spring; exact
 
 
-@pytest.mark.parametrize("field", ["viscous", "dry", "stiffness", "tip_mass", "gx", "gy"])
+@pytest.mark.parametrize("field", ["viscous", "dry", "stiffness", "drag", "tip_mass", "gx", "gy"])
 @pytest.mark.parametrize("h", [0.0, 0.01])
 def test_each_term_alone(field: str, h: float) -> None:
     """One term at a time on a chain of five: two wrong terms cannot hide behind each other."""
     n = 5
-    full, state = random_links(n, 11), random_state(n, 11)
+    full, state = random_links(n, 11, air=True), random_state(n, 11)
     bare = random_links(n, 11, joints=False, tip=False)._replace(gx=0.0, gy=0.0)
     links = bare._replace(**{field: getattr(full, field), "rest": full.rest})
     want = dense.accelerations(links, *state, h=h)
@@ -81,7 +82,7 @@ def test_the_papers_cable_at_rest_and_whirling() -> None:
     length, mass = 0.04, 2.5e-3
     links = dense.Links(
         length * one, mass * one, length / 2 * one, mass * (3 * 0.0025**2 + length**2) / 12 * one,
-        5e-4 * one, 0 * one, 0 * one, 0 * one, 0.0, 0.0, -9.81, 1.0,
+        5e-4 * one, 0 * one, 0 * one, 0 * one, 0 * one, np.inf * one, 0.0, 0.0, -9.81, 1.0,
     )  # fmt: skip
     for seed in range(3):
         state = random_state(n, seed)
@@ -120,20 +121,20 @@ def test_energies(n: int) -> None:
 
 @pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
 @pytest.mark.parametrize("n", SIZES)
-def test_friction_power(n: int, reaction: float) -> None:
-    links, state = random_links(n, 9, reaction=reaction), random_state(n, 9)
-    got = kernels.friction_power(chain_of(links), state.w, senses(state), state.base[3])
-    want = dense.dissipation(links, state.q, state.w, (state.base[4], state.base[3]))
+def test_lost_power(n: int, reaction: float) -> None:
+    links, state = random_links(n, 9, reaction=reaction, air=True), random_state(n, 9)
+    got = lost_power(links, state)
+    want = dense.dissipation(links, state.q, state.w, (state.base[4], state.base[3]), velocity=state.base[5:7])
     # A sum of n terms; with printed friction they differ in sign, so the sum of sizes sets the rounding.
     sizes = np.abs(dense.joints(links, state.q, state.w, (state.base[4], state.base[3])).friction)
-    scale = float(sizes @ (np.abs(state.w) + np.abs(np.append(state.base[3], state.w[:-1]))))
+    scale = float(sizes @ (np.abs(state.w) + np.abs(np.append(state.base[3], state.w[:-1])))) + want
     assert got == pytest.approx(want, abs=1e-15 * (n + 10) * scale)
 
 
-def test_relative_friction_never_gives_energy() -> None:
+def test_relative_friction_and_air_never_give_energy() -> None:
     for seed in range(20):
-        links, state = random_links(6, seed), random_state(6, seed)
-        assert kernels.friction_power(chain_of(links), state.w, senses(state), state.base[3]) > 0.0
+        links, state = random_links(6, seed, air=True), random_state(6, seed)
+        assert lost_power(links, state) > 0.0
 
 
 def test_sine_and_cosine_against_extended_precision() -> None:

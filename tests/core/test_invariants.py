@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyperflex.core.chain import articulated_body as kernels
-from tests.core.helpers import EXAMPLES, chain_of, senses, sweep
+from tests.core.helpers import EXAMPLES, chain_of, lost_power, sweep
 from tests.reference import dense
 from tests.reference.cases import State, random_links, random_state
 from tests.reference.dense import Links, Real
@@ -23,9 +23,9 @@ cases = st.tuples(st.integers(1, 30), st.integers(0, 10**6), st.sampled_from([1.
 steps = st.sampled_from([0.0, 1e-3, 0.05])
 
 
-def drawn(case: tuple[int, int, float]) -> tuple[Links, State]:
+def drawn(case: tuple[int, int, float], *, air: bool = False) -> tuple[Links, State]:
     n, seed, reaction = case
-    return random_links(n, seed, reaction=reaction), random_state(n, seed)
+    return random_links(n, seed, reaction=reaction, air=air), random_state(n, seed)
 
 
 def assert_same(got: Real, want: Real, among: Real | None = None) -> None:
@@ -55,11 +55,11 @@ def test_the_mass_matrix_is_symmetric_and_positive_definite(case: tuple[int, int
 @settings(max_examples=EXAMPLES)
 def test_power_balance_at_a_state(case: tuple[int, int, float], torque: float) -> None:
     """Rate of change of the energy = power of the base and of the torque, less what friction takes; both readings."""
-    links, state = drawn(case)
+    links, state = drawn(case, air=True)
     got = sweep(links, state, torque)
     velocity, rate = state.base[5:7], state.base[3]
     inward = got.force @ velocity + got.torque * rate + torque * state.w[0]
-    lost = kernels.friction_power(chain_of(links), state.w, senses(state), rate)
+    lost = lost_power(links, state)
     terms = np.abs([*(got.force * velocity), got.torque * rate, torque * state.w[0], lost])
     # The energy's derivative sums terms that may cancel: n of them, each of the size of m v a.
     moving = np.sum(links.mass) * np.abs(got.alpha).max() * np.sum(links.length) ** 2 * np.abs(state.w).max()

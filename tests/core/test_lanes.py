@@ -12,10 +12,13 @@ from tests.reference.cases import random_grip, random_links, random_state
 
 
 @pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
+@pytest.mark.parametrize("air", [False, True], ids=["no-air", "air"])
 @pytest.mark.parametrize("n", [1, 2, 5, 50])
 @pytest.mark.parametrize("width", [ln.COLUMNS, ln.MEMBERS], ids=["columns", "members"])
-def test_a_step_in_every_lane_is_the_dense_implicit_step(width: tuple[int, ...], n: int, reaction: float) -> None:
-    links = random_links(n, 2, reaction=reaction)
+def test_a_step_in_every_lane_is_the_dense_implicit_step(
+    width: tuple[int, ...], n: int, air: bool, reaction: float
+) -> None:
+    links = random_links(n, 2, reaction=reaction, air=air)
     k = len(width)
     states = [random_state(n, seed) for seed in range(k)]
     modes = [random_grip(n, seed) for seed in range(k)]  # stuck joints too, others in each lane
@@ -45,6 +48,6 @@ def test_a_step_in_every_lane_is_the_dense_implicit_step(width: tuple[int, ...],
         power = float(want.force @ velocity + want.torque * rate) + torque * state.w[0]
         scale = float(np.abs(want.force) @ np.abs(velocity)) + abs(float(want.torque) * rate)
         assert top[ln.WORK, j] == pytest.approx(h * power, abs=1e-10 * h * scale)
-        lost = dense.dissipation(links, state.q, state.w, (state.base[4], rate), modes[j])
+        lost = dense.dissipation(links, state.q, state.w, (state.base[4], rate), modes[j], velocity)
         # Terms of either sign with printed friction; 1e-10 of their usual size as everywhere.
         assert top[ln.LOST, j] == pytest.approx(h * lost, abs=1e-10 * h * max(abs(lost), 1e-2))

@@ -20,7 +20,7 @@ from tests.reference.stick import lawful
 @pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
 @pytest.mark.parametrize("n", [1, 2, 5, 20])
 def test_what_stuck_joints_bear_is_the_multiplier_of_the_constraint(n: int, reaction: float) -> None:
-    links, state, grip = random_links(n, 3, reaction=reaction), random_state(n, 3), random_grip(n, 4)
+    links, state, grip = random_links(n, 3, reaction=reaction, air=True), random_state(n, 3), random_grip(n, 4)
     room = stick.bench(n)
     stick.bear(chain_of(links), state.q, state.w, grip, state.base, 0.03, room)
     answer = dense.accelerations(links, *state, torque=0.03, grip=grip)
@@ -38,7 +38,7 @@ def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n: int) -> None:
     """Whole chains at rest beside their base, with limits about as large as the loads: some hold, some give way."""
     kinds = set()
     for seed in range(12):
-        links, state = random_links(n, seed), random_state(n, seed)
+        links, state = random_links(n, seed, air=True), random_state(n, seed)
         state = State(state.q, np.full(n, state.base[3]), state.base)
         held = np.abs(dense.accelerations(links, *state, grip=np.zeros(n)).held).astype(float)
         links = links._replace(dry=held * np.random.default_rng(seed).uniform(0.4, 1.6, n))

@@ -9,7 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hyperflex.errors import InvalidInput
-from hyperflex.hardware import Motor, SimulatedMotor
+from hyperflex.hardware import SimulatedMotor
+from hyperflex.interfaces import Motor
 from hyperflex.motion import hold, move
 
 FINE = 10**9  # steps of an encoder that hides nothing

@@ -215,7 +215,7 @@ def test_all_candidates_are_cut_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     windows: list[object] = []
 
     def noted(*arguments: object, **options: object) -> object:
-        windows.append(options["window"])
+        windows.append(options.get("window"))
         return identify(*arguments, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(_choice, "identify", noted)
@@ -251,19 +251,29 @@ def test_a_richer_model_that_fits_worse_is_fitted_again_from_the_simpler(monkeyp
 
 def test_default_candidates_are_the_ones_that_resist() -> None:
     guess = GUESS.replace(dry_friction=1e-3, stiffness=2e-3)
-    found = candidates(guess, ["inertia", "friction:shared"], None, [])
-    assert {each.name: each.free[2:] for each in found} == {
-        "viscous": (),
-        "viscous + dry": ("dry_friction:shared",),
-        "viscous + stiffness": ("stiffness:shared",),
-        "viscous + dry + stiffness": ("dry_friction:shared", "stiffness:shared"),
+    found = {each.name: each for each in candidates(guess, ["inertia", "friction:shared"], None, [])}
+    assert {name: each.free[1:] for name, each in found.items()} == {
+        "viscous": ("friction:shared",),
+        "viscous + dry": ("friction:shared", "dry_friction:shared"),
+        "viscous + stiffness": ("friction:shared", "stiffness:shared"),
+        "viscous + drag": ("friction:shared", "drag:shared"),
+        "viscous + dry + stiffness": ("friction:shared", "dry_friction:shared", "stiffness:shared"),
+        "viscous + dry + drag": ("friction:shared", "dry_friction:shared", "drag:shared"),
+        "viscous + stiffness + drag": ("friction:shared", "stiffness:shared", "drag:shared"),
+        "dry": ("dry_friction:shared",),
+        "drag": ("drag:shared",),
     }
-    assert [float(each.guess.stiffness[0]) for each in found] == [0.0, 0.0, 2e-3, 2e-3]
-    assert [float(each.guess.dry_friction[0]) for each in found] == [0.0, 1e-3, 0.0, 1e-3]
+    for name, each in found.items():
+        assert each.guess.friction.any() == ("viscous" in name)
+        assert float(each.guess.stiffness[0]) == (2e-3 if "stiffness" in name else 0.0)
+        assert float(each.guess.dry_friction[0]) == (1e-3 if "dry" in name else 0.0)
     started = candidates(GUESS, ["inertia", "friction"], None, [])[1].guess.dry_friction
     np.testing.assert_allclose(started, 1e-3 * 9.81 * lumped(GUESS)[0])
     own = candidates(guess, ["inertia", "friction", "stiffness[1]"], None, [])
     assert own[2].free == ("inertia", "friction", "stiffness[1]")
+    held = candidates(guess, ["inertia", "stiffness[0]", "stiffness[1]"], None, [])
+    assert [each.name for each in held if "viscous" not in each.name] == []
+    assert held[2].free == ("inertia", "stiffness[0]", "stiffness[1]")
 
 
 def test_cutting_a_rope_anew_keeps_what_it_weighs_and_how_it_hangs() -> None:

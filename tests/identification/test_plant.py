@@ -9,9 +9,9 @@ from hyperflex.checks import Array
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant, pivot_places
-from hyperflex.identification.model.sensors import Angles, Places
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import swings
+from hyperflex.sensors import Angles, Markers
 from hyperflex.simulation import simulate
 
 ROPE = Rope(
@@ -45,8 +45,7 @@ WORDS = [
 
 def plant(words: list[str], *, places: bool) -> Plant:
     parameters = Parameters(ROPE, parse(ROPE, words, ARCS if places else None, moved=True))
-    own = np.concatenate([[0.05, -0.02], ARCS]) if places else None
-    return Plant(parameters, Places() if places else Angles(), own, MOTION, ARM)
+    return Plant(parameters, Markers(ARCS, (0.05, -0.02)) if places else Angles(), MOTION, ARM)
 
 
 def test_places_are_those_of_the_joints_and_the_points_between() -> None:

@@ -12,8 +12,8 @@ from hyperflex import Arm, Identification, Recording, Rope, Trajectory, compare_
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.model.torque import MotorTorque
 from hyperflex.identification.pipeline import planned
+from hyperflex.sensors import MotorTorque
 from tests.reference import dense
 from tests.reference.arm import bang_bang_swings, links_of
 
@@ -69,7 +69,7 @@ def test_torque_is_that_of_dense_matrices(model: str) -> None:
     rope = ROPE.replace(friction_model=model)
     t, y = states(np.random.default_rng(0))
     drive = _drive(swings(0.7, 0.4))
-    seen = MotorTorque(ARM).see(rope.chain(), drive, np.array([ARM.inertia, ARM.friction]), t, y)
+    seen = MotorTorque(ARM).predict(rope.chain(), drive, t, y)
     expected = [float(by_matrices(rope, ARM, s, row[:2], row[2:])) for s, row in zip(t, y, strict=True)]
     np.testing.assert_allclose(seen, expected, rtol=1e-10, atol=1e-12)
 
@@ -85,14 +85,13 @@ def test_torque_of_a_stuck_joint_is_what_it_bears() -> None:
     stretch = next(iter(bang_bang_swings(0.7, 0.4, 1.0)))
     rate = stretch.at(0.2)[1]
     q, w = np.array([0.3, 0.5]), np.full(2, rate)
-    own = np.array([ARM.inertia, ARM.friction])
     t, y = np.array([0.2]), np.hstack([q, w])[None]
     drive = _drive(swings(0.7, 0.4), rope)
-    seen = MotorTorque(ARM).see(rope.chain(), drive, own, t, y)
+    seen = MotorTorque(ARM).predict(rope.chain(), drive, t, y)
     stuck = by_matrices(rope, ARM, 0.2, q, w, grip=np.zeros(2))
     assert float(seen[0]) == pytest.approx(float(stuck), rel=1e-10)
     # it moves as one body: along the arm's turning the slopes see no friction jump
-    slope = MotorTorque(ARM).slopes(rope.chain(), drive, own, (), t, y, np.eye(4)[None])
+    slope = MotorTorque(ARM).jacobian(rope.chain(), drive, (), t, y, np.eye(4)[None])
     ahead, behind = (by_matrices(rope, ARM, 0.2, q + np.array([h, 0.0]), w, grip=np.zeros(2)) for h in (1e-6, -1e-6))
     assert slope[0, 0] == pytest.approx(float((ahead - behind) / 2e-6), rel=1e-6)
 
@@ -100,9 +99,8 @@ def test_torque_of_a_stuck_joint_is_what_it_bears() -> None:
 def test_slopes_by_the_state_are_those_of_the_reference() -> None:
     """The reference differenced in long doubles with 1e-7 errs by 1e-11 or less; the kernel by 1e-5 squared."""
     t, y = states(np.random.default_rng(1))
-    own = np.array([ARM.inertia, ARM.friction])
     chain, drive = ROPE.chain(), _drive(swings(0.7, 0.4))
-    slopes = MotorTorque(ARM).slopes(chain, drive, own, (), t, y, np.broadcast_to(np.eye(4), (t.size, 4, 4)))
+    slopes = MotorTorque(ARM).jacobian(chain, drive, (), t, y, np.broadcast_to(np.eye(4), (t.size, 4, 4)))
     exact = np.empty_like(slopes)
     step = np.longdouble(1e-7)
     for k, (time, row) in enumerate(zip(t, y, strict=True)):
@@ -117,14 +115,13 @@ def test_slopes_by_the_state_are_those_of_the_reference() -> None:
 def test_slopes_by_the_parameters_are_those_of_the_reference() -> None:
     """At fixed states; differences of 1e-5 on either side err by 1e-10 times a third derivative, and so do ours."""
     t, y = states(np.random.default_rng(2))
-    own = np.array([ARM.inertia, ARM.friction])
     free = ["inertia", "mass", "com", "length", "friction", "stiffness", "tip_mass", "gravity_angle"]
     rope = ROPE.replace(gravity=(2.0, -9.0))
     parameters = plant(free, rope).parameters
     x = parameters.start
     parts = tuple(part for _, part in parameters.parts(x, rope))
     still = np.zeros((t.size, 4, 4 + len(parts)))
-    slopes = MotorTorque(ARM).slopes(rope.chain(), _drive(swings(0.7, 0.4)), own, parts, t, y, still)
+    slopes = MotorTorque(ARM).jacobian(rope.chain(), _drive(swings(0.7, 0.4)), parts, t, y, still)
     for k, label in enumerate(parameters.labels):
         ends = [parameters.rope(x + h * np.eye(x.size)[k]) for h in (1e-5, -1e-5)]
         for row, time in enumerate(t):

@@ -49,7 +49,7 @@ def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(push: bool) 
     w -= np.linalg.pinv(change[inside]) @ (change[inside] @ w)  # along the peg
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
     kept = new_kept(rope.n_links, 1)
-    desk, pegs = new_desk(rope.n_links, setup.contacts(), 1e-6, 1e-4), setup.contacts()
+    desk, pegs = new_desk(chain, setup.contacts(), 1e-6, 1e-4), setup.contacts()
     y = np.concatenate([q, w, np.zeros(2)])
     attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, kept, desk, push, 0.0, True)
     after, change = gaps(rope, RADIUS, base, desk.out[: rope.n_links])
@@ -80,11 +80,11 @@ def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> No
     setup = hf.Setup(rope, still, pegs=[hf.Peg(1.0, 1.0, 0.05)])
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
     pegs, kept = setup.contacts(), new_kept(10, 1)
-    desk, y = new_desk(10, pegs, 1e-6, 1e-4), np.zeros(22)
+    desk, y = new_desk(chain, pegs, 1e-6, 1e-4), np.zeros(22)
     kept.heavy[0], known = 1e-3 * rope.total_mass, []
     for _ in range(60):
         attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, kept, desk, True, 0.0, True)
-        keep(kept, desk.found, desk.impulses, STEP)
+        keep(kept, desk.found, desk.impulses, desk.held, STEP)
         known.append(kept.heavy[0])
     assert np.all(np.diff(known) >= 0.0)
     assert known[-1] == pytest.approx(STIFF * rope.total_mass, rel=1e-12)

@@ -183,7 +183,7 @@ def test_a_peg_takes_the_angular_momentum_that_contacts_give_it(h: float) -> Non
     setup = hf.Setup(rope, still, q0=q0, pegs=[peg, hf.Peg(1.0, 1.0, 0.1)])
     pegs, n = setup.contacts(), rope.n_links
     chain, drive = Chain(*writable(setup.chain())), Drive(*writable(setup.drive()))
-    desk, kept = new_desk(n, pegs, 1e-6, 1e-4), new_kept(n, 2)
+    desk, kept = new_desk(chain, pegs, 1e-6, 1e-4), new_kept(n, 2)
     desk.spin.before[0] = 0.3
     y = np.concatenate([q0, np.full(n, 2.0)])
     attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, kept, desk, True, 0.0, True)

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyperflex.control import RopeState, TrueState
+from hyperflex.control import TrueState
 from hyperflex.errors import InvalidInput
 from hyperflex.hardware import SimulatedMotor
+from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
 from hyperflex.planning import DrawnWorld, DrivenWorld, Throw, Uncertainty, follow
 from hyperflex.planning.feedback import closed_loop as following

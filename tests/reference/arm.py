@@ -100,6 +100,8 @@ def links_of(rope: Any) -> Links:
         *(np.array(getattr(rope, name)) for name in ("length", "mass", "com", "inertia", "friction", "dry_friction")),
         stiffness=np.array(rope.stiffness),
         rest=np.array(rope.rest_angle),
+        drag=np.array(rope.drag),
+        max_bend=np.array(rope.max_bend),
         tip_mass=rope.tip_mass,
         gx=float(rope.gravity[0]),
         gy=float(rope.gravity[1]),

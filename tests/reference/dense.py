@@ -18,6 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tests.reference import drag
+
 Real = npt.NDArray[Any]
 
 
@@ -32,6 +34,8 @@ class Links(NamedTuple):
     dry: Real
     stiffness: Real
     rest: Real
+    drag: Real
+    max_bend: Real
     tip_mass: float
     gx: float
     gy: float
@@ -169,6 +173,9 @@ def accelerations(
     right[0] += dtype(torque)
     j = joints(links, q, w, (base[4], base[3]), h, dtype, grip)
     right = right + j.friction_work @ j.friction + j.spring_work @ j.spring
+    airy = bool(np.any(np.asarray(links.drag) != 0.0))
+    pushes, push, _ = drag.forces(links, q, w, base[5:7]) if airy else (np.zeros_like(q), np.zeros(2, dtype), 0.0)
+    right = right + pushes
     matrix = mass_matrix(links, q, dtype)
     for work, slope in ((j.friction_work, j.friction_slope), (j.spring_work, j.spring_slope)):
         matrix = matrix + work @ (slope[:, None] * j.relative)
@@ -183,7 +190,7 @@ def accelerations(
     both = solve(whole, known)
     alpha, held = both[:n], np.zeros_like(right)
     held[locked] = both[n:]
-    force = mass @ (drift + (reach * alpha) @ across - g)
+    force = mass @ (drift + (reach * alpha) @ across - g) - push
     torques = (
         torque - slope * (alpha[0] - base[2])
         for torque, slope in ((j.friction[0], j.friction_slope[0]), (j.spring[0], j.spring_slope[0]))
@@ -210,11 +217,17 @@ def energies(links: Any, q: Real, w: Real, point: Real, velocity: Real, angle: A
     return kinetic, spring - np.sum(mass * (x @ np.array([links.gx, links.gy])))
 
 
-def dissipation(links: Any, q: Real, w: Real, parent: tuple[float, float], grip: Real | None = None) -> float:
-    """Power lost in the joints, W: minus the power of the friction torques on the links and on the parent."""
+def dissipation(
+    links: Any, q: Real, w: Real, parent: tuple[float, float], grip: Real | None = None, velocity: Any = (0.0, 0.0)
+) -> float:
+    """Power lost in the joints and to the air, W: minus that of the friction torques on the links and on the parent.
+
+    `velocity` (2,) is that of the first joint, m/s.
+    """
     j = joints(links, q, w, parent, grip=grip)
     on_links = float(w @ (j.friction_work @ j.friction))
-    return -(on_links - links.reaction * float(j.friction[0]) * parent[1])
+    air = float(drag.forces(links, q, w, np.asarray(velocity, float))[2])
+    return air - (on_links - links.reaction * float(j.friction[0]) * parent[1])
 
 
 def joint_positions(links: Any, q: Real, point: Real) -> Real:

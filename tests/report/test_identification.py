@@ -286,7 +286,7 @@ def test_the_set_up_is_told(swing, markers):
     assert told["noise of a sample"] == "1 mm as given"
     fitted = dict(fit_table(found).rows)
     assert fitted["held as given"] == "length, mass, com, inertia"
-    assert fitted["taken as 0"] == "dry friction, stiffness"
+    assert fitted["without"] == "dry friction, stiffness, rest angle, drag, max bend"
     assert fitted["origin"] == "fitted as well"
     assert "hyperflex" in fitted["versions"]
     assert "friction" in lead(recording, found, found.rope)

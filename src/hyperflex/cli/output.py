@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,9 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
+from hyperflex import files
 from hyperflex.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -29,7 +27,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on sta
 
 def print_json(result: Mapping[str, Any]) -> None:
     """Print one JSON object on standard output; what JSON has no number for (NaN, infinity) becomes null."""
-    sys.stdout.write(json.dumps(_plain(result), indent=2, allow_nan=False) + "\n")
+    sys.stdout.write(files.dumps_json(result))
 
 
 def complain(message: str, kind: str, code: int, *, as_json: bool) -> int:
@@ -127,16 +125,3 @@ def spinner(as_json: bool) -> Iterator[Any]:
 
     with Console(stderr=True).status("starting") as status:
         yield status.update
-
-
-def _plain(value: Any) -> Any:
-    """Turn arrays, paths and mappings into what JSON knows."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return str(value) if isinstance(value, Path) else value

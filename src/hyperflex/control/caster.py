@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.control.state_source import RopeState
 from hyperflex.errors import InvalidInput
+from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion, Profile, strokes
 from hyperflex.simulation import simulate, simulate_batch, tip_crosses

@@ -10,8 +10,8 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.control.caster import Caster
-from hyperflex.control.state_source import StateSource
 from hyperflex.control.timing import Rule
+from hyperflex.interfaces import StateSource
 from hyperflex.motion import Motion
 
 

@@ -11,7 +11,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.control.caster import Caster
 from hyperflex.control.reach import soonest
-from hyperflex.control.state_source import RopeState
+from hyperflex.interfaces import RopeState
 
 COARSE, FINE = 0.04, 0.01  # s, between rests that are tried
 STEPS = (0.05, 0.02, 0.007)  # s, by which the rests of a plan are moved

@@ -11,8 +11,8 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.control.caster import Caster
 from hyperflex.control.reach import reach_time
-from hyperflex.control.state_source import RopeState
 from hyperflex.errors import InvalidInput
+from hyperflex.interfaces import RopeState
 
 MEMBERS = 60  # of a generation
 SPREAD = 0.08  # s, of the first generation about constant rests

@@ -1,55 +1,19 @@
-"""Where a controller gets the rope's state from: the truth of a simulation, or an estimate with noise and delay."""
+"""Simulated sources of a rope's state: the truth of a simulation, or an estimate with noise and delay."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.interfaces import RopeState, StateSource
 from hyperflex.model import DEFAULT_TOL, Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import State
-
-
-@dataclass(frozen=True, eq=False)
-class RopeState:
-    """What a controller is told of the rope.
-
-    Attributes
-    ----------
-    t : float
-        Instant that it holds for, s.
-    q, qd : (n,) float64
-        Absolute link angles, rad, and rates, rad/s, of the controller's chain.
-    covariance : (2 n, 2 n) float64, or None
-        Of (q, qd), as far as it is known, in rad and rad/s.
-    """
-
-    t: float
-    q: Array
-    qd: Array
-    covariance: Array | None = None
-
-
-class StateSource(Protocol):
-    """Whatever tells the state of a rope while it moves: a simulation, a camera with an estimator."""
-
-    def state(self, t: float, motion: Motion) -> RopeState:
-        """Return the state at an instant, from whatever has been seen until then.
-
-        Parameters
-        ----------
-        t : float
-            The instant, s; never earlier than in the call before.
-        motion : Motion
-            What the arm has done since t = 0 and, as far as it is decided, will do; it covers `t`.
-        """
 
 
 class TrueState:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.control.caster import Caster
-from hyperflex.control.state_source import RopeState
+from hyperflex.interfaces import RopeState
 
 
 class Rule(Protocol):

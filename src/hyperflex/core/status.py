@@ -11,7 +11,8 @@ NOT_FINITE: Final = 3
 ENERGY: Final = 4
 FRICTION: Final = 5
 REACHED: Final = 6  # what was to end the run has happened
-LEFT: Final = 7  # no link is near a peg any more: a stepper without contacts may go on
+LEFT: Final = 7  # no link is near a peg any more, and no joint near its limit: a stepper without them may go on
+LIMIT: Final = 8  # a joint has come to its limit, of which the stepper knows no more
 
 NAMES: Final = {
     OK: "ok",
@@ -22,6 +23,7 @@ NAMES: Final = {
     FRICTION: "dry friction chatters",
     REACHED: "ok",
     LEFT: "ok",
+    LIMIT: "joint at its limit",
 }
 
 ADVICE: Final = {
@@ -35,6 +37,8 @@ ADVICE: Final = {
     "trusted. Tighten tol; with method='rk4' take a smaller step",
     REACHED: "",
     LEFT: "",
+    LIMIT: "a joint has come to its limit (max_bend), where only simulate and simulate_batch can go on, without events "
+    "and torque callbacks. Leave these out, or give max_bend = inf",
     FRICTION: "joints stick and come loose again and again without end. Change dry_friction a little, add viscous "
     "friction, or take friction_model='relative': as printed, friction may push a joint the way that it slips",
 }

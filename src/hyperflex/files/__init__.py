@@ -6,6 +6,7 @@ the earlier file or the complete new one, never a part, also after a full disk, 
 
 from __future__ import annotations
 
+from hyperflex.files.json import dumps_json, plain, write_json
 from hyperflex.files.netcdf import NetCDF, Variable, read_netcdf, write_netcdf
 from hyperflex.files.reading import read_bytes, read_text
 from hyperflex.files.tables import read_notes, read_table, write_table
@@ -19,8 +20,10 @@ __all__ = [
     "as_path",
     "atomic",
     "atomic_path",
+    "dumps_json",
     "dumps_toml",
     "loads_toml",
+    "plain",
     "read_bytes",
     "read_netcdf",
     "read_notes",
@@ -28,6 +31,7 @@ __all__ = [
     "read_text",
     "read_toml",
     "write_bytes",
+    "write_json",
     "write_netcdf",
     "write_table",
     "write_text",

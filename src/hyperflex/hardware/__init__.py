@@ -1,7 +1,7 @@
-"""Motors that carry out a motion: what any of them offers, and a simulated one."""
+"""Motors that carry out a motion (:class:`hyperflex.interfaces.Motor`): a simulated one."""
 
 from __future__ import annotations
 
-from hyperflex.hardware.motor import Motor, SimulatedMotor
+from hyperflex.hardware.motor import SimulatedMotor
 
-__all__ = ["Motor", "SimulatedMotor"]
+__all__ = ["SimulatedMotor"]

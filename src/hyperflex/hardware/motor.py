@@ -1,9 +1,8 @@
-"""The interface of a motor that carries an arm, and a simulated servo with the faults of a real one."""
+"""A simulated servo with the faults of a real one."""
 
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 
@@ -15,24 +14,6 @@ from hyperflex.motion import Motion, sampled
 STEP = 2.5e-4  # s, of the simulated servo
 STEPS_A_LAG = 16.0  # at least, in its lag
 SAMPLE_TIME = 2e-3  # s, between samples of what it has done
-
-
-class Motor(Protocol):
-    """Whatever turns an arm: a simulated servo, later a real one."""
-
-    def set_motion(self, motion: Motion, at: float) -> None:
-        """Ask for a motion from a time on.
-
-        Parameters
-        ----------
-        motion : Motion
-            Arm angle over the time since the start of the cast, s; what it says of earlier times does not matter.
-        at : float
-            When it is asked for, s; never earlier than any time that was asked for or read before.
-        """
-
-    def angle(self, t: float) -> float:
-        """Return what the encoder shows at a time `t` (s, never earlier than one read before), rad."""
 
 
 class SimulatedMotor:
@@ -95,7 +76,7 @@ class SimulatedMotor:
         self._seen: list[tuple[float, float]] = [(0.0, start)]
 
     def set_motion(self, motion: Motion, at: float) -> None:
-        """Ask for a motion from a time `at` (s) on, after the latency; see :class:`Motor`."""
+        """Ask for a motion from a time `at` (s) on, after the latency; see :class:`hyperflex.interfaces.Motor`."""
         when = self._later("at", at)
         if not isinstance(motion, Motion):
             raise InvalidInput("motion is not a Motion", got=motion, allowed="hyperflex.motion.Motion")

@@ -8,9 +8,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.misfit import poor, poor_torque
-from hyperflex.identification.model.parameters import SCALARS
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.model.sensors import Angles
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis, ratio_spread, ratios
@@ -25,6 +23,7 @@ from hyperflex.identification.verdict import (
     verdict,
 )
 from hyperflex.model import Rope
+from hyperflex.sensors import Angles
 
 
 def conclude(
@@ -91,13 +90,13 @@ def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array
     result: dict[str, Array] = {}
     for parameter, number in zip(parameters.all, numbers, strict=True):
         name, held = parameter.name, np.zeros(n)
-        if name in SCALARS:
+        if not parameter.links:
             result[name] = np.array(number)
         elif parameter.law != "own":
             result[parameter.label] = np.array(number)
         else:
             if name == "arc":
-                held = plant.own[2:] * (rope is not None)
+                held = plant.sensor.values[2:] * (rope is not None)
             elif rope is not None:
                 held = getattr(rope, name).copy()
             result.setdefault(name, held)[list(parameter.links)] = number

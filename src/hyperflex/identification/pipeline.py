@@ -32,7 +32,6 @@ from hyperflex.identification.measurements import (
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant, pivot_places
-from hyperflex.identification.model.sensors import Angles, Places
 from hyperflex.identification.prediction import predict
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis, judge
@@ -42,6 +41,7 @@ from hyperflex.identification.verdict import other_lengths
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
+from hyperflex.sensors import Angles, Markers
 
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
 
@@ -79,7 +79,8 @@ def identify(
     rope_guess : Rope
         Everything that is not free is taken from it; the free ones start from it.
     free : sequence of str
-        ``inertia``, ``com``, ``mass``, ``length``, ``friction``, ``dry_friction``, ``stiffness`` (each link's own),
+        ``inertia``, ``com``, ``mass``, ``length``, ``friction``, ``dry_friction``, ``stiffness``, ``rest_angle``,
+        ``drag`` (each link's own),
         ``tip_mass``, ``gravity_angle`` (rad; turns gravity, for a camera that is not level), ``delay`` (s; by how much
         `motion` comes later in the recording's time; looked for within a window's length), ``arc`` (m; each marker's
         place, or ``arc[2]``). ``friction[2]`` frees one link only, ``friction:shared`` one value for all links,
@@ -255,7 +256,7 @@ def planned(
     if arcs is None:
         if origin is not None:
             raise InvalidInput("origin is given, but angles are fitted", fix="Give arcs=... as well, or leave it out")
-        return Plant(Parameters(guess, chosen), Angles(), None, motion, arm, torque=torque)
+        return Plant(Parameters(guess, chosen), Angles(), motion, arm, torque=torque)
     if origin is None:
         words = [word for word in ("origin_x", "origin_y") if word not in free]
         chosen += parse(guess, words, arcs) if words else []
@@ -264,8 +265,7 @@ def planned(
         place = checks.array("origin", origin, (2,), unit="m")
     starts = {"origin_x": float(place[0]), "origin_y": float(place[1])}
     chosen = [replace(each, start=starts.get(each.name, each.start)) for each in chosen]
-    own = np.concatenate([place, arcs])
-    return Plant(Parameters(guess, chosen), Places(), own, motion, arm, torque=torque)
+    return Plant(Parameters(guess, chosen), Markers(arcs, place), motion, arm, torque=torque)
 
 
 def _split(measured: Measured, train: float | None, lead: float, ahead: float) -> tuple[Measured, Measured | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -110,36 +109,29 @@ class Identification:
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
-        tables = {name: getattr(self, name) for name in ("values", "sd", "ratios", "ratio_sd")}
-        result: dict[str, Any] = {"status": self.status, "identifiable": self.identifiable, "unit": self.unit}
-        result |= {name: {key: _plain(value) for key, value in table.items()} for name, table in tables.items()}
+        alike = ("status", "identifiable", "unit", "values", "sd", "ratios", "ratio_sd", "parameters", "covariance")
+        result: dict[str, Any] = {name: getattr(self, name) for name in alike}
         result["intervals"] = {
-            name: {"low": _plain(np.array(each.low)), "high": _plain(np.array(each.high)), "kind": each.kind}
-            for name, each in self.intervals.items()
+            name: {"low": each.low, "high": each.high, "kind": each.kind} for name, each in self.intervals.items()
         }
-        result |= {"parameters": list(self.parameters), "covariance": self.covariance.tolist()}
-        result |= {"residual_rms": _plain(self.residual_rms), "residual_rms_all": self.residual_rms_all}
+        result |= {"residual_rms": self.residual_rms, "residual_rms_all": self.residual_rms_all}
         if self.torque_residuals is not None:
             result["torque_rms"] = self.torque_rms
         if self.held_out is not None:
             held = self.held_out
             result["held_out"] = {"lead": held.lead, "ahead": held.ahead, "predictions": held.starts.size}
-            result["held_out"] |= {"rms": _plain(held.rms), "window_rms": _plain(held.window_rms)}
-            result["held_out"]["inside_band"] = _plain(np.array(held.inside))
-        result["verdict"] = list(self.verdict)
-        result["settings"] = dict(self.settings)
-        result["rope"] = self.rope.table()
-        return result
+            result["held_out"] |= {"rms": held.rms, "window_rms": held.window_rms, "inside_band": held.inside}
+        result |= {"verdict": self.verdict, "settings": self.settings, "rope": self.rope.table()}
+        return dict(files.plain(result))
 
     def to_json(self, path: PathLike) -> None:
         """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""
-        files.write_text(path, json.dumps(self.summary(), indent=2, allow_nan=False) + "\n")
+        files.write_json(path, self.summary())
 
     def to_toml(self, path: PathLike) -> None:
         """Write the rope to `path`, readable by ``Rope.from_toml``, with the figures in ``[identification]``."""
-        content = self.summary()
-        rope = content.pop("rope")
-        files.write_toml(path, {"rope": rope, "identification": _without_none(content)})
+        content = {name: value for name, value in self.summary().items() if name != "rope"}
+        files.write_toml(path, {"rope": self.rope.table(), "identification": _without_none(content)})
 
     def __str__(self) -> str:
         told = (f"{k} {_short(v)}" for k, v in self.settings.items() if not isinstance(v, list))
@@ -178,13 +170,6 @@ def _few(words: list[str]) -> str:
     """Return words side by side; of many the first ones."""
     more = f"  and {len(words) - MANY} more" if len(words) > MANY else ""
     return "  ".join(words[:MANY]) + more
-
-
-def _plain(value: Array) -> Any:
-    """Return numbers as floats and lists, what is not finite as None."""
-    if value.ndim == 0:
-        return float(value) if np.isfinite(value) else None
-    return [_plain(each) for each in value]
 
 
 def _without_none(content: Any) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.model.parameters import FORMS, Parameters
+from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.scale import common_factor, growing
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import TOUCHED, Information
@@ -184,7 +184,7 @@ def _values(parameters: Parameters, information: Information, rope: Rope) -> lis
     for parameter, value, spread in zip(parameters.all, values, sd, strict=True):
         if parameter.form == "nonnegative" and value == 0.0:
             said.append(f"{parameter.label} went to 0, the least allowed: the data show none of it.")
-        elif FORMS[parameter.name] != "linear" and np.isfinite(spread) and spread > 0.5 * value:
+        elif parameter.kind.form != "linear" and np.isfinite(spread) and spread > 0.5 * value:
             said.append(f"{parameter.label} is hardly known: {value:.3g} with a standard deviation of {spread:.2g}.")
     if "inertia" in {p.name for p in parameters.all} and (rope.inertia == 0.0).any():
         said.append("An inertia at 0 may mean that the masses held do not fit: put 'mass' into free as well.")

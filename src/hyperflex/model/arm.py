@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.errors import InvalidInput
+from hyperflex.model.properties import LINKS
 from hyperflex.model.rope import Rope
 
 
@@ -54,16 +57,11 @@ class Arm:
     pivot: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name, unit in (
-            ("length", "m"),
-            ("inertia", "kg m^2"),
-            ("mass", "kg"),
-            ("friction", "N m s/rad"),
-            ("dry_friction", "N m"),
-        ):
-            value = checks.number(f"arm {name}", getattr(self, name), sign="nonnegative", unit=unit)
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "com", checks.number("arm com", self.com, unit="m"))
+        for each in LINKS:
+            if each.name in vars(self):
+                sign: checks.Sign = "any" if each.sign == "any" else "nonnegative"
+                value = checks.number(f"arm {each.name}", getattr(self, each.name), sign=sign, unit=each.unit)
+                object.__setattr__(self, each.name, value)
         limit = checks.number("arm torque_limit", self.torque_limit, sign="positive", unit="N m", infinite=True)
         object.__setattr__(self, "torque_limit", limit)
         x, y = checks.array("arm pivot", self.pivot, (2,), unit="m")
@@ -81,6 +79,21 @@ class Arm:
             raise InvalidInput("arm table does not fit", got=sorted(table), allowed=", ".join(names))
         return cls(**table)
 
+    def shaft_torque(self, gravity: Array, angle: Array, rate: Array, acceleration: Array) -> Array:
+        """Return the torque (T,), N m, that turns the arm alone: for its inertia, weight and friction.
+
+        Parameters
+        ----------
+        gravity : (2,) array, m/s^2
+        angle, rate, acceleration : (T,) arrays, rad, rad/s, rad/s^2
+            At rest, dry friction resists as the arm is about to move.
+        """
+        gx, gy = gravity
+        sense = np.sign(np.where(rate != 0.0, rate, acceleration))
+        torque = (self.inertia + self.mass * self.com**2) * acceleration
+        torque = torque - joint_law.friction((self.friction, self.dry_friction, 0.0, 0.0), rate, sense)
+        return np.asarray(torque - self.mass * self.com * (gx * np.cos(angle) + gy * np.sin(angle)))
+
     def chain(self, rope: Rope) -> Chain:
         """Return arm and rope as one chain of n + 1 links, for a torque-driven arm.
 
@@ -92,18 +105,9 @@ class Arm:
         if self.length <= 0.0:
             raise InvalidInput("a torque-driven arm needs a length", got=self.length, allowed="length > 0, in m")
 
-        def joined(own: float, links: checks.Array) -> checks.Array:
-            both = np.concatenate([[own], links])
-            both.setflags(write=False)  # as a rope's own arrays: the kernels are compiled for one kind
-            return both
-
-        return rope.chain()._replace(
-            length=joined(self.length, rope.length),
-            mass=joined(self.mass, rope.mass),
-            com=joined(self.com, rope.com),
-            inertia=joined(self.inertia, rope.inertia),
-            viscous=joined(self.friction, rope.friction),
-            dry=joined(self.dry_friction, rope.dry_friction),
-            stiffness=joined(0.0, rope.stiffness),
-            rest=joined(0.0, rope.rest_angle),
-        )
+        both: dict[str, Any] = {}
+        for each in LINKS:
+            own = getattr(self, each.name, each.default)
+            both[each.field] = np.concatenate([[own], getattr(rope, each.name)])
+            both[each.field].setflags(write=False)  # as a rope's own arrays: the kernels are compiled for one kind
+        return rope.chain()._replace(**both)

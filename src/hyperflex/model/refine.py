@@ -13,7 +13,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle
 from hyperflex.model.peg import Peg
-from hyperflex.model.rope import Rope
+from hyperflex.model.properties import LINKS
+from hyperflex.model.rope import Rope, bend_limits, bend_ratios
 from hyperflex.model.stretch import across, uniform
 
 FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
@@ -50,7 +51,8 @@ def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, rat
     differ it goes straight from the one to the next. The first joint is a hinge: the rope turns in it as a whole, by
     the same angle however finely it is cut, so it keeps its friction and stiffness, and the pieces of the first link
     bend as the rope does at the second joint. Dry friction, a torque that any bend must overcome, is every joint's
-    alike; a rest angle stays with its joint.
+    alike; a rest angle stays with its joint. Air drag is per length. Joint limits keep the radius to which they let the
+    rope bend (:meth:`Rope.with_bend_radius`).
 
     Examples
     --------
@@ -99,19 +101,34 @@ def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
             fix="Give shorter links there",
         )
     length, mass = np.repeat(rope.length / pieces, pieces), np.repeat(rope.mass / pieces, pieces)
-    begins = np.append(0, np.cumsum(pieces)[:-1])  # where the old joints are among the new ones
-    rest = np.zeros(length.size)
-    rest[begins] = rope.rest_angle
     return rope.replace(
         length=length,
         mass=mass,
         com=np.repeat(rope.com / pieces, pieces),
         inertia=np.repeat(_inertia(rope, pieces), pieces),
-        friction=_along(rope.friction, rope.length, pieces),
-        stiffness=_along(rope.stiffness, rope.length, pieces),
-        dry_friction=np.repeat(rope.dry_friction, pieces),
-        rest_angle=rest,
+        **{each.name: np.repeat(getattr(rope, each.name), pieces) for each in LINKS if each.cut == "alike"},
+        **_joints(rope, length),
     )
+
+
+def recut(rope: Rope, n_links: int) -> Rope:
+    """Cut a rope into `n_links` equal links; its joints become those of :func:`refined`.
+
+    Mass is spread evenly along each old link, so that new links have their part of it, their centre and inertia from
+    there.
+    """
+    ends = np.append(0.0, np.cumsum(rope.length))
+    cuts = np.linspace(0.0, ends[-1], n_links + 1)
+    low, high = np.maximum(cuts[:-1, None], ends[:-1]), np.minimum(cuts[1:, None], ends[1:])
+    part = np.maximum(high - low, 0.0)  # (new, old), m
+    mass = part * (rope.mass / rope.length)
+    middle = 0.5 * (low + high) - cuts[:-1, None]
+    total = mass.sum(axis=1)
+    com = (mass * middle).sum(axis=1) / np.maximum(total, 1e-300)
+    inertia = (mass * (part**2 / 12.0 + (middle - com[:, None]) ** 2)).sum(axis=1) + 0.25 * total * rope.radius**2
+    length = np.full(n_links, ends[-1] / n_links)
+    alike = {each.name: part @ getattr(rope, each.name) / length for each in LINKS if each.cut == "alike"}
+    return rope.replace(length=length, mass=total, com=com, inertia=inertia, **alike, **_joints(rope, length))
 
 
 def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> npt.NDArray[np.int64]:
@@ -142,13 +159,30 @@ def _share(length: Array) -> Array:
     return np.asarray(0.5 * (np.append(length[0], length[:-1]) + length))
 
 
-def _along(value: Array, length: Array, pieces: npt.NDArray[np.int64]) -> Array:
-    """Friction or stiffness of the new joints from that of the old ones: what is per length stays, and the hinge."""
+def _joints(rope: Rope, length: Array) -> dict[str, Array]:
+    """Return the properties of the joints of the same rope cut into links of other lengths (m,)."""
+    old, new = (np.cumsum(each) - each for each in (rope.length, length))
+    found = {}
+    for each in LINKS:
+        value = getattr(rope, each.name)
+        if each.cut == "joint":
+            found[each.name] = np.interp(new, old, value)
+        elif each.cut == "bending":
+            found[each.name] = _along(value, rope.length, length)
+        elif each.cut == "limit":
+            found[each.name] = bend_limits(_along(bend_ratios(value), rope.length, length))
+            found[each.name][0] = value[0]
+        elif each.cut == "stays":
+            found[each.name] = np.zeros(length.size)
+            np.add.at(found[each.name], np.abs(new[:, None] - old).argmin(axis=0), value)
+    return found
+
+
+def _along(value: Array, length: Array, shorter: Array) -> Array:
+    """Return what resists bending at the new joints from what does at the old ones: alike per length, but the hinge."""
     bending = value * _share(length)
     if bending.size > 1:
         bending[0] = bending[1]
-    part = np.concatenate([np.arange(count) / count for count in pieces])
-    here, beyond = np.repeat(bending, pieces), np.repeat(np.append(bending[1:], bending[-1]), pieces)
-    new = (here + part * (beyond - here)) / _share(np.repeat(length / pieces, pieces))
+    new = np.interp(np.cumsum(shorter) - shorter, np.cumsum(length) - length, bending) / _share(shorter)
     new[0] = value[0]
-    return np.asarray(new)
+    return new

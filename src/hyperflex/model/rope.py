@@ -14,9 +14,11 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import MUTUAL, PRINTED, Chain
 from hyperflex.errors import InvalidInput
-from hyperflex.model.rope_table import LINK_FIELDS, MOST_LINKS, from_table, to_table
+from hyperflex.model.properties import LINKS
+from hyperflex.model.rope_table import MOST_LINKS, from_table, to_table
 
 GRAVITY = (0.0, -9.81)  # m/s^2
+AIR_DENSITY = 1.204  # kg/m^3, at 20 degrees Celsius and 1013 hPa
 FrictionModel = Literal["relative", "printed"]
 FRICTION_MODELS = ("relative", "printed")
 
@@ -44,6 +46,11 @@ class Rope:
         Coulomb friction of the joints, N m: a joint that turns feels it in full, one that stands bears up to it.
     stiffness, rest_angle : (n,) array_like
         Joint stiffness, N m/rad, and the relative angle at which it is at rest, rad.
+    drag : (n,) array_like
+        Quadratic air drag of the links, kg/m^2: force per length and per squared velocity across the link, which is
+        half of air density x drag coefficient x diameter (0.5 x 1.2 x 1.2 x 5 mm: 0.0036); 0 for none.
+    max_bend : (n,) array_like
+        Joint limits: greatest difference of the relative angle from `rest_angle`, rad; inf for none.
     tip_mass : float
         Point mass at the far end of the last link, kg.
     gravity : (2,) array_like
@@ -77,6 +84,8 @@ class Rope:
     dry_friction: Array
     stiffness: Array
     rest_angle: Array
+    drag: Array
+    max_bend: Array
     tip_mass: float
     gravity: Array
     friction_model: FrictionModel
@@ -93,38 +102,37 @@ class Rope:
         dry_friction: npt.ArrayLike = 0.0,
         stiffness: npt.ArrayLike = 0.0,
         rest_angle: npt.ArrayLike = 0.0,
+        drag: npt.ArrayLike = 0.0,
+        max_bend: npt.ArrayLike = np.inf,
         tip_mass: float = 0.0,
         gravity: npt.ArrayLike = GRAVITY,
         friction_model: FrictionModel = "relative",
         radius: float = 0.0,
         name: str = "",
     ) -> None:
-        n = _number_of_links(
-            length=length,
-            mass=mass,
-            com=com,
-            inertia=inertia,
-            friction=friction,
-            dry_friction=dry_friction,
-            stiffness=stiffness,
-            rest_angle=rest_angle,
-        )
-
-        def per_link(name: str, value: npt.ArrayLike) -> Array:
-            sign, unit = LINK_FIELDS[name]
-            result = checks.array(f"rope {name}", value, (n,), sign=sign, unit=unit, scalar=True)
-            object.__setattr__(self, name, result)
-            return result
-
-        lengths, masses = per_link("length", length), per_link("mass", mass)
+        given: dict[str, npt.ArrayLike | None] = {
+            "length": length,
+            "mass": mass,
+            "com": com,
+            "inertia": inertia,
+            "friction": friction,
+            "dry_friction": dry_friction,
+            "stiffness": stiffness,
+            "rest_angle": rest_angle,
+            "drag": drag,
+            "max_bend": max_bend,
+        }
+        n = _number_of_links(given)
         r = checks.number("radius", radius, sign="nonnegative", unit="m")
-        centres = per_link("com", 0.5 * lengths if com is None else com)
-        cylinder = masses * (3.0 * r**2 + lengths**2) / 12.0
-        inertias = per_link("inertia", cylinder if inertia is None else inertia)
-        per_link("friction", friction)
-        per_link("dry_friction", dry_friction)
-        per_link("stiffness", stiffness)
-        per_link("rest_angle", rest_angle)
+        for each in LINKS:
+            value = given[each.name]
+            if each.name == "com" and value is None:
+                value = 0.5 * self.length
+            elif each.name == "inertia" and value is None:
+                value = self.mass * (3.0 * r**2 + self.length**2) / 12.0
+            bounds: dict[str, Any] = {"sign": each.sign, "unit": each.unit, "infinite": each.default == np.inf}
+            array = checks.array(f"rope {each.name}", value, (n,), scalar=True, **bounds)
+            object.__setattr__(self, each.name, array)
         for field, value in (
             ("radius", r),
             ("tip_mass", checks.number("tip_mass", tip_mass, sign="nonnegative", unit="kg")),
@@ -133,7 +141,7 @@ class Rope:
             ("name", str(name)),
         ):
             object.__setattr__(self, field, value)
-        empty = inertias + masses * centres**2 <= 0.0
+        empty = self.inertia + self.mass * self.com**2 <= 0.0
         empty[-1] &= self.tip_mass <= 0.0
         if empty.any():
             raise InvalidInput(
@@ -151,6 +159,8 @@ class Rope:
         radius: float = 0.0,
         inertia: float | None = None,
         friction: float = 0.0,
+        drag_coefficient: float = 0.0,
+        air_density: float = AIR_DENSITY,
         **others: Any,
     ) -> Rope:
         """Cut a uniform cable into equal links.
@@ -167,6 +177,9 @@ class Rope:
             Of one link about its centre of mass, kg m^2; by default the cylinder's.
         friction : float
             Viscous friction of each joint, N m s/rad.
+        drag_coefficient, air_density : float
+            Of the cable across the wind (a cylinder's is about 1.2) and of the air, kg/m^3: they give `drag`; by
+            default there is none.
         **others
             Any other field of :class:`Rope`, for instance ``friction_model="printed"``.
 
@@ -191,6 +204,12 @@ class Rope:
         unknown = set(others) - {f.name for f in fields(cls)}
         if unknown:
             raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(cls))
+        coefficient = checks.number("drag_coefficient", drag_coefficient, sign="nonnegative")
+        if coefficient:
+            if "drag" in others or not radius:
+                allowed = "with a radius > 0, and without drag"
+                raise InvalidInput("drag_coefficient cannot be used", got=coefficient, allowed=allowed)
+            others["drag"] = coefficient * checks.number("air_density", air_density, sign="positive") * radius
         return cls(np.full(n, total / n), link_mass, radius=radius, inertia=inertia, friction=friction, **others)
 
     @property
@@ -209,6 +228,11 @@ class Rope:
         return float(self.mass.sum() + self.tip_mass)
 
     @property
+    def limited(self) -> bool:
+        """Whether a joint has a limit."""
+        return bool(np.isfinite(self.max_bend).any())
+
+    @property
     def hanging_angle(self) -> float:
         """Link angle at which the rope hangs along gravity, rad (0 without gravity)."""
         gx, gy = self.gravity
@@ -220,6 +244,16 @@ class Rope:
         if unknown:
             raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(type(self)))
         return replace(self, **changes)
+
+    def with_bend_radius(self, radius: float) -> Rope:
+        """Return the rope with joint limits that let its axis bend to a circle of `radius`, m, and no tighter.
+
+        A joint's limit is 2 atan(l / (2 radius)), with l half of both its links' lengths: a polygon whose sides touch
+        the circle in their middles. The first joint is a hinge, and keeps its limit.
+        """
+        r = checks.number("radius", radius, sign="positive", unit="m")
+        limits = bend_limits(4.0 * r / (self.length[:-1] + self.length[1:]))
+        return self.replace(max_bend=np.append(self.max_bend[0], limits))
 
     def __eq__(self, other: object) -> bool:
         """Whether all properties are equal, bit for bit."""
@@ -237,18 +271,11 @@ class Rope:
     def chain(self) -> Chain:
         """Return the arrays as the kernels take them."""
         return Chain(
-            self.length,
-            self.mass,
-            self.com,
-            self.inertia,
-            self.friction,
-            self.dry_friction,
-            self.stiffness,
-            self.rest_angle,
-            self.tip_mass,
-            float(self.gravity[0]),
-            float(self.gravity[1]),
-            MUTUAL if self.friction_model == "relative" else PRINTED,
+            **{each.field: getattr(self, each.name) for each in LINKS},
+            tip_mass=self.tip_mass,
+            gx=float(self.gravity[0]),
+            gy=float(self.gravity[1]),
+            bears=MUTUAL if self.friction_model == "relative" else PRINTED,
         )
 
     def table(self) -> dict[str, Any]:
@@ -280,11 +307,21 @@ class Rope:
         return cls.from_table(content["rope"])
 
 
+def bend_ratios(max_bend: Array) -> Array:
+    """Return twice the bend radius of joints over the length that each stands for; 0 where there is no limit."""
+    return np.where(max_bend < np.pi, 1.0 / np.tan(0.5 * np.minimum(max_bend, np.pi)), 0.0)
+
+
+def bend_limits(ratios: Array) -> Array:
+    """Return the joint limits, rad, that go with such ratios; inf where one is 0."""
+    return np.where(ratios > 0.0, 2.0 * np.arctan2(1.0, ratios), np.inf)
+
+
 def _names(cls: type) -> str:
     return ", ".join(f.name for f in fields(cls))
 
 
-def _number_of_links(**values: npt.ArrayLike | None) -> int:
+def _number_of_links(values: Mapping[str, npt.ArrayLike | None]) -> int:
     sizes: dict[str, int] = {}
     for name, value in values.items():
         try:

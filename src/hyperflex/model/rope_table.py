@@ -9,20 +9,9 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
+from hyperflex.model.properties import LINK_NAMES, PROPERTIES
 
 MOST_LINKS = 100_000  # far beyond use; a slip of the pen must not fill the memory
-
-# per-link fields: (sign, unit)
-LINK_FIELDS: dict[str, tuple[checks.Sign, str]] = {
-    "length": ("positive", "m"),
-    "mass": ("nonnegative", "kg"),
-    "com": ("any", "m"),
-    "inertia": ("nonnegative", "kg m^2"),
-    "friction": ("nonnegative", "N m s/rad"),
-    "dry_friction": ("nonnegative", "N m"),
-    "stiffness": ("nonnegative", "N m/rad"),
-    "rest_angle": ("any", "rad"),
-}
 
 TOTALS = ("length", "mass")  # of the whole rope or of each link: a file says which
 
@@ -31,7 +20,7 @@ def to_table(n_links: int, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the table of a rope with the given fields; arrays of equal entries become one number."""
     content: dict[str, Any] = {"n_links": n_links}
     for name, value in values.items():
-        if name in LINK_FIELDS and bool((value == value[0]).all()):
+        if name in LINK_NAMES and bool((value == value[0]).all()):
             content[f"link_{name}" if name in TOTALS else name] = float(value[0])
         else:
             content[name] = value.tolist() if isinstance(value, np.ndarray) else value
@@ -48,7 +37,7 @@ def from_table(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]
     known = set(names) | {"n_links"} | {f"{k}_{t}" for k in ("total", "link") for t in TOTALS}
     if unknown := set(content) - known:
         raise InvalidInput("rope table does not fit", got=sorted(unknown), allowed=", ".join(sorted(known)))
-    sizes = [np.size(content[name]) for name in LINK_FIELDS if np.ndim(content.get(name, 0.0)) == 1]
+    sizes = [np.size(content[name]) for name in LINK_NAMES if np.ndim(content.get(name, 0.0)) == 1]
     if "n_links" not in content and not sizes:
         raise InvalidInput("rope table lacks n_links", allowed="n_links = 50, or arrays with one entry a link")
     n = checks.count("rope n_links", content.pop("n_links", sizes[0] if sizes else None), most=MOST_LINKS)
@@ -65,8 +54,8 @@ def from_table(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]
                 allowed=f"total_{name} for the whole rope, link_{name} for each link, or an array",
             )
         if np.ndim(value) == 0:
-            sign, unit = LINK_FIELDS[name]
-            single = checks.number(f"rope {given[0]}", value, sign=sign, unit=unit)
+            each = PROPERTIES[name]
+            single = checks.number(f"rope {given[0]}", value, sign=each.sign, unit=each.unit)
             value = np.full(n, single / n if given[0].startswith("total") else single)
         content[name] = value
     if np.size(content["length"]) != n:

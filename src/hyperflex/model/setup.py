@@ -53,9 +53,10 @@ class Setup:
     step : float, optional
         Step of ``"rk4"``, s.
     pegs : sequence of Peg, Wall or Ground, optional
-        What the rope may touch; for ropes with friction_model="relative" and no dry friction.
+        What the rope may touch; for ropes with friction_model="relative".
     contact_step : float
-        Longest step beside a peg, s; what closes slower than 1 cm/s, or than 50 m/s^2 times it, does not bounce.
+        Longest step beside a peg, or with a joint at its limit, s; what closes slower than 1 cm/s, or than 50 m/s^2
+        times it, does not bounce.
     tip_force : (2,) array_like
         Constant force on the tip beside gravity, N; only in a set-up with pegs.
 
@@ -113,24 +114,22 @@ class Setup:
         for peg in self.pegs:
             if not isinstance(peg, Obstacle):
                 raise InvalidInput("pegs holds something else", got=peg, allowed="hyperflex.Peg, Wall or Ground")
-        if not self.pegs:
-            if any(self.tip_force):
-                raise InvalidInput("tip_force needs a set-up with pegs", got=self.tip_force, fix="Give pegs=[Peg(...)]")
+        if not self.pegs and any(self.tip_force):
+            raise InvalidInput("tip_force needs a set-up with pegs", got=self.tip_force, fix="Give pegs=[Peg(...)]")
+        if not self.touches:
             return
         if self.rope.friction_model != "relative":
             raise InvalidInput(
-                "contact needs joint friction that acts on both links",
+                "contact and joint limits need joint friction that acts on both links",
                 got=self.rope.friction_model,
                 allowed="friction_model='relative'",
             )
-        if self.rope.dry_friction.any() or (self.arm is not None and self.arm.dry_friction > 0.0):
-            raise InvalidInput(
-                "contact is not there for joints with dry friction",
-                allowed="dry_friction = 0",
-                fix="Give viscous friction instead",
-            )
         if self.method != METHODS[0]:
-            raise InvalidInput("contact has a stepper of its own", got=self.method, allowed=f"method={METHODS[0]!r}")
+            raise InvalidInput(
+                "contact and joint limits have a stepper of their own",
+                got=self.method,
+                allowed=f"method={METHODS[0]!r}",
+            )
 
     def _check_drive(self) -> None:
         turning = self.motion is not None and bool((self.motion.coef[:, 0] != 0.0).any())
@@ -185,6 +184,11 @@ class Setup:
         return tuple(peg for peg in self.pegs if isinstance(peg, Peg))
 
     @property
+    def touches(self) -> bool:
+        """Whether there are pegs, or joint limits: what a run meets in impacts."""
+        return bool(self.pegs) or self.rope.limited
+
+    @property
     def pegs_turn(self) -> bool:
         """Whether a peg turns on an axle."""
         return any(peg.turns for peg in self.round_pegs)
@@ -205,7 +209,7 @@ class Setup:
         content |= {"arm_angle0": self.arm_angle0, "arm_rate0": self.arm_rate0, "rope": self.rope.table()}
         if self.arm is not None:
             content["arm"] = self.arm.table()
-        if self.pegs:
+        if self.touches:
             content |= {"contact_step": self.contact_step, "tip_force": list(self.tip_force)}
             content |= tables(self.pegs)
         for name, motion in (("motion", self.motion), ("torque", self.torque)):

@@ -7,8 +7,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.control import Caster, PumpPlan, StateSource, reach_time, swing
+from hyperflex.control import Caster, PumpPlan, reach_time, swing
 from hyperflex.control.pumping import Pump
+from hyperflex.interfaces import StateSource
 from hyperflex.model import Rope
 from hyperflex.motion import Motion
 from hyperflex.paper.casting import T_MOVE, cable, casting_arm

@@ -7,27 +7,24 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-_METRES = ((1.0, "m"), (1e-3, "mm"))
-_LADDERS: dict[str, tuple[tuple[float, str], ...]] = {
-    "length": _METRES,
-    "com": _METRES,
-    "arc": _METRES,
-    "origin_x": _METRES,
-    "origin_y": _METRES,
-    "mass": ((1.0, "kg"), (1e-3, "g"), (1e-6, "mg")),
-    "tip_mass": ((1.0, "kg"), (1e-3, "g"), (1e-6, "mg")),
-    "inertia": ((1.0, "kg m²"), (1e-3, "g m²"), (1e-6, "kg mm²"), (1e-9, "g mm²")),
-    "friction": tuple((10.0**-k, f"{prefix}N m s/rad") for k, prefix in ((0, ""), (3, "m"), (6, "µ"), (9, "n"))),
-    "dry_friction": tuple((10.0**-k, f"{prefix}N m") for k, prefix in ((0, ""), (3, "m"), (6, "µ"), (9, "n"))),
-    "stiffness": tuple((10.0**-k, f"{prefix}N m/rad") for k, prefix in ((0, ""), (3, "m"), (6, "µ"), (9, "n"))),
-    "gravity_angle": ((np.pi / 180.0, "degrees"),),
-    "delay": ((1e-3, "ms"),),
-    "J/p1": ((1.0, "m"),),  # ratios as they are compared between fits: plain
-    "c/p1": ((1.0, "m/s"),),
-    "dry/p1": ((1.0, "m/s²"),),
-    "k/p1": ((1.0, "m/s²"),),
-    "rad": ((1.0, "rad"), (1e-3, "mrad")),
-    "m": _METRES,
+from hyperflex.model.properties import PROPERTIES, RATIOS
+
+
+def _ladder(unit: str, prefixes: str) -> tuple[tuple[float, str], ...]:
+    return tuple((10.0 ** (-3 * k), f"{prefix}{unit}") for k, prefix in enumerate(("", *prefixes)))
+
+
+_LADDERS = {  # by SI unit
+    "m": _ladder("m", "m"),
+    "rad": _ladder("rad", "m"),
+    "kg": ((1.0, "kg"), (1e-3, "g"), (1e-6, "mg")),
+    "kg m^2": ((1.0, "kg m²"), (1e-3, "g m²"), (1e-6, "kg mm²"), (1e-9, "g mm²")),
+    "N m s/rad": _ladder("N m s/rad", "mµn"),
+    "N m": _ladder("N m", "mµn"),
+    "N m/rad": _ladder("N m/rad", "mµn"),
+    "kg/m^2": ((1.0, "kg/m²"), (1e-3, "g/m²"), (1e-6, "mg/m²")),
+    "angle": ((np.pi / 180.0, "degrees"),),  # of a property
+    "s": ((1e-3, "ms"),),
 }
 
 
@@ -45,12 +42,15 @@ class Unit:
 
 
 def readable(what: str, values: npt.ArrayLike) -> Unit:
-    """Return the unit that suits these values of a property, a ratio, or of a residual in ``rad`` or ``m``.
+    """Return the unit that suits these values of a property, or of a residual in ``rad`` or ``m``.
 
     The largest one in which the greatest value is at least 1, else the smallest there is; numbers without a unit keep
-    theirs.
+    theirs, and ratios, which are compared between fits, stay in SI units.
     """
-    ladder = _LADDERS.get(what, ((1.0, ""),))
+    if what in RATIOS:
+        return Unit(1.0, RATIOS[what].unit.replace("^2", "²").replace("^3", "³"))
+    unit = PROPERTIES[what].unit if what in PROPERTIES else what
+    ladder = _LADDERS.get("angle" if unit == "rad" != what else unit, ((1.0, unit),))
     sizes = np.abs(np.atleast_1d(values))
     greatest = float(sizes[np.isfinite(sizes)].max(initial=0.0))
     fitting = [step for step in ladder if greatest >= step[0]] if greatest > 0.0 else [ladder[0]]

@@ -3,6 +3,46 @@
 :func:`angles` and :class:`Slopes` give the bare arrays that identification needs.
 """
 
-from hyperflex.lazy import attach
+from __future__ import annotations
 
-__getattr__, __dir__, __all__ = attach(__name__, __file__)
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import loader
+
+if TYPE_CHECKING:
+    from hyperflex.simulation.batch.batch import Batch, simulate_batch
+    from hyperflex.simulation.batch.stepper import BatchState, BatchStepper
+    from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
+    from hyperflex.simulation.lyapunov import Predictability, predictability
+    from hyperflex.simulation.runs import angles, simulate
+    from hyperflex.simulation.sensitivity.sensitivity import Sensitivities, Slopes, sensitivities
+    from hyperflex.simulation.stability import runge_kutta_limit
+    from hyperflex.simulation.stepper import Linearization, Stepper
+
+__all__ = [
+    "Batch",
+    "BatchState",
+    "BatchStepper",
+    "Event",
+    "Linearization",
+    "Predictability",
+    "Sensitivities",
+    "Slopes",
+    "Stepper",
+    "angle_reached",
+    "angles",
+    "phase_reached",
+    "predictability",
+    "runge_kutta_limit",
+    "sensitivities",
+    "simulate",
+    "simulate_batch",
+    "tip_crosses",
+    "tip_speed_peak",
+]
+
+__getattr__ = loader(__name__, __file__)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -14,6 +14,7 @@ from hyperflex.core import status
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
+from hyperflex.simulation.arguments import setup_of
 from hyperflex.simulation.outcome import failure
 from hyperflex.simulation.rollouts import finish, limits, prepare
 from hyperflex.simulation.runs import simulate
@@ -172,7 +173,7 @@ def predictability(
     >>> bool(chaos.exponent() > 1.0), bool(chaos.horizon(1e-3) < 4.0)
     (True, True)
     """
-    setup = _setup(rope, motion, arm, duration, q0, qd0, tol)
+    setup = setup_of(rope, motion, arm, duration, q0, qd0, tol, "duration, nudges, seed, sample_time")
     count = checks.count("nudges", nudges)
     spacing = checks.number("sample_time", sample_time, sign="positive", unit="s")
     reach = setup.rope.total_length
@@ -187,28 +188,6 @@ def predictability(
             displacement[m, k] = size[m, k - 1] * moved
             size[m, k] = size[m, k - 1] * grown
     return Predictability(t, size, displacement, setup.tol)
-
-
-def _setup(
-    rope: Rope | Setup,
-    motion: Motion | None,
-    arm: Arm | None,
-    duration: float | None,
-    q0: npt.ArrayLike | None,
-    qd0: npt.ArrayLike | None,
-    tol: float,
-) -> Setup:
-    if isinstance(rope, Setup):
-        beside = {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0}
-        given = [name for name, value in beside.items() if value is not None] + ["tol"] * (tol != DEFAULT_TOL)
-        if given:
-            raise InvalidInput(
-                "arguments beside a whole set-up", got=given, allowed="duration, nudges, seed, sample_time"
-            )
-        return rope if duration is None else replace(rope, duration=duration)
-    if duration is None:
-        raise InvalidInput("duration is missing", allowed="a number > 0, in s", fix="Give duration=10.0, say")
-    return Setup(rope, motion, arm, duration=duration, q0=q0, qd0=qd0, tol=tol)  # type: ignore[arg-type]
 
 
 def _states(setup: Setup, t: Array) -> tuple[Array, Array]:

@@ -11,7 +11,8 @@ from hyperflex.errors import SimulationError
 from hyperflex.model import Setup
 from hyperflex.simulation.contact.runs import split
 from hyperflex.simulation.contact.turning_pegs import shown, spin_energy
-from hyperflex.simulation.rollouts import Rollout, balanced, final_state, least_scale, starting_clock, stored
+from hyperflex.simulation.restart import final_state, state_of
+from hyperflex.simulation.rollouts import Rollout, balanced, least_scale, starting_clock, stored
 from hyperflex.trajectory import State, Trajectory
 
 
@@ -83,20 +84,9 @@ def _balanced_rows(run: Rollout, setup: Setup) -> tuple[int, float | None]:
 
 def _state_at(run: Rollout, setup: Setup, count: int) -> State:
     """State of the last output that holds; a run that goes on from it begins anew there."""
-    n = run.chain.length.size
-    own = 1 if setup.torque_driven else 0
     row = max(count, 1) - 1
-    y = run.y[row]
-    spin = None if run.seen is None else split(run.seen[row : row + 1], n).spin[0]
-    return State(
-        t=float(run.t[row]),
-        q=y[own:n].copy(),
-        qd=y[n + own : 2 * n].copy(),
-        work=float(y[2 * n]),
-        dissipated=float(y[2 * n + 1]),
-        checkpoint={"y": y.copy(), "clock": starting_clock(float(run.t[row]))},
-        **shown(setup, spin),
-    )
+    spin = None if run.seen is None else split(run.seen[row : row + 1], run.chain.length.size).spin[0]
+    return state_of(run, setup, run.y[row], starting_clock(float(run.t[row])), spin)
 
 
 def _trajectory(run: Rollout, setup: Setup, skip: int, count: int, name: str, message: str, state: State) -> Trajectory:
@@ -152,9 +142,5 @@ def _motor_torque(setup: Setup, angle: Array, rate: Array, acceleration: Array, 
     arm = setup.arm
     if arm is None:
         return np.zeros(angle.size)
-    gx, gy = setup.rope.gravity
-    own = (arm.inertia + arm.mass * arm.com**2) * acceleration + arm.friction * rate
-    own += arm.dry_friction * np.sign(np.where(rate != 0.0, rate, acceleration))  # at rest: as it is about to move
-    weight = -arm.mass * arm.com * (gx * np.cos(angle) + gy * np.sin(angle))
     pull = arm.length * (np.cos(angle) * scalars[:, 2] + np.sin(angle) * scalars[:, 3])
-    return np.asarray(scalars[:, 4] + pull + own + weight)
+    return np.asarray(scalars[:, 4] + pull + arm.shaft_torque(setup.rope.gravity, angle, rate, acceleration))

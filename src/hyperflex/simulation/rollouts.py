@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
-import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,7 +13,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core import status
+from hyperflex.core import joint_law, status
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import TORQUE, Drive
 from hyperflex.core.integrate import rollout
@@ -26,9 +24,7 @@ from hyperflex.core.integrate.steps import scheme
 from hyperflex.core.jit import announce_compilation
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope, Setup
-from hyperflex.simulation.contact.turning_pegs import shown
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
-from hyperflex.trajectory import State
 
 # Orders that a run chooses from, step by step: seven fills four lanes without a gap, lower ones save no time, and eight
 # is worth its rounds at tight tolerances. Higher ones would outrun the polynomial between steps, and rounding.
@@ -138,69 +134,6 @@ def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until:
     return bounds
 
 
-def resume(run: Rollout, state: State, setup: Setup) -> None:
-    """Let a run go on from a saved state: bit for bit if nothing but its end has changed."""
-    n = run.chain.length.size
-    y, clock, saved = run.progress.y, run.progress.clock, state.checkpoint
-    if saved and "y" in saved and np.size(saved["y"]) != 2 * n + 2:
-        raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")
-    if saved and np.size(saved.get("clock", ())) != MARK:
-        raise InvalidInput(
-            "state was saved by another version",
-            got=np.size(saved.get("clock", ())),
-            allowed=f"a clock of {MARK} numbers",
-            fix="Give its q and qd: State(t=..., q=..., qd=...)",
-        )
-    if saved.get("fingerprint") == fingerprint(run, setup):
-        y[:], run.progress.grip[:] = saved["mark"], saved["mark_grip"]
-        clock[:MARK] = saved["mark_clock"]
-    elif saved:
-        y[:] = saved["y"]
-        clock[:MARK] = saved["clock"]
-        switched(clock)
-    else:  # made by hand: a torque-driven arm starts where the set-up says
-        own = 1 if setup.torque_driven else 0
-        y[own:n] = checks.array("state q", state.q, (n - own,), unit="rad")
-        y[n + own : 2 * n] = checks.array("state qd", state.qd, (n - own,), unit="rad/s")
-        y[2 * n :] = state.work, state.dissipated
-        clock[T], clock[STEP] = state.t, state.step or FIRST_STEP
-
-
-def final_state(run: Rollout, setup: Setup) -> State:
-    """Return where a run stands, with the mark from which it can go on bit for bit."""
-    n = run.chain.length.size
-    own = 1 if setup.torque_driven else 0
-    y, mark, grip, mark_grip, clock, _ = run.progress
-    if clock[MARK] == -np.inf:  # no step was cut: the run stands where one ended
-        mark, mark_grip, clock[MARK : 2 * MARK] = y, grip, clock[:MARK]
-    return State(
-        t=run.time,
-        q=y[own:n].copy(),
-        qd=y[n + own : 2 * n].copy(),
-        step=float(clock[STEP]),
-        work=float(y[2 * n]),
-        dissipated=float(y[2 * n + 1]),
-        checkpoint={
-            "y": y.copy(),
-            "mark": mark.copy(),
-            "mark_grip": mark_grip.copy(),
-            "mark_clock": clock[MARK : 2 * MARK].copy(),
-            "clock": clock[:MARK].copy(),
-            "fingerprint": fingerprint(run, setup),
-            **run.kept,
-        },
-        **shown(setup, run.spin),
-    )
-
-
-def fingerprint(run: Rollout, setup: Setup) -> float:
-    """Return a number that tells whether two runs integrate the same thing in the same way."""
-    digest = hashlib.sha256()
-    for part in (*run.chain, *run.drive, run.limits.tol, run.limits.fixed, setup.torque_driven):
-        digest.update(np.ascontiguousarray(part).tobytes())
-    return float(struct.unpack("<Q", digest.digest()[:8])[0] >> 11)  # 53 bits: exact as a float
-
-
 def end_at_event(run: Rollout) -> None:
     """Make the instant at which an event ended a run its last output, and the place from which it goes on."""
     done, clock = run.done, run.progress.clock
@@ -223,8 +156,44 @@ def finish(run: Rollout, report: Callable[[float], None] | None = None) -> int:
     return code
 
 
-def controlled(run: Rollout, control: Control, period: float, torque_limit: float) -> tuple[int, Array, Array]:
+class Interval:
+    """What drives a run over one interval, written in place: a polynomial for each of its channels.
+
+    They go on beyond the interval's end, so that a run that ends there sees what led to it and not a rest behind it.
+
+    Attributes
+    ----------
+    drive : Drive
+        For the kernels; its arrays follow :meth:`set`.
+    """
+
+    def __init__(self, drive: Drive) -> None:
+        self._breaks, self._coef = np.array([0.0, 1.0]), drive.coef[:1].copy()
+        breaks, coef, switch = self._breaks.view(), self._coef.view(), np.ones(2, dtype=np.bool_)
+        for array in (breaks, coef, switch):  # read-only as others are: the kernels are compiled for one kind
+            array.setflags(write=False)
+        self.drive = drive._replace(breaks=breaks, coef=coef, switch=switch, loop=-1)
+
+    def set(self, begin: float, end: float, channel: int, powers: npt.ArrayLike) -> None:
+        """Let a channel be the polynomial `powers` (6,) of the time since `begin`, s, until `end`."""
+        self._breaks[:] = begin, 2.0 * end - begin
+        self._coef[0, channel] = powers
+
+
+def controlled(
+    run: Rollout, interval: Interval, control: Control, period: float, go: Callable[[], int]
+) -> tuple[int, Array, Array]:
     """Run with a torque that `control` sets every `period`, s.
+
+    Parameters
+    ----------
+    run, interval : Rollout, Interval
+        The run is driven by the interval's drive.
+    control : callable
+        As in :func:`hyperflex.simulate`.
+    period : float
+    go : callable
+        Runs until ``run.limits.stop`` and returns the status code.
 
     Returns
     -------
@@ -233,7 +202,7 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
     times, torques : (m,) float64
         When the torque was set, s, and what it was, N m.
     """
-    n = run.chain.length.size
+    n, limit = run.chain.length.size, run.drive.torque_limit
     begin, stop, code, count = run.time, run.limits.stop, status.OK, 0
     times, torques = [], []
     while run.time < stop and code == status.OK:
@@ -242,17 +211,13 @@ def controlled(run: Rollout, control: Control, period: float, torque_limit: floa
         answer = control(now, float(y[0]), float(y[n]), y[1:n].copy(), y[n + 1 : 2 * n].copy())
         wanted = checks.number(f"torque callback at t = {now:g} s", answer, unit="N m")
         times.append(now)
-        torques.append(float(np.clip(wanted, -torque_limit, torque_limit)))
+        torques.append(float(np.clip(wanted, -limit, limit)))
         count += 1
         until = min(begin + count * period, stop)
-        coef = run.drive.coef[:1].copy()
-        coef[0, TORQUE, 0] = torques[-1]
-        breaks, switch = np.array([now, until]), np.ones(2, dtype=np.bool_)
-        for array in (breaks, coef, switch):  # read-only as others are: the kernels are compiled for one kind
-            array.setflags(write=False)
-        run.drive = run.drive._replace(breaks=breaks, coef=coef, switch=switch)
+        interval.set(now, until, TORQUE, [torques[-1], 0.0, 0.0, 0.0, 0.0, 0.0])
         run.limits = run.limits._replace(stop=until)
-        code = finish(run)
+        code = go()
+        switched(run.progress.clock)
     return code, np.array(times), np.array(torques)
 
 
@@ -263,9 +228,9 @@ def stored(chain: Chain, q: Array) -> Array:
     """
     weight = math.hypot(chain.gx, chain.gy) * first_moment(chain)
     hanging = math.atan2(chain.gx, -chain.gy) if weight.any() else 0.0
-    bend = np.diff(q, axis=-1) - chain.rest[1:]
+    bent = joint_law.spring_energy([value[1:] for value in chain.joints], np.diff(q, axis=-1))
     raised = (weight * (1.0 - np.cos(q - hanging))).sum(axis=-1)
-    return np.asarray(raised + 0.5 * (chain.stiffness[1:] * bend**2).sum(axis=-1))
+    return np.asarray(raised + bent.sum(axis=-1))
 
 
 def least_scale(rope: Rope) -> float:

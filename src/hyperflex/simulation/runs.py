@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,14 @@ from hyperflex.core.integrate.end_conditions import NEVER, Until
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion, hold
+from hyperflex.simulation.arguments import needed, output_times, whole_setup
 from hyperflex.simulation.contact.runs import beside, finer
 from hyperflex.simulation.events import Event
 from hyperflex.simulation.outcome import conclude, failure
+from hyperflex.simulation.restart import resume
 from hyperflex.simulation.rollouts import (
     Control,
+    Interval,
     Rollout,
     controlled,
     end_at_event,
@@ -30,14 +34,10 @@ from hyperflex.simulation.rollouts import (
     limits,
     prepare,
     progress_bar,
-    resume,
 )
 from hyperflex.simulation.time_budget import INTERRUPTED, OutOfPatience, impatient, too_slow
 from hyperflex.simulation.time_budget import NAME as TOO_SLOW
 from hyperflex.trajectory import State, Trajectory
-
-SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose
-MOST_OUTPUTS = 1e7  # of a run whose user has not chosen; more of them would fill the memory first
 
 
 def simulate(
@@ -110,7 +110,7 @@ def simulate(
         1e-12 s within the run's own accuracy. Steps are 10 ms at most while an event is awaited; one that comes and
         goes within such a step can be missed.
     pegs : sequence of Peg, Wall or Ground, optional
-        What the rope may touch and wind round. Events and torque callbacks are not there yet beside pegs.
+        What the rope may touch and wind round. Events are not there yet beside pegs.
     contact_step : float
         Longest step beside a peg, s. A run that goes on from a `state` takes its steps elsewhere than one that was not
         stopped, so the two agree within the accuracy of these steps only.
@@ -155,17 +155,15 @@ def simulate(
     True
     """
     control = torque if callable(torque) else None
-    if not isinstance(rope, (Rope, Setup)):
-        raise InvalidInput("rope is not a rope", got=rope, allowed="a Rope or a whole Setup")
-    if isinstance(rope, Setup):
-        setup = rope
-        _nothing_beside_setup(
-            {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "step": step, "torque": torque},
-            {"arm_angle0": arm_angle0 != 0.0, "arm_rate0": arm_rate0 != 0.0, "tol": tol != DEFAULT_TOL},
-            {"method": method != METHODS[0], "control_rate": control_rate is not None, "pegs": len(pegs) > 0},
-            {"contact_step": contact_step != DEFAULT_CONTACT_STEP, "tip_force": bool(np.any(tip_force))},
-        )
-    else:
+    setup = whole_setup(
+        rope,
+        "duration, t_eval, state, until, throw, progress",
+        {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "step": step, "torque": torque, "pegs": bool(pegs)},
+        {"arm_angle0": arm_angle0 != 0.0, "arm_rate0": arm_rate0 != 0.0, "tol": tol != DEFAULT_TOL},
+        {"method": method != METHODS[0], "control_rate": control_rate, "tip_force": bool(np.any(tip_force))},
+        {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
+    )
+    if isinstance(rope, Rope):
         if pegs and refine:
             rope, q0, qd0, state = finer(rope, tuple(pegs), arm, q0, qd0, state)
         setup = Setup(
@@ -173,7 +171,7 @@ def simulate(
             motion,
             arm,
             torque=_torque_motion(torque, control, control_rate),
-            duration=duration if duration is not None else _missing_duration(),
+            duration=needed(duration),
             q0=q0,  # type: ignore[arg-type]
             qd0=qd0,  # type: ignore[arg-type]
             arm_angle0=arm_angle0,
@@ -190,13 +188,13 @@ def simulate(
     t = output_times(t_eval, begin, begin + length)
     skip = int(t[0] > begin)  # the energy account starts where the run does, whether or not that is asked for
     chain = setup.chain()
-    bounds = limits(setup, chain, begin + length, until=_ending(until, setup, control))
+    bounds = limits(setup, chain, begin + length, until=_ending(until, setup))
     run = prepare(chain, setup.drive(), setup.start(), np.append(begin, t) if skip else t, bounds)
     if state is not None:
         resume(run, state, setup)
     try:
         if control is not None and control_rate is not None:
-            code, setup = _controlled(run, setup, control, control_rate)
+            code, setup = _controlled(run, setup, state, control, control_rate)
         else:
             code = _finished(run, setup, state, (begin, begin + length), patience, progress)
         name = status.NAMES[code]
@@ -234,8 +232,13 @@ def _finished(
 ) -> int:
     """Run to the end of a span, s, and return the status code."""
     with progress_bar(*span, progress) as bar:
-        report = impatient(bar, patience)
-        return beside(run, setup, state).finish(report) if setup.pegs else finish(run, report)
+        return runner(run, setup, state)(impatient(bar, patience))
+
+
+def runner(run: Rollout, setup: Setup, state: State | None) -> Callable[..., int]:
+    """Return what runs to the end, in contact or without: called with what to report to, it returns the code."""
+    free = not setup.touches or run.limits.until.kind != NEVER.kind
+    return partial(finish, run) if free else beside(run, setup, state).finish
 
 
 def angles(
@@ -278,29 +281,13 @@ def angles(
     return run.y[:, :n], run.y[:, n : 2 * n]
 
 
-def _ending(until: Event | None, setup: Setup, control: Control | None) -> Until:
+def _ending(until: Event | None, setup: Setup) -> Until:
     """Return what may end the run, as kernels take it."""
     if until is not None and not isinstance(until, Event):
         raise InvalidInput("until is not an event", got=until, allowed="tip_crosses(...), tip_speed_peak(...), ...")
-    if setup.pegs and (until is not None or control is not None):
-        raise InvalidInput("events and torque callbacks are not there yet beside pegs", fix="Leave out until or pegs")
+    if setup.pegs and until is not None:
+        raise InvalidInput("events are not there yet beside pegs", fix="Leave out until or pegs")
     return NEVER if until is None else until.packed(setup)
-
-
-def _nothing_beside_setup(values: dict[str, Any], *changed: dict[str, bool]) -> None:
-    given = [name for name, value in values.items() if value is not None]
-    given += [name for flags in changed for name, flag in flags.items() if flag]
-    if given:
-        raise InvalidInput(
-            "arguments beside a whole set-up",
-            got=given,
-            allowed="duration, t_eval, state, until, throw, progress",
-            fix="Put them into the set-up: dataclasses.replace(setup, ...)",
-        )
-
-
-def _missing_duration() -> float:
-    raise InvalidInput("duration is missing", allowed="a number > 0, in s", fix="Give duration=10.0, say")
 
 
 def _torque_motion(torque: Any, control: Control | None, control_rate: float | None) -> Motion | None:
@@ -321,27 +308,11 @@ def _constant_torques(times: Array, torques: Array, end: float) -> Motion:
     return Motion(breaks, coef, np.ones(breaks.size, dtype=np.bool_))
 
 
-def _controlled(run: Rollout, setup: Setup, control: Control, rate: float) -> tuple[int, Setup]:
+def _controlled(run: Rollout, setup: Setup, state: State | None, control: Control, rate: float) -> tuple[int, Setup]:
     """Run under a torque callback; the returned set-up holds the torque that was applied, for a replay."""
-    code, times, torques = controlled(run, control, 1.0 / rate, run.drive.torque_limit)
-    setup = replace(setup, torque=_constant_torques(times, torques, run.limits.stop + 1.0 / rate))
+    interval, stop = Interval(run.drive), run.limits.stop
+    run.drive = interval.drive
+    code, times, torques = controlled(run, interval, control, 1.0 / rate, runner(run, setup, state))
+    setup = replace(setup, torque=_constant_torques(times, torques, stop + 1.0 / rate))
     run.drive = setup.drive()
     return code, setup
-
-
-def output_times(t_eval: npt.ArrayLike | None, begin: float, end: float) -> Array:
-    """Check the output times (T,) of a run from `begin` to `end`, s; by default every SAMPLE_TIME and the end."""
-    if t_eval is None:
-        count = (end - begin) / SAMPLE_TIME
-        if count > MOST_OUTPUTS:
-            raise InvalidInput(
-                f"the run is so long that an output every {SAMPLE_TIME:g} s would make {count:.3g} of them",
-                got=f"{end - begin:g} s",
-                allowed=f"up to {MOST_OUTPUTS * SAMPLE_TIME:g} s without t_eval",
-                fix="Say when you want to see it: t_eval=[...]",
-            )
-        return np.append(begin + SAMPLE_TIME * np.arange(math.ceil((end - begin) / SAMPLE_TIME - 1e-9)), end)
-    t = checks.times("t_eval", t_eval)
-    if t[0] < begin or t[-1] > end:
-        raise InvalidInput("t_eval leaves the run", got=[float(t[0]), float(t[-1])], allowed=f"{begin:g} to {end:g} s")
-    return t

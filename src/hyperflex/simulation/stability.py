@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.core.chain.articulated_body import MUTUAL, Chain, mass_matrix
+from hyperflex.core import joint_law
+from hyperflex.core.chain.articulated_body import Chain, mass_matrix
 
 
 def runge_kutta_limit(chain: Chain) -> float:
@@ -22,11 +23,13 @@ def runge_kutta_limit(chain: Chain) -> float:
     mass = np.empty((n, n))
     mass_matrix(chain, np.zeros(n), mass)
     relative = np.eye(n) - np.eye(n, k=-1)
-    slope = chain.viscous
-    back = relative.T if chain.bears == MUTUAL else np.eye(n)
-    damping = back @ (slope[:, None] * relative)
+
+    def resistance(by_rate: float, by_angle: float) -> Array:
+        own, back = joint_law.slopes(chain.joints, len(chain.bears) - 1.0, by_rate, by_angle)
+        return np.asarray((np.diag(own) - np.diag(back[1:], k=1)) @ relative)
+
     weight = math.hypot(chain.gx, chain.gy) * first_moment(chain)
-    stiffness = relative.T @ (chain.stiffness[:, None] * relative) + np.diag(weight)
+    damping, stiffness = resistance(1.0, 0.0), resistance(0.0, 1.0) + np.diag(weight)
     system = np.block(
         [[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]]
     )

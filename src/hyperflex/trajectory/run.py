@@ -60,6 +60,8 @@ STATE: dict[str, tuple[tuple[str, ...], str]] = {
     "dissipated": ((), "J"),
     "peg_angle": (("peg",), "rad"),
     "peg_rate": (("peg",), "rad/s"),
+    "arm_angle": ((), "rad"),
+    "arm_rate": ((), "rad/s"),
 }
 CHECKPOINT = "checkpoint_"  # before the names of the integrator's own variables
 _AXES = "x to the right, y upwards"
@@ -84,6 +86,8 @@ class State:
         Whatever else the integrator keeps, by name; numbers and arrays survive a NetCDF file bit for bit.
     peg_angle, peg_rate : (P,) float64 or None
         Angles, rad, and rates, rad/s, of the round pegs in the order of the set-up; 0 of fixed ones. None: all 0.
+    arm_angle, arm_rate : float or None
+        Of the arm, rad and rad/s. A run whose motion is prescribed has them from its motion; None: as the set-up says.
     """
 
     t: float
@@ -95,6 +99,8 @@ class State:
     checkpoint: dict[str, Any] = field(default_factory=dict)
     peg_angle: Array | None = None
     peg_rate: Array | None = None
+    arm_angle: float | None = None
+    arm_rate: float | None = None
 
     def variables(self) -> dict[str, Variable]:
         """Return the state as variables of a file, the checkpoint's with a prefix."""

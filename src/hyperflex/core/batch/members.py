@@ -10,20 +10,20 @@ import numpy.typing as npt
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, Chain, energies, sincos
 from hyperflex.core.chain.drive import ANGLE, ROUNDING, TORQUE, X, Y, polynomial
-from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.jit import inlined, kernel
 
 
 class Members(NamedTuple):
     """What the members of a batch are made of; drives lie one after the other, member m's from first[m] on."""
 
-    links: Array  # (m, 9, n): length, mass, com, inertia, viscous, stiffness, rest, dry, lever
+    links: Array  # (m, 11, n): length, mass, com, inertia, viscous, dry, stiffness, rest, drag, max_bend, lever
     whole: Array  # (m, 5): tip mass, gravity x, y, arm length, torque limit
     start: Array  # (m, 2 n + 2) states at begin
     breaks: Array  # (sum of k + 1,), s
     coef: Array  # (sum of k + 1, 4, 6); the last row of each member is not used
     loop: npt.NDArray[np.int64]  # (m,) as in Drive
     first: npt.NDArray[np.int64]  # (m + 1,)
+    clock: Array  # (m, 3) STEP, AFTER and CHATTER of each, changed in place: a batch that goes on needs them
 
 
 class Terms(NamedTuple):
@@ -38,7 +38,8 @@ class Terms(NamedTuple):
     rounding: float  # m, as in Scheme
 
 
-LENGTH, MASS, COM, INERTIA, VISCOUS, STIFFNESS, REST, DRY, LEVER = range(9)
+# rows of ``links``: the fields of a Chain in their order, and the lever
+LENGTH, MASS, COM, INERTIA, VISCOUS, DRY, STIFFNESS, REST, DRAG, MAX_BEND, LEVER = range(11)
 TIP_MASS, GRAVITY_X, GRAVITY_Y, ARM_LENGTH, TORQUE_LIMIT = range(5)
 # a lane's clock, s: as in rollout, with the piece of the drive that holds and the step wanted next
 # RETRY: 1.0 while a step is being shortened to end at an event
@@ -54,6 +55,8 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
     k = len(ln.MEMBERS)
     n = members.links.shape[2]
     link = members.links[m]
+    for slot in (ln.DRAG, ln.FX, ln.FY, ln.S):
+        lanes[slot * k + j] = 0.0
     for i in range(n):
         row = lanes[(i + 1) * ln.ROW * k : (i + 2) * ln.ROW * k]
         ma = link[MASS, i] * link[COM, i]
@@ -65,6 +68,9 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
         row[ln.STIFFNESS * k + j] = link[STIFFNESS, i]
         row[ln.REST * k + j] = link[REST, i]
         row[ln.DRY * k + j] = link[DRY, i]
+        row[ln.DRAG * k + j] = link[DRAG, i]
+        lanes[ln.DRAG * k + j] += link[DRAG, i]
+        row[ln.EXTERNAL * k + j] = 0.0
         row[ln.GRIP * k + j] = 1.0
         row[ln.LEVER * k + j] = link[LEVER, i]
         row[ln.Q_START * k + j] = members.start[m, i]
@@ -76,7 +82,14 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
     path[GX * k + j], path[GY * k + j] = whole[GRAVITY_X], whole[GRAVITY_Y]
     energy[0], energy[1] = members.start[m, 2 * n], members.start[m, 2 * n + 1]
     lane[:] = 0.0
-    lane[TIME], lane[STEP], lane[END], lane[AFTER] = terms.begin, FIRST_STEP, terms.begin, np.inf
+    lane[TIME] = lane[END] = terms.begin
+    lane[STEP], lane[AFTER], lane[CHATTER] = members.clock[m]
+
+
+@kernel
+def save_clock(members, m, lane):  # type: ignore[no-untyped-def]
+    """Keep what member m, in the lane with the clock `lane` (CLOCK,), needs to go on."""
+    members.clock[m, 0], members.clock[m, 1], members.clock[m, 2] = lane[STEP], lane[AFTER], lane[CHATTER]
 
 
 @kernel
@@ -166,6 +179,8 @@ def chain_of(members, terms, m, gx, gy):  # type: ignore[no-untyped-def]
         link[DRY],
         link[STIFFNESS],
         link[REST],
+        link[DRAG],
+        link[MAX_BEND],
         members.whole[m, TIP_MASS],
         gx,
         gy,

@@ -31,6 +31,7 @@ from hyperflex.core.batch.members import (
     base_motion,
     enter,
     piece,
+    save_clock,
 )
 from hyperflex.core.batch.stiction import conclude, look, new_watch, settle_lane
 from hyperflex.core.chain import lanes as ln
@@ -212,13 +213,13 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
 
 
 @kernel
-def settle(terms, lane, end, size, dry):  # type: ignore[no-untyped-def]
-    """Note a step of the error `size` in the clock of a lane, `dry` or not, and choose the next; returns a code."""
+def settle(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def]
+    """Note a step of the error `size` in a lane's clock, where a chain `sticks` or not, and choose the next; a code."""
     order = terms.best.size - 1
     step = lane[WANTED]
     if size <= 1.0:
         lane[TIME] = end if step >= end - lane[TIME] else lane[TIME] + step
-        faint = dry and is_rounding(size, terms.tol, step, terms.rounding)
+        faint = sticks and is_rounding(size, terms.tol, step, terms.rounding)
         grown = MOST * step if faint else longer(step, size, lane[LAST], lane[SIZE], order)
         lane[STEP] = max(grown, lane[STEP]) if step < lane[STEP] else grown
         lane[LAST], lane[SIZE] = 0.0 if faint else step, size
@@ -255,13 +256,13 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
     member = np.full(k, -1)
     index = np.zeros(k, dtype=np.int64)
     coming = low
-    dry, watch = np.zeros(k, dtype=np.bool_), new_watch(n)
+    sticks, watch = np.zeros(k, dtype=np.bool_), new_watch(n)
     for i in range(1, n + 1):  # idle lanes are swept too: an inertia keeps their numbers finite
         lanes[(i * ln.ROW + ln.INERTIA) * k : (i * ln.ROW + ln.INERTIA + 1) * k] = 1.0
     while True:
         for j in range(k):
             if member[j] < 0 and coming < high:
-                member[j], index[j], dry[j] = coming, 0, members.links[coming, DRY].any()
+                member[j], index[j], sticks[j] = coming, 0, members.links[coming, DRY].any()
                 enter(members, terms, coming, lanes, tip, path, j, lane[j], energy[j])
                 coming += 1
         if prepare(members, terms, member, lane, index, path, t_out) == 0:
@@ -272,7 +273,7 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
                     reached[member[j] - low] = lane[j, TIME]
             return
         for j in range(k):
-            unsettled = dry[j] and member[j] >= 0 and lane[j, UNSETTLED] == 1.0
+            unsettled = sticks[j] and member[j] >= 0 and lane[j, UNSETTLED] == 1.0
             if unsettled and not settle_lane(members, terms, member[j], lanes, path, j, lane[j], watch):
                 codes[member[j] - low], reached[member[j] - low], member[j] = status.FRICTION, lane[j, TIME], -1
         extrapolate_lanes(members, terms, lane, energy, lanes, tip, path)
@@ -285,17 +286,18 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
             step, verdict = lane[j, WANTED], 0
             if lane[j, RETRY] == 1.0 and size < np.inf:
                 size = min(size, 1.0)  # its longer attempt was good
-            if dry[j] and size <= 1.0:
+            if sticks[j] and size <= 1.0:
                 verdict = look(members, terms, member[j], lanes, path, j, lane[j], watch)
                 if verdict == AGAIN:
                     continue
-            code = settle(terms, lane[j], end, size, dry[j])
+            code = settle(terms, lane[j], end, size, sticks[j])
             if code == status.OK:
                 accept(lanes, n, j, energy)
-                if dry[j]:
+                if sticks[j]:
                     conclude(lanes, n, j, lane[j], energy, step, verdict == EVENT, watch)
                 if t_out[index[j]] <= lane[j, TIME]:
                     write(lanes, n, j, energy, y_out[m, index[j]])
                     index[j] += 1
             if index[j] == t_out.size or code == status.STEP_TOO_SMALL or code == status.NOT_FINITE:
+                save_clock(members, member[j], lane[j])
                 codes[m], reached[m], member[j] = code, lane[j, TIME], -1

@@ -13,7 +13,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.core.jit import inlined, kernel
+from hyperflex.core import joint_law
+from hyperflex.core.chain.drag import air_loads
+from hyperflex.core.jit import inlined, kernel, lean, shared
 
 Array = npt.NDArray[np.float64]
 
@@ -29,10 +31,17 @@ class Chain(NamedTuple):
     dry: Array
     stiffness: Array
     rest: Array
+    drag: Array
+    max_bend: Array
     tip_mass: float
     gx: float
     gy: float
     bears: tuple[int, ...]  # as many entries as links bear a joint's friction: MUTUAL or PRINTED
+
+    @property
+    def joints(self) -> tuple[Array, Array, Array, Array]:
+        """All joints as ``joint_law`` takes them."""
+        return self.viscous, self.dry, self.stiffness, self.rest
 
 
 # The compiler knows the length of a tuple, so each friction model gets kernels of its own.
@@ -166,20 +175,12 @@ def sines(q, out, at):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def joint_torque(chain, share, i, angle, rate, h, grip):  # type: ignore[no-untyped-def]
-    """Torque of joint i at relative angle and rate, as ``link_step`` wants it; h > 0 makes it implicit over a step h.
-
-    Returns (T, T_back, kappa, kappa_back), N m and kg m^2.
-    """
-    friction = -chain.viscous[i] * rate - chain.dry[i] * grip
-    k = chain.stiffness[i]
-    spring = -k * (angle - chain.rest[i] + h * rate)
-    slope = h * chain.viscous[i]
-    soft = h * h * k
-    return friction + spring, share * friction + spring, slope + soft, share * slope + soft
+def joint_of(chain, i):  # type: ignore[no-untyped-def]
+    """Joint i as ``joint_law`` takes it."""
+    return chain.viscous[i], chain.dry[i], chain.stiffness[i], chain.rest[i]
 
 
-@kernel
+@lean
 def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ignore[no-untyped-def]
     """Angular accelerations of all links by one sweep to the motor and one back; O(n).
 
@@ -201,15 +202,15 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
     n = q.size
     share = len(chain.bears) - 1.0
     sines(q, work, 4 * n)
+    air_x, air_y, _ = air_loads(chain, w, base, work, 0, 4)
     zero = 0.0
     at = (chain.tip_mass, zero, zero, chain.tip_mass, zero, zero, zero, zero, zero, zero, zero, zero)
     for way in range(n):
         i = n - 1 - way
         angle = q[i] - (q[i - 1] if i > 0 else base[4])
         rate = w[i] - (w[i - 1] if i > 0 else base[3])
-        t, t_back, kappa, kappa_back = joint_torque(chain, share, i, angle, rate, h, grip[i])
-        if i == 0:
-            t += torque
+        t, t_back, kappa, kappa_back = joint_law.torques(joint_of(chain, i), share, angle, rate, grip[i], h)
+        t += work[4 * i] + (torque if i == 0 else 0.0)
         ma = chain.mass[i] * chain.com[i]
         link = (chain.length[i], ma, chain.inertia[i] + ma * chain.com[i], chain.mass[i])
         joint = (t, t_back, kappa, kappa_back)
@@ -221,8 +222,8 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
     px = base[0] - chain.gx
     py = base[1] - chain.gy
     up = base[2]
-    fx = at[0] * px + at[1] * py + at[4] * up + at[6]
-    fy = at[2] * px + at[3] * py + at[5] * up + at[7]
+    fx = at[0] * px + at[1] * py + at[4] * up + at[6] - air_x
+    fy = at[2] * px + at[3] * py + at[5] * up + at[7] - air_y
     moment = at[8] * px + at[9] * py + at[10] * up + at[11]
     for i in range(n):
         o = 4 * i
@@ -234,21 +235,25 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
     return fx, fy, moment
 
 
+@shared
+def can_stick(chain):  # type: ignore[no-untyped-def]
+    """Whether dry friction may hold a joint."""
+    return chain.dry.any()
+
+
 @kernel
-def friction_power(chain, w, grip, base_rate):  # type: ignore[no-untyped-def]
-    """Power that friction takes from the chain at rates w (n,), rad/s, slip senses grip (n,), and parent's rate; W."""
-    power = 0.0
+def lost_power(chain, w, grip, base, work):  # type: ignore[no-untyped-def]
+    """Power that friction and the air take from the chain, W; arguments as ``accelerations`` takes and leaves them."""
+    _, _, power = air_loads(chain, w, base, work, 0, 4)
     share = len(chain.bears) - 1.0
-    up = base_rate
+    up = base[3]
     for i in range(w.size):
-        rate = w[i] - up
-        torque = chain.viscous[i] * rate + chain.dry[i] * grip[i]
-        power += torque * (w[i] - share * up)
+        power += joint_law.power(joint_of(chain, i), share, w[i], up, grip[i])
         up = w[i]
     return power
 
 
-@kernel
+@lean
 def energies(chain, q, w, base):  # type: ignore[no-untyped-def]
     """Kinetic and potential energy (gravity and springs; zero with all at the origin), J.
 
@@ -264,8 +269,7 @@ def energies(chain, q, w, base):  # type: ignore[no-untyped-def]
         cvy = vy + a * sin * w[i]
         kinetic += 0.5 * chain.mass[i] * (cvx * cvx + cvy * cvy) + 0.5 * chain.inertia[i] * w[i] * w[i]
         potential -= chain.mass[i] * (chain.gx * (x + a * sin) + chain.gy * (y - a * cos))
-        bend = q[i] - angle - chain.rest[i]
-        potential += 0.5 * chain.stiffness[i] * bend * bend
+        potential += joint_law.spring_energy(joint_of(chain, i), q[i] - angle)
         x += chain.length[i] * sin
         y -= chain.length[i] * cos
         vx += chain.length[i] * cos * w[i]
@@ -276,7 +280,7 @@ def energies(chain, q, w, base):  # type: ignore[no-untyped-def]
     return kinetic, potential
 
 
-@kernel
+@lean
 def mass_matrix(chain, q, out):  # type: ignore[no-untyped-def]
     """Mass matrix (n, n) in absolute angles: M_ij = l_i p_j cos(q_i - q_j), i < j (M.4); kg m^2, written to `out`."""
     n = q.size

@@ -20,7 +20,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import link_step, mutual, sincos
+from hyperflex.core.chain.drag import link_drag
 from hyperflex.core.jit import inlined, kernel
 
 COLUMNS = (0,) * 4
@@ -36,13 +38,15 @@ GRIP, Q, W, SIN, COS, RD, EX, EY, KD, INV, STEP = range(8, 19)
 AXX, AXY, AYX, AYY, FX, FY, BX, BY, UX, UY, S, BETA = range(19, 31)
 # on the way back: acceleration of the far joint (less gravity), and of the link; `advance` hands them on
 PX, PY, ALPHA = range(31, 34)
-# friction work of a step, summed up from the tip; torque on link 0; of the lane as a whole, in row 0: work and loss
+# friction work of a step, summed up from the tip; torque of air and motor on the link; of the lane as a whole, in row
+# 0: work and loss
 DISSIPATED, EXTERNAL, WORK, LOST = range(34, 38)
 # extrapolation with whole rollouts in the lanes: state at the start, result and error estimate, lever of the link;
 # in the last row: error of the joint's position and velocity, and the largest squares of both so far
 Q_START, W_START, SIN_START, COS_START, Q_SUM, W_SUM, Q_GAP, W_GAP, LEVER = range(38, 47)
 ERR_X, ERR_Y, ERR_VX, ERR_VY, WORST, WORST_V = range(47, 53)
-ROW = 53
+DRAG = 53  # of the link; in row 0 more than 0.0 where any link of the lane has drag
+ROW = 54
 UP, AT, DOWN = 0, ROW, 2 * ROW
 
 
@@ -66,7 +70,7 @@ def rows(width, n):  # type: ignore[no-untyped-def]
 
 @kernel
 def load(width, chain, lanes, tip):  # type: ignore[no-untyped-def]
-    """Copy the parameters of one chain into every lane."""
+    """Copy the parameters of one chain into every lane of ``rows``."""
     k = len(width)
     n = chain.length.size
     for i in range(n):
@@ -81,6 +85,8 @@ def load(width, chain, lanes, tip):  # type: ignore[no-untyped-def]
             row[STIFFNESS * k + j] = chain.stiffness[i]
             row[REST * k + j] = chain.rest[i]
             row[DRY * k + j] = chain.dry[i]
+            row[DRAG * k + j] = chain.drag[i]
+            lanes[DRAG * k + j] += chain.drag[i]
             row[GRIP * k + j] = 1.0
     for j in range(k):
         tip[MASS * k + j] = chain.tip_mass
@@ -96,18 +102,24 @@ def set_grip(width, lanes, grip):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def joint_in(row, k, j):  # type: ignore[no-untyped-def]
+    """Joint of a link as ``joint_law`` takes it."""
+    return (
+        row[(AT + VISCOUS) * k + j],
+        row[(AT + DRY) * k + j],
+        row[(AT + STIFFNESS) * k + j],
+        row[(AT + REST) * k + j],
+    )
+
+
+@inlined
 def load_joint(row, k, j, h, external, share):  # type: ignore[no-untyped-def]
     """Torque and slope of a link's joint as ``link_step`` takes them, and the friction work of the step."""
-    stiffness = row[(AT + STIFFNESS) * k + j]
-    w = row[(AT + W) * k + j]
-    rate = w - row[(UP + W) * k + j]
-    bend = row[(AT + Q) * k + j] - row[(UP + Q) * k + j] - row[(AT + REST) * k + j]
-    spring = -stiffness * (bend + h * rate)
-    friction = -row[(AT + VISCOUS) * k + j] * rate - row[(AT + DRY) * k + j] * row[(AT + GRIP) * k + j]
-    slope = h * row[(AT + VISCOUS) * k + j]
-    soft = h * h * stiffness
-    joint = (friction + spring + external, share * friction + spring, slope + soft, share * slope + soft)
-    return joint, h * friction * (w - share * row[(UP + W) * k + j])
+    joint, grip = joint_in(row, k, j), row[(AT + GRIP) * k + j]
+    w, up = row[(AT + W) * k + j], row[(UP + W) * k + j]
+    angle = row[(AT + Q) * k + j] - row[(UP + Q) * k + j]
+    t, t_back, kappa, kappa_back = joint_law.torques(joint, share, angle, w - up, grip, h)
+    return (t + external, t_back, kappa, kappa_back), h * joint_law.power(joint, share, w, up, grip)
 
 
 @inlined
@@ -149,6 +161,44 @@ def store_answer(row, k, j, share, at, answer):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def air(width, lanes, base):  # type: ignore[no-untyped-def]
+    """Add the torques of the air to EXTERNAL of the links, (M.32); its force and power go to FX, FY and S of row 0.
+
+    `base` (9, k) as in :func:`euler`. Velocities of the joints pass through PX and PY, forces through BX, BY and BETA.
+    """
+    k = len(width)
+    n = lanes.size // (ROW * k) - 2
+    for j in range(k):
+        lanes[PX * k + j] = base[5, j]
+        lanes[PY * k + j] = base[6, j]
+    for i in range(1, n + 1):
+        row = lanes[(i - 1) * ROW * k : (i + 1) * ROW * k]
+        for j in range(k):
+            turn = row[(AT + LENGTH) * k + j] * row[(AT + W) * k + j]
+            row[(AT + PX) * k + j] = row[(UP + PX) * k + j] + turn * row[(AT + COS) * k + j]
+            row[(AT + PY) * k + j] = row[(UP + PY) * k + j] + turn * row[(AT + SIN) * k + j]
+    for way in range(n):
+        i = n - way
+        first = 1.0 if i == 1 else 0.0
+        row = lanes[(i - 1) * ROW * k : (i + 2) * ROW * k]
+        for j in range(k):
+            sin, cos = row[(AT + SIN) * k + j], row[(AT + COS) * k + j]
+            length, w = row[(AT + LENGTH) * k + j], row[(AT + W) * k + j]
+            across = row[(UP + PX) * k + j] * cos + row[(UP + PY) * k + j] * sin
+            force, moment = link_drag(row[(AT + DRAG) * k + j], length, across, length * w)
+            fx, fy = row[(DOWN + BX) * k + j], row[(DOWN + BY) * k + j]
+            torque = length * (cos * fx + sin * fy) - moment
+            row[(AT + EXTERNAL) * k + j] = torque + first * row[(AT + EXTERNAL) * k + j]
+            row[(AT + BX) * k + j] = fx - force * cos
+            row[(AT + BY) * k + j] = fy - force * sin
+            row[(AT + BETA) * k + j] = row[(DOWN + BETA) * k + j] + force * across + moment * w
+    for j in range(k):
+        lanes[FX * k + j] = lanes[(ROW + BX) * k + j]
+        lanes[FY * k + j] = lanes[(ROW + BY) * k + j]
+        lanes[S * k + j] = lanes[(ROW + BETA) * k + j]
+
+
+@kernel
 def sweep(width, bears, lanes, tip):  # type: ignore[no-untyped-def]
     """From tip to motor: the answer of the chain at each joint (M.8)-(M.13), and the friction work of the step.
 
@@ -164,13 +214,12 @@ def sweep(width, bears, lanes, tip):  # type: ignore[no-untyped-def]
         tip[DISSIPATED * k + j] = 0.0
     for way in range(n):
         i = n - way
-        first = 1.0 if i == 1 else 0.0  # link 0 bears the external torque
         row = lanes[(i - 1) * ROW * k : (i + (1 if one_place else 2)) * ROW * k]
         answers = tip if one_place else row
         far, near = (0, 0) if one_place else (DOWN, AT)
         for j in range(k):
             h = answers[(far + STEP) * k + j]
-            joint, lost = load_joint(row, k, j, h, first * answers[(far + EXTERNAL) * k + j], share)
+            joint, lost = load_joint(row, k, j, h, row[(AT + EXTERNAL) * k + j], share)
             link = (
                 row[(AT + LENGTH) * k + j],
                 row[(AT + MA) * k + j],
@@ -188,11 +237,10 @@ def sweep(width, bears, lanes, tip):  # type: ignore[no-untyped-def]
             row[(AT + EX) * k + j] = back[1]
             row[(AT + EY) * k + j] = back[2]
             row[(AT + KD) * k + j] = back[3]
-            answers[(near + DISSIPATED) * k + j] = answers[(far + DISSIPATED) * k + j] - lost
+            answers[(near + DISSIPATED) * k + j] = answers[(far + DISSIPATED) * k + j] + lost
             if not one_place:
                 row[(AT + INV) * k + j] = back[4]
                 row[(AT + STEP) * k + j] = h
-                row[(AT + EXTERNAL) * k + j] = row[(DOWN + EXTERNAL) * k + j]
 
 
 @kernel
@@ -248,6 +296,9 @@ def euler(width, bears, more, lanes, tip, base):  # type: ignore[no-untyped-def]
     for j in range(k):
         top[W * k + j] = base[3, j]
         top[Q * k + j] = base[4, j]
+        lanes[(ROW + EXTERNAL) * k + j] = tip[EXTERNAL * k + j]
+    if top[DRAG * k : (DRAG + 1) * k].any():
+        air(width, lanes, base)
     sweep(width, bears, lanes, tip)
     one_place = k > len(COLUMNS)
     answers = tip if one_place else lanes[ROW * k : 2 * ROW * k]
@@ -258,12 +309,13 @@ def euler(width, bears, more, lanes, tip, base):  # type: ignore[no-untyped-def]
         py = base[1, j]
         up = base[2, j]
         axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = load_answer(answers, k, j, len(bears) - 1.0, 0)
-        fx = axx * px + axy * py + fx * up + bx
-        fy = ayx * px + ayy * py + fy * up + by
+        fx = axx * px + axy * py + fx * up + bx - top[FX * k + j]
+        fy = ayx * px + ayy * py + fy * up + by - top[FY * k + j]
         moment = ux * px + uy * py + s * up + beta
-        power = fx * base[5, j] + fy * base[6, j] + moment * base[3, j] + answers[EXTERNAL * k + j] * row[W * k + j]
-        top[WORK * k + j] += answers[STEP * k + j] * power
-        top[LOST * k + j] += answers[DISSIPATED * k + j]
+        power = fx * base[5, j] + fy * base[6, j] + moment * base[3, j] + tip[EXTERNAL * k + j] * row[W * k + j]
+        h = answers[STEP * k + j]
+        top[WORK * k + j] += h * power
+        top[LOST * k + j] += answers[DISSIPATED * k + j] + h * top[S * k + j]
         start[PX * k + j] = px
         start[PY * k + j] = py
         start[ALPHA * k + j] = up

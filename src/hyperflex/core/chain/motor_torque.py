@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperflex.core.chain.articulated_body import accelerations
+from hyperflex.core.chain.articulated_body import accelerations, can_stick
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.jit import kernel
 from hyperflex.core.stiction.constraint_torques import bench
@@ -15,7 +15,7 @@ from hyperflex.core.stiction.slip_modes import decide
 def senses(chain, drive, t, y, grip):  # type: ignore[no-untyped-def]
     """Sense in which each joint slips, 1.0 or -1.0, or 0.0 where it sticks, to `grip` (m, n); t (m,), y (m, 2 n)."""
     n = chain.length.size
-    has_dry = chain.dry.any()
+    sticks = can_stick(chain)
     base, room = np.empty(9), bench(n)
     for k in range(t.size):
         torque = base_state(drive, segment(drive, t[k]), t[k], base)
@@ -23,7 +23,7 @@ def senses(chain, drive, t, y, grip):  # type: ignore[no-untyped-def]
         for i in range(n):
             grip[k, i] = -1.0 if y[k, n + i] < up else 1.0
             up = y[k, n + i]
-        if has_dry:
+        if sticks:
             decide(chain, y[k, :n], y[k, n : 2 * n], base[:7], torque, 1.0, grip[k], room)
 
 

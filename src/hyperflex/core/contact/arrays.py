@@ -1,4 +1,4 @@
-"""Arrays of the search for contact modes: impulses of the contacts, and the motion that they change."""
+"""Arrays of the search for modes: impulses of contacts and of joints, and the motion that they change."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.gaps import Index
 from hyperflex.core.jit import kernel
 
-OPEN, STICK, AHEAD, BACK = range(4)  # modes; the last two: the rope slips along the tangent, or against it
+# Modes. AHEAD, BACK: the rope slips along the tangent, or against it; a joint turns in the positive sense, or against
+# it. UPPER, LOWER: a joint is held at a limit.
+OPEN, STICK, AHEAD, BACK, UPPER, LOWER = range(6)
 
 
 class Impulses(NamedTuple):
@@ -31,6 +33,22 @@ class Impulses(NamedTuple):
     closed: Index  # how often each closed in this search
     heavy: Array  # (1,) kg, mass M with which the search starts, then that for the next one; 0: the usual one
     gift: float  # W, power that residual velocities may have
+
+
+class Joints(NamedTuple):
+    """Joints with dry friction or limits. Few arrays: kernels copy what they are called with, word by word."""
+
+    which: Index  # (k,) the joints
+    mode: Index  # (n,)
+    good_mode: Index  # (n,) of the last solution found
+    of: Array  # (ROWS, n) see the names below
+
+
+# Rows of Joints.of, by joint. IMPULSE: of friction and limit together, N m s. START: where the proximal method starts
+# from; GOOD: that of the last solution found. BOUND: what dry friction bears in the step, N m s. LOWEST, HIGHEST: the
+# relative rate after the step may be between these, rad/s. BEFORE, AFTER: relative rates, rad/s. LEVER: length of the
+# chain beyond the joint, m. FREE, FREE + 1: as ``Motion.joint``, without friction and limits.
+IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, FREE, ROWS = *range(10), 11
 
 
 class Motion(NamedTuple):
@@ -73,6 +91,20 @@ def new_impulses(most, gift):  # type: ignore[no-untyped-def]
         np.zeros(1),
         gift,
     )
+
+
+@kernel
+def new_joints(chain):  # type: ignore[no-untyped-def]
+    """The joints of a chain that have dry friction or limits."""
+    n = chain.length.size
+    which, of, count, beyond = np.zeros(n, np.int64), np.zeros((ROWS, n)), 0, 0.0
+    for i in range(n):
+        if chain.dry[i] > 0.0 or chain.max_bend[i] < np.inf:
+            which[count] = i
+            count += 1
+        beyond += chain.length[n - 1 - i]
+        of[LEVER, n - 1 - i] = beyond
+    return Joints(which[:count].copy(), np.zeros(n, np.int64), np.zeros(n, np.int64), of)
 
 
 @kernel

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.step import Kept
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import lean
 
 MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they would be mostly rounding
 SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step however short: rounding of large forces
@@ -15,8 +15,9 @@ LOSS = 10.0  # how many times more energy may vanish in a step than appear
 # T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
 # found that obey the law. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest
 # penetration, m. FORCED: steps taken though their energy rose by more than is allowed. APPEARED: energy that came from
-# nowhere, J. DUE: 1.0 where a link touches and an impact is due.
-T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST, DEEPEST, FORCED, APPEARED, DUE, CLOCK = range(13)
+# nowhere, J. DUE: 1.0 where a link touches, or a joint its limit, and an impact is due. BENT: greatest angle of a joint
+# past its limit, rad.
+T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST, DEEPEST, FORCED, APPEARED, DUE, BENT, CLOCK = range(14)
 
 
 class Bounds(NamedTuple):
@@ -26,6 +27,7 @@ class Bounds(NamedTuple):
     step: float  # s, longest step
     rate: float  # W, at which energy may appear from nowhere
     clear: float  # m, smallest gap at which the rope has left the pegs
+    slack: float  # rad, smallest gap, by the present rates, at which joints have left their limits
     budget: int  # steps of one call
 
 
@@ -38,13 +40,13 @@ class Course(NamedTuple):
     kept: Kept
 
 
-@kernel
+@lean
 def allowance(bounds, h):  # type: ignore[no-untyped-def]
     """Energy that may appear from nowhere in a step, J."""
     return bounds.rate * max(h, SLIGHT) + ROUNDING
 
 
-@kernel
+@lean
 def balanced(surplus, allowed):  # type: ignore[no-untyped-def]
     """Whether the energy that appears from nowhere in a step, J, or vanishes where it is negative, may do so."""
     return -LOSS * allowed <= surplus <= allowed

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, lean
 
 Index = npt.NDArray[np.int64]
 NOWHERE = 1e9  # m, gap of what cannot touch
@@ -67,7 +67,7 @@ def new_contacts(most):  # type: ignore[no-untyped-def]
     )
 
 
-@kernel
+@lean
 def joints(chain, trig, x0, y0, out):  # type: ignore[no-untyped-def]
     """Positions of the joints, m: ``out`` (2, n + 1), from the first at (x0, y0); `trig` (2 n,) sines, cosines."""
     n = chain.length.size
@@ -77,7 +77,7 @@ def joints(chain, trig, x0, y0, out):  # type: ignore[no-untyped-def]
         out[1, i + 1] = out[1, i] - chain.length[i] * trig[n + i]
 
 
-@kernel
+@lean
 def closest(link, x, y):  # type: ignore[no-untyped-def]
     """Closest point of a link to the point (x, y): distance along the link, m; distance, m; unit vector to it.
 
@@ -93,7 +93,7 @@ def closest(link, x, y):  # type: ignore[no-untyped-def]
     return s, size, dx / size, dy / size
 
 
-@kernel
+@lean
 def joint_gap(link, obstacle):  # type: ignore[no-untyped-def]
     """Gap between the joint at the end of a link and a face, m, and the unit vector from the face to the joint."""
     x, y, ux, uy, span, reach = obstacle
@@ -107,7 +107,7 @@ def joint_gap(link, obstacle):  # type: ignore[no-untyped-def]
     return across - reach, -uy, ux
 
 
-@kernel
+@lean
 def nearest(link, obstacle):  # type: ignore[no-untyped-def]
     """Point of a link that may touch an obstacle: distance along the link, m; gap, m; unit vector to it.
 
@@ -121,7 +121,7 @@ def nearest(link, obstacle):  # type: ignore[no-untyped-def]
     return s, size - obstacle[5], nx, ny
 
 
-@kernel
+@lean
 def corner(q, i):  # type: ignore[no-untyped-def]
     """Factor on the friction of link i, which stands for the arc between the middles of its two corners.
 
@@ -138,7 +138,7 @@ def corner(q, i):  # type: ignore[no-untyped-def]
     return 1.0 if turn < 1e-6 else turn / math.sin(turn)
 
 
-@kernel
+@lean
 def find(chain, pegs, q, trig, place, margin, found):  # type: ignore[no-untyped-def]
     """Collect the pairs of a link and a peg whose gap is below `margin` (n,), m, into the Contacts `found`.
 
@@ -170,7 +170,7 @@ def find(chain, pegs, q, trig, place, margin, found):  # type: ignore[no-untyped
     return least
 
 
-@kernel
+@lean
 def speeds(chain, trig, w, vx, vy, out):  # type: ignore[no-untyped-def]
     """Velocities of the joints, m/s: ``out`` (2, n + 1), from that of the first, (vx, vy); `trig` as in ``joints``."""
     n = w.size

@@ -1,4 +1,4 @@
-"""Which contacts are open, stick or slip, and the impulses that go with it: Coulomb's law with true stick.
+"""Which contacts and joints are open, stick or slip, and the impulses that go with it: Coulomb's law with true stick.
 
 A wrapped rope that sticks is hyperstatic: many impulses give the same motion. The proximal method (an augmented
 Lagrangian) takes those nearest to the last step's, P = P0 - M v with a mass M far above the rope's, and projects them
@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 
-from hyperflex.core.contact.arrays import AHEAD, BACK, OPEN, STICK
+from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
+from hyperflex.core.contact.joints import judge_joints, let_go, proceed_joints, put_joints
 from hyperflex.core.contact.point import hold, velocity
 from hyperflex.core.contact.sweep import changes, clear
 from hyperflex.core.contact.turning_pegs import turn_pegs
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import lean
 
 STIFF = 1e3  # M in masses of the whole rope
 SOFTER, GROW, STIFFEST = 0.1, 10.0, 1e6  # where that is too stiff to find modes, and where too soft for small residuals
@@ -31,10 +32,11 @@ RECOVERING = 1.3  # growth of M from one step to the next, after one that took a
 INSTANT = 1e-6  # s, an impact may give as much as a step of this length
 
 
-@kernel
-def put(found, impulses, motion, heavy):  # type: ignore[no-untyped-def]
-    """Write the contacts, with their present modes, to ``motion.touch``; `heavy` is M, kg."""
+@lean
+def put(found, impulses, motion, held, heavy):  # type: ignore[no-untyped-def]
+    """Write contacts and joints, in their present modes, to ``motion.touch`` and ``motion.joint``; `heavy` is M, kg."""
     n = motion.w.size
+    put_joints(motion, held, heavy)
     for c in range(found.total[0]):
         if impulses.mode[c] == OPEN:
             continue
@@ -47,14 +49,14 @@ def put(found, impulses, motion, heavy):  # type: ignore[no-untyped-def]
         hold(found, impulses, motion, c, heavy, pn, pt)
 
 
-@kernel
-def judge_modes(found, impulses, motion, spin, heavy, change):  # type: ignore[no-untyped-def]
+@lean
+def judge_modes(found, impulses, motion, held, spin, heavy, change):  # type: ignore[no-untyped-def]
     """Read velocities and impulses off the changes of the rates; with `change`, change the modes that break the law.
 
     What slips sticks again where P0 - M v is back inside the cone, by the same measure by which what sticks leaves it:
     were it asked whether the velocity turns, P0 outside the cone would let neither hold. Returns how many broke it.
     """
-    broke = 0
+    broke = judge_joints(motion, held, heavy, change)
     for c in range(found.total[0]):
         vn, vt = velocity(found, motion, c)
         vt -= spin.reach[found.peg[c]] * spin.after[found.peg[c]]
@@ -92,7 +94,7 @@ def judge_modes(found, impulses, motion, spin, heavy, change):  # type: ignore[n
     return broke
 
 
-@kernel
+@lean
 def centrifugal(chain, motion, h, gx, gy):  # type: ignore[no-untyped-def]
     """Centrifugal terms at the mean of the rates before and after, and what ``motion.turned`` makes up for.
 
@@ -114,10 +116,10 @@ def centrifugal(chain, motion, h, gx, gy):  # type: ignore[no-untyped-def]
     return moved / (1.0 + largest)
 
 
-@kernel
-def round_of(chain, found, impulses, motion, spin, heavy, change):  # type: ignore[no-untyped-def]
+@lean
+def round_of(chain, found, impulses, motion, held, spin, heavy, change):  # type: ignore[no-untyped-def]
     """Solve for the changes of the rates with the present modes; then as ``judge_modes``, whose answer it returns."""
-    put(found, impulses, motion, heavy)
+    put(found, impulses, motion, held, heavy)
     fx, fy, moment = changes(
         chain,
         motion.trig,
@@ -132,20 +134,20 @@ def round_of(chain, found, impulses, motion, spin, heavy, change):  # type: igno
     )
     motion.load[0], motion.load[1], motion.load[2] = fx, fy, moment
     if spin.which.size > 0:
-        turn_pegs(chain, found, impulses, motion, spin, heavy)
+        turn_pegs(chain, found, impulses, motion, held, spin, heavy)
     clear(motion.touch, found.link, found.total[0])
-    return judge_modes(found, impulses, motion, spin, heavy, change)
+    return judge_modes(found, impulses, motion, held, spin, heavy, change)
 
 
-@kernel
-def search(chain, found, impulses, motion, spin, h, heavy):  # type: ignore[no-untyped-def]
+@lean
+def search(chain, found, impulses, motion, held, spin, h, heavy):  # type: ignore[no-untyped-def]
     """Find modes that obey the law for one M = `heavy`, kg; returns the rounds, negative if there are too many."""
     settled = SETTLED * max(0.1, min(1.0, h / USUAL))
     for c in range(found.total[0]):
         impulses.closed[c] = 0
     for turn in range(ROUNDS):
         moved = centrifugal(chain, motion, h, chain.gx, chain.gy)
-        broke = round_of(chain, found, impulses, motion, spin, heavy, True)
+        broke = round_of(chain, found, impulses, motion, held, spin, heavy, True)
         if broke == 0 and moved <= settled:
             return turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
@@ -154,30 +156,34 @@ def search(chain, found, impulses, motion, spin, h, heavy):  # type: ignore[no-u
     return -ROUNDS
 
 
-@kernel
-def store(found, impulses):  # type: ignore[no-untyped-def]
-    """Remember where the proximal method starts from, and the modes."""
+@lean
+def store(found, impulses, held):  # type: ignore[no-untyped-def]
+    """Remember where the proximal method starts from, and the modes; `held` are the Joints."""
+    for i in held.which:
+        held.good_mode[i], held.of[GOOD, i] = held.mode[i], held.of[START, i]
     for c in range(found.total[0]):
         impulses.good_mode[c] = impulses.mode[c]
         impulses.good_normal[c], impulses.good_tangent[c] = impulses.normal0[c], impulses.tangent0[c]
 
 
-@kernel
-def restore(found, impulses):  # type: ignore[no-untyped-def]
+@lean
+def restore(found, impulses, held):  # type: ignore[no-untyped-def]
     """Go back to what was stored last."""
+    for i in held.which:
+        held.mode[i], held.of[START, i] = held.good_mode[i], held.of[GOOD, i]
     for c in range(found.total[0]):
         impulses.mode[c] = impulses.good_mode[c]
         impulses.normal0[c], impulses.tangent0[c] = impulses.good_normal[c], impulses.good_tangent[c]
 
 
-@kernel
-def proceed(found, impulses, heavy):  # type: ignore[no-untyped-def]
+@lean
+def proceed(found, impulses, held, heavy):  # type: ignore[no-untyped-def]
     """Store a solution for M = `heavy`, kg, and let the next one start from it.
 
     Returns its residual, m/s, and the energy that the residual stands for, J.
     """
-    store(found, impulses)
-    worst = given = 0.0
+    store(found, impulses, held)
+    worst, given = proceed_joints(held, heavy)
     for c in range(found.total[0]):
         pn, pt = impulses.normal[c], impulses.tangent[c]
         if impulses.mode[c] != OPEN:
@@ -194,8 +200,8 @@ def proceed(found, impulses, heavy):  # type: ignore[no-untyped-def]
     return worst, given
 
 
-@kernel
-def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-untyped-def]
+@lean
+def solve(chain, found, impulses, motion, held, spin, h, whole):  # type: ignore[no-untyped-def]
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 
     Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
@@ -205,7 +211,7 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
 
     Parameters
     ----------
-    chain, found, impulses, motion, spin : Chain, Contacts, Impulses, Motion, Spin
+    chain, found, impulses, motion, held, spin : Chain, Contacts, Impulses, Motion, Joints, Spin
     h : float, step, s
     whole : float, mass of the rope, kg
 
@@ -213,15 +219,15 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
     -------
     int : rounds, negative if the law is not obeyed to within SLIGHT.
     """
-    store(found, impulses)
+    store(found, impulses, held)
     heavy = impulses.heavy[0] if impulses.heavy[0] > 0.0 else STIFF * whole
     last, residual, given = 0.0, math.inf, math.inf
     total, again, rounds = 0, AGAIN, 0
     for _ in range(TRIES):
-        rounds = search(chain, found, impulses, motion, spin, h, heavy)
+        rounds = search(chain, found, impulses, motion, held, spin, h, heavy)
         total += abs(rounds)
         if rounds < 0:
-            restore(found, impulses)
+            restore(found, impulses, held)
             if last == 0.0:
                 heavy = SOFTER * min(whole, heavy)
                 continue
@@ -229,7 +235,7 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
                 break
             heavy = math.sqrt(heavy * last)
             continue
-        (residual, given), last = proceed(found, impulses, heavy), heavy
+        (residual, given), last = proceed(found, impulses, held, heavy), heavy
         if residual > SLIGHT:
             heavy = min(GROW * heavy, STIFFEST * whole)
             continue
@@ -238,13 +244,14 @@ def solve(chain, found, impulses, motion, spin, h, whole):  # type: ignore[no-un
             break
         heavy = max(heavy, min(GROW * heavy, STIFF * whole))
     if rounds < 0:
-        restore(found, impulses)
-        for c in range(found.total[0]):
-            if last == 0.0:  # nothing was found at all: let go
+        restore(found, impulses, held)
+        if last == 0.0:  # nothing was found at all: let go
+            let_go(held)
+            for c in range(found.total[0]):
                 impulses.mode[c] = OPEN
         motion.change[:] = 0.0
         for _ in range(SETTLING):
             centrifugal(chain, motion, h, chain.gx, chain.gy)
-            round_of(chain, found, impulses, motion, spin, last if last > 0.0 else heavy, False)
+            round_of(chain, found, impulses, motion, held, spin, last if last > 0.0 else heavy, False)
     impulses.heavy[0] = min(RECOVERING * last, STIFF * whole)
     return total if residual <= SLIGHT else -total

@@ -6,10 +6,10 @@ from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import INDEX, LOST, MOMENT, T, allowance, balanced
 from hyperflex.core.contact.step import CONTACT, FRICTION, WORK, attempt, energy
 from hyperflex.core.contact.turning_pegs import turning_energy
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import lean
 
 
-@kernel
+@lean
 def part_way(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, x, had):  # type: ignore[no-untyped-def]
     """Take the part x of the step of the desk to the desk `aside`; False if the run would not take such a step.
 
@@ -18,7 +18,10 @@ def part_way(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, x, 
     """
     if x * h <= MOMENT:
         return False
-    aside.trend[:], aside.spin.before[:] = desk.trend, desk.spin.before
+    for i in range(aside.trend.size):
+        aside.trend[i] = desk.trend[i]
+    for p in range(aside.spin.before.size):
+        aside.spin.before[p] = desk.spin.before[p]
     t, y = course.clock[T], course.y
     _, rounds = attempt(chain, drive, part, pegs, pull, t, x * h, y, course.kept, aside, True, 0.0, True)
     taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]
@@ -26,7 +29,7 @@ def part_way(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, x, 
     return rounds > 0 and balanced(has - had + taken, allowance(bounds, h))
 
 
-@kernel
+@lean
 def put_down(desk, h, x, course, k, y_out, seen_out):  # type: ignore[no-untyped-def]
     """Write the part x of the step on the desk, of length h, as output k: rates straight between its ends."""
     y, clock, change = course.y, course.clock, desk.motion.change
@@ -44,7 +47,7 @@ def put_down(desk, h, x, course, k, y_out, seen_out):  # type: ignore[no-untyped
         seen_out[k, o + m + p] = desk.spin.before[p] + x * more
 
 
-@kernel
+@lean
 def write(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, had, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
     """Write the outputs within the step to ``desk.out``, which had the energy `had` before it, J."""
     clock = course.clock
@@ -59,7 +62,7 @@ def write(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, had, t
         clock[INDEX] += 1
 
 
-@kernel
+@lean
 def see(desk, h, out):  # type: ignore[no-untyped-def]
     """Means over a step, to the first 3 n + 3 entries of ``out``.
 

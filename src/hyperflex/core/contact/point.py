@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from hyperflex.core.contact.arrays import AHEAD, STICK
 from hyperflex.core.contact.sweep import add_contact
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import lean
 
 
-@kernel
+@lean
 def hold(found, impulses, motion, c, heavy, pn, pt):  # type: ignore[no-untyped-def]
     """Add contact c, in its present mode, to ``motion.touch``: impulses pn, pt, N s, at rest; `heavy` is M, kg.
 
@@ -26,13 +26,13 @@ def hold(found, impulses, motion, c, heavy, pn, pt):  # type: ignore[no-untyped-
         add_contact(motion.touch, i, s, sin, cos, b, (pn * fx, pn * fy))
 
 
-@kernel
+@lean
 def drag_of(found, impulses, c):  # type: ignore[no-untyped-def]
     """Tangential impulse of a contact that slips, in parts of the normal one."""
     return -found.mu[c] if impulses.mode[c] == AHEAD else found.mu[c]
 
 
-@kernel
+@lean
 def velocity(found, motion, c):  # type: ignore[no-untyped-def]
     """Velocity of the point of contact c after the step, m/s: along its normal, and along its tangent."""
     n = motion.w.size

@@ -12,6 +12,7 @@ from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import (
     APPEARED,
+    BENT,
     DEEPEST,
     DUE,
     FORCED,
@@ -28,6 +29,7 @@ from hyperflex.core.contact.bounds import (
     balanced,
 )
 from hyperflex.core.contact.gaps import find, joints, new_contacts, speeds
+from hyperflex.core.contact.joints import BEYOND, room_to_bend
 from hyperflex.core.contact.output import write
 from hyperflex.core.contact.step import (
     CONTACT,
@@ -41,7 +43,7 @@ from hyperflex.core.contact.step import (
 )
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.integrate.step_size import fitted
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, lean
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
@@ -53,7 +55,7 @@ DEEPER = 5e-5  # m, penetration at which a step is tried again at half its lengt
 SINKING = 1.02  # times the greatest depth until then, which a step may have: what sinks slowly sinks at any step
 
 
-@kernel
+@lean
 def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
     """Take the step to ``desk.out``."""
     y, clock, account = course.y, course.clock, desk.account
@@ -64,6 +66,7 @@ def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
     y[2 * n + 1] += account[FRICTION] + account[CONTACT]
     clock[LOST] += account[CONTACT]
     clock[DEEPEST] = max(clock[DEEPEST], -least)
+    clock[BENT] = max(clock[BENT], -desk.bend[0])
     clock[TAKEN] += 1.0
     if rounds < 0:
         clock[UNSOLVED] += 1.0
@@ -74,10 +77,10 @@ def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
     for i in range(n):
         desk.trend[i] = desk.motion.change[i] / h if long else 0.0
     if long:
-        keep(course.kept, desk.found, desk.impulses, h)
+        keep(course.kept, desk.found, desk.impulses, desk.held, h)
 
 
-@kernel
+@lean
 def forget(kept):  # type: ignore[no-untyped-def]
     """Forget the modes and forces of the last step."""
     kept.heavy[0] = 0.0
@@ -85,9 +88,10 @@ def forget(kept):  # type: ignore[no-untyped-def]
         for p in range(kept.mode.shape[1]):
             kept.normal[i, p] = kept.tangent[i, p] = 0.0
             kept.mode[i, p] = OPEN
+        kept.torque[i], kept.bent[i] = 0.0, OPEN
 
 
-@kernel
+@lean
 def impact(chain, drive, part, pegs, pull, course, desk, nothing):  # type: ignore[no-untyped-def]
     """Let the links that touch a peg come to rest on it, or bounce, in no time; `nothing` is a Kept without contacts.
 
@@ -102,7 +106,7 @@ def impact(chain, drive, part, pegs, pull, course, desk, nothing):  # type: igno
     course.clock[DUE] = 0.0
 
 
-@kernel
+@lean
 def too_fast(chain, pegs, desk):  # type: ignore[no-untyped-def]
     """Longest step, s, in which no link near a peg moves by more than SAFE of the smallest reach."""
     speed = desk.motion.speed
@@ -117,7 +121,7 @@ def too_fast(chain, pegs, desk):  # type: ignore[no-untyped-def]
     return SAFE * smallest / fastest if fastest > 0.0 else np.inf
 
 
-@kernel
+@lean
 def choose(chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wanted, struck, had):  # type: ignore[no-untyped-def]
     """Try a step, and shorter ones, until one will do; it is left on the desk.
 
@@ -164,6 +168,7 @@ def choose(chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wan
         surplus = has - had + desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
         good = balanced(surplus, allowed) and rounds > 0 and h <= longest
         good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])
+        good = good and (desk.bend[0] > -BEYOND or -desk.bend[0] <= SINKING * clock[BENT])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
             return h, wanted, least, touch, rounds, surplus, has, good
         if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
@@ -187,12 +192,12 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
 
     Returns
     -------
-    int : OK, RUNNING (call again), LEFT (no link is near a peg), or why it failed
+    int : OK, RUNNING (call again), LEFT (no link is near a peg, no joint near its limit), or why it failed
     """
     clock, kept = course.clock, course.kept
     n, m = chain.length.size, pegs.x.size
     rate, longest = bounds.rate, bounds.step
-    desk, aside = new_desk(n, pegs, rate, longest), new_desk(n, pegs, rate, longest)
+    desk, aside = new_desk(chain, pegs, rate, longest), new_desk(chain, pegs, rate, longest)
     desk.spin.before[:] = course.spin[1]
     nothing = new_kept(n, m)
     part = segment(drive, clock[T])
@@ -214,7 +219,7 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
             chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wanted, struck, had
         )
         if not (abs(surplus) < np.inf):
-            if kept.mode.any():  # begin anew, from nothing
+            if kept.mode.any() or kept.bent.any():  # begin anew, from nothing
                 forget(kept)
                 continue
             return status.NOT_FINITE
@@ -230,14 +235,20 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
         clock[DUE] = 1.0 if touch <= 1.001 * h else 0.0
         clock[T] = end if h >= end - t else t + h
         clock[STEP] = wanted * GROWTH if abs(surplus) < EASY * allowance(bounds, h) else wanted
-        if least > bounds.clear and clock[T] < bounds.stop:
+        if least > bounds.clear and desk.bend[1] > bounds.slack and clock[T] < bounds.stop:
             return status.LEFT
     return status.RUNNING if clock[T] < bounds.stop else status.OK
 
 
 @kernel
 def clearance(chain, drive, pegs, t, y):  # type: ignore[no-untyped-def]
-    """Smallest gap between rope and pegs at time t, m, and the greatest speed of a joint, m/s; y as in ``Course``."""
+    """What is left at time t until rope and pegs, or joints and their limits, meet; y as in ``Course``.
+
+    Returns
+    -------
+    gap, speed : float, smallest gap between rope and pegs, m, and the greatest speed of a joint, m/s
+    left : float, rad, as ``joints.room_to_bend`` gives it
+    """
     n = chain.length.size
     base, trig = np.empty(9), np.empty(2 * n)
     base_state(drive, segment(drive, t), t, base)
@@ -248,4 +259,5 @@ def clearance(chain, drive, pegs, t, y):  # type: ignore[no-untyped-def]
     fastest = 0.0
     for i in range(n + 1):
         fastest = max(fastest, math.hypot(speed[0, i], speed[1, i]))
-    return find(chain, pegs, y[:n], trig, xy, np.zeros(n), found), fastest
+    _, left = room_to_bend(chain, y[:n], y[n : 2 * n], base[4], base[3])
+    return find(chain, pegs, y[:n], trig, xy, np.zeros(n), found), fastest, left

@@ -8,11 +8,12 @@ import numpy as np
 
 from hyperflex.core.chain.articulated_body import Array, energies, sines
 from hyperflex.core.chain.drive import base_state
-from hyperflex.core.contact.arrays import OPEN, Impulses, Motion, new_impulses, new_motion
+from hyperflex.core.contact.arrays import IMPULSE, OPEN, Impulses, Joints, Motion, new_impulses, new_joints, new_motion
 from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joints, nearest, new_contacts, speeds
+from hyperflex.core.contact.joints import BEYOND, room_to_bend, taken_by_joints, watch_joints
 from hyperflex.core.contact.modes import solve
 from hyperflex.core.contact.turning_pegs import Spin, begin, lost_in_bearings, new_spin
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, lean
 
 FAST, FALL = 0.01, 50.0  # m/s, m/s^2; what closes faster than that, and than a step may make it, does so in an impact
 TOUCH = 1e-6  # m, gap that counts as touching there
@@ -26,16 +27,18 @@ NEAR = 1e-4  # m, gap below which a link is watched even at rest
 BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
-FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints and axles, by contacts, put in; J
+FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by friction, by contacts and limits, put in; J
 
 
 class Kept(NamedTuple):
-    """What the last step leaves for the next, by link and peg, and of its search for modes."""
+    """What the last step leaves for the next, by link and peg or by joint, and of its search for modes."""
 
     normal: Array  # (n, m) N
     tangent: Array
     mode: Index
     heavy: Array  # (1,) kg, as in Impulses
+    torque: Array  # (n,) N m, of the joints' dry friction and limits
+    bent: Index  # (n,) their modes
 
 
 class Desk(NamedTuple):
@@ -44,6 +47,7 @@ class Desk(NamedTuple):
     found: Contacts
     impulses: Impulses
     motion: Motion
+    held: Joints
     spin: Spin
     q: Array  # (n,) in the middle of the step
     xy: Array  # (2, n + 1) joints there
@@ -56,18 +60,22 @@ class Desk(NamedTuple):
     out: Array  # (2 n,) angles and rates after the step
     base: Array  # (3, 9) motion of the first joint before, in the middle and after
     account: Array  # (3,)
-    touch: Array  # (1,) s, from the beginning of the step until a link that is left free touches a peg
+    touch: Array  # (1,) s, from the beginning of the step until a link that is left free touches, or a joint its limit
+    bend: Array  # (2,) rad, smallest gap of a joint to its limit after the step, and what is left of the gaps soon
     fast: float  # m/s; a link that closes faster meets the peg in an impact of its own, at the instant of touching
+    brisk: float  # rad/s; likewise a joint its limit
 
 
 @kernel
-def new_desk(n, pegs, rate, longest):  # type: ignore[no-untyped-def]
-    """Working arrays for n links, the Pegs `pegs` and steps up to `longest`, s; energy may appear at `rate`, W."""
+def new_desk(chain, pegs, rate, longest):  # type: ignore[no-untyped-def]
+    """Working arrays for a chain, the Pegs `pegs` and steps up to `longest`, s; energy may appear at `rate`, W."""
+    n = chain.length.size
     most = n * pegs.reach.size
     return Desk(
         new_contacts(most),
         new_impulses(most, GIFT * rate),
         new_motion(n),
+        new_joints(chain),
         new_spin(n, pegs),
         np.zeros(n),
         np.zeros((2, n + 1)),
@@ -81,17 +89,26 @@ def new_desk(n, pegs, rate, longest):  # type: ignore[no-untyped-def]
         np.zeros((3, 9)),
         np.zeros(3),
         np.zeros(1),
+        np.zeros(2),
         max(FAST, FALL * longest),
+        BEYOND / longest,
     )
 
 
 @kernel
 def new_kept(n, pegs):  # type: ignore[no-untyped-def]
     """Nothing kept yet."""
-    return Kept(np.zeros((n, pegs)), np.zeros((n, pegs)), np.zeros((n, pegs), np.int64), np.zeros(1))
+    return Kept(
+        np.zeros((n, pegs)),
+        np.zeros((n, pegs)),
+        np.zeros((n, pegs), np.int64),
+        np.zeros(1),
+        np.zeros(n),
+        np.zeros(n, np.int64),
+    )
 
 
-@kernel
+@lean
 def load_joints(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped-def]
     """Angular impulses of the joints: implicit friction, springs at the mean of the angles before and after.
 
@@ -106,7 +123,7 @@ def load_joints(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped
     joint[0, 0] += h * torque
 
 
-@kernel
+@lean
 def rates_at(found, motion, c):  # type: ignore[no-untyped-def]
     """Velocity of the point of contact c before the step, m/s: along its normal, and along its tangent."""
     n = motion.w.size
@@ -117,7 +134,7 @@ def rates_at(found, motion, c):  # type: ignore[no-untyped-def]
     return vx * found.nx[c] + vy * found.ny[c], vy * found.nx[c] - vx * found.ny[c]
 
 
-@kernel
+@lean
 def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
 
@@ -179,7 +196,7 @@ def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-
     return least
 
 
-@kernel
+@lean
 def recall(kept, found, impulses, h):  # type: ignore[no-untyped-def]
     """Start from the modes and forces of the last step."""
     impulses.heavy[0] = kept.heavy[0]
@@ -190,9 +207,11 @@ def recall(kept, found, impulses, h):  # type: ignore[no-untyped-def]
         impulses.tangent0[c] = RELAXED * h * kept.tangent[i, p]
 
 
-@kernel
-def keep(kept, found, impulses, h):  # type: ignore[no-untyped-def]
-    """Keep modes and forces for the next step."""
+@lean
+def keep(kept, found, impulses, held, h):  # type: ignore[no-untyped-def]
+    """Keep modes and forces for the next step; `held` are the Joints."""
+    for i in held.which:
+        kept.torque[i], kept.bent[i] = held.of[IMPULSE, i] / h, held.mode[i]
     kept.heavy[0] = impulses.heavy[0]
     for i in range(kept.mode.shape[0]):
         for p in range(kept.mode.shape[1]):
@@ -204,7 +223,7 @@ def keep(kept, found, impulses, h):  # type: ignore[no-untyped-def]
         kept.normal[i, p], kept.tangent[i, p] = impulses.normal[c] / h, impulses.tangent[c] / h
 
 
-@kernel
+@lean
 def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Take a step from y (2 n or more,) at time t to ``desk.out``; h = 0.0: an impact, in which nothing else acts.
 
@@ -243,18 +262,20 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, s
     motion.base[2] = base[2, 3] - base[0, 3]
     motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
     least = watch(chain, pegs, kept, desk, h, push, bounce, struck)
+    watch_joints(chain, desk, kept, h, struck)
     recall(kept, desk.found, desk.impulses, h)
     begin(desk.spin, motion, h)
-    rounds = solve(chain, desk.found, desk.impulses, motion, desk.spin, h, whole)
+    rounds = solve(chain, desk.found, desk.impulses, motion, desk.held, desk.spin, h, whole)
     for i in range(n):
         rate = motion.w[i] + motion.change[i]
         desk.out[i] = desk.q[i] + 0.5 * h * rate
         desk.out[n + i] = rate
+    desk.bend[0], desk.bend[1] = room_to_bend(chain, desk.out[:n], desk.out[n:], base[2, 4], base[2, 3])
     settle_account(chain, desk, torque, h)
     return least, rounds
 
 
-@kernel
+@lean
 def settle_account(chain, desk, torque, h):  # type: ignore[no-untyped-def]
     """Energy that joints, axles and contacts took in a step, and work put in: impulses times mean velocities."""
     motion, base, found, impulses, spin = desk.motion, desk.base, desk.found, desk.impulses, desk.spin
@@ -264,8 +285,9 @@ def settle_account(chain, desk, torque, h):  # type: ignore[no-untyped-def]
         before = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
         after = desk.out[n + i] - (desk.out[n + i - 1] if i > 0 else base[2, 3])
         taken += h * chain.viscous[i] * after * 0.5 * (before + after)
-    desk.account[FRICTION] = taken + lost_in_bearings(spin)
-    taken = 0.0
+    rubbed, limited = taken_by_joints(desk.held)
+    desk.account[FRICTION] = taken + rubbed + lost_in_bearings(spin)
+    taken = limited
     for c in range(found.total[0]):
         if impulses.mode[c] == OPEN:
             continue
@@ -285,7 +307,7 @@ def settle_account(chain, desk, torque, h):  # type: ignore[no-untyped-def]
     desk.account[WORK] = work
 
 
-@kernel
+@lean
 def energy(chain, y, base):  # type: ignore[no-untyped-def]
     """Kinetic and potential energy of angles and rates y (2 n or more,), J; `base` (9,) motion of the first joint."""
     n = chain.length.size

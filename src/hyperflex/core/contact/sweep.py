@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperflex.core.jit import inlined, kernel
+from hyperflex.core.jit import inlined, kernel, lean
 
 # of a row of `touch`: sums over the contacts of a link at places s, n the direction across the link
 BXX, BXY, BYX, BYY = range(4)  # B, kg
@@ -72,7 +72,7 @@ def link_change(link, joint, sin, cos, rho, touch, beyond):  # type: ignore[no-u
     return at, (turn, ex * inv, ey * inv, k)
 
 
-@kernel
+@lean
 def changes(chain, trig, joint, rho, touch, base, tip, change, place, work):  # type: ignore[no-untyped-def]
     """Changes of all rates within a step; O(n).
 
@@ -117,14 +117,14 @@ def changes(chain, trig, joint, rho, touch, base, tip, change, place, work):  # 
     return fx, fy, moment
 
 
-@kernel
+@lean
 def clear(touch, links, count):  # type: ignore[no-untyped-def]
     """Take the contacts of the first `count` of `links` off the rows of `touch`."""
     for c in range(count):
         touch[links[c]] = 0.0
 
 
-@kernel
+@lean
 def add_contact(touch, i, s, sin, cos, b, c):  # type: ignore[no-untyped-def]
     """Add an impulse C - B v at the place s of link i: b = (bxx, bxy, byx, byy), kg; c = (cx, cy), N s."""
     row = touch[i]

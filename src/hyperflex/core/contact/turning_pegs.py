@@ -18,7 +18,7 @@ from hyperflex.core.contact.arrays import OPEN, STICK
 from hyperflex.core.contact.gaps import Index
 from hyperflex.core.contact.point import drag_of, hold, velocity
 from hyperflex.core.contact.sweep import changes, clear
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, lean
 
 
 class Spin(NamedTuple):
@@ -71,7 +71,7 @@ def new_spin(n, pegs):  # type: ignore[no-untyped-def]
     )
 
 
-@kernel
+@lean
 def coasting(inertia, bearing, h):  # type: ignore[no-untyped-def]
     """Part of its rate that a free peg keeps for h s, and angular impulse over change of rate, kg m^2; both exact."""
     x = bearing * h / inertia
@@ -80,16 +80,17 @@ def coasting(inertia, bearing, h):  # type: ignore[no-untyped-def]
     return math.exp(-x), -bearing * h / math.expm1(-x)
 
 
-@kernel
+@lean
 def begin(spin, motion, h):  # type: ignore[no-untyped-def]
     """Prepare a step h, s; 0.0: an impact."""
     for p in spin.which:
         spin.stay[p], spin.heavy[p] = coasting(spin.inertia[p], spin.bearing[p], h)
     if spin.which.size > 0:
-        spin.joint[:, 1] = motion.joint[:, 1]
+        for i in range(spin.joint.shape[0]):
+            spin.joint[i, 1] = motion.joint[i, 1]
 
 
-@kernel
+@lean
 def answer(chain, found, impulses, motion, spin, heavy, k):  # type: ignore[no-untyped-def]
     """Find what a rate of 1 rad/s of turning peg k alone does to the rope, with the present modes; `heavy` is M, kg."""
     p, n = spin.which[k], motion.w.size
@@ -110,7 +111,7 @@ def answer(chain, found, impulses, motion, spin, heavy, k):  # type: ignore[no-u
     )
 
 
-@kernel
+@lean
 def enter(found, impulses, motion, spin, heavy, c):  # type: ignore[no-untyped-def]
     """Enter the tangential impulse of contact c into the equation of its peg, at present rates and per rad/s of each.
 
@@ -135,7 +136,7 @@ def enter(found, impulses, motion, spin, heavy, c):  # type: ignore[no-untyped-d
         spin.system[k, j] -= lever * heavy * along
 
 
-@kernel
+@lean
 def eliminate(system):  # type: ignore[no-untyped-def]
     """Solve equations (k, k + 1), the right-hand side last, which becomes the solution."""
     k = system.shape[0]
@@ -155,13 +156,15 @@ def eliminate(system):  # type: ignore[no-untyped-def]
         system[i, k] /= system[i, i]
 
 
-@kernel
-def turn_pegs(chain, found, impulses, motion, spin, heavy):  # type: ignore[no-untyped-def]
+@lean
+def turn_pegs(chain, found, impulses, motion, held, spin, heavy):  # type: ignore[no-untyped-def]
     """Find the pegs' rates after the step with the present modes, and add what they do to the rope.
 
     ``motion`` holds the rope's answer to pegs at rest; what ``motion.touch`` holds is lost.
     """
     last = spin.which.size
+    for i in held.which:
+        spin.joint[i, 1] = motion.joint[i, 1]
     for k in range(last):
         p = spin.which[k]
         answer(chain, found, impulses, motion, spin, heavy, k)
@@ -183,7 +186,7 @@ def turn_pegs(chain, found, impulses, motion, spin, heavy):  # type: ignore[no-u
             motion.load[j] += rate * spin.load[k, j]
 
 
-@kernel
+@lean
 def lost_in_bearings(spin):  # type: ignore[no-untyped-def]
     """Energy that the axles took in the step, J: their angular impulse times the mean rate."""
     taken = 0.0
@@ -194,7 +197,7 @@ def lost_in_bearings(spin):  # type: ignore[no-untyped-def]
     return taken
 
 
-@kernel
+@lean
 def turning_energy(spin, rate):  # type: ignore[no-untyped-def]
     """Kinetic energy of the pegs that turn at rates (m,), J."""
     total = 0.0

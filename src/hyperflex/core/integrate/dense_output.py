@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hyperflex.core.chain.articulated_body import Array, accelerations, energies
+from hyperflex.core.chain.articulated_body import Array, accelerations, can_stick, energies
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.jit import kernel
 from hyperflex.core.stiction.constraint_torques import bench
@@ -86,13 +86,13 @@ def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-unty
     scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m
     """
     n = chain.length.size
-    has_dry = chain.dry.any()
+    sticks = can_stick(chain)
     grip, room = np.ones(n), bench(n)
     for k in range(t.size):
         base = base_out[k]
         torque = base_state(drive, segment(drive, t[k]), t[k], base)
         q, w = y[k, :n], y[k, n : 2 * n]
-        if has_dry:
+        if sticks:
             decide(chain, q, w, base[:7], torque, 1.0, grip, room)
         fx, fy, moment = accelerations(chain, q, w, grip, base[:7], torque, 0.0, qdd[k], room.work)
         kinetic, potential = energies(chain, q, w, (base[7], base[8], base[5], base[6], base[4], base[3]))

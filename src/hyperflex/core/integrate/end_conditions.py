@@ -1,4 +1,4 @@
-"""What may end a run: a reading of the state whose fall from above zero to zero is the event."""
+"""What may end a run: a reading of the state whose fall from above zero to zero is the event, or a joint's limit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.core.chain.articulated_body import sincos
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, lean
 
 NOTHING, CROSSES, PEAK, PHASE, ANGLE = range(5)
 
@@ -48,7 +48,7 @@ def tip_motion(chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
     return x, y, vx, vy, ax, ay
 
 
-@kernel
+@lean
 def reading(until, chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
     """Reading of a state and its slope (0.0 for PEAK, where it is not known).
 
@@ -67,7 +67,24 @@ def reading(until, chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
     return x * cos - until.b * vx * sin, vx * cos - until.b * ax * sin
 
 
-@kernel
+@lean
+def to_limit(chain, i, angle, rate):  # type: ignore[no-untyped-def]
+    """Gap of joint i, at a relative angle and rate, to the nearer of its limits, rad, and how fast the gap grows."""
+    bend = angle - chain.rest[i]
+    return chain.max_bend[i] - abs(bend), -rate if bend > 0.0 else rate
+
+
+@lean
+def limits(chain, q, w, base, out):  # type: ignore[no-untyped-def]
+    """Write the gaps of all joints to their limits, rad, and how they grow to ``out[:, n : 2 * n]``."""
+    n = q.size
+    up, up_rate = base[4], base[3]
+    for i in range(n):
+        out[0, n + i], out[1, n + i] = to_limit(chain, i, q[i] - up, w[i] - up_rate)
+        up, up_rate = q[i], w[i]
+
+
+@lean
 def arm(until, value, slope, t):  # type: ignore[no-untyped-def]
     """Sense in which a reading is watched from the beginning of a step: margin = sense * reading; 0.0: not watched."""
     if until.kind == NOTHING or t < until.after:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import PRINTED
+from hyperflex.core.chain.articulated_body import PRINTED, can_stick
 from hyperflex.core.chain.drive import base_state
-from hyperflex.core.integrate.end_conditions import NOTHING, PEAK, arm, reading, right_side
+from hyperflex.core.integrate.end_conditions import NOTHING, PEAK, arm, limits, reading, right_side
 from hyperflex.core.integrate.event_search import AGAIN, EVENT, TRIES, begin, first_late, judge, late
 from hyperflex.core.integrate.progress import CHATTER, PENDING, REJECTED, TAKEN, T, advance
 from hyperflex.core.jit import kernel
@@ -29,19 +29,20 @@ def settle(chain, drive, part, progress, room):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def locate(chain, drive, part, table, limits, progress, step, room):  # type: ignore[no-untyped-def]
-    """Shorten the step to ``room.out`` until it holds no event, or ends at its first one.
+def locate(chain, drive, part, table, terms, progress, step, room):  # type: ignore[no-untyped-def]
+    """Shorten the step to ``room.out`` until it holds no event, or ends at its first one; `terms` are the Limits.
 
     Returns
     -------
     step : float, s
-    event : int, 0: none; 1: a joint changes its mode; 2: what ends the run has happened
+    event : int, 0: none; 1: a joint changes its mode; 2: what ends the run has happened; 3: a joint is at its limit
     joint : int, the one that changes its mode, -1 where none does
     """
-    until = limits.until
+    until = terms.until
     y, grip, clock, search, tools = progress.y, progress.grip, progress.clock, room.search, room.bench
-    n = grip.size
-    t, widen, stuck, dry = clock[T], widened(clock[CHATTER], n), not grip.all(), chain.dry.any()
+    n, last = grip.size, room.locked.size - 1
+    limited = last > n
+    t, widen, stuck, sticks = clock[T], widened(clock[CHATTER], n), not grip.all(), can_stick(chain)
     room.locked[:n] = 1.0 - grip * grip
     torque = base_state(drive, part, t, room.before)
     margins(chain, y[:n], y[n : 2 * n], grip, room.before[:7], torque, widen, tools, search.low)
@@ -49,16 +50,18 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
     room.power[0] = stuck_power(chain, y[n : 2 * n], grip, tools.load)
     begin(search)
     sense = 0.0
-    room.locked[n] = 1.0 if until.kind == PEAK else 0.0
+    room.locked[last] = 1.0 if until.kind == PEAK else 0.0
     if until.kind != NOTHING:
         value, slope = reading(until, chain, y[:n], y[n : 2 * n], room.alpha, room.before)
         sense = arm(until, value, slope, t)
         if until.kind == PEAK and sense == 0.0 and clock[PENDING] > 0.0:
             return 0.0, 2, -1  # the speed grew until here, and falls from here on
-        search.low[:, n] = np.inf
-        search.here[:, n] = np.inf
+        search.low[:, last] = np.inf
+        search.here[:, last] = np.inf
         if sense != 0.0:
-            search.low[0, n], search.low[1, n] = sense * value, sense * slope
+            search.low[0, last], search.low[1, last] = sense * value, sense * slope
+    if limited:
+        limits(chain, y[:n], y[n : 2 * n], room.before, search.low)
     while True:
         out = room.out
         torque = base_state(drive, part, min(t + step, part.end), room.after)
@@ -67,8 +70,10 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
         room.power[2] = stuck_power(chain, out[n : 2 * n], grip, tools.load)
         if sense != 0.0:
             value, slope = reading(until, chain, out[:n], out[n : 2 * n], tools.alpha, room.after)
-            search.here[0, n], search.here[1, n] = sense * value, sense * slope
-        first = search.span[TRIES] == 0.0 and (dry or (sense != 0.0 and until.kind == PEAK))
+            search.here[0, last], search.here[1, last] = sense * value, sense * slope
+        if limited:
+            limits(chain, out[:n], out[n : 2 * n], room.after, search.here)
+        first = search.span[TRIES] == 0.0 and (sticks or limited or (sense != 0.0 and until.kind == PEAK))
         if first or (stuck and len(chain.bears) == len(PRINTED)):
             middle(step, y[:n], y[n : 2 * n], room.alpha, out, tools)
             torque = base_state(drive, part, t + 0.5 * step, room.between)
@@ -78,14 +83,18 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
             room.power[1] = stuck_power(chain, bend[n:], grip, tools.load)
             if sense != 0.0 and until.kind == PEAK:
                 value, slope = reading(until, chain, bend[:n], bend[n:], tools.alpha, room.between)
-                search.middle[0, n] = sense * value
+                search.middle[0, last] = sense * value
+            if limited:
+                limits(chain, bend[:n], bend[n:], room.between, search.middle)
         verdict, length = judge(room.locked, search, step)
         if verdict == EVENT:
             come_to_rest(chain, grip, search.here, out, room.after)
         if verdict != AGAIN:
-            clock[PENDING] = search.here[0, n] if sense != 0.0 else 0.0
+            clock[PENDING] = search.here[0, last] if sense != 0.0 else 0.0
             joint = first_late(room.locked, search.here) if verdict == EVENT else -1
-            if verdict == EVENT and late(room.locked, search.here, n):
+            if verdict == EVENT and joint >= n and joint < last:
+                return step, 3, joint
+            if verdict == EVENT and late(room.locked, search.here, last):
                 good = right_side(until, chain, out[:n], out[n : 2 * n], room.after)
                 clock[PENDING] = 0.0
                 return step, 2 if good else 1, joint
@@ -93,4 +102,4 @@ def locate(chain, drive, part, table, limits, progress, step, room):  # type: ig
         step = length
         clock[TAKEN] += 1
         clock[REJECTED] += 1
-        advance(chain, drive, part, table, limits.fixed, t, step, y, grip, out, room)
+        advance(chain, drive, part, table, terms.fixed, t, step, y, grip, out, room)

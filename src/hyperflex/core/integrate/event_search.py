@@ -1,6 +1,7 @@
 """The search for the first event of a step, which then ends there.
 
-Every event is a margin that falls from above zero to zero: of each joint with dry friction (``stick.margins``), and in
+Every event is a margin that falls from above zero to zero: of each joint with dry friction
+(``constraint_torques.margins``), of each joint to its limits where a chain has some (``end_conditions.limits``), and in
 the last column of what is to end the run. A margin comes with its slope where that is known.
 """
 
@@ -23,7 +24,7 @@ PATIENCE = 40  # attempts after which the span is halved, whatever the margins s
 
 
 class Search(NamedTuple):
-    """Margins and their slopes (2, n + 1) at several lengths of the same step; inf where there is nothing to watch."""
+    """Margins and their slopes (2, m) at several lengths of the same step; inf where there is nothing to watch."""
 
     span: Array  # (4,) the first event lies between LOW and HIGH
     low: Array  # at LOW, where there is no event; at first the beginning of the step
@@ -33,9 +34,9 @@ class Search(NamedTuple):
 
 
 @kernel
-def new_search(n):  # type: ignore[no-untyped-def]
-    """A search over the margins of n joints."""
-    four = np.full((4, 2, n + 1), np.inf)
+def new_search(m):  # type: ignore[no-untyped-def]
+    """A search over m margins."""
+    four = np.full((4, 2, m), np.inf)
     return Search(np.array([0.0, np.inf, 0.0, 0.0]), four[0], four[1], four[2], four[3])
 
 
@@ -130,7 +131,7 @@ def judge(locked, search, step):  # type: ignore[no-untyped-def]
 
     Parameters
     ----------
-    locked : (n + 1,) 1.0 where a margin comes without slope (stuck joints), else 0.0
+    locked : (m,) 1.0 where a margin comes without slope (stuck joints), else 0.0
 
     Returns
     -------

@@ -92,7 +92,7 @@ class Scratch(NamedTuple):
     after: Array
     between: Array
     alpha: Array  # (n,) accelerations at the beginning of a step
-    locked: Array  # (n + 1,) as in events.judge
+    locked: Array  # (n + 1,) or, where a joint has limits, (2 n + 1,), as in events.judge
     power: Array  # (3,) of stuck joints, see stick.stuck_loss
 
 
@@ -100,6 +100,7 @@ class Scratch(NamedTuple):
 def scratch(chain):  # type: ignore[no-untyped-def]
     """Working arrays for a chain, its parameters loaded into the lanes."""
     n = chain.length.size
+    m = 2 * n + 1 if chain.max_bend.min() < np.inf else n + 1
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
     return Scratch(
@@ -112,12 +113,12 @@ def scratch(chain):  # type: ignore[no-untyped-def]
         lanes,
         tip,
         bench(n),
-        new_search(n),
+        new_search(m),
         np.empty(9),
         np.empty(9),
         np.empty(9),
         np.empty(n),
-        np.zeros(n + 1),
+        np.zeros(m),
         np.zeros(3),
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperflex.core import status
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import sines
+from hyperflex.core.chain.articulated_body import can_stick, sines
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.integrate.dense_output import interpolate
 from hyperflex.core.integrate.end_conditions import NOTHING
@@ -108,13 +108,13 @@ def error_sizes(chain, limits, table, step, cut, room):  # type: ignore[no-untyp
 
 
 @kernel
-def succeeded_with(clock, tables, limits, has_dry, step, size, lower_size, wanted, table):  # type: ignore[no-untyped-def]
+def succeeded_with(clock, tables, limits, sticks, step, size, lower_size, wanted, table):  # type: ignore[no-untyped-def]
     """Choose order and length of the step after one of the length `step`, s, which was wanted to be `wanted` long.
 
     `size` is its error in units of what is allowed, `lower_size` that of an order less.
     """
     order = table.order
-    faint = has_dry and is_rounding(size, limits.tol, step, table.rounding)
+    faint = sticks and is_rounding(size, limits.tol, step, table.rounding)
     grown = MOST * step if faint else longer(step, size, clock[LAST], clock[SIZE], order)
     if not faint:
         clock[ORDER], grown = cheapest(tables, limits.least, limits.most, order, step, lower_size, grown)
@@ -193,15 +193,16 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
 
     Returns
     -------
-    int : OK, RUNNING (call again), REACHED (what ends the run), or why it failed; `progress` tells how far it came.
+    int : OK, RUNNING (call again), REACHED (what ends the run), LIMIT (a joint is at its limit), or why it failed;
+        `progress` tells how far it came.
     """
     y, grip, clock = progress.y, progress.grip, progress.clock
     room = scratch(chain)
     fixed = limits.fixed
-    has_dry = chain.dry.any()
+    sticks = can_stick(chain)
     awaiting = limits.until.kind != NOTHING
-    watching = has_dry or awaiting
-    if has_dry:
+    watching = sticks or awaiting or chain.max_bend.min() < np.inf
+    if sticks:
         ln.set_grip(ln.COLUMNS, room.lanes, grip)
     write_until(clock, t_out, clock[T], y, y_out)
     part = segment(drive, clock[T])
@@ -211,7 +212,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             break
         if t >= part.end:
             part = segment(drive, t)
-        if has_dry and clock[UNSETTLED] == 1.0 and not settle(chain, drive, part, progress, room):
+        if sticks and clock[UNSETTLED] == 1.0 and not settle(chain, drive, part, progress, room):
             return status.FRICTION
         clock[UNSETTLED] = 0.0
         end = min(part.end, limits.stop)
@@ -248,9 +249,11 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
         clock[T] = t_new
         write_until(clock, t_out, t_new, y, y_out)
         if fixed == 0.0:
-            succeeded_with(clock, tables, limits, has_dry, step, size, lower_size, wanted, table)
+            succeeded_with(clock, tables, limits, sticks, step, size, lower_size, wanted, table)
         if event == 2:
             return status.REACHED
+        if event == 3:
+            return status.LIMIT
         if event == 1 or t_new >= part.end:
             switched(clock)
     return status.RUNNING if clock[T] < limits.stop else status.OK

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import accelerations, friction_power, sines
+from hyperflex.core.chain.articulated_body import accelerations, lost_power, sines
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.jit import inlined, kernel
 
@@ -157,7 +157,7 @@ def rates(chain, drive, part, t, y, grip, dy, work):  # type: ignore[no-untyped-
     fx, fy, moment = accelerations(chain, y[:n], w, grip, base[:7], torque, 0.0, dy[n : 2 * n], work)
     dy[:n] = w
     dy[2 * n] = fx * base[5] + fy * base[6] + moment * base[3] + torque * w[0]
-    dy[2 * n + 1] = friction_power(chain, w, grip, base[3])
+    dy[2 * n + 1] = lost_power(chain, w, grip, base, work)
 
 
 @kernel

@@ -11,7 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperflex.core.chain.articulated_body import Array, accelerations
+from hyperflex.core import joint_law
+from hyperflex.core.chain.articulated_body import Array, accelerations, joint_of
+from hyperflex.core.chain.drag import air_loads
 from hyperflex.core.jit import kernel
 
 SAME = 4e-15  # links whose rates differ by no more than this part of them, and
@@ -51,6 +53,7 @@ def bear(chain, q, w, grip, base, torque, room):  # type: ignore[no-untyped-def]
     n = q.size
     alpha, work = room.alpha, room.work
     accelerations(chain, q, w, grip, base, torque, 0.0, alpha, work)
+    air_loads(chain, w, base, work, 2 * n, 1)
     px = base[0] - chain.gx
     py = base[1] - chain.gy
     for i in range(n):  # sines and cosines are where the sweep left them; what it kept for the way back is spent
@@ -67,8 +70,8 @@ def bear(chain, q, w, grip, base, torque, room):  # type: ignore[no-untyped-def]
         sin, cos = work[4 * n + i], work[5 * n + i]
         px, py = work[i], work[n + i]
         mass, com, length = chain.mass[i], chain.com[i], chain.length[i]
-        spring = -chain.stiffness[i] * (q[i] - (q[i - 1] if i > 0 else base[4]) - chain.rest[i])
-        external = torque if i == 0 else 0.0
+        spring = joint_law.spring(joint_of(chain, i), q[i] - (q[i - 1] if i > 0 else base[4]))
+        external = work[2 * n + i] + (torque if i == 0 else 0.0)
         turn = (chain.inertia[i] + mass * com * com) * alpha[i]
         turn += mass * com * (cos * px + sin * py) + length * (cos * fx + sin * fy) + back
         size += mass * abs(com) * (abs(px) + abs(py)) + length * (abs(fx) + abs(fy)) + abs(spring) + abs(external)

@@ -191,6 +191,8 @@ def left(chain, q, w, base, torque, moved, part, grip, room, out):  # type: igno
         dry,
         chain.stiffness,
         chain.rest,
+        chain.drag,
+        chain.max_bend,
         chain.tip_mass,
         chain.gx,
         chain.gy,

@@ -13,8 +13,8 @@ from hyperflex.core.jit import inlined, kernel
 
 TIP_MASS, GRAVITY_X, GRAVITY_Y = range(3)  # columns of Directions.whole
 # what base_change writes
-ACC_X, ACC_Y, ALPHA, RATE, TURN, MOTOR, PLACE_X, PLACE_Y = range(8)
-CHANGES = 8
+ACC_X, ACC_Y, ALPHA, RATE, TURN, MOTOR, PLACE_X, PLACE_Y, SPEED_X, SPEED_Y = range(10)
+CHANGES = 10
 LINKS, ENDS = 1, 2  # links (or the torque on the first one) change; the base's motion, gravity or the tip mass do
 
 
@@ -65,7 +65,7 @@ def base_change(drive, part, t, shift, directions, m, out):  # type: ignore[no-u
     t, shift : float, s, and its own change
     m : int, row of ``directions.breaks``, ``coef`` and ``arm``
     out : (CHANGES,) out: acceleration x, y (m/s^2); of the arm alpha (rad/s^2), rate, angle; motor torque (N m);
-        position x, y (m)
+        position x, y (m); velocity x, y (m/s)
     """
     j, s, still = within(drive, part, t)
     breaks = directions.breaks[m]
@@ -76,12 +76,12 @@ def base_change(drive, part, t, shift, directions, m, out):  # type: ignore[no-u
         ds = shift - cycle_shift(drive, part, breaks) - breaks[j]
     angle, rate, alpha = polynomial(drive.coef[j, ANGLE], s)
     turn, d_rate, d_alpha = moved(drive.coef[j, ANGLE], directions.coef[m, j, ANGLE], s, ds)
-    x, _, ax = moved(drive.coef[j, X], directions.coef[m, j, X], s, ds)
-    y, _, ay = moved(drive.coef[j, Y], directions.coef[m, j, Y], s, ds)
+    x, vx, ax = moved(drive.coef[j, X], directions.coef[m, j, X], s, ds)
+    y, vy, ay = moved(drive.coef[j, Y], directions.coef[m, j, Y], s, ds)
     torque = polynomial(drive.coef[j, TORQUE], s)[0]
     motor = moved(drive.coef[j, TORQUE], directions.coef[m, j, TORQUE], s, ds)[0]
     if still:
-        rate = alpha = d_rate = d_alpha = ax = ay = motor = 0.0
+        rate = alpha = d_rate = d_alpha = vx = vy = ax = ay = motor = 0.0
     if abs(torque) >= drive.torque_limit:
         motor = 0.0
     sin, cos = sincos(angle)
@@ -95,6 +95,8 @@ def base_change(drive, part, t, shift, directions, m, out):  # type: ignore[no-u
     out[MOTOR] = motor
     out[PLACE_X] = x + longer * sin + length * cos * turn
     out[PLACE_Y] = y - longer * cos + length * sin * turn
+    out[SPEED_X] = vx + (longer * rate + length * d_rate) * cos - length * sin * turn * rate
+    out[SPEED_Y] = vy + (longer * rate + length * d_rate) * sin + length * cos * turn * rate
 
 
 @kernel

@@ -11,6 +11,7 @@ from hyperflex.core.chain.articulated_body import Array, sines
 from hyperflex.core.integrate.steps import begin_columns, end_columns
 from hyperflex.core.jit import kernel
 from hyperflex.core.tangent import directions as dr
+from hyperflex.core.tangent import drag as dg
 from hyperflex.core.tangent import step as tg
 
 K = len(ln.COLUMNS)
@@ -41,6 +42,7 @@ class Room(NamedTuple):
     nodes: Array  # (3, 2 n, p) derivatives of angles and rates there
     bends: Array  # (3, n, p) of accelerations
     out: Array  # (2 n + 2,) result of a step
+    air: Array  # ((n + 2) ROW K,) as in tangent.drag; empty without drag
 
 
 @kernel
@@ -69,16 +71,21 @@ def room_for(chain, pairs):  # type: ignore[no-untyped-def]
         np.zeros((3, 2 * n, 2 * pairs)),
         np.zeros((3, n, 2 * pairs)),
         np.zeros(2 * n + 2),
+        np.zeros((n + 2) * dg.ROW * K if chain.drag.any() else 0),
     )
 
 
 @kernel
-def clear_ends(lanes):  # type: ignore[no-untyped-def]
+def clear_ends(room):  # type: ignore[no-untyped-def]
     """Let neither the base's motion nor the tip mass change."""
+    lanes = room.lanes
     tip = lanes.size - ln.ROW * K
     for x in range(tg.DQ * K, (tg.BETA + 2) * K):
         lanes[x] = 0.0
         lanes[tip + x] = 0.0
+    if room.air.size > 0:
+        for x in range(dg.DVX * K, (dg.DVY + 2) * K):
+            room.air[x] = 0.0
 
 
 @kernel
@@ -103,6 +110,9 @@ def set_ends(drive, part, directions, b, room):  # type: ignore[no-untyped-def]
             lanes[(tg.PY + d) * K + j] = moved[dr.ACC_Y] - gy
             lanes[(tg.ALPHA + d) * K + j] = moved[dr.ALPHA]
             lanes[(tg.RHS + d) * K + j] = moved[dr.MOTOR]
+            if room.air.size > 0:
+                room.air[(dg.DVX + d) * K + j] = moved[dr.SPEED_X]
+                room.air[(dg.DVY + d) * K + j] = moved[dr.SPEED_Y]
             tip[(tg.BX + d) * K + j] = heavier * far[ln.PX * K + j]
             tip[(tg.BY + d) * K + j] = heavier * far[ln.PY * K + j]
 
@@ -182,12 +192,15 @@ def step_along(chain, drive, part, table, t, step, y, out, directions, result, r
     sines(y[: chain.length.size], room.work, 0)
     # by name: to take an array out of a tuple within the loop over the pairs costs as much as a third of the step
     lanes, store, anew, weight, bears = room.lanes, room.store, room.anew, room.weight, chain.bears
-    kind, links, stretch = directions.kind, directions.links, room.stretch
+    kind, links, stretch, air = directions.kind, directions.links, room.stretch, room.air
+    airy = air.size > 0
     for turn in range(table.column.shape[0]):
         begin_columns(chain, drive, part, table, turn, t, step, y, lanes, room.tip, room.base, room.work)
         tg.remember(ln.COLUMNS, lanes)
         ln.euler(ln.COLUMNS, bears, ln.MORE, lanes, room.tip, room.base)
         tg.prepare(ln.COLUMNS, bears, lanes)
+        if airy:
+            dg.begin(ln.COLUMNS, lanes, room.base, air)
         for x in range(CELL):
             col, done = table.column[turn, x % K], table.done[turn, x % K]
             weight[x] = table.best[col] if col > 0 and done == col - 1 else 0.0
@@ -201,8 +214,10 @@ def step_along(chain, drive, part, table, t, step, y, out, directions, result, r
             if kind[b] & dr.ENDS:
                 set_ends(drive, part, directions, b, room)
             else:
-                clear_ends(lanes)
-            if kind[b] & dr.LINKS or stretch[b, 0] != 0.0 or stretch[b, 1] != 0.0:
+                clear_ends(room)
+            if airy:
+                dg.along(ln.COLUMNS, lanes, air, links[b])
+            if airy or kind[b] & dr.LINKS or stretch[b, 0] != 0.0 or stretch[b, 1] != 0.0:
                 tg.step_all(ln.COLUMNS, bears, lanes, links[b], stretch[b])
             else:
                 tg.step_state(ln.COLUMNS, bears, lanes)

@@ -63,7 +63,7 @@ def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, 
     """
     room = room_for(chain, directions.kind.size)
     turn = turning_for(chain, drive, directions)
-    dry = steps.shape[1] > JOINT
+    sticks = steps.shape[1] > JOINT
     grip, joint = np.ones(chain.length.size), -1
     y = y_out[0].copy()
     values = start.copy()
@@ -76,7 +76,7 @@ def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, 
         if t >= part.end:
             part = segment(drive, t)
         set_change(drive, part, t_new, stop, directions, room)
-        if dry:
+        if sticks:
             grip[:] = steps[m, MODES:]
             joint = int(steps[m, JOINT])
             ln.set_grip(ln.COLUMNS, room.lanes, grip)
@@ -87,7 +87,7 @@ def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, 
         room.nodes[0] = values
         if joint >= 0 and t_new < min(part.end, stop) and not chatters(drive, part, t, step, y, grip, joint, turn):
             end_at_event(chain, drive, part, table, t, step, y, values, grip, joint, directions, room, turn)
-        if dry:
+        if sticks:
             end_along(chain, drive, part, t, step, y, values, grip, joint, directions, room, turn)
         last = index
         while last < t_out.size and t_out[last] < t_new:

@@ -9,6 +9,7 @@ to turn into packed instructions (core/chain/lanes.py says more; tests/core/test
 
 from __future__ import annotations
 
+from hyperflex.core import joint_law
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.jit import inlined, kernel
 
@@ -21,10 +22,10 @@ PX, PY, ALPHA = BX, BY, BETA
 BEFORE, SIN, COS = range(DQ + 12, DQ + 15)
 # what multiplies the derivatives of angle and rate in the moment and in the force (M.21), in place of what nobody needs
 # once a step is taken
-BY_Q, BY_W, QX, QY, WX, WY = ln.RD, ln.S, ln.BETA, ln.DISSIPATED, ln.EXTERNAL, ln.WORK
+BY_Q, BY_W, QX, QY, WX, WY = ln.RD, ln.S, ln.BETA, ln.DISSIPATED, ln.LOST, ln.WORK
 # the seeds of a direction for one link: changes of its parameters
-LENGTH, MASS, MA, INERTIA, VISCOUS, STIFFNESS, REST, DRY = range(8)
-SEEDS = 8
+LENGTH, MASS, MA, INERTIA, VISCOUS, STIFFNESS, REST, DRY, DRAG = range(9)
+SEEDS = 9
 
 
 @inlined
@@ -87,20 +88,19 @@ def link_factors(row, k, j, share):  # type: ignore[no-untyped-def]
     """What multiplies the derivatives of a link's state and of the answer beyond it, (M.21)."""
     length, inv = row[(ln.AT + ln.LENGTH) * k + j], row[(ln.AT + ln.INV) * k + j]
     nx, ny = length * row[(ln.AT + COS) * k + j], length * row[(ln.AT + SIN) * k + j]
-    h, stiffness = row[(ln.AT + ln.STEP) * k + j], row[(ln.AT + ln.STIFFNESS) * k + j]
-    viscous = row[(ln.AT + ln.VISCOUS) * k + j]
+    h, joint = row[(ln.AT + ln.STEP) * k + j], ln.joint_in(row, k, j)
     gx, gy, back = row[(ln.AT + ln.EX) * k + j], row[(ln.AT + ln.EY) * k + j], row[(ln.AT + ln.KD) * k + j]
     if share == 0.0:  # else A is symmetric and f = u
         _, axy, ayx, _, fx, fy, _, _, ux, uy, _, _ = ln.load_answer(row, k, j, share, ln.DOWN)
         gx += inv * (ny * (axy - ayx) + fx - ux)
         gy += inv * (nx * (ayx - axy) + fy - uy)
-        back = h * h * stiffness * inv
+        back = joint_law.slopes(joint, share, h, h * h)[1] * inv
     return (
         (row[(ln.AT + BY_Q) * k + j], row[(ln.AT + BY_W) * k + j], nx, ny),
         (row[(ln.AT + QX) * k + j], row[(ln.AT + QY) * k + j]),
         (row[(ln.AT + WX) * k + j], row[(ln.AT + WY) * k + j]),
         (gx, gy, inv, back),
-        (viscous + h * stiffness, share * viscous + h * stiffness, stiffness),
+        (*joint_law.slopes(joint, share, 1.0, h), joint_law.slopes(joint, share, 0.0, 1.0)[0]),
     )
 
 
@@ -120,19 +120,18 @@ def link_sources(row, k, j, seed, bend, rate, share):  # type: ignore[no-untyped
     far_x, far_y = row[(ln.AT + ln.PX) * k + j], row[(ln.AT + ln.PY) * k + j]
     zx, zy = cos * alpha - sin * w * w, sin * alpha + cos * w * w
     azx, azy = axx * zx + axy * zy, ayx * zx + ayy * zy
-    own = row[(ln.AT + ln.LENGTH) * k + j]
-    pull_x = axx * far_x + axy * far_y + fx * alpha + bx + own * azx
-    pull_y = ayx * far_x + ayy * far_y + fy * alpha + by + own * azy
+    lever = row[(ln.AT + ln.LENGTH) * k + j]
+    pull_x = axx * far_x + axy * far_y + fx * alpha + bx + lever * azx
+    pull_y = ayx * far_x + ayy * far_y + fy * alpha + by + lever * azy
     moment = -inertia * alpha - ma * (cos * px + sin * py)
     moment -= length * (ux * zx + uy * zy + cos * pull_x + sin * pull_y)
     change = alpha - row[(ln.UP + ln.ALPHA) * k + j]
-    stiff, soft = row[(ln.AT + ln.VISCOUS) * k + j], row[(ln.AT + ln.STIFFNESS) * k + j]
-    friction = -dry * row[(ln.AT + ln.GRIP) * k + j] - viscous * (rate + h * change) - stretch * h * stiff * change
-    spring = -stiffness * bend + soft * rest - stretch * h * soft * (rate + 2.0 * h * change)
+    joint, own, grip = ln.joint_in(row, k, j), (viscous, dry, stiffness, rest), row[(ln.AT + ln.GRIP) * k + j]
+    torque, torque_back = joint_law.variation(joint, own, share, bend, rate, change, grip, h, stretch)
     return (
         moment,
-        friction + spring,
-        share * friction + spring,
+        torque,
+        torque_back,
         mass * px + ma * zx + length * azx,
         mass * py + ma * zy + length * azy,
     )
@@ -230,13 +229,15 @@ def step_all(width, bears, lanes, links, stretch):  # type: ignore[no-untyped-de
 
     Parameters
     ----------
-    width, bears, lanes : as in ``step_state``; RHS of row 0 holds the change of the torque on link 0, N m
+    width, bears, lanes : as in ``step_state``; RHS of row 0 holds the change of the torque on link 0, N m, and with
+        drag RHS of the links that of the air's torques, see ``tangent.drag``
     links : (2, n, SEEDS) changes of the links' parameters
     stretch : (2,) relative change of the step's length in every lane
     """
     k = len(width)
     share = len(bears) - 1.0
     n = lanes.size // (ln.ROW * k) - 2
+    airy = 1.0 if lanes[ln.DRAG * k] > 0.0 else 0.0
     for way in range(n):
         i = n - way
         first = 1.0 if i == 1 else 0.0
@@ -247,10 +248,10 @@ def step_all(width, bears, lanes, links, stretch):  # type: ignore[no-untyped-de
             bend, rate = joint_motion(row, k, j, first)
             factors = link_factors(row, k, j, share)
             m, t, tb, x, y = link_sources(row, k, j, one, bend, rate, share)
-            m += first * row[(ln.UP + RHS) * k + j]
+            m += first * row[(ln.UP + RHS) * k + j] + airy * row[(ln.AT + RHS) * k + j]
             up_one(row, k, j, 0, factors, (m, t, tb, x, y))
             m, t, tb, x, y = link_sources(row, k, j, two, bend, rate, share)
-            m += first * row[(ln.UP + RHS + 1) * k + j]
+            m += first * row[(ln.UP + RHS + 1) * k + j] + airy * row[(ln.AT + RHS + 1) * k + j]
             up_one(row, k, j, 1, factors, (m, t, tb, x, y))
     one_stretch, two_stretch = stretch[0], stretch[1]
     for i in range(1, n + 1):

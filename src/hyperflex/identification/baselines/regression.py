@@ -1,12 +1,11 @@
 """The equation of motion as a regression: everything that is linear in it, link by link (paper (4)-(6)).
 
-The first moments p, the inertias J about the joints, friction, dry friction and stiffness enter the torques of a chain
+The first moments p, the inertias J about the joints and all resistances enter the torques of a chain
 linearly, and so do masses and inertias where lengths and centres of mass are known.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -15,15 +14,16 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.core import joint_law
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.model import Rope
+from hyperflex.model.properties import RESISTANCES, parsed
 
-LUMPED = ("p", "J", "friction", "dry_friction", "stiffness")  # blocks of n columns, in this order
+LUMPED = ("p", "J", *(each.name for each in RESISTANCES))  # blocks of n columns, in this order
 NAMES = ("inertia", "mass", "tip_mass", *LUMPED)
 WITHIN = {"p": {"mass", "tip_mass"}, "J": {"inertia", "mass", "tip_mass"}}  # what a lumped one already contains
 ALIKE = 1e-10  # singular values below this part of the largest mean that columns cannot be told apart
-_NAME = re.compile(r"(?P<name>[A-Za-z_]+)(?:\[(?P<link>\d+)\])?(?P<shared>:shared)?\Z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +118,7 @@ def regression(
     qdd: npt.ArrayLike,
     names: Sequence[str] = ("inertia:shared", "friction:shared"),
     *,
+    pivot_velocity: npt.ArrayLike | None = None,
     pivot_acceleration: npt.ArrayLike | None = None,
     arm_angle: npt.ArrayLike = 0.0,
     arm_rate: npt.ArrayLike = 0.0,
@@ -132,11 +133,11 @@ def regression(
     q, qd, qdd : (T, n) array_like
         Absolute angles, rad, rates, rad/s, and accelerations, rad/s^2; NaN marks gaps.
     names : sequence of str
-        The unknowns: ``inertia`` (about the centre of mass), ``mass``, ``friction``, ``dry_friction``, ``stiffness`` of
+        The unknowns: ``inertia`` (about the centre of mass), ``mass`` and the resistances, ``friction`` and others, of
         each link; ``friction[2]`` of one link, ``friction:shared`` one value for all; ``tip_mass``; the lumped moments
         ``p`` (kg m) and ``J`` (about the joint, kg m^2) of docs/notation.md. By default the paper's J and eta.
-    pivot_acceleration : (T, 2) array_like, optional
-        Of the first joint, m/s^2; by default it stands still.
+    pivot_velocity, pivot_acceleration : (T, 2) array_like, optional
+        Of the first joint, m/s (for air drag alone) and m/s^2; by default it stands still.
     arm_angle, arm_rate : (T,) array_like or float
         Of what the first joint is fixed to, rad and rad/s.
 
@@ -170,6 +171,8 @@ def regression(
     accelerations = checks.array("qdd", qdd, shape, unit="rad/s^2", gaps=True)
     moved = np.zeros((shape[0], 2)) if pivot_acceleration is None else pivot_acceleration
     moved = checks.array("pivot_acceleration", moved, (shape[0], 2), unit="m/s^2")
+    velocity = np.zeros((shape[0], 2)) if pivot_velocity is None else pivot_velocity
+    velocity = checks.array("pivot_velocity", velocity, (shape[0], 2), unit="m/s")
     first = [
         checks.array(name, value, (shape[0],), unit=unit, scalar=True)
         for name, value, unit in (("arm_angle", arm_angle, "rad"), ("arm_rate", arm_rate, "rad/s"))
@@ -179,10 +182,11 @@ def regression(
         [
             *_moments(rope, angles, rates, accelerations, rope.gravity - moved),
             *_joints(rope, angles, rates, first[0], first[1]),
+            _drag(rope, angles, rates, velocity),
         ],
         axis=2,
     )
-    held = np.concatenate([*lumped(rope), rope.friction, rope.dry_friction, rope.stiffness])
+    held = np.concatenate([*lumped(rope), *(getattr(rope, each.name) for each in RESISTANCES)])
     sizes = np.abs(held)
     spread = np.zeros((held.size, len(unknowns)))
     for column, (_, name, links) in zip(spread.T, unknowns, strict=True):
@@ -213,31 +217,55 @@ def _moments(rope: Rope, q: Array, qd: Array, qdd: Array, gravity: Array) -> tup
 
 
 def _joints(rope: Rope, q: Array, qd: Array, angle: Array, rate: Array) -> tuple[Array, Array, Array]:
-    """Return the torques (T, n, n) of a unit of friction, of dry friction and of stiffness in each joint."""
+    """Return the torques (T, n, n) of a unit of viscous and dry friction and stiffness, in this order."""
     turning = np.diff(qd, axis=1, prepend=rate[:, None])
     bent = np.diff(q, axis=1, prepend=angle[:, None]) - rope.rest_angle
-    onto = np.eye(rope.n_links)
-    both = onto - np.eye(rope.n_links, k=1)
-    friction = both if rope.friction_model == "relative" else onto
-    return friction * turning[:, None, :], friction * np.sign(turning)[:, None, :], both * bent[:, None, :]
+    share = 1.0 if rope.friction_model == "relative" else 0.0
+    onto, back = np.eye(rope.n_links), np.eye(rope.n_links, k=1)
+
+    def unit(*seed: float) -> Array:
+        law = joint_law.variation((0.0,) * 4, seed, share, bent, turning, 0.0, np.sign(turning), 0.0, 0.0)
+        return np.asarray(back * law[1][:, None, :] - onto * law[0][:, None, :])
+
+    return unit(1.0, 0.0, 0.0, 0.0), unit(0.0, 1.0, 0.0, 0.0), unit(0.0, 0.0, 1.0, 0.0)
+
+
+def _drag(rope: Rope, q: Array, qd: Array, pivot: Array) -> Array:
+    """Return the torques (T, n, n) of a unit of air drag on each link, whose first joint moves at `pivot` (T, 2), m/s.
+
+    Across a link the velocity v = u + s w is linear in the way s along it, so v |v| is a parabola on either side of
+    where v is 0, and two points of Gauss on each are exact for it and for its moment.
+    """
+    length, normal = rope.length, np.stack([np.cos(q), np.sin(q)], axis=2)
+    turn = (length * qd)[:, :, None] * normal
+    u = ((pivot[:, None] + np.cumsum(turn, axis=1) - turn) * normal).sum(axis=2)
+    still = np.clip(np.divide(-u, qd, out=np.zeros_like(u), where=qd != 0.0), 0.0, length)
+    force, moment = np.zeros_like(u), np.zeros_like(u)
+    for low, high in ((0.0, still), (still, length)):
+        for side in (-1.0, 1.0):
+            s = 0.5 * (low + high) + side * (high - low) / np.sqrt(12.0)
+            part = 0.5 * (high - low) * (u + s * qd) * np.abs(u + s * qd)
+            force, moment = force + part, moment + s * part
+    carried = length[:, None] * np.cos(q[:, :, None] - q[:, None, :]) * force[:, None, :]
+    return np.asarray(np.triu(carried, 1) + np.eye(rope.n_links) * moment[:, None, :])
 
 
 def _unknowns(rope: Rope, names: Sequence[str]) -> list[tuple[str, str, list[int]]]:
     """Return label, property and links of each unknown."""
     result = []
     for given in [names] if isinstance(names, str) else names:
-        match = _NAME.match(given) if isinstance(given, str) else None
-        name = match["name"] if match else ""
-        if match is None or name not in NAMES or (match["link"] and match["shared"]):
+        label = parsed(given)
+        if label is None or label.name not in NAMES or label.law not in ("", "shared"):
             raise InvalidInput(
                 "an unknown of the regression is not known",
                 got=given,
                 allowed=", ".join(NAMES) + "; friction[2] for one link, friction:shared for all",
             )
-        links = list(range(rope.n_links)) if match["link"] is None else [int(match["link"])]
+        name = label.name
+        links = list(range(rope.n_links)) if label.place is None else [label.place]
         if links[-1] >= rope.n_links or (name == "tip_mass" and given != name):
             raise InvalidInput("a name does not fit the rope", got=given, allowed=f"links 0 to {rope.n_links - 1}")
-        if name == "tip_mass" or match["shared"] or match["link"]:
+        if name == "tip_mass" or given != name:
             result.append((given, name, [0] if name == "tip_mass" else links))
         else:
             result += [(f"{name}[{k}]", name, [k]) for k in links]
@@ -259,9 +287,9 @@ def _refuse_overlaps(unknowns: list[tuple[str, str, list[int]]]) -> None:
 
 
 def _lumped_part(rope: Rope, name: str, link: int) -> tuple[Array, float]:
-    """Return what a unit of a link's property adds to (p, J, friction, dry, stiffness), (5 n,), and its own value."""
+    """Return what a unit of a link's property adds to LUMPED, (n,) of each, and its own value."""
     n = rope.n_links
-    result = np.zeros((5, n))
+    result = np.zeros((len(LUMPED), n))
     if name in LUMPED:
         result[LUMPED.index(name), link] = 1.0
         own = dict(zip(("p", "J"), lumped(rope), strict=True))

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-
-import numpy as np
+from itertools import combinations
 
 from hyperflex import checks
-from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification.model.names import scales
 from hyperflex.model import Rope
-from hyperflex.model.rope_table import LINK_FIELDS, MOST_LINKS
+from hyperflex.model.properties import DAMPING, FREE, RESISTANCES, parsed
+from hyperflex.model.refine import recut
+from hyperflex.model.rope_table import MOST_LINKS
 
-SLIGHT = 1e-3  # dry friction at the start, as a part of gravity's torque
-RESISTANCES = ("dry_friction", "stiffness")  # beyond the viscous friction that every candidate may have
+SLIGHT = 0.1  # of its scale, what a guess has none of at the start
+MOST_BESIDE = 2  # resistances beside viscous friction in one candidate
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class Candidate:
 
     def handed_on(self, other: Candidate, rope: Rope) -> Rope:
         """Return the guess of `other` with what was fitted here, to `rope`, as its start; laws keep their guess."""
-        plain = [word for word in self.free if word.partition(":")[2] in ("", "shared")]
-        names = {_property(word) for word in plain} & {*LINK_FIELDS, "tip_mass"}
+        labels = [label for word in self.free if (label := parsed(word)) and label.law in ("", "shared")]
+        names = {label.name for label in labels if FREE[label.name].owner in ("link", "rope")} - {"gravity_angle"}
         return other.guess.replace(**{name: getattr(rope, name) for name in sorted(names)})
 
 
@@ -47,7 +47,7 @@ def candidates(
     guess, free
         As given to ``compare_models``.
     models : mapping, optional
-        Names to words of ``free``, or to a pair of a guess and words; None: viscous, + dry, + stiffness, all three.
+        Names to words of ``free``, or to a pair of a guess and words; None: what may resist the rope.
     links : sequence of int
         Further numbers of links, each with `free` as it is.
     """
@@ -80,69 +80,31 @@ def _own(name: str, guess: Rope, value: object) -> Candidate:
 
 
 def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
-    """Return the viscous rope, and those with dry friction, stiffness or both; what is not free is 0 in them."""
+    """Return the viscous rope, alone and with one or two resistances beside; and what else damps in its place.
+
+    What is not free is 0 in them, but viscous friction that is not in `free`, which all have as given.
+    """
     if isinstance(free, str):
         raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
-    plain = tuple(word for word in free if _property(word) not in RESISTANCES)
-    own = {_property(word): word for word in free}
-    law = ":shared" if ":" in own.get("friction", "") else ""
-    if not guess.dry_friction.any():  # started from 0 it may stay there: a joint that never sticks tells little of it
-        guess = guess.replace(dry_friction=SLIGHT * lumped(guess)[0] * float(np.hypot(*guess.gravity)))
+    own: dict[str, tuple[str, ...]] = {}
+    for word in free:
+        label = parsed(word)
+        own.setdefault(label.name if label else "", ())
+        own[label.name if label else ""] += (word,)
+    viscous, *beside = RESISTANCES
+    law = ":shared" if ":" in "".join(own.get(viscous.name, ())) else ""
+    for each in beside:  # started from 0 it may stay there: a joint that never sticks tells little of dry friction
+        if each.least and not getattr(guess, each.name).any():
+            guess = guess.replace(**{each.name: SLIGHT * scales(guess, each.name)})
+    chosen = [(viscous, *more) for count in range(MOST_BESIDE + 1) for more in combinations(beside, count)]
+    varied = [*beside, viscous] if viscous.name in own else beside
+    if viscous in varied:
+        chosen += [(each,) for each in beside if each.name in DAMPING]
+    plain = tuple(word for name, words in own.items() for word in words if name not in [each.name for each in varied])
     result = []
-    for name, beside in (
-        ("viscous", ()),
-        ("viscous + dry", RESISTANCES[:1]),
-        ("viscous + stiffness", RESISTANCES[1:]),
-        ("viscous + dry + stiffness", RESISTANCES),
-    ):
-        words = tuple(own.get(each, each + law) for each in beside)
-        absent = {each: 0.0 for each in RESISTANCES if each not in beside}
-        result.append(Candidate(name, guess.replace(**absent), plain + words))
+    for those in chosen:
+        words = [word for each in those if each in varied for word in own.get(each.name, (each.name + law,))]
+        absent = {each.name: 0.0 for each in varied if each not in those}
+        name = " + ".join(each.field for each in those)
+        result.append(Candidate(name, guess.replace(**absent), (*plain, *words)))
     return result
-
-
-def _property(word: object) -> str:
-    return str(word).partition(":")[0].partition("[")[0]
-
-
-def recut(rope: Rope, n_links: int) -> Rope:
-    """Cut a rope into `n_links` equal links.
-
-    Mass is spread evenly along each old link, so that new links have their part of it, their centre and inertia from
-    there. A joint stands for the bending of the rope around it: what resists there, per length, is that of the old
-    joints. The first joint is what the rope hangs from, and keeps its own.
-    """
-    ends = np.append(0.0, np.cumsum(rope.length))
-    cuts = np.linspace(0.0, ends[-1], n_links + 1)
-    low, high = np.maximum(cuts[:-1, None], ends[:-1]), np.minimum(cuts[1:, None], ends[1:])
-    part = np.maximum(high - low, 0.0)  # (new, old), m
-    mass = part * (rope.mass / rope.length)
-    middle = 0.5 * (low + high) - cuts[:-1, None]
-    total = mass.sum(axis=1)
-    com = (mass * middle).sum(axis=1) / np.maximum(total, 1e-300)
-    inertia = (mass * (part**2 / 12.0 + (middle - com[:, None]) ** 2)).sum(axis=1)
-    length = np.full(n_links, ends[-1] / n_links)
-    joints = {name: _joints(getattr(rope, name), rope.length, cuts, ends) for name in ("friction", *RESISTANCES)}
-    joints["dry_friction"] = np.interp(cuts[:-1], ends[:-1], rope.dry_friction)
-    return Rope(
-        length,
-        total,
-        com,
-        inertia + 0.25 * total * rope.radius**2,
-        **joints,
-        tip_mass=rope.tip_mass,
-        gravity=rope.gravity,
-        friction_model=rope.friction_model,
-        radius=rope.radius,
-        name=rope.name,
-    )
-
-
-def _joints(value: Array, length: Array, cuts: Array, ends: Array) -> Array:
-    """Return the resistance of each new joint, in inverse proportion to the length whose bending it stands for."""
-    new = np.diff(cuts)[0]
-    if value.size == 1:
-        return np.append(value, np.full(cuts.size - 2, value[0]))
-    bending = value[1:] * 0.5 * (length[:-1] + length[1:])
-    rest: Array = np.interp(cuts[1:-1], ends[1:-1], bending) / new
-    return np.append(value[0], rest)

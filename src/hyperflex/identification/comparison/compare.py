@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.identification.comparison.candidates import Candidate, candidates
 from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend
 from hyperflex.identification.comparison.result import FittedModel, ModelComparison
-from hyperflex.identification.fit.loss import LossName
 from hyperflex.identification.fit.threads import one_thread
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.model import Arm, Rope
-from hyperflex.motion import Motion
+from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation.rollouts import progress_bar
 
@@ -34,18 +32,8 @@ def compare_models(
     *,
     free: Sequence[str] = ("inertia", "friction"),
     links: Sequence[int] = (),
-    window: float | None = None,
-    train: float | None = None,
-    motion: Motion | None = None,
-    arm: Arm | None = None,
-    arcs: npt.ArrayLike | None = None,
-    origin: npt.ArrayLike | None = None,
-    torque: npt.ArrayLike | None = None,
-    torque_noise: npt.ArrayLike | None = None,
-    loss: LossName = "squares",
-    lead: float = 0.5,
-    ahead: float = 1.0,
     progress: bool = False,
+    **options: Any,
 ) -> ModelComparison:
     """Fit several models to one recording and say which of them the evidence prefers.
 
@@ -54,20 +42,22 @@ def compare_models(
     recording : Recording
         As :func:`hyperflex.identify` takes it.
     rope_guess : Rope
-        Everything that is not free is taken from it; in the models made from `free` dry friction and stiffness are 0
-        where they are not free.
+        Everything that is not free is taken from it; in the models made from `free` resistances are 0 where they are
+        not free.
     models : mapping, optional
         Names to what is free (words as in ``identify``), or to a pair of a guess and what is free. By default the
-        viscous rope, with dry friction, with stiffness, and with both.
+        viscous rope, alone and with one or two of dry friction, stiffness and air drag beside; and dry friction or air
+        drag in place of the viscous one.
     free : sequence of str
         What is free in the viscous rope; used where `models` is not given.
     links : sequence of int
         Further numbers of equal links into which the guess is cut, with what is free in the first model. Needs markers:
         their places are what all candidates must explain.
-    window, train, motion, arm, arcs, origin, torque, torque_noise, loss, lead, ahead
-        As in :func:`hyperflex.identify`, the same for all candidates.
     progress : bool
         Show a bar over the candidates on standard error.
+    **options
+        Of :func:`hyperflex.identify`, the same for all candidates: window, train, motion, arm, arcs, origin, torque,
+        torque_noise, loss, lead, ahead.
 
     Returns
     -------
@@ -96,21 +86,11 @@ def compare_models(
             allowed="a recording of markers",
             fix="Leave links out: the angles of a recording belong to one number of links",
         )
-    if links and arcs is None:
-        arcs = np.append(0.0, np.cumsum(rope_guess.length))
+    if links and options.get("arcs") is None:
+        options["arcs"] = np.append(0.0, np.cumsum(rope_guess.length))
     todo = candidates(rope_guess, free, models, links)
-    options: dict[str, Any] = {"train": train, "motion": motion, "arm": arm, "arcs": arcs, "origin": origin}
-    options |= {
-        "torque": torque,
-        "torque_noise": torque_noise,
-        "loss": loss,
-        "lead": lead,
-        "ahead": ahead,
-        "progress": False,
-        "intervals": None,
-    }
     with _bar(len(todo), progress) as report:
-        done, stopped = _fit_all(recording, todo, window, options, report)
+        done, stopped = _fit_all(recording, todo, options, report)
     return _compared(todo[: len(done)], done, stopped)
 
 
@@ -119,14 +99,15 @@ def _bar(count: int, wanted: bool) -> AbstractContextManager[Any]:
 
 
 def _fit_all(
-    recording: Recording, todo: Sequence[Candidate], window: float | None, options: dict[str, Any], report: Any
+    recording: Recording, todo: Sequence[Candidate], options: dict[str, Any], report: Any
 ) -> tuple[list[Identification | str], bool]:
     """Return each candidate's fit, or why it failed; and whether Ctrl-C cut the rest."""
     done: list[Identification | str] = []
+    fit = partial(identify, recording, intervals=None, progress=False)
     for number, each in enumerate(todo):
         try:
-            found = identify(recording, each.guess, each.free, window=window, **options)
-            found = _unstuck(recording, each, found, zip(todo, done, strict=False), options)
+            found = fit(each.guess, each.free, **options)
+            found = _unstuck(fit, each, found, zip(todo, done, strict=False), options)
         except HyperflexError as failure:
             done.append(str(failure))
         except KeyboardInterrupt:
@@ -135,7 +116,7 @@ def _fit_all(
             return done, True
         else:
             done.append(found)
-            window = found.settings["window"]  # the same for all
+            options = options | {"window": found.settings["window"]}  # the same for all
             if found.status == "interrupted":
                 return done, True
         if report is not None:
@@ -144,19 +125,19 @@ def _fit_all(
 
 
 def _unstuck(
-    recording: Recording,
+    fit: Callable[..., Identification],
     candidate: Candidate,
     found: Identification,
     simpler: Iterable[tuple[Candidate, Identification | str]],
     options: dict[str, Any],
 ) -> Identification:
     """Return a fit that is no worse than those of models within it: where one is better, fitted again from there."""
-    for other, fit in simpler:
-        if isinstance(fit, str) or not other.within(candidate) or found.status == "interrupted":
+    for other, before in simpler:
+        if isinstance(before, str) or not other.within(candidate) or found.status == "interrupted":
             continue
-        if fit.residual_t.size == found.residual_t.size and WORSE * _cost(fit) < _cost(found):
-            start = other.handed_on(candidate, fit.rope)
-            again = identify(recording, start, candidate.free, window=found.settings["window"], **options)
+        if before.residual_t.size == found.residual_t.size and WORSE * _cost(before) < _cost(found):
+            start = other.handed_on(candidate, before.rope)
+            again = fit(start, candidate.free, **options | {"window": found.settings["window"]})
             if again.status == "interrupted" or _cost(again) < _cost(found):
                 found = again
     return found

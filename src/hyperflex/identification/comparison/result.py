@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -112,13 +111,13 @@ class ModelComparison:
     def summary(self) -> dict[str, Any]:
         """Return the table, the preference and the words as plain numbers, lists and strings; None for no number."""
         names = ("name", "links", "parameters", "bic", "fit_rms", "held_out_rms", "whiteness", "reason")
-        table = [{name: _plain(getattr(m, name)) for name in names} | {"free": list(m.free)} for m in self.models]
+        table = [{name: getattr(m, name) for name in (*names, "free")} for m in self.models]
         result: dict[str, Any] = {"status": self.status, "preferred": self.preferred, "unit": self.unit}
-        return result | {"recommendation": self.recommendation, "models": table}
+        return dict(files.plain(result | {"recommendation": self.recommendation, "models": table}))
 
     def to_json(self, path: PathLike) -> None:
         """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""
-        files.write_text(path, json.dumps(self.summary(), indent=2, allow_nan=False) + "\n")
+        files.write_json(path, self.summary())
 
     def __str__(self) -> str:
         wide = max([5, *(len(model.name) for model in self.models)])
@@ -140,7 +139,3 @@ def _row(model: FittedModel, wide: int, least: float, unit: int) -> str:
     fit = f"{1e3 * model.fit_rms:.3f}"
     mark = f"  {model.reason}" if model.reason else ""
     return f"{start}  {model.parameters:10d}  {above:>13}  {fit:>{6 + unit}}  {held:>{11 + unit}}  {white}{mark}"
-
-
-def _plain(value: Any) -> Any:
-    return None if isinstance(value, float) and not np.isfinite(value) else value

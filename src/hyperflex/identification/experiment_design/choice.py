@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -81,13 +80,13 @@ class Design:
         for plan in self.plans:
             e = plan.experiment
             row: dict[str, Any] = {"name": e.name, "rate": e.rate, "duration": e.duration, "markers": e.markers}
-            row |= {"sd": _plain(plan.sd), "relative": _plain(plan.relative), "reason": plan.reason}
-            table.append(row)
-        return {"status": self.status, "want": list(self.want), "advice": self.advice, "plans": table}
+            table.append(row | {"sd": plan.sd, "relative": plan.relative, "reason": plan.reason})
+        told = {"status": self.status, "want": self.want, "advice": self.advice, "plans": table}
+        return dict(files.plain(told))
 
     def to_json(self, path: PathLike) -> None:
         """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""
-        files.write_text(path, json.dumps(self.summary(), indent=2, allow_nan=False) + "\n")
+        files.write_json(path, self.summary())
 
     def __str__(self) -> str:
         wide = max([10, *(len(plan.experiment.name) for plan in self.plans)])
@@ -248,7 +247,3 @@ def _figure(value: float) -> str:
 
 def _percent(value: float) -> str:
     return f"{100.0 * value:.3g} %" if np.isfinite(value) else "-"
-
-
-def _plain(table: dict[str, float]) -> dict[str, float | None]:
-    return {name: value if np.isfinite(value) else None for name, value in table.items()}

@@ -17,11 +17,11 @@ from hyperflex.identification.measurements import measure, with_torque
 from hyperflex.identification.model.parameters import Parameter, Parameters
 from hyperflex.identification.model.plant import PRECISION, Plant, pivot_places
 from hyperflex.identification.model.scale import growing
-from hyperflex.identification.model.sensors import Places
 from hyperflex.identification.pipeline import planned
 from hyperflex.identification.uncertainty.covariance import UNKNOWN, Information, ratio_spread, ratios
 from hyperflex.model import Arm, Rope
 from hyperflex.recording import Recording
+from hyperflex.sensors import Markers
 from hyperflex.simulation import simulate
 
 FAINT = 1e-3  # a ratio below this part of the largest of its kind is judged by that
@@ -96,8 +96,7 @@ def foresee(rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | 
         arcs, recording = None, Recording(t, run.q, noise=np.full(1, spread).repeat(rope.n_links))
     else:
         arcs = np.linspace(0.0, rope.total_length, experiment.markers)
-        own = np.concatenate([np.zeros(2), arcs])
-        places = Places().see(rope, pivot_places(motion, base, t), run.q, own)
+        places = Markers(arcs).predict(rope, run.q, pivot_places(motion, base, t))
         recording = Recording(t, places, "markers", np.full(places.shape[1], spread))
     torque = experiment.torque_noise
     if torque is not None and base is None:

@@ -50,7 +50,7 @@ def with_delay(plant: Plant, delay: float) -> Plant:
     every = [replace(each, start=delay) if each.name == "delay" else each for each in plant.parameters.all]
     parameters = Parameters(plant.parameters.guess, every)
     torque = plant.motor is not None
-    return Plant(parameters, plant.sensor, plant.own, plant.motion, plant.arm, torque=torque)
+    return Plant(parameters, plant.sensor, plant.motion, plant.arm, torque=torque)
 
 
 def _cost(plant: Plant, x: Array, windows: list[Window], states: list[Array], loss: Loss) -> float:

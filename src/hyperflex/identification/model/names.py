@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.model.parameters import ARM, FORMS, SCALARS, Parameter, lumped
+from hyperflex.identification.model.parameters import Parameter, Parameters, lumped
 from hyperflex.model import Arm, Rope
+from hyperflex.model.properties import FREE, Label, parsed
 
 SHARE = 0.01  # size of an unknown small torque, as a part of gravity's, in the scale of a friction that starts from 0
 DELAY = 0.05  # s, scale of the time between camera and motor
 ORIGIN = 0.1  # scale of the place of the first joint, in lengths of the rope
-_NAME = re.compile(r"(?P<name>[a-z_]+)(?:\[(?P<link>\d+)\])?(?::(?P<law>shared|factor|taper))?\Z")
 
 
 def parse(
@@ -42,15 +41,15 @@ def parse(
         raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
     result: list[Parameter] = []
     for word in free:
-        match = _NAME.match(word) if isinstance(word, str) else None
-        if match is None or match["name"] not in FORMS or (match["link"] and match["law"]):
+        label = parsed(word)
+        if label is None or label.name not in FREE:
             raise InvalidInput(
                 "free has an unknown name",
                 got=word,
-                allowed=f"{', '.join(FORMS)}; 'friction[2]' for one link, 'friction:shared' for one value of all "
+                allowed=f"{', '.join(FREE)}; 'friction[2]' for one link, 'friction:shared' for one value of all "
                 "links, 'friction:factor' and 'friction:taper' for laws along the rope",
             )
-        result += _one(guess, match["name"], match["link"], match["law"] or "", arcs, moved, arm)
+        result += _one(guess, label, arcs, moved, arm)
     _refuse_twice(result, free)
     return result
 
@@ -74,79 +73,106 @@ def _refuse_twice(chosen: list[Parameter], free: Sequence[str]) -> None:
         )
 
 
-def _one(
-    guess: Rope, name: str, link: str | None, law: str, arcs: Array | None, moved: bool, arm: Arm | None
-) -> list[Parameter]:
+def _one(guess: Rope, label: Label, arcs: Array | None, moved: bool, arm: Arm | None) -> list[Parameter]:
     """Return the parameters of one word in `free`."""
-    if name in SCALARS:
-        if link or law:
-            raise InvalidInput(f"{name} belongs to the whole rope, or camera", got=f"{name}[{link}]", allowed=name)
-        return [_of_arm(guess, name, arm) if name in ARM else _whole(guess, name, arcs, moved)]
-    if name == "arc":
-        return _arcs(guess, link, law, arcs)
+    name, place, law = label
+    if FREE[name].owner == "marker":
+        return _arcs(guess, place, law, arcs)
+    if FREE[name].owner != "link":
+        if place is not None or law:
+            raise InvalidInput(f"{name} belongs to the whole rope, or camera", got=f"{name}[{place}]", allowed=name)
+        return [_whole(guess, name, arcs, moved, arm)]
     n = guess.n_links
-    if link is not None and int(link) >= n:
+    if place is not None and place >= n:
         raise InvalidInput(
-            "free names a link that the rope does not have", got=f"{name}[{link}]", allowed=f"0 to {n - 1}"
+            "free names a link that the rope does not have", got=f"{name}[{place}]", allowed=f"0 to {n - 1}"
         )
     everyone = tuple(range(n))
     if law in ("factor", "taper"):
         if not getattr(guess, name).any():
             raise InvalidInput(f"{name}:{law} is free but starts from 0", allowed=f"a guess of {name} that is not 0")
         return [Parameter(name, everyone, f"{name}:{law}", 1.0 if law == "factor" else 0.0, 1.0, law)]  # type: ignore[arg-type]
-    starts, scales = _starts(guess, name)
+    starts, sizes = getattr(guess, name), scales(guess, name)
     if law == "shared":
-        return [Parameter(name, everyone, f"{name}:shared", float(starts.mean()), float(scales.mean()))]
-    chosen = everyone if link is None else (int(link),)
-    return [Parameter(name, (k,), f"{name}[{k}]", float(starts[k]), float(scales[k])) for k in chosen]
+        return [Parameter(name, everyone, f"{name}:shared", float(starts.mean()), float(sizes.mean()))]
+    chosen = everyone if place is None else (place,)
+    return [Parameter(name, (k,), f"{name}[{k}]", float(starts[k]), float(sizes[k])) for k in chosen]
 
 
-def _whole(guess: Rope, name: str, arcs: Array | None, moved: bool) -> Parameter:
-    """Return a parameter that belongs to no link."""
-    if name == "delay" and not moved:
+def _whole(guess: Rope, name: str, arcs: Array | None, moved: bool, arm: Arm | None) -> Parameter:
+    """Return a parameter that belongs to no link; what starts from 0 gets a typical size as scale."""
+    owner = FREE[name].owner
+    if owner == "motion" and not moved:
         raise InvalidInput("delay is free, but nothing moves the first joint", fix="Give motion=..., or leave it out")
-    if name.startswith("origin") and arcs is None:
+    if owner == "camera" and arcs is None:
         raise InvalidInput(f"{name} is free, but no places are measured", fix="Give arcs=..., or leave it out")
-    if name == "tip_mass":
-        return Parameter(name, (), name, guess.tip_mass, max(guess.tip_mass, SHARE * guess.total_mass))
-    scale = {"delay": DELAY, "gravity_angle": 1.0}.get(name, ORIGIN * guess.total_length)
-    return Parameter(name, (), name, 0.0, scale)
-
-
-def _of_arm(guess: Rope, name: str, arm: Arm | None) -> Parameter:
-    """Return a property of the arm; what starts from 0 gets a small part of the level rope's as scale."""
-    if arm is None:
+    if owner == "arm" and arm is None:
         raise InvalidInput(
             f"{name} is free, but no torque is measured", fix="Give torque=... and arm=..., or leave it out"
         )
-    level = SHARE * guess.total_mass * guess.total_length**2
-    if name == "arm_inertia":
-        return Parameter(name, (), name, arm.inertia, max(arm.inertia, level))
+    held = arm or Arm()
+    level = SHARE * guess.total_mass * guess.total_length**2  # of the level rope
     typical = level * float(np.sqrt(np.hypot(*guess.gravity) / guess.total_length))
-    return Parameter(name, (), name, arm.friction, max(arm.friction, typical or level))
+    place = (0.0, ORIGIN * guess.total_length)
+    start, size = {
+        "tip_mass": (guess.tip_mass, SHARE * guess.total_mass),
+        "gravity_angle": (0.0, 1.0),
+        "delay": (0.0, DELAY),
+        "origin_x": place,
+        "origin_y": place,
+        "arm_inertia": (held.inertia, level),
+        "arm_friction": (held.friction, typical or level),
+    }[name]
+    return Parameter(name, (), name, start, max(start, size))
 
 
-def _arcs(guess: Rope, marker: str | None, law: str, arcs: Array | None) -> list[Parameter]:
+def _arcs(guess: Rope, marker: int | None, law: str, arcs: Array | None) -> list[Parameter]:
     """Return the places of markers along the rope."""
     if arcs is None:
         raise InvalidInput("arc is free, but no places are measured", fix="Give a first guess, arcs=...")
-    if law or (marker is not None and int(marker) >= arcs.size):
-        raise InvalidInput("arc names no marker", got=marker or law, allowed=f"arc, or arc[0] to arc[{arcs.size - 1}]")
-    chosen = range(arcs.size) if marker is None else (int(marker),)
+    if law or (marker is not None and marker >= arcs.size):
+        raise InvalidInput("arc names no marker", got=law or marker, allowed=f"arc, or arc[0] to arc[{arcs.size - 1}]")
+    chosen = range(arcs.size) if marker is None else (marker,)
     scale = ORIGIN * guess.total_length
     return [Parameter("arc", (k,), f"arc[{k}]", float(arcs[k]), scale) for k in chosen]
 
 
-def _starts(guess: Rope, name: str) -> tuple[Array, Array]:
-    """Return start values and scales (n,) of a per-link property; what starts from 0 gets a typical size as scale."""
-    value = np.array(getattr(guess, name))
-    p, inertia = lumped(guess)
-    weight = np.abs(p) * (float(np.hypot(*guess.gravity)) or 1.0)
-    if FORMS[name] == "log":
+def scales(guess: Rope, name: str) -> Array:
+    """Return the scales (n,) of a property of the links: its value, or by its unit what is typical, if that is more."""
+    value: Array = np.array(getattr(guess, name))
+    if FREE[name].form == "log":
         if not (value > 0.0).all():
             raise InvalidInput(f"{name} is free but starts from 0", got=value, allowed=f"a guess of {name} > 0")
-        return value, value
-    if name in ("com", "inertia"):
-        return value, guess.length if name == "com" else inertia
-    typical = SHARE * (np.sqrt(weight * inertia) if name == "friction" else weight)
-    return value, np.maximum(value, typical)
+        return value
+    p, inertia = lumped(guess)
+    weight = SHARE * np.abs(p) * (float(np.hypot(*guess.gravity)) or 1.0)
+    typical: dict[str, Array | float] = {
+        "m": guess.length,
+        "kg m^2": inertia,
+        "N m s/rad": np.sqrt(SHARE * weight * inertia),
+        "N m": weight,
+        "N m/rad": weight,
+        "rad": 1.0,
+        "kg/m^2": SHARE * guess.total_mass / guess.total_length**2,
+    }
+    return np.maximum(np.abs(value), typical[FREE[name].unit])
+
+
+def perturbed(rope: Rope, off: Mapping[str, float]) -> Rope:
+    """Return the rope with fitted numbers off by so much, kept within their bounds.
+
+    Parameters
+    ----------
+    rope : Rope
+        As fitted.
+    off : mapping of str to float
+        By labels such as ``friction[1]``, in SI units; of a factor relative. What is none of the rope's is left out.
+    """
+    owners = {label: FREE[parts.name].owner for label in off if (parts := parsed(label))}
+    own = {label: off[label] for label, owner in owners.items() if owner in ("link", "rope")}
+    if not own:
+        return rope
+    parameters = Parameters(rope, parse(rope, list(own)))
+    x = parameters.start
+    moved = np.maximum(x + np.array(list(own.values())) / parameters.slopes(x), parameters.lower)
+    return parameters.rope(parameters.rounded(moved))

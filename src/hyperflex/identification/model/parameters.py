@@ -11,36 +11,16 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope
+from hyperflex.model.properties import PROPERTIES, Form, Property
 from hyperflex.model.stretch import growth, stretched
 
-Form = Literal["log", "linear", "nonnegative"]
 Law = Literal["own", "factor", "taper"]
 Part = dict[str, Array]
 
-FORMS: dict[str, Form] = {
-    "inertia": "nonnegative",
-    "mass": "log",
-    "length": "log",
-    "com": "linear",
-    "friction": "nonnegative",
-    "dry_friction": "nonnegative",
-    "stiffness": "nonnegative",
-    "tip_mass": "nonnegative",
-    "gravity_angle": "linear",
-    "delay": "linear",
-    "origin_x": "linear",
-    "origin_y": "linear",
-    "arc": "linear",
-    "arm_inertia": "nonnegative",
-    "arm_friction": "nonnegative",
-}
-ROPE_SCALARS = ("tip_mass", "gravity_angle")
-ARM = ("arm_inertia", "arm_friction")
-SCALARS = (*ROPE_SCALARS, "delay", "origin_x", "origin_y", *ARM)
+ARM = tuple(each.name for each in PROPERTIES.values() if each.owner == "arm")
 LED = ("com", "inertia")  # what goes with a uniform link's length
-TRACE = 1e-9  # of the scale of dry friction
-SEEN_ONLY = ("origin_x", "origin_y", "arc", *ARM)  # what is looked at: they do not move the rope
-WIDTHS = {"gravity_angle": 0.1, "delay": 0.1, "origin_x": 0.1, "origin_y": 0.1, "arc": 0.1}
+MOVING = ("link", "rope", "motion")  # whose properties move the rope; the others are looked at
+SMALL = 0.1  # rad, and parts of a time or place scale, by which such parameters are compared
 
 
 @dataclass(frozen=True)
@@ -60,10 +40,15 @@ class Parameter:
     law: Law = "own"
 
     @property
+    def kind(self) -> Property:
+        """The property that it is a number of."""
+        return PROPERTIES[self.name]
+
+    @property
     def form(self) -> Form:
         """How the fitter sees it."""
         if self.law == "own":
-            return FORMS[self.name]
+            return self.kind.form or "linear"
         return "log" if self.law == "factor" else "linear"
 
     @property
@@ -73,10 +58,8 @@ class Parameter:
 
     @property
     def least(self) -> float:
-        """The least x. Without any dry friction no run turns where it would act, and none tells what it would do."""
-        if self.form != "nonnegative":
-            return -np.inf
-        return TRACE if self.name == "dry_friction" else 0.0
+        """The least x."""
+        return self.kind.least if self.form == "nonnegative" else -np.inf
 
     @property
     def width(self) -> float:
@@ -85,7 +68,7 @@ class Parameter:
         A factor of e, a link's length, its whole inertia, a torque of 1 % of gravity's, 0.1 rad, 0.1 of a time or
         place scale.
         """
-        return WIDTHS.get(self.name, 1.0)
+        return SMALL if self.form == "linear" and self.law == "own" and self.name != "com" else 1.0
 
     def value(self, x: float) -> float:
         """Return the value in SI units; of a law the factor, or the logarithm of the growth."""
@@ -130,7 +113,7 @@ class Parameters:
         return np.array([p.least for p in self.all])
 
     def rounded(self, x: Array) -> Array:
-        """Return x (P,) with a trace of dry friction that is left at its bound as none."""
+        """Return x (P,) with 0 for what is left at its bound."""
         return np.where((x > 0.0) & (x <= self.lower), 0.0, x)
 
     @property
@@ -158,9 +141,9 @@ class Parameters:
             name, value = parameter.name, parameter.value(each)
             if name == "gravity_angle":
                 changes["gravity"] = turned(self.guess.gravity, value)
-            elif name == "tip_mass":
-                changes["tip_mass"] = value
-            elif name not in SCALARS and name not in SEEN_ONLY:
+            elif parameter.kind.owner == "rope":
+                changes[name] = value
+            elif parameter.kind.owner == "link":
                 column = columns.setdefault(name, getattr(self.guess, name).copy())
                 if parameter.law == "own":
                     column[list(parameter.links)] = value
@@ -188,7 +171,7 @@ class Parameters:
         """
         found = []
         for k, (parameter, each) in enumerate(zip(self.all, x, strict=True)):
-            if parameter.name not in SEEN_ONLY:
+            if parameter.kind.owner in MOVING:
                 found.append((k, self._part(parameter, float(each), rope)))
         return found
 
@@ -197,7 +180,7 @@ class Parameters:
         if name == "gravity_angle":
             gx, gy = rope.gravity
             return {"gravity": np.array([-gy, gx]) * parameter.scale}
-        if name in SCALARS:
+        if parameter.kind.owner != "link":
             return {name: np.array([parameter.slope(x)])}
         if parameter.law != "own":
             change = getattr(rope, name) * (1.0 if parameter.law == "factor" else self.middle)

@@ -15,10 +15,9 @@ from hyperflex.core.tangent.directions import place_changes
 from hyperflex.errors import SimulationError
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import ARM, Parameters
-from hyperflex.identification.model.sensors import Angles, Sensor
-from hyperflex.identification.model.torque import MotorTorque
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion, hold
+from hyperflex.sensors import Angles, MotorTorque, Sensor
 from hyperflex.simulation.rollouts import finish, limits, prepare
 from hyperflex.simulation.sensitivity.directions import Wanted
 from hyperflex.simulation.sensitivity.sensitivity import along, recorded
@@ -34,8 +33,8 @@ class _At:
     chain: Chain
     motion: Motion
     drive: Drive
-    own: Array  # values of the sensor
-    arm: Array  # inertia and friction of the arm
+    sensor: Sensor
+    motor: MotorTorque | None
     moving: list[int]  # which parameters move the rope
     wanted: Wanted  # state first, then those
 
@@ -56,8 +55,6 @@ class Plant:
     ----------
     parameters : Parameters
     sensor : Sensor
-    own : (V,) array
-        Values of the sensor where they are not free.
     motion, arm : Motion, Arm, optional
         What the first joint does; by default it hangs from a fixed point.
     torque : bool
@@ -68,14 +65,12 @@ class Plant:
         self,
         parameters: Parameters,
         sensor: Sensor | None = None,
-        own: Array | None = None,
         motion: Motion | None = None,
         arm: Arm | None = None,
         *,
         torque: bool = False,
     ) -> None:
         self.parameters, self.sensor = parameters, sensor or Angles()
-        self.own = np.zeros(0) if own is None else own
         self.motion, self.arm = motion, arm
         self.motor = MotorTorque(arm) if torque and arm is not None else None
         self._setup = Setup(parameters.guess, motion, arm, tol=PRECISION * parameters.guess.total_length)
@@ -83,7 +78,7 @@ class Plant:
 
     def without_torque(self) -> Plant:
         """Return the same without the torque channel."""
-        return self if self.motor is None else Plant(self.parameters, self.sensor, self.own, self.motion, self.arm)
+        return self if self.motor is None else Plant(self.parameters, self.sensor, self.motion, self.arm)
 
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         """Return what is seen (m, C) at times t (m,) from `state` (2n,) at t[0]; None where the rollout fails."""
@@ -94,9 +89,9 @@ class Plant:
         run = prepare(at.chain, at.drive, (state[:n], state[n:]), t, self._limits(at, t))
         if finish(run) != status.OK:
             return None
-        seen = self.sensor.see(at.rope, self._pivot(at, t), run.y[:, :n], at.own)
-        if self.motor is not None:
-            seen = np.column_stack([seen, self.motor.see(at.chain, at.drive, at.arm, t, run.y)])
+        seen = at.sensor.predict(at.rope, run.y[:, :n], self._pivot(at, t))
+        if at.motor is not None:
+            seen = np.column_stack([seen, at.motor.predict(at.chain, at.drive, t, run.y)])
         return seen if np.isfinite(seen).all() else None
 
     def carried(self, x: Array, t: float, state: Array, until: float) -> Array | None:
@@ -126,14 +121,14 @@ class Plant:
         if self.sensor.placed:
             place_changes(at.drive, at.wanted.directions(at.chain, at.drive), t, dpivot)
         dpivot = dpivot[:, :, : dq.shape[2]]
-        seen = self.sensor.see(at.rope, self._pivot(at, t), q, at.own)
-        moved = self.sensor.slopes(at.rope, q, dq, dpivot, at.wanted.lengths(n), at.own)
+        seen = at.sensor.predict(at.rope, q, self._pivot(at, t))
+        moved = at.sensor.jacobian(at.rope, q, dq, dpivot, at.wanted.lengths(n))
         shared = np.zeros((*seen.shape, len(self.parameters)))
         shared[:, :, at.moving] = moved[:, :, 2 * n :]
         self._add_own(at, q, shared)
-        if self.motor is not None:
-            torque = self._torque_slopes(at, t, y, dy)
-            seen = np.column_stack([seen, self.motor.see(at.chain, at.drive, at.arm, t, y)])
+        if at.motor is not None:
+            torque = self._torque_slopes(at, at.motor, t, y, dy)
+            seen = np.column_stack([seen, at.motor.predict(at.chain, at.drive, t, y)])
             moved, shared = (
                 np.concatenate([before, added[:, None]], axis=1)
                 for before, added in zip((moved, shared), torque, strict=True)
@@ -149,21 +144,19 @@ class Plant:
 
     def _add_own(self, at: _At, q: Array, shared: Array) -> None:
         """Write the derivatives with respect to the sensor's own values to their columns."""
-        own = self.sensor.own_slopes(at.rope, q, at.own)
+        own = at.sensor.value_jacobian(at.rope, q)
         for k, parameter in enumerate(self.parameters.all):
             if (place := _place(parameter.name, parameter.links)) is not None:
                 shared[:, :, k] = parameter.scale * own[:, :, place]
 
-    def _torque_slopes(self, at: _At, t: Array, y: Array, dy: Array) -> tuple[Array, Array]:
+    def _torque_slopes(self, at: _At, motor: MotorTorque, t: Array, y: Array, dy: Array) -> tuple[Array, Array]:
         """Return the derivatives of the motor's torque: (m, 2n + D) as the run's, and (m, P) by the parameters."""
-        motor, n = self.motor, at.rope.n_links
-        if motor is None:
-            raise TypeError("no torque is measured")
+        n = at.rope.n_links
         parts = at.wanted.parts[2 * n :]
-        moved = motor.slopes(at.chain, at.drive, at.arm, parts, t, y, dy[:, :, : len(at.wanted.names)])
+        moved = motor.jacobian(at.chain, at.drive, parts, t, y, dy[:, :, : len(at.wanted.names)])
         shared = np.zeros((t.size, len(self.parameters)))
         shared[:, at.moving] = moved[:, 2 * n :]
-        own = motor.own_slopes(at.chain, at.drive, t, y)
+        own = motor.value_jacobian(at.chain, at.drive, t, y)
         for k, parameter in enumerate(self.parameters.all):
             if parameter.name in ARM:
                 shared[:, k] = parameter.scale * own[:, ARM.index(parameter.name)]
@@ -192,12 +185,14 @@ class Plant:
         if self.motion is not None and delay != 0.0:
             motion = self.motion.shifted(delay)
             drive = Setup(self.parameters.guess, motion, self.arm).drive()
-        own = self.own.copy()
+        own = self.sensor.values.copy()
         for parameter, each in zip(self.parameters.all, x, strict=True):
             if (place := _place(parameter.name, parameter.links)) is not None:
                 own[place] = parameter.value(each)
-        held = (0.0, 0.0) if self.arm is None else (self.arm.inertia, self.arm.friction)
-        arm = np.array([self.parameters.single(name, x, value) for name, value in zip(ARM, held, strict=True)])
+        motor = self.motor
+        if motor is not None:
+            held = zip(ARM, motor.values, strict=True)
+            motor = motor.with_values(np.array([self.parameters.single(name, x, value) for name, value in held]))
         moving = self.parameters.parts(x, rope)
         n = rope.n_links
         unit = np.eye(n)
@@ -208,11 +203,14 @@ class Plant:
                 part = {"breaks": breaks, "coef": np.zeros_like(drive.coef)}
             parts.append(part)
         names = tuple(str(k) for k in range(len(parts)))
-        return _At(rope, rope.chain(), motion, drive, own, arm, [k for k, _ in moving], Wanted(names, tuple(parts)))
+        sensor = self.sensor.with_values(own)
+        return _At(
+            rope, rope.chain(), motion, drive, sensor, motor, [k for k, _ in moving], Wanted(names, tuple(parts))
+        )
 
 
 def _place(name: str, markers: tuple[int, ...]) -> int | None:
-    """Return which of the values of :class:`~hyperflex.identification.model.sensors.Places` a parameter is."""
+    """Return which of the values of :class:`hyperflex.sensors.Markers` a parameter is."""
     if name == "arc":
         return 2 + markers[0]
     return {"origin_x": 0, "origin_y": 1}.get(name)

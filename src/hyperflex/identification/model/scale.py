@@ -9,30 +9,29 @@ from hyperflex.checks import Array
 from hyperflex.identification.model.names import SHARE
 from hyperflex.identification.model.parameters import Parameters, lumped
 from hyperflex.model import Rope
+from hyperflex.model.properties import RESISTANCES
 
 PARALLEL = 0.1  # part of a direction that may lie outside of others for it to count as one of them
 Mask = npt.NDArray[np.bool_]
-GROWING = ("inertia", "mass", "friction", "dry_friction", "stiffness", "tip_mass")  # in proportion to the factor
 
 
 def scaling(parameters: Parameters, x: Array) -> Array | None:
     """Return the direction (P,) in which all moments, frictions and stiffnesses grow alike, or None if there is none.
 
     In units of ``parameters.widths``, of length 1. It is the one that leaves the motion as it is where no known force
-    acts: d/dx of p, J (about the joint), viscous friction, dry friction and stiffness equals their own value, the
-    lengths between joints stay. Torques weigh as little as they act: one that is held hides no common factor of the
-    moments, it only limits it.
+    acts: d/dx of p, J (about the joint) and each resistance equals their own value, the lengths between joints stay.
+    Torques weigh as little as they act: one that is held hides no common factor of the moments, it only limits it.
     """
     now, fixed = _scaled(parameters.rope(x)), np.abs(_scaled(parameters.rope(x)))
     n = parameters.guess.n_links
     sizes = np.concatenate([np.full(n, part.max() or 1.0) for part in fixed.reshape(-1, n)])
-    weights = np.concatenate([np.ones(3 * n), np.full(3 * n, SHARE)]) / sizes
+    weights = np.where(np.arange(now.size) < 3 * n, 1.0, SHARE) / sizes
     columns = []
     for k, step in enumerate(1e-6 * parameters.widths):
         up = x.copy()
         up[k] += step
         columns.append((_scaled(parameters.rope(up)) - now) / step * parameters.widths[k])
-    wanted = np.where(np.arange(6 * n) // n == 2, 0.0, now) * weights
+    wanted = np.where(np.arange(now.size) // n == 2, 0.0, now) * weights
     matrix = np.stack(columns, axis=1) * weights[:, None]
     found: Array = np.linalg.lstsq(matrix, wanted, rcond=1e-8)[0]
     away = (matrix @ found - wanted)[: 3 * n]
@@ -60,10 +59,10 @@ def growing(parameters: Parameters, x: Array, unknown: Array) -> Mask:
     """
     if common_factor(parameters, x, unknown) is None:
         return np.zeros(len(parameters), dtype=bool)
-    return np.array([p.name in GROWING and p.law != "taper" for p in parameters.all])
+    return np.array([p.kind.power == 1 and p.law != "taper" for p in parameters.all])
 
 
 def _scaled(rope: Rope) -> Array:
-    """Return p, J, lengths between joints, viscous friction, dry friction, stiffness in one row (6 n,)."""
+    """Return p, J, lengths between joints and all resistances in one row, (n,) of each."""
     between = np.append(rope.length[:-1], 0.0)
-    return np.concatenate([*lumped(rope), between, rope.friction, rope.dry_friction, rope.stiffness])
+    return np.concatenate([*lumped(rope), between, *(getattr(rope, each.name) for each in RESISTANCES)])

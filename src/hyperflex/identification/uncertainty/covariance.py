@@ -17,6 +17,7 @@ from hyperflex.identification.model.scale import Mask, growing
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, autoregression, coloured, correlations
 from hyperflex.identification.uncertainty.whiteness import whiteness
 from hyperflex.model import Rope
+from hyperflex.model.properties import RESISTANCES
 
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
@@ -186,27 +187,16 @@ def _svd(rows: Sequence[Array], total: int) -> tuple[Array, Array]:
     return singular, directions
 
 
-RATIOS = {
-    "J/p1": "inertia about the joint with all mass beyond at the far joint, m",
-    "p/p1": "first moment about the joint with all mass beyond",
-    "c/p1": "viscous friction, m/s",
-    "dry/p1": "dry friction, m^2/s^2 / m",
-    "k/p1": "stiffness, m/s^2",
-}
-
-
-def ratios(rope: Rope) -> dict[str, Array]:
+def ratios(rope: Rope, *, every: bool = False) -> dict[str, Array]:
     """Return what a motion without known forces can tell at most, each (n,), over p1 = p of link 0.
 
-    ``J/p1`` (m), ``p/p1``, ``c/p1`` (m/s), and where the rope has them ``dry/p1`` and ``k/p1`` (m/s^2).
+    ``J/p1`` (m), ``p/p1``, ``c/p1`` (m/s), and where the rope has them (or all of them, with `every`) the other
+    resistances, ``tau_d/p1`` and ``k/p1`` (m/s^2).
     """
     p, inertia = lumped(rope)
-    result = {"J/p1": inertia / p[0], "p/p1": p / p[0], "c/p1": rope.friction / p[0]}
-    if rope.dry_friction.any():
-        result["dry/p1"] = rope.dry_friction / p[0]
-    if rope.stiffness.any():
-        result["k/p1"] = rope.stiffness / p[0]
-    return result
+    told = {each.symbol: getattr(rope, each.name) for each in RESISTANCES}
+    told = {name: value for name, value in told.items() if every or name == "c" or value.any()}
+    return {f"{name}/p1": value / p[0] for name, value in {"J": inertia, "p": p, **told}.items()}
 
 
 def ratio_spread(parameters: Parameters, information: Information) -> dict[str, Array]:
@@ -218,12 +208,6 @@ def ratio_spread(parameters: Parameters, information: Information) -> dict[str, 
         up, down = x.copy(), x.copy()
         up[k] += step
         down[k] = max(x[k] - step, parameters.lower[k])
-        above, below = _wide_ratios(parameters.rope(up)), _wide_ratios(parameters.rope(down))
+        above, below = (ratios(parameters.rope(end), every=True) for end in (up, down))
         columns.append({name: (above[name] - below[name]) / (up[k] - down[k]) for name in names})
     return {name: information.spread(np.stack([c[name] for c in columns], axis=1)) for name in names}
-
-
-def _wide_ratios(rope: Rope) -> dict[str, Array]:
-    """Return the ratios with those that are 0."""
-    p, _ = lumped(rope)
-    return ratios(rope) | {"dry/p1": rope.dry_friction / p[0], "k/p1": rope.stiffness / p[0]}

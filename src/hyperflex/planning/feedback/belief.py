@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyperflex.control import RopeState
+from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import Thrower
 from hyperflex.planning.feedback.matching import features

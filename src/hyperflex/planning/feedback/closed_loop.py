@@ -10,8 +10,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.control import RopeState, StateSource
-from hyperflex.hardware import Motor
+from hyperflex.interfaces import Motor, RopeState, StateSource
 from hyperflex.model import Peg
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import Thrower

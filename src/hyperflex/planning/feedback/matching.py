@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.control import RopeState
+from hyperflex.interfaces import RopeState
 from hyperflex.model import Peg, Rope
 from hyperflex.planning.cast_setup import Thrower
 from hyperflex.planning.robust import scenarios as flights

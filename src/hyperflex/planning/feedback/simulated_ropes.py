@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from hyperflex.control import RopeState, TrueState
+from hyperflex.control import TrueState
 from hyperflex.hardware import SimulatedMotor
 from hyperflex.hardware.motor import SAMPLE_TIME
+from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning.robust.uncertainty import Draw

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,15 +12,12 @@ import numpy as np
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.identification import perturbed
 from hyperflex.model import Rope
-from hyperflex.model.stretch import stretched
+from hyperflex.model.properties import PROPERTIES, parsed
 
 if TYPE_CHECKING:
     from hyperflex.identification import Identification
-
-LOG, NOT_BELOW_0 = ("length", "mass"), ("inertia", "friction", "dry_friction", "stiffness", "tip_mass")
-COLUMNS = (*LOG, "com", *NOT_BELOW_0[:-1])  # of each link
-_LABEL = re.compile(r"(?P<name>[a-z_]+)(?:\[(?P<link>\d+)\])?(?::(?P<law>shared|factor|taper))?\Z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,19 +95,14 @@ class Fitted:
         """Draw a rope; numbers that cannot be below 0 are kept there."""
         sizes, directions = np.linalg.eigh(self.covariance)
         off = directions @ (np.sqrt(np.maximum(sizes, 0.0)) * rng.standard_normal(sizes.size))
-        changes: dict[str, Any] = {}
-        for label, each in zip(self.parameters, off, strict=True):
-            _change(changes, self.rope, label, float(each), self.factors.get(label, 1.0))
-        if "length" in changes:  # as in the fit, what was not fitted itself goes with it
-            longer = stretched(self.rope, changes["length"])
-            changes = {"com": longer.com, "inertia": longer.inertia} | changes
-        return self.rope.replace(**changes)
+        off /= [self.factors.get(label, 1.0) for label in self.parameters]
+        return perturbed(self.rope, dict(zip(self.parameters, off.tolist(), strict=True)))
 
 
 def _properties(labels: Sequence[str]) -> tuple[str, ...]:
     """Return the properties of a rope among fitted numbers."""
-    found = dict.fromkeys(re.split(r"[\[:]", label)[0] for label in labels)
-    return tuple(name for name in found if name in (*COLUMNS, "tip_mass", "gravity_angle"))
+    found = dict.fromkeys(each.name for label in labels if (each := parsed(label)))
+    return tuple(name for name in found if PROPERTIES[name].owner in ("link", "rope"))
 
 
 def _unknown(labels: Sequence[str], covariance: Array, sds: Mapping[str, Any]) -> tuple[str, ...]:
@@ -122,33 +113,9 @@ def _unknown(labels: Sequence[str], covariance: Array, sds: Mapping[str, Any]) -
 
 def _told(label: str, sds: Mapping[str, Any]) -> bool:
     """Whether a deviation is a number; what the table does not hold is left to the covariance."""
-    parts = _LABEL.match(label)
-    sd = sds.get(label, sds.get(parts["name"]) if parts else None)
+    parts = parsed(label)
+    sd = sds.get(label, sds.get(parts.name) if parts else None)
     if sd is None:
         return True
-    each = sd if np.ndim(sd) == 0 else sd[int(parts["link"] or 0) if parts else 0]
+    each = sd if np.ndim(sd) == 0 else sd[(parts.place or 0) if parts else 0]
     return not isinstance(each, str) and bool(np.isfinite(each))
-
-
-def _change(changes: dict[str, Any], rope: Rope, label: str, off: float, factor: float) -> None:
-    """Note what a rope's property becomes if a fitted number is off; nothing if that is none of the rope's."""
-    parts = _LABEL.match(label)
-    name = parts["name"] if parts else ""
-    if name == "gravity_angle":
-        (x, y), c, s = rope.gravity, np.cos(off), np.sin(off)
-        changes["gravity"] = (c * x - s * y, s * x + c * y)
-    elif name == "tip_mass":
-        changes[name] = max(0.0, rope.tip_mass + off)
-    elif parts is not None and name in COLUMNS:
-        column: Array = changes.setdefault(name, np.array(getattr(rope, name)))
-        links = slice(None) if parts["link"] is None else int(parts["link"])
-        if parts["law"] == "factor":
-            column *= np.exp(off / factor)
-        elif parts["law"] == "taper":
-            column *= np.exp(off * ((np.cumsum(rope.length) - 0.5 * rope.length) / rope.total_length - 0.5))
-        elif name in LOG:
-            column[links] *= np.exp(off / column[links])
-        else:
-            column[links] += off
-        if name in NOT_BELOW_0:
-            np.maximum(column, 0.0, out=column)

@@ -13,6 +13,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Rope
+from hyperflex.model.properties import DAMPING
 from hyperflex.motion import Motion, lagged, moves
 from hyperflex.planning.cast_setup import Thrower
 from hyperflex.planning.robust.posterior import Fitted
@@ -24,11 +25,7 @@ if TYPE_CHECKING:
 MOVES = 32  # whose starts are drawn; a throw of more uses them again
 PARTS, TIMES = ("length", "mass", "friction", "mu"), ("lag", "timing")  # relative, and in seconds
 # What a fit tells of: friction over mass is what a motion shows, so with either fitted the mass counts no more.
-TOLD = {
-    "length": ("length",),
-    "mass": ("mass", "inertia", "friction", "dry_friction"),
-    "friction": ("friction", "dry_friction"),
-}
+TOLD = {"length": ("length",), "mass": ("mass", "inertia", *DAMPING), "friction": DAMPING}
 LEAST_LAG = 2e-4  # s; a motor that lags less does not
 
 
@@ -90,7 +87,7 @@ class Uncertainty:
     Parameters
     ----------
     length, mass, friction : float
-        Relative standard deviation of the rope's length, its mass, and its viscous and dry friction; one factor for
+        Relative standard deviation of the rope's length, its mass, and its friction of all kinds; one factor for
         all links, log-normal with mean 1.
     mu : float
         The same of the peg's friction.
@@ -199,14 +196,13 @@ class Uncertainty:
 
 
 def scaled(rope: Rope, length: float, mass: float, friction: float) -> Rope:
-    """Return a rope with lengths, masses and joint friction times given factors; inertias go with them."""
+    """Return a rope with lengths, masses and friction times given factors; inertias go with them."""
     changes: dict[str, Any] = {
         "length": rope.length * length,
         "com": rope.com * length,
         "mass": rope.mass * mass,
         "tip_mass": rope.tip_mass * mass,
         "inertia": rope.inertia * mass * length**2,
-        "friction": rope.friction * friction,
-        "dry_friction": rope.dry_friction * friction,
     }
+    changes |= {name: getattr(rope, name) * friction for name in DAMPING}
     return rope.replace(**changes)

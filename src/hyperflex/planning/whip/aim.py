@@ -9,6 +9,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import SimulationError
+from hyperflex.model.properties import DAMPING
 from hyperflex.planning.cast_setup import Thrower
 from hyperflex.planning.whip.search import SPREAD_ENDS, SPREAD_RESTS, Found
 from hyperflex.planning.whip.strokes import Strokes
@@ -66,7 +67,7 @@ def look(thrower: Thrower, strokes: Strokes, near: float) -> Aim | None:
     t = np.arange(max(GRID, near - SIDE), near + SIDE, GRID)
     scaled = {"length": rope.length, "com": rope.com, "inertia": 2.0 * rope.inertia}
     ways = [{f"x{k}": part} for k, part in enumerate(strokes.variations(thrower.limits))]
-    doubts = [{"rope's length": scaled}, {"rope's friction": {"friction": rope.friction}}]
+    doubts = [{"rope's length": scaled}, {"rope's friction": {name: getattr(rope, name) for name in DAMPING}}]
     try:
         run = sensitivities(rope, motion, arm=arm, duration=float(t[-1]), t_eval=t, tol=AIM_TOL, wrt=[*ways, *doubts])
     except SimulationError:

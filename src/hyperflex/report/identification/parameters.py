@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,34 +9,9 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification import BAND, Identification
 from hyperflex.model import Rope
+from hyperflex.model.properties import LINKS, PROPERTIES, RATIOS, Label, parsed
 from hyperflex.report.page import TextTable
 from hyperflex.report.units import readable, rounded, short
-
-WORDS = {
-    "inertia": "moment of inertia about the centre of mass",
-    "com": "centre of mass, from its joint",
-    "mass": "mass",
-    "length": "length",
-    "friction": "viscous friction",
-    "dry_friction": "dry friction",
-    "stiffness": "stiffness",
-    "tip_mass": "mass at the tip",
-    "gravity_angle": "turn of gravity (a camera that is not level)",
-    "delay": "delay of the motion",
-    "origin_x": "origin of the motion as the camera sees it, x",
-    "origin_y": "origin of the motion as the camera sees it, y",
-    "arc": "place along the rope",
-}
-PER_LINK = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffness")
-_POSITIVE = ("inertia", "mass", "length", "friction", "dry_friction", "stiffness", "tip_mass")
-_RATIOS = {
-    "J/p1": "inertia about the joint",
-    "p/p1": "first moment about the joint",
-    "c/p1": "viscous friction",
-    "dry/p1": "dry friction",
-    "k/p1": "stiffness",
-}
-_LABEL = re.compile(r"(?P<name>[a-z_]+)(?:\[(?P<place>\d+)\])?(?::(?P<law>\w+))?\Z")
 
 
 @dataclass(frozen=True)
@@ -60,11 +34,12 @@ class Number:
     def words(self) -> str:
         """What it is."""
         whose = {"shared": ", of each link alike", "factor": ", factor on the guess of all links"}
+        words, owner = PROPERTIES[self.name].words, PROPERTIES[self.name].owner
         if self.law == "taper":
-            return f"{WORDS[self.name]}, at the tip over that at the motor (as far as it departs from the guess)"
+            return f"{words}, at the tip over that at the motor (as far as it departs from the guess)"
         if self.place is None:
-            return WORDS[self.name] + whose.get(self.law, "")
-        return f"{WORDS[self.name]}, {'marker' if self.name == 'arc' else 'link'} {self.place}"
+            return words + whose.get(self.law, "")
+        return f"{words}, {owner} {self.place}"
 
 
 def numbers(found: Identification) -> tuple[Number, ...]:
@@ -73,9 +48,7 @@ def numbers(found: Identification) -> tuple[Number, ...]:
 
 
 def _number(found: Identification, label: str) -> Number:
-    match = _LABEL.match(label)
-    name, law = (match["name"], match["law"] or "") if match else (label, "")
-    place = int(match["place"]) if match and match["place"] else None
+    name, place, law = parsed(label) or Label(label, None, "")
     key = label if law in ("factor", "taper") else name
     index = () if found.values[key].ndim == 0 else (place or 0,)
     value, sd = float(found.values[key][index]), float(found.sd[key][index])
@@ -84,7 +57,7 @@ def _number(found: Identification, label: str) -> Number:
         low = high = float("nan")
     if law == "taper":
         value, sd, low, high = np.exp(value), np.exp(value) * sd, np.exp(low), np.exp(high)
-    elif (name in _POSITIVE or law == "factor") and low < 0.0:
+    elif (PROPERTIES[name].form != "linear" or law == "factor") and low < 0.0:
         low = 0.0
     return Number(label, name, place, law, float(value), float(sd), float(low), float(high))
 
@@ -123,15 +96,14 @@ def _start(each: Number, found: Identification, guess: Rope) -> float | None:
     """Return what a number started from, or None where that was read off the recording."""
     if each.law in ("factor", "taper"):
         return 1.0
-    if each.name in ("gravity_angle", "delay"):
-        return float(found.settings.get(f"{each.name}_from", 0.0))
-    if each.name.startswith("origin"):
+    owner = PROPERTIES[each.name].owner
+    if owner in ("camera", "arm"):
         return None
-    if each.name == "arc":
+    if owner == "marker":
         return float(found.settings["arcs"][each.place or 0])
-    if each.name == "tip_mass":
-        return guess.tip_mass
-    own = getattr(guess, each.name)
+    if owner == "motion" or each.name == "gravity_angle":
+        return float(found.settings.get(f"{each.name}_from", 0.0))
+    own = np.atleast_1d(getattr(guess, each.name))
     return float(own.mean() if each.law == "shared" else own[each.place or 0])
 
 
@@ -157,7 +129,7 @@ def ratios_table(found: Identification) -> TextTable | None:
             if sd > 0.0:
                 whose = "each" if alike else str(link)
                 spread = _spread(found, f"{name}[{link}]", value, sd)
-                rows.append((name, whose, rounded(value, sd) + unit.after, *spread, _RATIOS[name]))
+                rows.append((name, whose, rounded(value, sd) + unit.after, *spread, RATIOS[name].words))
     return TextTable(("ratio", "link", "value", "sd", "95 % interval", "what it is"), tuple(rows)) if rows else None
 
 
@@ -179,10 +151,15 @@ def _span(low: float, high: float, sd: float) -> str:
     return f"{ends[0]} or more" if ends[0] else f"{ends[1]} or less" if ends[1] else "cannot be known"
 
 
+def present(rope: Rope) -> dict[str, bool]:
+    """Return of each property of the links whether the rope has it at all."""
+    return {each.name: bool((getattr(rope, each.name) != each.default).any()) for each in LINKS}
+
+
 def rope_table(rope: Rope, found: Identification) -> TextTable:
     """Return the identified rope link by link; what was free is marked with a star."""
     free = {each.name for each in numbers(found)}
-    shown = [name for name in PER_LINK if getattr(rope, name).any()]
+    shown = [name for name, there in present(rope).items() if there]
     units = [readable(name, getattr(rope, name)) for name in shown]
     header = [
         f"{name.replace('_', ' ')}{'*' if name in free else ''}, {unit.name}"

@@ -10,7 +10,7 @@ import numpy as np
 from hyperflex.identification import Identification
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
-from hyperflex.report.identification.parameters import PER_LINK, numbers
+from hyperflex.report.identification.parameters import numbers, present
 from hyperflex.report.page import TextTable
 from hyperflex.report.units import readable
 
@@ -64,14 +64,14 @@ def fit_table(found: Identification) -> TextTable:
     done = found.settings
     free = {each.name for each in numbers(found)}
     rope = found.rope
-    held = [name.replace("_", " ") for name in PER_LINK if name not in free and getattr(rope, name).any()]
-    none = [name.replace("_", " ") for name in PER_LINK if name not in free and not getattr(rope, name).any()]
+    fixed = {name.replace("_", " "): there for name, there in present(rope).items() if name not in free}
+    held, none = ([name for name, there in fixed.items() if there is wanted] for wanted in (True, False))
     left = f"; {done['left_out']} left out, where too little is seen" if done["left_out"] else ""
     picked = f", every {done['decimation']}th sample" if done["decimation"] > 1 else ""
     rows = [
         ("free", ", ".join(_told(word) for word in done["free"])),
         ("held as given", ", ".join(held) or "nothing"),
-        ("taken as 0", ", ".join(none) or "nothing"),
+        ("without", ", ".join(none) or "nothing"),
         ("tip mass", f"{rope.tip_mass:.4g} kg" + (" (fitted)" if "tip_mass" in free else "")),
         ("gravity", f"({rope.gravity[0]:.4g}, {rope.gravity[1]:.4g}) m/s²"),
         ("first joint", str(done["base"])),

@@ -17,22 +17,18 @@ from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
 from hyperflex.core.batch.members import LENGTH, Members, Terms, observe_block
 from hyperflex.core.chain.lanes import MEMBERS
-from hyperflex.core.integrate.steps import scheme
 from hyperflex.core.jit import announce_compilation
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.batch.contact import TURNS, beside_of, run_members
-from hyperflex.simulation.batch.members import members_of, rows_of, setups_of, starts_of
+from hyperflex.simulation.batch.contact import TURNS, run_members
+from hyperflex.simulation.batch.members import members_of, setups_of, starts_of, terms_of
 from hyperflex.simulation.rollouts import balanced, least_scale, progress_bar, stored
 from hyperflex.simulation.time_budget import INTERRUPTED
 
 if TYPE_CHECKING:
     import xarray as xr
 
-# Order by tolerance, m: where lanes are full, an order costs p (p + 1) / 2 sweeps, so few cheap columns beat the high
-# order that a lone rollout gets for nothing.
-ORDERS = ((2e-6, 4), (1e-7, 5), (1e-8, 6), (0.0, 7))
 # Members of a block: at least BLOCKS blocks a thread, to balance the load and to be interrupted; not more than keep the
 # states in work below some megabytes; not fewer than keep the lanes full, since the last ones of a block run alone.
 BLOCKS = 2
@@ -154,12 +150,13 @@ def simulate_batch(
     keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns", "peg_angle", "peg_rate"}
         What to keep; memory is (M, T) times this, beside the blocks in work. Turns are those about each round peg.
     pegs : sequence of Peg, Wall or Ground, or of such sequences, optional
-        Pegs of all members, or of each, the same number for all. Members run one by one then, each as
-        :func:`hyperflex.simulate` runs it and with the same result.
+        Pegs of all members, or of each, the same number for all. Members run one by one then, as with joint limits,
+        each as :func:`hyperflex.simulate` runs it and with the same result.
     contact_step, refine
         As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
     patience : float, optional
-        Processor time, s, after which a member beside pegs has failed ("out of patience"); by default it may take any.
+        Processor time, s, after which a member beside pegs or with joint limits has failed ("out of patience"); by
+        default it may take any.
     threads : int, optional
         By default one a processor. Results do not depend on it.
     progress : bool
@@ -187,28 +184,28 @@ def simulate_batch(
     """
     keep = tuple(checks.choice("keep", name, tuple(KEPT)) for name in keep)
     workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
-    if pegs:
+    others = {"duration": duration, "tol": tol, "contact_step": contact_step}
+    setups = setups_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, **others)
+    if not pegs and any("peg" in KEPT[name][0] for name in keep):
+        raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
+    if any(setup.touches for setup in setups):
         if step is not None:
-            raise InvalidInput("step is not there beside pegs", got=step, fix="Give contact_step or tol")
-        others = {"duration": duration, "tol": tol, "contact_step": contact_step}
-        beside = beside_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, patience=patience, others=others)
-        t = _outputs(t_eval, beside.setup(0).duration)
-        values, names, reached = run_members(beside, t, keep, workers, progress)
+            raise InvalidInput(
+                "step is not there beside pegs or with joint limits", got=step, fix="Give contact_step or tol"
+            )
+        t = _outputs(t_eval, setups[0].duration)
+        shapes = {name: KEPT[name][0] for name in keep}
+        values, names, reached = run_members(setups, t, shapes, patience, workers, progress)
         return Batch(t, values, tuple(names), reached)
     if patience is not None:
-        raise InvalidInput("patience is for members beside pegs, and there are none", got=patience)
-    if any("peg" in KEPT[name][0] for name in keep):
-        raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
-    rows = [rows_of(name, value) for name, value in (("q0", q0), ("qd0", qd0))]
-    setups = setups_of(ropes, motions, rows, arm, duration, tol)
+        raise InvalidInput("patience is for members beside pegs or with joint limits, and there are none", got=patience)
     chains = [setup.chain() for setup in setups]
     drives = [setup.drive() for setup in setups]
-    starts = starts_of(setups, rows)
+    starts = starts_of(setups)
     t = _outputs(t_eval, setups[0].duration)
     members = members_of(chains, drives, starts)
-    table = scheme(next(order for least, order in ORDERS if setups[0].tol >= least))
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
-    terms = Terms(0.0, setups[0].tol, chains[0].bears, chosen, table.best, table.gap, table.rounding)
+    terms = terms_of(setups[0], chains[0], chosen)
     work = _Work(members, terms, t, keep, setups)
     announce_compilation()
     return work.run(workers, progress)

@@ -3,41 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.batch.members import Members
+from hyperflex.core.batch.members import LEVER, Members, Terms
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive
+from hyperflex.core.integrate.step_size import FIRST_STEP
+from hyperflex.core.integrate.steps import scheme
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Rope, Setup
+from hyperflex.model import Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
+from hyperflex.simulation.contact.runs import finer
 from hyperflex.simulation.rollouts import lever
+
+# Order by tolerance, m: where lanes are full, an order costs p (p + 1) / 2 sweeps, so few cheap columns beat the high
+# order that a lone rollout gets for nothing.
+ORDERS = ((2e-6, 4), (1e-7, 5), (1e-8, 6), (0.0, 7))
+INITIAL_CLOCK = (FIRST_STEP, np.inf, 0.0)  # clock of a member that begins, see Members
 
 
 def setups_of(
     ropes: Rope | Sequence[Rope],
-    motions: Motion | Sequence[Motion] | None,
-    rows: list[Array | None],
+    motions: Motion | Sequence[Motion] | None = None,
+    pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]] = (),
+    start: tuple[npt.ArrayLike | None, npt.ArrayLike | None] = (None, None),
+    *,
     arm: Arm | None,
-    duration: float,
-    tol: float,
+    refine: bool = False,
+    **others: Any,
 ) -> list[Setup]:
-    """Return the set-up of each member; `rows` are the starts, (k, n) each."""
-    rope_list = [ropes] if isinstance(ropes, Rope) else list(ropes)
-    motion_list = [motions] if motions is None or isinstance(motions, Motion) else list(motions)
-    counts = [len(rope_list), len(motion_list), *(1 if each is None else len(each) for each in rows)]
+    """Return the set-up of each member; all that it is made of is one for all members, or one each.
+
+    Parameters
+    ----------
+    ropes, motions, pegs, arm, refine
+        As in :func:`hyperflex.simulate_batch`.
+    start : pair of (n,) or (M, n) array_like, or None
+        Angles, rad, and rates, rad/s, of the ropes before they are cut.
+    **others
+        Of Setup, the same for all.
+    """
+    every: list[Sequence[Any]] = [
+        [ropes] if isinstance(ropes, Rope) else list(ropes),
+        [motions] if motions is None or isinstance(motions, Motion) else list(motions),
+        _pegs_of(pegs),
+        *(_rows(value) for value in start),
+    ]
+    counts = [len(each) for each in every]
     count = max(counts)
     if 0 in counts or set(counts) - {1, count}:
         raise InvalidInput(
-            "ropes, motions, q0 and qd0 do not fit together",
+            "ropes, motions, q0 and qd0, or pegs, do not fit together",
             got=counts,
             allowed="one for all members, or as many of each",
         )
-    common = {(rope.n_links, rope.friction_model) for rope in rope_list}
+    common = {(rope.n_links, rope.friction_model) for rope in every[0]}
     if len(common) > 1:
         raise InvalidInput(
             "ropes of a batch differ in links or friction model",
@@ -45,39 +69,45 @@ def setups_of(
             allowed="the same for all",
             fix="Run one batch for each kind",
         )
-    return [
-        Setup(rope_list[m % len(rope_list)], motion_list[m % len(motion_list)], arm, duration=duration, tol=tol)
-        for m in range(count)
-    ]
+    numbers = sorted({len(each) for each in every[2]})
+    if len(numbers) > 1 or (pegs and numbers[0] == 0):
+        allowed = "the same for all, at least one"
+        raise InvalidInput("members have different numbers of pegs", got=numbers, allowed=allowed)
+
+    def member(m: int) -> Setup:
+        rope, motion, obstacles, q0, qd0 = (each[m % len(each)] for each in every)
+        if refine and obstacles:
+            rope, q0, qd0, _ = finer(rope, obstacles, arm, q0, qd0, None)
+        return Setup(rope, motion, arm, q0=q0, qd0=qd0, pegs=obstacles, **others)
+
+    return [member(m) for m in range(count)]
 
 
-def rows_of(name: str, value: npt.ArrayLike | None) -> Array | None:
-    """Return a start as rows (k, n), one a member or one for all."""
-    if value is None:
-        return None
-    given = checks.array(name, value, (-1,) if np.ndim(value) < 2 else (-1, -1))
-    return np.atleast_2d(given)
+def _rows(value: npt.ArrayLike | None) -> list[Array | None]:
+    """Return a start (n,) or (M, n) as rows, one a member or one for all."""
+    return [None] if value is None else list(np.atleast_2d(np.asarray(value, dtype=np.float64)))
 
 
-def starts_of(setups: list[Setup], rows: list[Array | None]) -> Array:
+def _pegs_of(pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]]) -> list[tuple[Obstacle, ...]]:
+    """Return the pegs of each member; one entry if they are the same for all."""
+    given = list(pegs)
+    if all(isinstance(each, Obstacle) for each in given):
+        return [tuple(given)]  # type: ignore[arg-type]
+    lists = [tuple(each) for each in given if isinstance(each, Sequence)]
+    if len(lists) < len(given):
+        raise InvalidInput("pegs mixes pegs and lists of pegs", allowed="pegs for all members, or a list of pegs each")
+    return lists
+
+
+def starts_of(setups: Sequence[Setup]) -> Array:
     """Return the start of each member (M, 2 n + 2): angles, rates, no work and nothing lost."""
-    count, n = len(setups), setups[0].rope.n_links
-    result = np.zeros((count, 2 * n + 2))
-    result[:, :n] = np.array([setup.rope.hanging_angle for setup in setups])[:, None]
-    for name, value, columns in zip(("q0", "qd0"), rows, (slice(0, n), slice(n, 2 * n)), strict=True):
-        if value is not None:
-            result[:, columns] = checks.array(name, value, (len(value), n))
-    return result
+    starts = np.array([np.concatenate(setup.start()) for setup in setups])
+    return np.pad(starts, ((0, 0), (0, 2)))
 
 
 def members_of(chains: list[Chain], drives: list[Drive], starts: Array) -> Members:
     """Put what each member is made of side by side."""
-    links = np.stack(
-        [
-            np.stack([c.length, c.mass, c.com, c.inertia, c.viscous, c.stiffness, c.rest, c.dry, lever(c)])
-            for c in chains
-        ]
-    )
+    links = np.stack([np.stack([*c[:LEVER], lever(c)]) for c in chains])
     whole = np.array(
         [[c.tip_mass, c.gx, c.gy, d.arm_length, d.torque_limit] for c, d in zip(chains, drives, strict=True)]
     )
@@ -90,4 +120,11 @@ def members_of(chains: list[Chain], drives: list[Drive], starts: Array) -> Membe
         np.concatenate([part for d in drives for part in (d.coef, padding)]),
         np.array([d.loop for d in drives]),
         np.concatenate([[0], np.cumsum([d.breaks.size for d in drives])]),
+        np.tile(INITIAL_CLOCK, (len(chains), 1)),
     )
+
+
+def terms_of(setup: Setup, chain: Chain, step: float = 0.0) -> Terms:
+    """Return what all members have in common: the tolerance of one's set-up, or a chosen `step`, s."""
+    table = scheme(next(order for least, order in ORDERS if setup.tol >= least))
+    return Terms(0.0, setup.tol, chain.bears, step, table.best, table.gap, table.rounding)

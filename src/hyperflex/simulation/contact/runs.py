@@ -1,12 +1,12 @@
-"""Runs beside pegs: free flight by extrapolation, contact by its own stepper, and the hand-over between them.
+"""Runs beside pegs or with joint limits: free flight by extrapolation, contact by its own stepper, and the hand-over.
 
 A flight is so short that no joint can reach a peg meanwhile, as far as the speeds at its ends tell; where they rose by
-more than was allowed for, it is flown again by the stepper for contacts.
+more than was allowed for, it is flown again by the stepper for contacts. A flight ends where a joint reaches its limit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -19,10 +19,11 @@ from hyperflex.core.chain.articulated_body import Chain, energies
 from hyperflex.core.chain.drive import Drive, base_state, segment
 from hyperflex.core.contact import bounds as at
 from hyperflex.core.contact import run as core
+from hyperflex.core.contact.arrays import STICK
 from hyperflex.core.contact.step import new_kept
 from hyperflex.core.integrate.progress import INDEX, MARK, T
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refined
-from hyperflex.simulation.contact.start import check_outside
+from hyperflex.simulation.contact.start import check_limits, check_outside
 from hyperflex.simulation.contact.turning_pegs import coast, spin_energy, starting_spin
 from hyperflex.simulation.rollouts import Rollout, starting_clock
 from hyperflex.trajectory import State
@@ -30,54 +31,62 @@ from hyperflex.trajectory import State
 SHORTEST_FLIGHT = 0.01  # s; for less the hand-over does not pay
 FASTER, SUDDEN = 2.0, 2.0  # a flight allows for speeds so many times as large, and by so much more, m/s
 FLIGHT_TOL = 1e-3  # of the tolerance: with all of it a flight would gain and lose more energy than contact may
+SLACK = 0.01  # rad, gap at which a joint has left its limit
 CLEAR = 0.03  # m, gap at which a rope that was in contact has left, where it is not so fast that it would be back
 # Energy that may come from nowhere at the usual tolerance, in parts of the energy at stake for each second; and where
 # joint friction is so low that the rope's own motion, and not contact, sets the steps
 APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/rad
 BUDGET = 250  # steps between two looks at progress and Ctrl-C; some take milliseconds
 STEP = "contact_step"
-KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_heavy")  # in a state's checkpoint
+# in a state's checkpoint, in the order of ``contact.step.Kept``
+KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_heavy", "joint_torque", "joint_mode")
 
 
 class Beside:
-    """A rollout beside pegs.
+    """A rollout beside pegs, or of a rope whose joints have limits.
 
     Parameters
     ----------
     run : Rollout
         Prepared, and resumed if it goes on; its arrays are filled.
     setup : Setup
-        With pegs.
+        With pegs, or such a rope.
     state : State, optional
         That the run goes on from.
     """
 
     def __init__(self, run: Rollout, setup: Setup, state: State | None) -> None:
         contacts = setup.contacts()
-        saved: Mapping[str, Any] = {} if state is None else state.checkpoint
         check_outside(setup, run.time, run.progress.y[: run.chain.length.size])
+        check_limits(setup, run.time, run.progress.y[: run.chain.length.size])
         n, m = run.chain.length.size, contacts.x.size
         self.looser = setup.tol / DEFAULT_TOL
-        run.limits = run.limits._replace(tol=FLIGHT_TOL * setup.tol)
+        if setup.pegs:
+            run.limits = run.limits._replace(tol=FLIGHT_TOL * setup.tol)
         self.run, self.setup = run, setup
         self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), contacts)
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
-        kept = new_kept(n, m)
-        clock = np.zeros(at.CLOCK)
-        clock[at.STEP], clock[at.DUE] = self.longest, 1.0
-        named = list(zip(KEPT, kept, strict=True))
-        if all(name in saved and np.shape(saved[name]) == array.shape for name, array in named):
-            for name, array in named:
-                array[:] = saved[name]
-            clock[at.STEP], clock[at.DUE] = min(float(saved[STEP]), self.longest), 0.0
-        run.spin = starting_spin(setup, state)
-        self.course = at.Course(run.progress.y, clock, run.spin, kept)
+        run.spin, run.seen = np.zeros((2, m)), np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
+        self.course = at.Course(run.progress.y, np.zeros(at.CLOCK), run.spin, new_kept(n, m))
         self.flights, self.flown, self.clear = 0, 0.0, CLEAR
-        run.seen = np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
+        self.enter(state)
+
+    def enter(self, state: State | None) -> None:
+        """Begin anew at the state that the run stands at; forces and modes of contacts are those of `state`, if any."""
+        course, saved = self.course, {} if state is None else state.checkpoint
+        course.clock[:] = 0.0
+        course.clock[at.STEP], course.clock[at.DUE] = self.longest, 1.0
+        course.spin[:] = starting_spin(self.setup, state)
+        for name, array in zip(KEPT, course.kept, strict=True):
+            array[:] = saved[name] if np.shape(saved.get(name, ())) == array.shape else 0
+        if STEP in saved and np.array_equal(saved["y"], course.y):
+            course.clock[at.STEP], course.clock[at.DUE] = min(float(saved[STEP]), self.longest), 0.0
 
     def finish(self, report: Callable[[float], None] | None = None) -> int:
         """Run to the end and return the status code; `report` hears of the simulated time now and then."""
         code = status.RUNNING
+        for own, given in zip(self.system[1][:3], self.run.drive[:3], strict=True):  # it may have been written anew
+            own[:] = given
         while code in (status.RUNNING, status.LEFT):
             code = self._fly()
             if code == status.LEFT:
@@ -91,18 +100,19 @@ class Beside:
         return code
 
     def _fly(self) -> int:
-        """Fly freely while no peg can be reached; LEFT if one may be, RUNNING or OK after a flight."""
+        """Fly freely while no peg or limit can be reached; LEFT if one may be, RUNNING or OK after a flight."""
         run, clock = self.run, self.run.progress.clock
         stop = run.limits.stop
         if run.time >= stop:
             return status.OK
         if self.pull.any():
             return status.LEFT
-        gap, speed = core.clearance(*self.system, run.time, run.progress.y)
+        gap, speed, left = core.clearance(*self.system, run.time, run.progress.y)
         bound = FASTER * speed + SUDDEN
         self.clear = max(CLEAR, SHORTEST_FLIGHT * bound)
-        if gap < self.clear:
+        if gap < self.clear or left <= SLACK:
             return status.LEFT
+        self._lock()
         y, before, begin, spin = run.progress.y.copy(), clock.copy(), run.time, self.course.spin.copy()
         span = gap / bound
         run.limits = run.limits._replace(stop=min(begin + span, stop))
@@ -110,16 +120,26 @@ class Beside:
         while code == status.RUNNING:
             code = self._advance()
         run.limits = run.limits._replace(stop=stop)
-        if code != status.OK:
+        if code not in (status.OK, status.LIMIT):
             return code
-        gap, speed = core.clearance(*self.system, run.time, run.progress.y)
-        if speed > bound or gap <= 0.0:
+        gap, speed, _ = core.clearance(*self.system, run.time, run.progress.y)
+        if np.isfinite(span) and (speed > bound or gap <= 0.0):
             run.progress.y[:], clock[:], self.course.spin[:] = y, before, spin
             return self._touch(begin + span)
         self.flights, self.flown = self.flights + 1, self.flown + run.time - begin
         for array in self.course.kept:
             array[:] = 0
+        if code == status.LIMIT:
+            self.course.clock[at.DUE] = 1.0
+            return status.LEFT
         return status.RUNNING if run.time < stop else status.OK
+
+    def _lock(self) -> None:
+        """Take what the proximal method leaves off the rates of joints that stick: free flight knows them at rest."""
+        run, base, n = self.run, np.empty(9), self.run.chain.length.size
+        base_state(run.drive, segment(run.drive, run.time), run.time, base)
+        for i in np.flatnonzero(self.course.kept.bent == STICK):
+            run.progress.y[n + i] = run.progress.y[n + i - 1] if i > 0 else base[3]
 
     def _advance(self) -> int:
         """Fly on for one budget of steps; pegs that turn coast meanwhile, also where Ctrl-C ends the flight."""
@@ -146,7 +166,7 @@ class Beside:
         forced = run.time < least
         stop = min(run.limits.stop, least) if forced else run.limits.stop
         clear = np.inf if always or forced else self.clear
-        bounds = at.Bounds(stop, self.longest, rate, clear, BUDGET)
+        bounds = at.Bounds(stop, self.longest, rate, clear, SLACK, BUDGET)
         code = int(core.run(*self.system, self.pull, bounds, course, run.t, run.y, run.seen))
         index = course.clock[at.INDEX]
         clock[:MARK] = starting_clock(float(course.clock[at.T]))
@@ -173,6 +193,7 @@ class Beside:
             "contact_unsolved": float(clock[at.UNSOLVED]),
             "contact_impacts": float(clock[at.IMPACTS]),
             "contact_deepest": float(clock[at.DEEPEST]),
+            "limit_passed": float(clock[at.BENT]),
             "energy_appeared": float(clock[at.APPEARED]),
             "free_flights": float(self.flights),
             "free_time": self.flown,
@@ -180,7 +201,7 @@ class Beside:
 
 
 def beside(run: Rollout, setup: Setup, state: State | None) -> Beside:
-    """Make a prepared rollout one beside the pegs of its set-up."""
+    """Make a prepared rollout one beside the pegs of its set-up, and within the limits of its joints."""
     return Beside(run, setup, state)
 
 

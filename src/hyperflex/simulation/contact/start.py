@@ -1,4 +1,4 @@
-"""A rope that starts inside an obstacle, or across a wall, is refused: no stepper could tell which side is meant."""
+"""A rope that starts inside an obstacle, across a wall or bent past its limits is refused: no stepper can mend that."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup, Wall
 
 SHALLOW = 5e-4  # m, penetration that may be there at the start: a polygon laid on a circle by its joints has some
+PASSED = 1e-3  # rad, by which a joint may be past its limit at the start
 
 
 def check_outside(setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope") -> None:
@@ -31,6 +32,8 @@ def check_outside(setup: Setup, t: float = 0.0, q: Array | None = None, who: str
     InvalidInput
         Names the link that is deepest inside, the obstacle and the depth.
     """
+    if not setup.pegs:
+        return
     chain, drive, pegs = setup.chain(), setup.drive(), setup.contacts()
     q = setup.start()[0] if q is None else q
     base = np.empty(9)
@@ -48,6 +51,28 @@ def check_outside(setup: Setup, t: float = 0.0, q: Array | None = None, who: str
         allowed=f"at most {1e3 * SHALLOW:g} mm",
         fix="Give a q0 that keeps clear of it, or move the obstacle",
     )
+
+
+def check_limits(setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope") -> None:
+    """Refuse a start with a joint bent past its limit by more than PASSED; arguments as for :func:`check_outside`.
+
+    Raises
+    ------
+    InvalidInput
+        Names the joint that is bent farthest past its limit, and the angle.
+    """
+    chain, drive, base = setup.chain(), setup.drive(), np.empty(9)
+    base_state(drive, segment(drive, t), t, base)
+    bend = np.diff(setup.start()[0] if q is None else q, prepend=base[4]) - chain.rest
+    past = np.abs(bend) - chain.max_bend
+    i = int(np.argmax(past))
+    if past[i] > PASSED:
+        raise InvalidInput(
+            f"{who} starts past a limit: joint {i - int(setup.torque_driven)} is bent by {bend[i]:+.4g} rad from rest",
+            got=float(bend[i]),
+            allowed=f"at most max_bend = {chain.max_bend[i]:.4g} rad",
+            fix="Give a q0 that bends less there, or max_bend = inf for a joint that turns freely",
+        )
 
 
 def depths(pegs: Pegs, joints: Array) -> Array:

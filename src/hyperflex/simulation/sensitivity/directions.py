@@ -4,42 +4,38 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import TORQUE, Drive
 from hyperflex.core.tangent import directions as dr
 from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.directions import Directions
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Setup
+from hyperflex.model import Arm, Setup
+from hyperflex.model.properties import LINKS
 from hyperflex.motion.variation import parameters, variation
 
-LINK_NAMES = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffness", "rest_angle")
+LINK_NAMES = tuple(each.name for each in LINKS if each.form)
 STATE_NAMES = ("q0", "qd0")
 # parts of a direction that the user makes himself: how often it is told
 PARTS = (*STATE_NAMES, *LINK_NAMES, "tip_mass", "gravity", "arm_length", "breaks", "coef")
 # of a torque-driven arm, the chain's first link: its own names, and those of the links
 ARM_NAMES = {
-    **{f"arm.{name}": name for name in LINK_NAMES if name not in ("stiffness", "rest_angle")},
+    **{f"arm.{each.name}": each.name for each in fields(Arm) if each.name in LINK_NAMES},
     "arm_angle0": "q0",
     "arm_rate0": "qd0",
 }
 Part = dict[str, Array]
 Wrt = Iterable[str | Mapping[str, Mapping[str, npt.ArrayLike]]] | str
-_SEED_OF = {
-    "length": tg.LENGTH,
-    "friction": tg.VISCOUS,
-    "dry_friction": tg.DRY,
-    "stiffness": tg.STIFFNESS,
-    "rest_angle": tg.REST,
-}
-FAINT = 1e-300  # N m, dry friction that is felt by the sign of a joint's rate alone
+_MOMENTS = ("mass", "com", "inertia")  # they come in as moments about the joint
+_SEED_OF = {each.name: getattr(tg, each.field.upper()) for each in LINKS if each.form and each.name not in _MOMENTS}
+FAINT = 1e-300  # N m, kg/m^2: dry friction and drag that change no run, and are felt by its derivatives alone
 
 
 @dataclass(frozen=True)
@@ -68,15 +64,16 @@ class Wanted:
         return np.stack([part.get("length", np.zeros(n)) for part in self.parts], axis=1)
 
     def felt(self, chain: Chain) -> Chain:
-        """The chain itself, with the faintest dry friction where there is none but a direction changes it."""
-        faint = np.zeros(chain.length.size)
-        for part in self.parts:
-            faint[part.get("dry_friction", faint) != 0.0] = FAINT
-        if (faint <= chain.dry).all():
-            return chain
-        dry = np.maximum(chain.dry, faint)
-        dry.flags.writeable = chain.dry.flags.writeable  # the compiler makes kernels of its own for either
-        return chain._replace(dry=dry)
+        """The chain itself, with a trace of what a run without any leaves out, where a direction changes it."""
+        for each in (each for each in LINKS if each.least):
+            now, faint = getattr(chain, each.field), np.zeros(chain.length.size)
+            for part in self.parts:
+                faint[part.get(each.name, faint) != 0.0] = FAINT
+            if (faint > now).any():
+                more = np.maximum(now, faint)
+                more.flags.writeable = now.flags.writeable  # the compiler makes kernels of its own for either
+                chain = chain._replace(**{each.field: more})
+        return chain
 
     def directions(self, chain: Chain, drive: Drive) -> Directions:
         """The same for the kernels, at the parameters of `chain` and for a drive."""
@@ -91,7 +88,9 @@ class Wanted:
             if part.keys() & {"breaks", "coef", "arm_length"}:
                 driven[p] = len(rows)
                 rows.append(part)
-        if chain.dry.any() and drive.coef[..., 1:].any():  # events move in every direction, and then the base with them
+        if (
+            can_stick(chain) and drive.coef[..., 1:].any()
+        ):  # events move in every direction, and then the base with them
             driven[driven < 0] = len(rows)
             rows.append({})
         breaks, coef, arm = np.zeros((len(rows), pieces + 1)), np.zeros((len(rows), pieces, 4, 6)), np.zeros(len(rows))
@@ -118,7 +117,7 @@ def _link_seeds(part: Part, chain: Chain, out: Array) -> None:
     for name, slot in _SEED_OF.items():
         if name in part:
             out[:, slot] = part[name]
-    mass, com, inertia = (part.get(name, 0.0) for name in ("mass", "com", "inertia"))
+    mass, com, inertia = (part.get(name, 0.0) for name in _MOMENTS)
     out[:, tg.MASS] = mass
     out[:, tg.MA] = chain.com * mass + chain.mass * com
     out[:, tg.INERTIA] = inertia + chain.com**2 * mass + 2.0 * chain.mass * chain.com * com

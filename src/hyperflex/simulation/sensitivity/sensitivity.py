@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,17 +10,21 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.core import status
-from hyperflex.core.chain.articulated_body import Chain
-from hyperflex.core.chain.drive import Drive
+from hyperflex.core.chain.articulated_body import Chain, can_stick
+from hyperflex.core.chain.drive import Drive, base_state, segment
+from hyperflex.core.chain.lanes import COLUMNS, set_grip
 from hyperflex.core.integrate.progress import JOINT, MODES, REJECTED, TAKEN, Limits
+from hyperflex.core.stiction.constraint_torques import bench
+from hyperflex.core.stiction.slip_modes import decide
 from hyperflex.core.tangent import forward_sensitivity as core
-from hyperflex.core.tangent.directions import place_changes
-from hyperflex.errors import InvalidInput
+from hyperflex.core.tangent.dense_output import bends_along
+from hyperflex.core.tangent.directions import Directions, place_changes
+from hyperflex.core.tangent.extrapolation import room_for
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
+from hyperflex.simulation.arguments import output_times, setup_of
 from hyperflex.simulation.outcome import failure, refuse_unbalanced
 from hyperflex.simulation.rollouts import TABLES, Rollout, finish, limits, prepare
-from hyperflex.simulation.runs import output_times
 from hyperflex.simulation.sensitivity.directions import Wanted, Wrt, refuse_what_is_not_smooth, wanted
 from hyperflex.simulation.sensitivity.stiction import held
 
@@ -72,29 +76,14 @@ class Sensitivities:
         """The same as an ``xarray.Dataset`` with the dimensions time, link, axis and parameter."""
         import xarray as xr
 
-        variables: dict[str, Any] = {
-            "q": (("time", "link"), self.q, {"units": "rad"}),
-            "qd": (("time", "link"), self.qd, {"units": "rad/s"}),
-            "tip": (("time", "axis"), self.tip, {"units": "m"}),
-            "dq": (("time", "link", "parameter"), self.dq, {"long_name": "derivative of q", "units": "rad per unit"}),
-            "dqd": (
-                ("time", "link", "parameter"),
-                self.dqd,
-                {"long_name": "derivative of qd", "units": "rad/s per unit"},
-            ),
-            "dtip": (
-                ("time", "axis", "parameter"),
-                self.dtip,
-                {"long_name": "derivative of tip", "units": "m per unit"},
-            ),
-        }
-        if self.arm_angle is not None:
-            variables |= {
-                "arm_angle": ("time", self.arm_angle, {"units": "rad"}),
-                "arm_rate": ("time", self.arm_rate, {"units": "rad/s"}),
-                "darm_angle": (("time", "parameter"), self.darm_angle, {"units": "rad per unit"}),
-                "darm_rate": (("time", "parameter"), self.darm_rate, {"units": "rad/s per unit"}),
-            }
+        shapes = {"q": ("link",), "qd": ("link",), "tip": ("axis",), "arm_angle": (), "arm_rate": ()}
+        variables: dict[str, Any] = {}
+        for name, shape in shapes.items():
+            unit = {"qd": "rad/s", "arm_rate": "rad/s", "tip": "m"}.get(name, "rad")
+            if getattr(self, name) is not None:
+                about = {"long_name": f"derivative of {name}", "units": f"{unit} per unit"}
+                variables[name] = (("time", *shape), getattr(self, name), {"units": unit})
+                variables[f"d{name}"] = (("time", *shape, "parameter"), getattr(self, f"d{name}"), about)
         coords = {
             "time": ("time", self.t, {"units": "s"}),
             "axis": ("axis", np.array(["x", "y"])),
@@ -132,9 +121,9 @@ def sensitivities(
         What to differentiate by.
 
         ``"q0"``, ``"qd0"``: the start of every link; ``"q0[3]"`` of one.
-        ``"friction"``, and likewise dry_friction, length, mass, com, inertia, stiffness, rest_angle: one number added
-        to that of every link; ``"friction[3]"`` of one link; ``"friction[:]"`` of each. The others stay as they are:
-        more ``"mass"`` does not change the inertia.
+        ``"friction"``, and likewise dry_friction, length, mass, com, inertia, stiffness, rest_angle, drag: one number
+        added to that of every link; ``"friction[3]"`` of one link; ``"friction[:]"`` of each. The others stay as they
+        are: more ``"mass"`` does not change the inertia.
         ``"tip_mass"``, ``"gravity[0]"``, ``"gravity[1]"``, ``"arm.length"``. Without `q0` the rope hangs along gravity
         at the start, and turns with it.
         ``"motion.t_rest"`` and whatever else the motion was made from; ``"motion.delay"`` of any motion.
@@ -176,15 +165,7 @@ def sensitivities(
     >>> cast.dtip.shape
     (201, 2, 2)
     """
-    if isinstance(rope, Setup):
-        beside = {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0}
-        if given := [name for name, value in beside.items() if value is not None]:
-            raise InvalidInput("arguments beside a whole set-up", got=given, allowed="duration, t_eval, wrt")
-        setup = rope if duration is None else replace(rope, duration=duration)
-    elif duration is None:
-        raise InvalidInput("duration is missing", allowed="a number > 0, in s", fix="Give duration=10.0, say")
-    else:
-        setup = Setup(rope, motion, arm, duration=duration, q0=q0, qd0=qd0, tol=tol)  # type: ignore[arg-type]
+    setup = setup_of(rope, motion, arm, duration, q0, qd0, tol, "duration, t_eval, wrt")
     refuse_what_is_not_smooth(setup)
     directions = wanted(setup, wrt)
     t = output_times(t_eval, 0.0, setup.duration)
@@ -240,7 +221,7 @@ class Slopes:
 
 def recorded(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Limits, begin: float = 0.0) -> Rollout:
     """Run to the end, noting every step; raises where that fails."""
-    count, width = STEPS, MODES + chain.length.size if chain.dry.any() else JOINT
+    count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
     while True:
         run = prepare(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
         code = finish(run)
@@ -267,6 +248,32 @@ def along(run: Rollout, directions: Wanted, start: tuple[Array, Array], t: Array
         core.replay(run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
     first = times.size - t.size
     return y[first:], dy[first:]
+
+
+def acceleration_slopes(
+    chain: Chain, drive: Drive, start: tuple[Array, Array], seeds: Directions, values: Array
+) -> Array:
+    """Return the derivatives (n, p) of the links' accelerations at t = 0 in a state, along directions.
+
+    Parameters
+    ----------
+    chain, drive, seeds : Chain, Drive, Directions
+    start : (n,), (n,) float64
+        Angles, rad, and rates, rad/s; joints that stick there are locked.
+    values : (2 n, p) float64
+        Derivatives of angles and rates.
+    """
+    n, base, grip = chain.length.size, np.empty(9), np.ones(chain.length.size)
+    part = segment(drive, 0.0)
+    torque = base_state(drive, part, 0.0, base)
+    q, qd = (np.array(value) for value in start)
+    if can_stick(chain):
+        decide(chain, q, qd, base[:7], torque, 1.0, grip, bench(n))
+    room = room_for(chain, seeds.kind.size)
+    set_grip(COLUMNS, room.lanes, grip)
+    room.ys[:, :n], room.ys[:, n : 2 * n], room.nodes[:] = q, qd, values
+    bends_along(chain, drive, part, 0.0, 0.0, seeds, room)
+    return np.asarray(room.bends[0])
 
 
 def _labelled(chain: Chain, drive: Drive, directions: Wanted, t: Array, y: Array, dy: Array, own: int) -> Sensitivities:

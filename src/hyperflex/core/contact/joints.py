@@ -1,0 +1,212 @@
+"""Joints within a step: dry friction with true stick, and limits of the bend, one-sided and inelastic.
+
+Both are one law between the relative rate of a joint after the step and its angular impulse L, a staircase that only
+falls (a maximal monotone graph): at the lower limit any L above that of friction, then the friction of a joint that
+turns back, at rest any L within friction, the friction of one that turns ahead, at the upper limit any L below it. A
+mode is a step of the staircase. Where the rate is given, L = L0 - M rate by the proximal method, as for contacts: no
+more than a change of the joint's (T, kappa) in the sweep.
+"""
+
+from __future__ import annotations
+
+import math
+
+from hyperflex.core.contact.arrays import (
+    AFTER,
+    AHEAD,
+    BACK,
+    BEFORE,
+    BOUND,
+    FREE,
+    HIGHEST,
+    IMPULSE,
+    LEVER,
+    LOWER,
+    LOWEST,
+    OPEN,
+    START,
+    STICK,
+    UPPER,
+)
+from hyperflex.core.integrate.end_conditions import to_limit
+from hyperflex.core.jit import lean
+
+ANY = 1e9  # rad/s, bound of a rate that nothing holds
+REACHED = 1e-5  # rad, gap at which a limit is reached
+BEYOND = 2e-4  # rad, past a limit at which a step is tried again at half its length
+CLOSING = 1e-9  # rad/s, by which a rate must pass its bound to be held
+SLOW = 1e-8  # rad/s, below which a joint with dry friction sticks at first
+RELAXED = 0.99  # of the last step's torque is where the next step starts
+SOON = 0.01  # s, for which the present rate counts in what is left of a gap
+
+
+@lean
+def law(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no-untyped-def]
+    """Angular impulse of a joint in a mode, N m s, and the mode that it should have; start is L0, mass is M, kg m^2.
+
+    `bound` is that of dry friction, N m s; `lower`, `upper` are bounds of the `rate`, rad/s.
+    """
+    if mode == UPPER:
+        impulse = start - mass * (rate - upper)
+        ahead = upper > 0.0
+        if impulse > (-bound if ahead else bound):
+            return impulse, OPEN if bound == 0.0 else AHEAD if ahead else BACK
+        return impulse, mode
+    if mode == LOWER:
+        impulse = start - mass * (rate - lower)
+        back = lower < 0.0
+        if impulse < (bound if back else -bound):
+            return impulse, OPEN if bound == 0.0 else BACK if back else AHEAD
+        return impulse, mode
+    impulse = start - mass * rate
+    if mode == STICK:
+        return impulse, AHEAD if impulse < -bound else BACK if impulse > bound else mode
+    sense = 1.0 if mode == AHEAD else -1.0 if mode == BACK else 0.0
+    wanted = mode
+    if rate > upper + CLOSING:
+        wanted = UPPER
+    elif rate < lower - CLOSING:
+        wanted = LOWER
+    elif lower < 0.0 < upper and -sense * impulse < bound:
+        wanted = STICK
+    return -sense * bound, wanted
+
+
+@lean
+def watch_joints(chain, desk, kept, h, struck):  # type: ignore[no-untyped-def]
+    """Say what each joint may do in a step `h`, s, and begin with the modes and torques of the last step.
+
+    A gap to a limit may be closed, not more. As for contacts (``step.watch``), a joint that closes faster than
+    ``desk.brisk`` is left free, and ``desk.touch`` tells when it is there; in an impact (h = 0.0) those that are there
+    are held.
+    """
+    motion, held, of = desk.motion, desk.held, desk.held.of
+    for i in held.which:
+        bend = desk.q[i] - (desk.q[i - 1] if i > 0 else desk.base[1, 4]) - chain.rest[i]
+        rate = motion.w[i] - (motion.w[i - 1] if i > 0 else desk.base[0, 3])
+        of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
+        of[FREE, i], of[FREE + 1, i] = motion.joint[i, 0], motion.joint[i, 1]
+        of[HIGHEST, i] = allowed_rate(desk, chain.max_bend[i] - bend, rate, h, struck)
+        of[LOWEST, i] = -allowed_rate(desk, chain.max_bend[i] + bend, -rate, h, struck)
+        of[START, i] = RELAXED * h * kept.torque[i]
+        held.mode[i] = first_mode(kept.bent[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i])
+
+
+@lean
+def allowed_rate(desk, gap, closing, h, struck):  # type: ignore[no-untyped-def]
+    """Greatest rate, rad/s, at which a gap, rad in the middle of a step, may close that closes at `closing` before."""
+    if h == 0.0:
+        return 0.0 if gap <= 2.0 * REACHED else ANY
+    if gap >= ANY:
+        return ANY
+    away = gap + 0.5 * h * closing  # at the beginning of the step
+    if closing > desk.brisk and (away > REACHED or not struck):
+        desk.touch[0] = min(desk.touch[0], 0.0 if away <= REACHED else away / closing)
+        return ANY
+    return max(gap, 0.0) / h
+
+
+@lean
+def first_mode(kept, rate, lower, upper, bound):  # type: ignore[no-untyped-def]
+    """Mode of a joint to begin the search with, from the one that was kept."""
+    mode = kept
+    if bound == 0.0:
+        mode = kept if kept >= UPPER else OPEN
+    elif kept == OPEN:
+        mode = STICK if abs(rate) <= SLOW else AHEAD if rate > 0.0 else BACK
+    if mode in (STICK, AHEAD) and upper <= 0.0:
+        return UPPER
+    if mode in (STICK, BACK) and lower >= 0.0:
+        return LOWER
+    return mode
+
+
+@lean
+def put_joints(motion, held, heavy):  # type: ignore[no-untyped-def]
+    """Write the joints, with their present modes, to ``motion.joint``; `heavy` is M of the contacts, kg."""
+    of, joint = held.of, motion.joint
+    for i in held.which:
+        mode, torque, slope = held.mode[i], 0.0, 0.0
+        if mode in (AHEAD, BACK):
+            torque = -of[BOUND, i] if mode == AHEAD else of[BOUND, i]
+        elif mode != OPEN:
+            slope = heavy * of[LEVER, i] * of[LEVER, i]
+            at = of[HIGHEST, i] if mode == UPPER else of[LOWEST, i] if mode == LOWER else 0.0
+            torque = of[START, i] - slope * (of[BEFORE, i] - at)
+        joint[i, 0], joint[i, 1] = of[FREE, i] + torque, of[FREE + 1, i] + slope
+
+
+@lean
+def judge_joints(motion, held, heavy, change):  # type: ignore[no-untyped-def]
+    """Read rates and impulses off the changes of the rates; with `change`, change the modes that break the law.
+
+    Returns how many broke it.
+    """
+    of, broke = held.of, 0
+    for i in held.which:
+        rate = of[BEFORE, i] + motion.change[i] - (motion.change[i - 1] if i > 0 else motion.base[2])
+        mass = heavy * of[LEVER, i] * of[LEVER, i]
+        of[AFTER, i] = rate
+        of[IMPULSE, i], wanted = law(
+            held.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i], of[START, i], mass
+        )
+        if wanted != held.mode[i]:
+            broke += 1
+            if change:
+                held.mode[i] = wanted
+    return broke
+
+
+@lean
+def proceed_joints(held, heavy):  # type: ignore[no-untyped-def]
+    """As ``modes.proceed`` for the joints: residual velocity, m/s, and the energy that it stands for, J."""
+    of = held.of
+    worst = given = 0.0
+    for i in held.which:
+        mode, lever, impulse = held.mode[i], of[LEVER, i], of[IMPULSE, i]
+        if mode in (AHEAD, BACK):
+            left = max(0.0, -of[AFTER, i] if mode == AHEAD else of[AFTER, i]) * lever
+        elif mode == OPEN:
+            left = 0.0
+        else:
+            left = abs(impulse - of[START, i]) / (heavy * lever)
+        worst, given = max(worst, left), given + left / lever * abs(impulse)
+        of[START, i] = impulse
+    return worst, given
+
+
+@lean
+def let_go(held):  # type: ignore[no-untyped-def]
+    """Where no modes are found: limits hold nothing, and friction acts against the rates before the step."""
+    of = held.of
+    for i in held.which:
+        held.mode[i] = OPEN if of[BOUND, i] == 0.0 else AHEAD if of[BEFORE, i] > 0.0 else BACK
+
+
+@lean
+def taken_by_joints(held):  # type: ignore[no-untyped-def]
+    """Energy that dry friction and limits took in a step, J: impulses times mean rates."""
+    of, friction, limits = held.of, 0.0, 0.0
+    for i in held.which:
+        taken = -0.5 * of[IMPULSE, i] * (of[BEFORE, i] + of[AFTER, i])
+        if held.mode[i] >= UPPER:
+            limits += taken
+        elif held.mode[i] != OPEN:
+            friction += taken
+    return friction, limits
+
+
+@lean
+def room_to_bend(chain, q, w, angle, rate):  # type: ignore[no-untyped-def]
+    """Smallest gap of a joint to its limit, rad, and the smallest that is left SOON; infinite where none has limits.
+
+    `q`, `w` (n or more,) are angles, rad, and rates, rad/s, of the links, `angle` and `rate` those of the parent of the
+    first one.
+    """
+    least = left = math.inf
+    for i in range(chain.length.size):
+        if chain.max_bend[i] < math.inf:
+            gap, opening = to_limit(chain, i, q[i] - angle, w[i] - rate)
+            least, left = min(least, gap), min(left, gap + SOON * min(opening, 0.0))
+        angle, rate = q[i], w[i]
+    return least, left

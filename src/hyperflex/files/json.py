@@ -1,0 +1,36 @@
+"""Results as JSON: plain numbers, lists and strings."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hyperflex.files.writing import PathLike, write_text
+
+
+def plain(value: Any) -> Any:
+    """Turn arrays, paths and mappings into what JSON knows; what it has no number for (NaN, infinity) becomes None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value
+
+
+def dumps_json(content: Mapping[str, Any]) -> str:
+    """Return a mapping as JSON text."""
+    return json.dumps(plain(content), indent=2, allow_nan=False) + "\n"
+
+
+def write_json(path: PathLike, content: Mapping[str, Any]) -> None:
+    """Write a mapping to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""
+    write_text(path, dumps_json(content))

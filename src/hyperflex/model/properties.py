@@ -1,0 +1,129 @@
+"""Each physical property once: its name, unit, bounds and kernel field; how it is fitted, cut, and told to people.
+
+A new property of the links is a row here, an argument of :class:`hyperflex.model.Rope` and a field of
+``core.chain.Chain``; files, identification, the comparison of models, derivatives and reports read the row.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from hyperflex.checks import Sign
+
+Owner = Literal["link", "rope", "motion", "camera", "marker", "arm"]
+Form = Literal["log", "linear", "nonnegative"]
+Cut = Literal["shared", "alike", "joint", "bending", "limit", "stays"]
+
+
+@dataclass(frozen=True)
+class Property:
+    """A property and what is done with it.
+
+    Attributes
+    ----------
+    name : str
+        In the API, in files and in ``free``.
+    words : str
+        For people.
+    unit : str
+        SI.
+    field : str
+        In :class:`hyperflex.core.chain.Chain`; of a resistance also the word for it in the names of candidate models.
+    owner : str
+        Whose it is: of each ``link`` (or of its joint), of the whole ``rope``, of the ``motion``, the ``camera``, each
+        ``marker`` or the ``arm``.
+    sign : str
+        What values are allowed, see :mod:`hyperflex.checks`.
+    default : float or None
+        Value that does nothing (inf is allowed then, too); None: it must be given, or follows from others.
+    form : str or None
+        How a fit sees it: its logarithm, the value itself, or a value kept >= 0; None: it cannot be free.
+    power : int
+        It goes with this power of the unknown common factor of a free swing.
+    cut : str
+        What becomes of it where a rope is cut into other links: it is ``shared`` out, or ``alike`` in all pieces of a
+        link; of a joint it is ``joint``, whatever it joins, resists ``bending``, inverse to the length that the joint
+        stands for, or ``limit`` s it, in proportion to that length; or it ``stays`` where it is. Empty: it follows
+        from the others.
+    symbol, ratio : str
+        Of a resistance to the motion: its symbol, and the unit of its ratio over the first moment p1.
+    least : float
+        Smallest value of a fit, in parts of its scale, of what a run without any leaves out altogether, and so does not
+        tell what it would do.
+    """
+
+    name: str
+    words: str
+    unit: str
+    field: str = ""
+    owner: Owner = "link"
+    sign: Sign = "nonnegative"
+    default: float | None = 0.0
+    form: Form | None = "nonnegative"
+    power: int = 0
+    cut: Cut | Literal[""] = ""
+    symbol: str = ""
+    ratio: str = ""
+    least: float = 0.0
+
+
+_TABLE = (
+    Property("length", "length", "m", "length", sign="positive", default=None, form="log", cut="shared"),
+    Property("mass", "mass", "kg", "mass", default=None, form="log", power=1, cut="shared"),
+    Property("com", "centre of mass, from its joint", "m", "com", sign="any", default=None, form="linear"),
+    Property("inertia", "moment of inertia about the centre of mass", "kg m^2", "inertia", default=None, power=1),
+    Property("friction", "viscous friction", "N m s/rad", "viscous", power=1, cut="bending", symbol="c", ratio="m/s"),
+    Property(
+        "dry_friction", "dry friction", "N m", "dry", power=1, cut="joint", symbol="tau_d", ratio="m/s^2", least=1e-9
+    ),
+    Property("stiffness", "stiffness", "N m/rad", "stiffness", power=1, cut="bending", symbol="k", ratio="m/s^2"),
+    Property("rest_angle", "angle at which it is at rest", "rad", "rest", sign="any", form="linear", cut="stays"),
+    Property("drag", "air drag", "kg/m^2", "drag", power=1, cut="alike", symbol="d", ratio="1/m^3", least=1e-9),
+    Property("max_bend", "joint limit", "rad", "max_bend", sign="positive", default=math.inf, form=None, cut="limit"),
+    Property("tip_mass", "mass at the tip", "kg", "tip_mass", owner="rope", power=1),
+    Property("gravity_angle", "turn of gravity (a camera that is not level)", "rad", owner="rope", form="linear"),
+    Property("delay", "delay of the motion", "s", owner="motion", form="linear"),
+    Property("origin_x", "origin of the motion as the camera sees it, x", "m", owner="camera", form="linear"),
+    Property("origin_y", "origin of the motion as the camera sees it, y", "m", owner="camera", form="linear"),
+    Property("arc", "place along the rope", "m", owner="marker", form="linear"),
+    Property("arm_inertia", "moment of inertia of arm and rotor", "kg m^2", owner="arm"),
+    Property("arm_friction", "viscous friction of the shaft", "N m s/rad", owner="arm"),
+)
+PROPERTIES = {each.name: each for each in _TABLE}
+LINKS = tuple(each for each in _TABLE if each.owner == "link")
+LINK_NAMES = tuple(each.name for each in LINKS)
+RESISTANCES = tuple(each for each in LINKS if each.ratio)  # linear in the torques, beside masses and inertias
+DAMPING = tuple(each.name for each in RESISTANCES if each.unit != "N m/rad")  # but springs: they take energy away
+FREE = {each.name: each for each in _TABLE if each.form}  # what can be fitted
+
+
+class Ratio(NamedTuple):
+    """What a motion without known forces tells of the rope, over p of link 0: in words, and its unit."""
+
+    words: str
+    unit: str
+
+
+RATIOS = {"J/p1": Ratio("inertia about the joint", "m"), "p/p1": Ratio("first moment about the joint", "")}
+RATIOS |= {f"{each.symbol}/p1": Ratio(each.words, each.ratio) for each in RESISTANCES}
+
+_LABEL = re.compile(r"(?P<name>[A-Za-z_]+)(?:\[(?P<place>\d+)\])?(?::(?P<law>shared|factor|taper))?\Z")
+
+
+class Label(NamedTuple):
+    """A number of a property: ``friction[2]`` of one link, ``friction:shared`` of all; factor and taper: their laws."""
+
+    name: str
+    place: int | None
+    law: str
+
+
+def parsed(text: object) -> Label | None:
+    """Return what a label names, or None where it is none; a place and a law exclude each other."""
+    match = _LABEL.match(text) if isinstance(text, str) else None
+    if match is None or (match["place"] and match["law"]):
+        return None
+    return Label(match["name"], int(match["place"]) if match["place"] else None, match["law"] or "")

@@ -1,0 +1,8 @@
+"""What is measured of a rope, as a function of its state, with derivatives: for identification and filters."""
+
+from __future__ import annotations
+
+from hyperflex.sensors.motor_torque import MotorTorque
+from hyperflex.sensors.posture import Angles, Markers, Measurement, Sensor
+
+__all__ = ["Angles", "Markers", "Measurement", "MotorTorque", "Sensor"]

@@ -1,0 +1,141 @@
+"""Motor torque as a measured channel: what the arm and the rope ask of the motor, and how that changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core.chain import motor_torque as core
+from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import ANGLE, Drive
+from hyperflex.model import Arm, Rope, Setup
+from hyperflex.model.properties import LINKS, PROPERTIES
+from hyperflex.sensors.posture import Measurement
+from hyperflex.simulation.commands import arm_polynomials
+from hyperflex.simulation.rollouts import Interval
+from hyperflex.simulation.sensitivity.directions import Part
+from hyperflex.trajectory import State
+
+ANGLE_STEP = 1e-5  # rad, and of x: differences of a smooth function then err by some 1e-10 of it
+RATE_STEP = 1e-3  # rad/s: torque is quadratic in the rates, so that only rounding errs
+
+
+class MotorTorque:
+    """Torque (m,) of the motor of a prescribed `arm`, N m, as ``Trajectory.motor_torque`` defines it.
+
+    The torque follows from the state at a sample without any integration; its derivatives are central differences of
+    this function, at the slip or stick of each joint as it is there, chained with the exact derivatives of the state.
+
+    Parameters
+    ----------
+    arm : Arm
+        Its values, (2,), are inertia, kg m^2, and viscous friction, N m s/rad.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self.arm = arm
+        self.values = np.array([arm.inertia, arm.friction])
+
+    def with_values(self, values: Array) -> MotorTorque:
+        """Return the same sensor with another inertia and friction (2,)."""
+        return MotorTorque(replace(self.arm, inertia=float(values[0]), friction=float(values[1])))
+
+    def measure(self, rope: Rope, state: State, acceleration: float = 0.0) -> Measurement:
+        """Return the torque in one state of the arm and `rope`, y (1,), with derivatives.
+
+        Parameters
+        ----------
+        rope : Rope
+        state : State
+            Its ``arm_angle`` and ``arm_rate`` count as 0 where they are not known.
+        acceleration : float
+            Of the arm, rad/s^2.
+        """
+        n, interval = rope.n_links, Interval(Setup(rope, None, self.arm).drive())
+        u = checks.number("acceleration", acceleration, unit="rad/s^2")
+        rows, _ = arm_polynomials("acceleration", 1.0)
+        interval.set(0.0, 1.0, ANGLE, np.array([state.arm_angle or 0.0, state.arm_rate or 0.0, u]) @ rows)
+        y = np.concatenate([checks.array(f"state {k}", getattr(state, k), (n,)) for k in ("q", "qd")])[None]
+        parts = tuple({"coef": np.pad(row[None, None], ((0, 0), (ANGLE, 3 - ANGLE), (0, 0)))} for row in rows)
+        t, chain, moved = np.zeros(1), rope.chain(), np.eye(2 * n, 2 * n + 3)[None]
+        slopes = self.jacobian(chain, interval.drive, parts, t, y, moved)
+        order = [2 * n, *range(n), 2 * n + 1, *range(n, 2 * n)]
+        return Measurement(self.predict(chain, interval.drive, t, y), slopes[:, order], slopes[:, 2 * n + 2 :])
+
+    def predict(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
+        """Return the torque (m,), N m, at times t (m,) and states y (m, 2n or more)."""
+        return self._torque(chain, drive, t, y, self._grip(chain, drive, t, y))
+
+    def jacobian(self, chain: Chain, drive: Drive, parts: tuple[Part, ...], t: Array, y: Array, dy: Array) -> Array:
+        """Return its derivatives (m, 2n + P): by the start's state, and by the parameters whose changes are `parts`.
+
+        Parameters
+        ----------
+        parts : P mappings
+            Changes of the chain, or of the drive's ``breaks`` and ``coef``.
+        y : (m, 2n or more) array
+        dy : (m, 2n, 2n + P) array
+            Derivatives of angles and rates along the same directions.
+        """
+        grip = self._grip(chain, drive, t, y)
+        n = chain.length.size
+        by_state = np.empty((t.size, 2 * n))
+        for i in range(2 * n):
+            step = ANGLE_STEP if i < n else RATE_STEP
+            up, down = y.copy(), y.copy()
+            up[:, i] += step
+            down[:, i] -= step
+            change = self._torque(chain, drive, t, up, grip) - self._torque(chain, drive, t, down, grip)
+            by_state[:, i] = change / (2.0 * step)
+        result: Array = np.einsum("mi,mid->md", by_state, dy)
+        for k, part in enumerate(parts):
+            ends = [
+                self._torque(_moved(chain, part, step), _shifted(drive, part, step), t, y, grip)
+                for step in (ANGLE_STEP, -ANGLE_STEP)
+            ]
+            result[:, 2 * n + k] += (ends[0] - ends[1]) / (2.0 * ANGLE_STEP)
+        return result
+
+    def value_jacobian(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
+        """Return its derivatives (m, 2) with respect to the arm's inertia and friction."""
+        seen = self._seen(chain, drive, t, y, np.ones((t.size, chain.length.size)))
+        return np.stack([seen[:, 3], seen[:, 2]], axis=1)
+
+    def _torque(self, chain: Chain, drive: Drive, t: Array, y: Array, grip: Array) -> Array:
+        rope, angle, rate, acceleration = self._seen(chain, drive, t, y, grip).T
+        return np.asarray(rope + self.arm.shaft_torque(np.array([chain.gx, chain.gy]), angle, rate, acceleration))
+
+    @staticmethod
+    def _grip(chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
+        grip = np.ones((t.size, chain.length.size))
+        core.senses(chain, drive, t, y, grip)
+        return grip
+
+    @staticmethod
+    def _seen(chain: Chain, drive: Drive, t: Array, y: Array, grip: Array) -> Array:
+        result = np.empty((t.size, 4))
+        core.reactions(chain, drive, t, y, grip, result)
+        return result
+
+
+def _moved(chain: Chain, part: Part, step: float) -> Chain:
+    """Return the chain with the properties in `part` changed by `step` times as much."""
+    changes: dict[str, object] = {}
+    for name, change in part.items():
+        if name == "gravity":
+            changes |= {"gx": chain.gx + step * float(change[0]), "gy": chain.gy + step * float(change[1])}
+        elif name in PROPERTIES:
+            field = PROPERTIES[name].field
+            changes[field] = getattr(chain, field) + step * (change if PROPERTIES[name] in LINKS else float(change[0]))
+    return chain._replace(**changes)  # type: ignore[arg-type]
+
+
+def _shifted(drive: Drive, part: Part, step: float) -> Drive:
+    """Return the drive with its breaks and pieces changed by `step` times as much as `part` says."""
+    changes = {name: getattr(drive, name) + step * part[name] for name in ("breaks", "coef") if name in part}
+    for value in changes.values():
+        value.setflags(write=False)  # the kernels are compiled for one kind
+    return drive._replace(**changes)

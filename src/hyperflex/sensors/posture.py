@@ -1,0 +1,189 @@
+"""What is seen of a rope's posture: link angles, or places of markers along it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, Rope
+from hyperflex.trajectory import State
+
+
+class Measurement(NamedTuple):
+    """What a sensor would show in a state x = (arm angle, q, arm rate, qd), and its derivatives.
+
+    Attributes
+    ----------
+    y : (C,) float64
+        The channels: rad, m or N m.
+    H : (C, 2 n + 2) float64
+        Their derivatives with respect to x.
+    D : (C, 1) float64
+        With respect to the arm's acceleration, per rad/s^2.
+    """
+
+    y: Array
+    H: Array
+    D: Array
+
+
+class Sensor(Protocol):
+    """Turns the posture of a rope into what is measured.
+
+    Attributes
+    ----------
+    placed : bool
+        Whether it is places, and the first joint's matters.
+    values : (V,) float64
+        Values of the sensor itself that may be fitted.
+    """
+
+    placed: bool
+    values: Array
+
+    def with_values(self, values: Array) -> Sensor:
+        """Return the same sensor with other values (V,)."""
+        ...
+
+    def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
+        """Return channels (m, C) from angles (m, n), rad, and the first joint's places (m, 2), m."""
+        ...
+
+    def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
+        """Return their derivatives (m, C, D) from those of angles (m, n, D), pivot (m, 2, D) and lengths (n, D)."""
+        ...
+
+    def value_jacobian(self, rope: Rope, q: Array) -> Array:
+        """Return their derivatives with respect to the sensor's values (m, C, V)."""
+        ...
+
+
+class _Posture:
+    """What all sensors of the posture share."""
+
+    def measure(self: Sensor, rope: Rope, arm: Arm, state: State) -> Measurement:
+        """Return what is seen in one state, with derivatives; the arm's acceleration does not matter.
+
+        Parameters
+        ----------
+        rope, arm : Rope, Arm
+        state : State
+            Its ``arm_angle`` counts as 0 where it is not known.
+        """
+        n = rope.n_links
+        q = checks.array("state q", state.q, (n,), unit="rad")[None]
+        angle = state.arm_angle or 0.0
+        sin, cos = np.sin(angle), np.cos(angle)
+        pivot = np.array([arm.pivot]) + arm.length * np.array([[sin, -cos]])
+        dq, dpivot = np.zeros((1, n, 2 * n + 2)), np.zeros((1, 2, 2 * n + 2))
+        dq[0, :, 1 : n + 1] = np.eye(n)
+        dpivot[0, :, 0] = arm.length * cos, arm.length * sin
+        y = self.predict(rope, q, pivot)[0]
+        slopes = self.jacobian(rope, q, dq, dpivot, np.zeros((n, 2 * n + 2)))[0]
+        return Measurement(y, slopes, np.zeros((y.size, 1)))
+
+
+class Angles(_Posture):
+    """Absolute link angles, rad; it has no values of its own."""
+
+    placed = False
+    values = np.zeros(0)
+
+    def with_values(self, values: Array) -> Angles:
+        """Return the same sensor with other values (V,)."""
+        return self
+
+    def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
+        """Return what is seen (m, C)."""
+        return q
+
+    def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
+        """Return its derivatives (m, C, D)."""
+        return dq
+
+    def value_jacobian(self, rope: Rope, q: Array) -> Array:
+        """Return its derivatives with respect to the values (m, C, V)."""
+        return np.zeros((*q.shape, 0))
+
+
+class Markers(_Posture):
+    """Places of K markers along the rope, m, in channels x0, y0, x1, y1, ...
+
+    Parameters
+    ----------
+    arcs : (K,) array_like
+        How far along the rope each sits, m from the first joint. Markers beyond the tip lie on the last link's line;
+        those before the first joint on the first's.
+    origin : (2,) array_like
+        Where the camera sees the origin, m.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite, or there is no marker.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> from hyperflex.sensors import Markers
+    >>> rope = hf.Rope.uniform(length=2.0, mass=0.1, n_links=4, radius=0.002)
+    >>> seen = Markers([0.75, 2.0]).measure(rope, hf.Arm(length=0.1), hf.State(0.0, [0.0] * 4, [0.0] * 4))
+    >>> seen.y.round(9).tolist(), seen.H.shape
+    ([0.0, -0.85, 0.0, -2.1], (4, 10))
+    """
+
+    placed = True
+
+    def __init__(self, arcs: npt.ArrayLike, origin: npt.ArrayLike = (0.0, 0.0)) -> None:
+        self.arcs = checks.array("arcs", arcs, (-1,), unit="m")
+        if not self.arcs.size:
+            raise InvalidInput("arcs is empty", allowed="at least one marker")
+        self.values = np.concatenate([checks.array("origin", origin, (2,), unit="m"), self.arcs])
+
+    def with_values(self, values: Array) -> Markers:
+        """Return the same sensor with other values (V,)."""
+        return Markers(values[2:], values[:2])
+
+    def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
+        """Return what is seen (m, C)."""
+        link, beyond = self._on(rope)
+        along = np.stack([np.sin(q), -np.cos(q)], axis=2)  # (m, n, 2)
+        joints = np.cumsum(rope.length[:, None] * along, axis=1) - rope.length[:, None] * along
+        places = self.values[:2] + pivot[:, None] + joints[:, link] + beyond[:, None] * along[:, link]
+        result: Array = places.reshape(q.shape[0], -1)
+        return result
+
+    def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
+        """Return its derivatives (m, C, D)."""
+        link, beyond = self._on(rope)
+        along = np.stack([np.sin(q), -np.cos(q)], axis=2)
+        across = np.stack([np.cos(q), np.sin(q)], axis=2)
+        before = np.tril(np.ones((q.shape[1], q.shape[1])), -1)[link]  # (K, n): which links lie before a marker's own
+        arms = before * rope.length
+        arms[np.arange(link.size), link] = beyond
+        result = np.einsum("ki,mia,mid->mkad", arms, across, dq, optimize=True)
+        if dlength.any():  # a marker keeps its distance along the rope: what is longer before it is shorter in its link
+            result += np.einsum("ki,mia,id->mkad", before, along, dlength, optimize=True)
+            result -= np.einsum("mka,kd->mkad", along[:, link], before @ dlength, optimize=True)
+        result += dpivot[:, None]
+        return np.asarray(result.reshape(q.shape[0], -1, dq.shape[2]))
+
+    def value_jacobian(self, rope: Rope, q: Array) -> Array:
+        """Return its derivatives with respect to the values (m, C, V)."""
+        link, _ = self._on(rope)
+        result = np.zeros((q.shape[0], link.size, 2, self.values.size))
+        result[:, :, 0, 0] = result[:, :, 1, 1] = 1.0
+        for k, i in enumerate(link):
+            result[:, k, 0, 2 + k], result[:, k, 1, 2 + k] = np.sin(q[:, i]), -np.cos(q[:, i])
+        return result.reshape(q.shape[0], -1, self.values.size)
+
+    def _on(self, rope: Rope) -> tuple[npt.NDArray[np.intp], Array]:
+        """Return on which link each marker sits, and how far beyond its first joint, m."""
+        ends = np.cumsum(rope.length)
+        link = np.minimum(np.searchsorted(ends, self.arcs - 1e-12 * ends[-1]), rope.n_links - 1)
+        return link, self.arcs - (ends - rope.length)[link]

@@ -1,0 +1,82 @@
+"""What a user gives to a run: a whole set-up or its parts, and times to look at."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
+from hyperflex.motion import Motion
+
+SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose
+MOST_OUTPUTS = 1e7  # of a run whose user has not chosen; more of them would fill the memory first
+
+
+def whole_setup(rope: Rope | Setup, allowed: str, *given: dict[str, Any]) -> Setup:
+    """Return the set-up that stands for all arguments, or one of the rope alone.
+
+    Parameters
+    ----------
+    rope : Rope or Setup
+    allowed : str
+        What may be given beside a whole set-up, for the message.
+    *given : dict
+        What may not, by name: None or False where it is as by default.
+    """
+    if isinstance(rope, Rope):
+        return Setup(rope)
+    if not isinstance(rope, Setup):
+        raise InvalidInput("rope is not a rope", got=rope, allowed="a Rope or a whole Setup")
+    if names := [name for each in given for name, value in each.items() if value is not None and value is not False]:
+        fix = "Put them into the set-up: dataclasses.replace(setup, ...)"
+        raise InvalidInput("arguments beside a whole set-up", got=names, allowed=allowed, fix=fix)
+    return rope
+
+
+def setup_of(
+    rope: Rope | Setup,
+    motion: Motion | None,
+    arm: Arm | None,
+    duration: float | None,
+    q0: npt.ArrayLike | None,
+    qd0: npt.ArrayLike | None,
+    tol: float,
+    allowed: str,
+) -> Setup:
+    """Return the set-up of what is given, a whole one or its parts; `allowed` as in :func:`whole_setup`."""
+    setup = whole_setup(rope, allowed, {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "tol": tol != DEFAULT_TOL})
+    if isinstance(rope, Rope):
+        return Setup(rope, motion, arm, duration=needed(duration), q0=q0, qd0=qd0, tol=tol)  # type: ignore[arg-type]
+    return setup if duration is None else replace(setup, duration=duration)
+
+
+def needed(duration: float | None) -> float:
+    """Return a duration, s, which must be given."""
+    if duration is None:
+        raise InvalidInput("duration is missing", allowed="a number > 0, in s", fix="Give duration=10.0, say")
+    return duration
+
+
+def output_times(t_eval: npt.ArrayLike | None, begin: float, end: float) -> Array:
+    """Check the output times (T,) of a run from `begin` to `end`, s; by default every SAMPLE_TIME and the end."""
+    if t_eval is None:
+        count = (end - begin) / SAMPLE_TIME
+        if count > MOST_OUTPUTS:
+            raise InvalidInput(
+                f"the run is so long that an output every {SAMPLE_TIME:g} s would make {count:.3g} of them",
+                got=f"{end - begin:g} s",
+                allowed=f"up to {MOST_OUTPUTS * SAMPLE_TIME:g} s without t_eval",
+                fix="Say when you want to see it: t_eval=[...]",
+            )
+        return np.append(begin + SAMPLE_TIME * np.arange(math.ceil((end - begin) / SAMPLE_TIME - 1e-9)), end)
+    t = checks.times("t_eval", t_eval)
+    if t[0] < begin or t[-1] > end:
+        raise InvalidInput("t_eval leaves the run", got=[float(t[0]), float(t[-1])], allowed=f"{begin:g} to {end:g} s")
+    return t

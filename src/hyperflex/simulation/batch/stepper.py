@@ -1,0 +1,218 @@
+"""Many runs taken one interval at a time, side by side in SIMD lanes, each with a command of its own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core import status
+from hyperflex.core.batch import rollouts as core
+from hyperflex.core.chain.drive import ANGLE, TORQUE
+from hyperflex.core.chain.lanes import MEMBERS
+from hyperflex.core.jit import announce_compilation
+from hyperflex.errors import InvalidInput
+from hyperflex.model import DEFAULT_TOL, Arm, Rope
+from hyperflex.simulation.batch.members import INITIAL_CLOCK, members_of, setups_of, starts_of, terms_of
+from hyperflex.simulation.commands import COMMANDS, arm_polynomials, setup_for
+from hyperflex.simulation.rollouts import Interval
+
+
+@dataclass(frozen=True, eq=False)
+class BatchState:
+    """Where the members of a batch are; row m belongs to member m.
+
+    Attributes
+    ----------
+    t : float
+        Time, s.
+    q, qd : (M, n) float64
+        Absolute link angles, rad, and rates, rad/s; NaN of a member that has failed.
+    arm_angle, arm_rate : (M,) float64
+        Of the arms, rad and rad/s.
+    work, dissipated : (M,) float64
+        Motor work and friction loss since the start, J.
+    codes : (M,) int64
+        Status codes; :attr:`status` has their names.
+    memory : (M, 3) float64
+        What the integrator remembers of its steps.
+    """
+
+    t: float
+    q: Array
+    qd: Array
+    arm_angle: Array
+    arm_rate: Array
+    work: Array
+    dissipated: Array
+    codes: npt.NDArray[np.int64]
+    memory: Array
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """``"ok"``, or the name of the failure, of each member (M,)."""
+        return tuple(status.NAMES[int(code)] for code in self.codes)
+
+
+class BatchStepper:
+    """:class:`hyperflex.Stepper` for many members at once, in free flight.
+
+    Parameters
+    ----------
+    ropes : Rope or sequence of Rope
+        One for all members, or one each, with the same number of links and friction model.
+    members : int, optional
+        Number of members, where there is one rope for all.
+    arm : Arm
+        The arm of each.
+    command : {"acceleration", "angle", "torque"}
+        As of :class:`hyperflex.Stepper`.
+    tol : float
+        As in :func:`hyperflex.simulate_batch`, m.
+    threads : int, optional
+        By default one a processor. Results do not depend on it.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=20, radius=0.0025, friction=2e-4)
+    >>> stepper = hf.BatchStepper(cable, members=4, arm=hf.Arm())
+    >>> state = stepper.step(stepper.start(), [0.0, 1.0, 2.0, 3.0], dt=0.02)
+    >>> state.arm_rate.round(3).tolist()
+    [0.0, 0.02, 0.04, 0.06]
+    """
+
+    def __init__(
+        self,
+        ropes: Rope | Sequence[Rope],
+        *,
+        members: int | None = None,
+        arm: Arm | None = None,
+        command: str = "acceleration",
+        tol: float = DEFAULT_TOL,
+        threads: int | None = None,
+    ) -> None:
+        self.command = checks.choice("command", command, COMMANDS)
+        if isinstance(ropes, Rope) and members is not None:
+            ropes = [ropes] * checks.count("members", members)
+        setups = [setup_for(command, setup) for setup in setups_of(ropes, arm=arm, tol=tol)]
+        if members not in (None, len(setups)):
+            raise InvalidInput("members and ropes do not fit together", got=members, allowed=f"{len(setups)}")
+        self.setups = tuple(setups)
+        chains = [setup.chain() for setup in setups]
+        drives = [Interval(setup.drive()).drive for setup in setups]
+        self._own, self._channel = (1, TORQUE) if command == "torque" else (0, ANGLE)
+        self._members = members_of(chains, drives, np.zeros((len(setups), 2 * chains[0].length.size + 2)))
+        self._terms = terms_of(setups[0], chains[0])
+        self._polynomials = (0.0, np.zeros((3, 6)), np.zeros((3, 2)))
+        self._stop = np.zeros(1, dtype=np.int64)
+        workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
+        size = -(-len(setups) // (workers * len(MEMBERS))) * len(MEMBERS)
+        self._blocks = [(low, min(low + size, len(setups))) for low in range(0, len(setups), size)]
+        self._pool = ThreadPoolExecutor(len(self._blocks)) if len(self._blocks) > 1 else None
+        announce_compilation()
+
+    def start(
+        self,
+        q0: npt.ArrayLike | None = None,
+        qd0: npt.ArrayLike | None = None,
+        *,
+        arm_angle: npt.ArrayLike = 0.0,
+        arm_rate: npt.ArrayLike = 0.0,
+        t: float = 0.0,
+    ) -> BatchState:
+        """Return a state to begin with.
+
+        Parameters
+        ----------
+        q0, qd0 : (n,) or (M, n) array_like, optional
+            Absolute link angles, rad, and rates, rad/s, for all members or of each; by default the ropes hang at rest.
+        arm_angle, arm_rate : float or (M,) array_like
+            Of the arms, rad and rad/s.
+        t : float
+            Time, s.
+        """
+        count, n = len(self.setups), self.setups[0].rope.n_links
+        ropes = [setup.rope for setup in self.setups]
+        begin = starts_of(setups_of(ropes, start=(q0, qd0), arm=self.setups[0].arm))
+        angle = checks.array("arm_angle", arm_angle, (count,), scalar=True, unit="rad")
+        rate = checks.array("arm_rate", arm_rate, (count,), scalar=True, unit="rad/s")
+        codes, nothing = np.full(count, status.OK), np.zeros(count)
+        time, memory = checks.number("t", t, unit="s"), np.tile(INITIAL_CLOCK, (count, 1))
+        return BatchState(time, begin[:, :n], begin[:, n : 2 * n], angle, rate, nothing, nothing, codes, memory)
+
+    def step(self, state: BatchState, commands: npt.ArrayLike, dt: float) -> BatchState:
+        """Return the state an interval later.
+
+        Parameters
+        ----------
+        state : BatchState
+            From :meth:`start` or :meth:`step`, or one with some rows replaced (``dataclasses.replace``).
+        commands : (M,) array_like or float
+            One a member, or one for all: rad/s^2, rad or N m.
+        dt : float
+            Length of the interval, s, > 0.
+
+        Returns
+        -------
+        BatchState
+            A member that cannot be simulated within `tol` has failed, in ``status`` and as NaN, from there on.
+
+        Raises
+        ------
+        InvalidInput
+            If the state is not one of this batch, or a number cannot be used.
+        """
+        members, own, count = self._members, self._own, len(self.setups)
+        n = members.links.shape[2]
+        if not isinstance(state, BatchState) or state.q.shape != (count, n - own) or state.qd.shape != state.q.shape:
+            raise InvalidInput("state is not one of this batch", got=state, allowed=f"{count} x {n - own} angles")
+        given = checks.array("commands", commands, (count,), scalar=True)
+        span = checks.number("dt", dt, sign="positive", unit="s")
+        if span != self._polynomials[0]:
+            self._polynomials = (span, *arm_polynomials(self.command, span))
+        known = np.stack([state.arm_angle, state.arm_rate, given], axis=1)
+        members.start[:, own:n], members.start[:, n + own : 2 * n] = state.q, state.qd
+        if own:
+            members.start[:, 0], members.start[:, n] = state.arm_angle, state.arm_rate
+        members.start[:, 2 * n], members.start[:, 2 * n + 1] = state.work, state.dissipated
+        members.clock[:] = state.memory
+        members.breaks[0::2], members.breaks[1::2] = state.t, state.t + 2.0 * span
+        members.coef[0::2, self._channel] = known @ self._polynomials[1]
+        y, codes = self._run(state.t, state.t + span)
+        angle, rate = (y[:, 0].copy(), y[:, n].copy()) if own else (known @ self._polynomials[2]).T
+        return BatchState(
+            state.t + span,
+            y[:, own:n],
+            y[:, n + own : 2 * n],
+            angle,
+            rate,
+            y[:, 2 * n],
+            y[:, 2 * n + 1],
+            np.where(state.codes == status.OK, codes, state.codes),
+            members.clock.copy(),
+        )
+
+    def _run(self, begin: float, end: float) -> tuple[Array, npt.NDArray[np.int64]]:
+        """Run all members over a span of time, s; returns their states (M, 2 n + 2) and codes (M,)."""
+        count, width = self._members.start.shape
+        terms, after = self._terms._replace(begin=begin), np.array([end])
+        y, codes, reached = np.full((count, 1, width), np.nan), np.full(count, -1), np.zeros(count)
+
+        def block(span: tuple[int, int]) -> None:
+            rows = slice(*span)
+            core.run_block(self._members, terms, *span, after, y[rows], codes[rows], reached[rows], self._stop)
+
+        list(map(block, self._blocks) if self._pool is None else self._pool.map(block, self._blocks))
+        return y[:, 0], codes

@@ -1,0 +1,130 @@
+"""Where a run stands, saved and gone on from."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from typing import Any
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core.integrate.progress import MARK, STEP, T, switched
+from hyperflex.core.integrate.step_size import FIRST_STEP
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Setup
+from hyperflex.simulation.contact.turning_pegs import shown
+from hyperflex.simulation.rollouts import Rollout, starting_clock
+from hyperflex.trajectory import State
+
+
+def resume(run: Rollout, state: State, setup: Setup) -> None:
+    """Let a run go on from a state: bit for bit if nothing but its end has changed.
+
+    What was saved counts while the state's angles and rates are those that it was saved with; else they count alone.
+    """
+    n = run.chain.length.size
+    own = 1 if setup.torque_driven else 0
+    y, clock, saved = run.progress.y, run.progress.clock, state.checkpoint
+    if saved and "y" in saved and np.size(saved["y"]) != 2 * n + 2:
+        raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")
+    if saved and np.size(saved.get("clock", ())) != MARK:
+        raise InvalidInput(
+            "state was saved by another version",
+            got=np.size(saved.get("clock", ())),
+            allowed=f"a clock of {MARK} numbers",
+            fix="Give its q and qd: State(t=..., q=..., qd=...)",
+        )
+    run.progress.grip[:] = 1.0
+    as_saved = saved and _matches(saved, state, own)
+    if as_saved and "fingerprint" in saved and saved["fingerprint"] == fingerprint(run, setup):
+        y[:], run.progress.grip[:] = saved["mark"], saved["mark_grip"]
+        clock[:MARK] = saved["mark_clock"]
+    elif as_saved:
+        y[:] = saved["y"]
+        clock[:MARK] = saved["clock"]
+        switched(clock)
+    else:  # made or changed by hand: a torque-driven arm starts where the state says, or else the set-up
+        if own:
+            y[0] = setup.arm_angle0 if state.arm_angle is None else state.arm_angle
+            y[n] = setup.arm_rate0 if state.arm_rate is None else state.arm_rate
+        y[own:n] = checks.array("state q", state.q, (n - own,), unit="rad")
+        y[n + own : 2 * n] = checks.array("state qd", state.qd, (n - own,), unit="rad/s")
+        y[2 * n :] = state.work, state.dissipated
+        clock[:MARK] = starting_clock(checks.number("state t", state.t, unit="s"))
+        clock[STEP] = state.step or FIRST_STEP
+
+
+def _matches(saved: dict[str, Any], state: State, own: int) -> bool:
+    """Return whether a state's time, angles and rates are as saved; the chain has `own` links of the arm (0 or 1)."""
+    y, n = saved["y"], saved["y"].size // 2 - 1
+    if saved["clock"][T] != state.t:
+        return False
+    if own and state.arm_angle is not None and (y[0], y[n]) != (state.arm_angle, state.arm_rate):
+        return False
+    return np.array_equal(y[own:n], state.q) and np.array_equal(y[n + own : 2 * n], state.qd)
+
+
+def final_state(run: Rollout, setup: Setup) -> State:
+    """Return where a run stands, with the mark from which it can go on bit for bit."""
+    y, mark, grip, mark_grip, clock, _ = run.progress
+    if clock[MARK] == -np.inf:  # no step was cut: the run stands where one ended
+        mark, mark_grip, clock[MARK : 2 * MARK] = y, grip, clock[:MARK]
+    marked: dict[str, Any] = {
+        "mark": mark.copy(),
+        "mark_grip": mark_grip.copy(),
+        "mark_clock": clock[MARK : 2 * MARK].copy(),
+    }
+    return state_of(run, setup, y, clock[:MARK], run.spin, fingerprint=fingerprint(run, setup), **marked, **run.kept)
+
+
+def state_of(
+    run: Rollout,
+    setup: Setup,
+    y: Array,
+    clock: Array,
+    spin: Array | None,
+    arm: tuple[float, float] | None = None,
+    **kept: Any,
+) -> State:
+    """Return a State of a run.
+
+    Parameters
+    ----------
+    run, setup : Rollout, Setup
+    y, clock : (2 n + 2,), (MARK,) float64
+        The chain's state and the clock there.
+    spin : (2, m) float64, optional
+        Of obstacles, as in :class:`Rollout`.
+    arm : (float, float), optional
+        Angle, rad, and rate, rad/s, of a prescribed arm; by default those of the set-up's motion.
+    **kept
+        What a run that goes on needs beside these.
+    """
+    n, t = run.chain.length.size, float(clock[T])
+    own = 1 if setup.torque_driven else 0
+    if own:
+        arm = float(y[0]), float(y[n])
+    elif arm is None:
+        arm = (0.0, 0.0) if setup.motion is None else (float(setup.motion.angle(t)), float(setup.motion.rate(t)))
+    return State(
+        t=t,
+        q=y[own:n].copy(),
+        qd=y[n + own : 2 * n].copy(),
+        step=float(clock[STEP]),
+        work=float(y[2 * n]),
+        dissipated=float(y[2 * n + 1]),
+        checkpoint={"y": y.copy(), "clock": clock.copy(), **kept},
+        arm_angle=arm[0],
+        arm_rate=arm[1],
+        **shown(setup, spin),
+    )
+
+
+def fingerprint(run: Rollout, setup: Setup) -> float:
+    """Return a number that tells whether two runs integrate the same thing in the same way."""
+    digest = hashlib.sha256()
+    for part in (*run.chain, *run.drive, run.limits.tol, run.limits.fixed, setup.torque_driven):
+        digest.update(np.ascontiguousarray(part).tobytes())
+    return float(struct.unpack("<Q", digest.digest()[:8])[0] >> 11)  # 53 bits: exact as a float

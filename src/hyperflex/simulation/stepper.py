@@ -1,0 +1,284 @@
+"""A run taken one interval at a time: a filter, a controller or an environment gives a command for each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core import status
+from hyperflex.core.chain.articulated_body import can_stick
+from hyperflex.core.chain.drive import ANGLE, TORQUE
+from hyperflex.core.integrate.progress import JOINT, MARK, MODES, REJECTED, TAKEN
+from hyperflex.core.tangent import forward_sensitivity as replay
+from hyperflex.core.tangent.directions import Directions
+from hyperflex.errors import InvalidInput
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
+from hyperflex.motion import hold
+from hyperflex.simulation.arguments import whole_setup
+from hyperflex.simulation.commands import COMMANDS, arm_polynomials, set_commands, setup_for, state_directions
+from hyperflex.simulation.contact.runs import STEP as CONTACT_STEP
+from hyperflex.simulation.contact.runs import Beside, finer
+from hyperflex.simulation.contact.start import check_outside
+from hyperflex.simulation.outcome import failure
+from hyperflex.simulation.restart import resume, state_of
+from hyperflex.simulation.rollouts import TABLES, Interval, finish, limits, prepare
+from hyperflex.simulation.sensitivity.directions import refuse_what_is_not_smooth
+from hyperflex.simulation.sensitivity.stiction import held
+from hyperflex.trajectory import State
+
+STEPS = 64  # noted at first for a derivative; an interval with more of them is run again with room for all
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """A step and its derivatives; the state is x = (arm angle, q, arm rate, qd), in rad and rad/s.
+
+    Attributes
+    ----------
+    state : State
+        After the step.
+    A : (2 n + 2, 2 n + 2) float64
+        Of x after the step with respect to x before it.
+    B : (2 n + 2, 1) float64
+        With respect to the command, per rad, rad/s^2 or N m.
+    """
+
+    state: State
+    A: Array
+    B: Array
+
+
+class Stepper:
+    """Takes a rope on an arm from state to state, each time for an interval and with a command that holds in it.
+
+    It checks its set-up once, here. It keeps nothing of the steps it has taken: a step from the same state with the
+    same command gives the same state, bit for bit, whatever was stepped in between. Threads need a stepper each.
+
+    Parameters
+    ----------
+    rope : Rope or Setup
+        The rope; or a whole set-up, whose motion or torque the commands replace, and then only `command` may be given
+        beside it.
+    arm : Arm
+        The arm; ``Arm(length=0.0)`` for a rope that hangs from the motor's shaft itself.
+    command : {"acceleration", "angle", "torque"}
+        What a command is, for the time s since the interval began and an arm that begins it at angle a and rate v:
+
+        ``"acceleration"``: u, rad/s^2. The arm turns with it: a + v s + u s^2 / 2.
+        ``"angle"``: u, rad. The arm follows the cubic that ends the interval, dt long, at the angle u with its mean
+        rate (u - a) / dt. So angles on a straight line are a constant rate from the second step on.
+        ``"torque"``: u, N m, constant. The arm moves as it must: its inertia, weight and friction count.
+    tol, pegs, contact_step, tip_force, refine
+        As in :func:`hyperflex.simulate`.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+
+    Notes
+    -----
+    The method and its error control are those of :func:`hyperflex.simulate`: at the end of each interval the run
+    passes a switch of its motion, as it would within a single long run. What the integrator remembers (lengths of
+    steps, forces of contacts) is in the state. Which joints stick is found anew from the state, exactly as
+    behind any switch. The energy balance, which `simulate` checks at its outputs, is not checked; what it needs is in
+    the state.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> stepper = hf.Stepper(cable, arm=hf.Arm())
+    >>> state = stepper.start()
+    >>> for _ in range(30):
+    ...     state = stepper.step(state, 2.0, dt=1 / 30)
+    >>> round(state.t, 6), round(state.arm_angle, 6)
+    (1.0, 1.0)
+    """
+
+    def __init__(
+        self,
+        rope: Rope | Setup,
+        *,
+        arm: Arm | None = None,
+        command: str = "acceleration",
+        tol: float = DEFAULT_TOL,
+        pegs: Sequence[Obstacle] = (),
+        contact_step: float = DEFAULT_CONTACT_STEP,
+        tip_force: npt.ArrayLike = (0.0, 0.0),
+        refine: bool = True,
+    ) -> None:
+        self.command = checks.choice("command", command, COMMANDS)
+        setup = whole_setup(
+            rope,
+            "command",
+            {"arm": arm, "tol": tol != DEFAULT_TOL, "pegs": bool(pegs), "tip_force": bool(np.any(tip_force))},
+            {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
+        )
+        if isinstance(rope, Rope):
+            rope = finer(rope, tuple(pegs), arm, None, None, None)[0] if refine and pegs else rope
+            setup = Setup(rope, None, arm, tol=tol, pegs=tuple(pegs), contact_step=contact_step, tip_force=tip_force)  # type: ignore[arg-type]
+        self.setup = setup_for(command, setup)
+        chain, self._interval = self.setup.chain(), Interval(self.setup.drive())
+        run = prepare(chain, self._interval.drive, self.setup.start(), np.zeros(1), limits(self.setup, chain, 0.0))
+        run.t, run.y = run.t[1:], run.y[1:]  # no outputs: a step shows its end
+        self._run, self._log = run, np.empty((STEPS, MODES + chain.length.size if can_stick(chain) else JOINT))
+        self._beside = Beside(run, self.setup, None) if self.setup.pegs else None
+        self._channel = TORQUE if command == "torque" else ANGLE
+        self._polynomials = (0.0, np.zeros((3, 6)), np.zeros((3, 2)))
+        self._seeds: tuple[Array, Directions] | None = None
+
+    def start(
+        self,
+        q0: npt.ArrayLike | None = None,
+        qd0: npt.ArrayLike | None = None,
+        *,
+        arm_angle: float | None = None,
+        arm_rate: float | None = None,
+        t: float = 0.0,
+    ) -> State:
+        """Return a state to begin with; by default that of the set-up, where a rope hangs at rest.
+
+        Parameters
+        ----------
+        q0, qd0 : (n,) array_like, optional
+            Absolute link angles, rad, and rates, rad/s.
+        arm_angle, arm_rate : float, optional
+            Of the arm, rad and rad/s.
+        t : float
+            Time, s.
+        """
+        setup, n = self.setup, self.setup.rope.n_links
+        values: dict[str, Any] = {"q0": q0, "qd0": qd0, "arm_angle0": arm_angle, "arm_rate0": arm_rate}
+        setup = replace(setup, **{name: value for name, value in values.items() if value is not None})
+        q, qd = (value[-n:].copy() for value in setup.start())
+        time = checks.number("t", t, unit="s")
+        return State(time, q, qd, arm_angle=setup.arm_angle0, arm_rate=setup.arm_rate0)
+
+    def step(self, state: State, command: float, dt: float) -> State:
+        """Return the state an interval later.
+
+        Parameters
+        ----------
+        state : State
+            From :meth:`start` or :meth:`step`; a run's ``trajectory.state``; or any of them with some values replaced
+            (``dataclasses.replace(state, q=...)``).
+        command : float
+            rad/s^2, rad or N m.
+        dt : float
+            Length of the interval, s, > 0; it may differ from step to step.
+
+        Returns
+        -------
+        State
+
+        Raises
+        ------
+        InvalidInput
+            If the state is not one of this rope, or a number cannot be used.
+        SimulationError
+            If the interval cannot be simulated within `tol`.
+        """
+        arm = self._begin(state, command, dt)
+        self._finish()
+        return self._state(arm)
+
+    def linearize(self, state: State, command: float, dt: float) -> Linearization:
+        """Return the state an interval later, and its derivatives.
+
+        Parameters
+        ----------
+        state, command, dt
+            As in :meth:`step`.
+
+        Returns
+        -------
+        Linearization
+
+        Raises
+        ------
+        InvalidInput
+            As :meth:`step`; and of a stepper with pegs, or of a fixed step.
+        SimulationError
+            As :meth:`step`.
+
+        Notes
+        -----
+        Exact for the computed step, not differences; one-sided where joints stick (see :func:`hyperflex.sensitivities`,
+        (M.19)-(M.25)). Cost O(n^2), for n = 50 some twenty times that of the step.
+        """
+        refuse_what_is_not_smooth(self.setup)
+        if self.setup.pegs:
+            raise InvalidInput("derivatives are of free flight", got="a stepper with pegs", fix="Make one without")
+        arm, steps, begin = self._recorded(state, command, dt)
+        run, n = self._run, self._run.chain.length.size
+        if self._seeds is None:
+            self._seeds = state_directions(self.command, run.chain, run.drive)
+        start, seeds = self._seeds
+        set_commands(self.command, seeds, self._polynomials[1])
+        y, slopes = np.zeros((2, 2 * n + 2)), np.zeros((2, *start.shape))
+        y[0] = begin
+        times = np.array([run.drive.breaks[0], run.time])
+        begins = held(run.chain, run.drive, times[0], begin[:n], steps[0, MODES:], seeds, start)
+        replay.replay(run.chain, run.drive, TABLES, steps, times[0], begins, seeds, times, y, slopes)
+        moved = slopes[1]
+        if self.command != "torque":  # the arm is no link of the chain: what it does follows from the command alone
+            rows = np.zeros((2, moved.shape[1]))
+            rows[:, [0, n + 1, 2 * n + 2]] = self._polynomials[2].T
+            moved = np.concatenate([rows[:1], moved[:n], rows[1:], moved[n:]])
+        size = len(moved)
+        return Linearization(self._state(arm), moved[:, :size].copy(), moved[:, size : size + 1].copy())
+
+    def _state(self, arm: tuple[float, float]) -> State:
+        run = self._run
+        return state_of(run, self.setup, run.progress.y, run.progress.clock[:MARK], run.spin, arm, **run.kept)
+
+    def _begin(self, state: State, command: float, dt: float) -> tuple[float, float]:
+        """Put the run where a state stands, and the command before it; returns where a prescribed arm will be."""
+        if not isinstance(state, State):
+            raise InvalidInput("state is not a State", got=state, allowed="what start() or step() returned")
+        u, span = checks.number("command", command), checks.number("dt", dt, sign="positive", unit="s")
+        run = self._run
+        resume(run, state, self.setup)
+        run.progress.clock[MARK:] = 0.0
+        if span != self._polynomials[0]:
+            self._polynomials = (span, *arm_polynomials(self.command, span))
+        angle = self.setup.arm_angle0 if state.arm_angle is None else state.arm_angle
+        rate = self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate
+        known, t = np.array([angle, rate, u]), run.time
+        run.limits = run.limits._replace(stop=t + span)
+        self._interval.set(t, t + span, self._channel, known @ self._polynomials[1])
+        if self._beside is not None:
+            if CONTACT_STEP not in state.checkpoint:
+                still = self.setup if self.command == "torque" else replace(self.setup, motion=hold(angle))
+                check_outside(still, t, run.progress.y[: run.chain.length.size])
+            self._beside.enter(state)
+        angle, rate = (known @ self._polynomials[2]).tolist()
+        return angle, rate
+
+    def _finish(self) -> None:
+        code = finish(self._run) if self._beside is None else self._beside.finish()
+        if code != status.OK:
+            raise failure(code, self._run)
+
+    def _recorded(self, state: State, command: float, dt: float) -> tuple[tuple[float, float], Array, Array]:
+        """Take a step; returns where a prescribed arm will be, the steps (m, ...) in it and its start (2 N + 2,)."""
+        run, plain = self._run, self._run.progress
+        try:
+            while True:
+                run.progress = plain._replace(log=self._log)
+                arm = self._begin(state, command, dt)
+                begin = plain.y.copy()
+                self._finish()
+                count = int(plain.clock[TAKEN] - plain.clock[REJECTED])
+                if count <= len(self._log):
+                    return arm, self._log[:count], begin
+                self._log = np.empty((2 * count, self._log.shape[1]))
+        finally:
+            run.progress = plain

@@ -1,0 +1,77 @@
+"""Air drag: identified from twins that are cut finer than the model, told from joint friction, and its ratio."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.checks import Array
+from hyperflex.model import divided
+from hyperflex.recording import Recording
+
+NOISE = 2e-3  # m
+DRAG = 0.0045  # kg/m^2: a cord of 6 mm, coefficient 1.25
+CORD = hf.Rope.uniform(0.6, 0.012, 10, radius=0.003, friction=2e-5, drag=DRAG)  # light: 20 g/m
+BARE = CORD.replace(drag=0.0, friction=1e-4)
+MODELS = {
+    "joint friction": ["friction:shared"],
+    "drag": ["drag:shared"],
+    "both": ["friction:shared", "drag:shared"],
+}
+
+
+def swing(rope: hf.Rope, seed: int = 1) -> tuple[Recording, Array]:
+    """Markers at every second joint of `rope` while one swings whose links are half as long; and where they sit, m."""
+    t = np.arange(301) / 50
+    run = hf.simulate(divided(rope, 2), duration=t[-1], t_eval=t, q0=np.full(2 * rope.n_links, 1.0), tol=1e-9)
+    places = run.joints[:, ::4]
+    noise = NOISE * np.random.default_rng(seed).standard_normal(places.shape)
+    arcs = np.append(0.0, np.cumsum(rope.length))[::2]
+    return Recording(t, (places + noise).reshape(t.size, -1), kind="markers", noise=np.array(NOISE)), arcs
+
+
+@pytest.fixture(scope="module")
+def windy() -> tuple[Recording, Array]:
+    return swing(CORD)
+
+
+def within(found: hf.Identification, name: str, truth: float) -> bool:
+    return truth in found.intervals[name]
+
+
+def test_drag_is_known_beside_joint_friction(windy: tuple[Recording, Array]) -> None:
+    recording, arcs = windy
+    guess = CORD.replace(drag=0.0, friction=1e-4)
+    found = hf.identify(recording, guess, ["friction:shared", "drag:shared"], arcs=arcs, origin=(0.0, 0.0))
+    assert found.status == "converged"
+    assert within(found, "drag:shared", DRAG)
+    assert within(found, "friction:shared", CORD.friction[0])
+    assert found.sd["drag"][0] < 0.02 * DRAG
+
+
+def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tuple[Recording, Array]) -> None:
+    """Drag grows with the masses; over the first moment it is known as well as if the rope had been weighed."""
+    recording, arcs = windy
+    words = ["mass:factor", "inertia:factor", "friction:shared", "drag:shared"]
+    found = hf.identify(recording, CORD, words, arcs=arcs, origin=(0.0, 0.0))
+    assert not found.identifiable
+    assert "One common factor of mass, inertia, friction, drag" in found.verdict[0]
+    assert np.isinf(found.sd["drag"]).all()
+    assert np.isfinite(found.ratio_sd["d/p1"]).all()
+    truth = DRAG / hf.identification.lumped(CORD)[0][0]
+    assert within(found, "d/p1[0]", truth)
+
+
+@pytest.mark.parametrize("rope", [CORD.replace(friction=0.0), BARE], ids=["drag", "joint friction"])
+def test_drag_is_told_from_joint_friction(rope: hf.Rope) -> None:
+    """Twins with only one of them: their own model is preferred, though both have one parameter."""
+    recording, arcs = swing(rope)
+    guess = CORD.replace(friction=0.0, drag=0.0)
+    found = hf.compare_models(recording, guess, MODELS, arcs=arcs, origin=(0.0, 0.0))
+    assert found.preferred == ("drag" if rope.drag.any() else "joint friction")
+    both = found["both"].identification
+    assert both is not None
+    # Without any joint friction the finer twin bends more sharply than ten links can: that moves drag by 3 %.
+    assert both.values["drag"][0] == pytest.approx(rope.drag[0], rel=0.06, abs=4.0 * both.sd["drag"][0])
+    assert both.values["friction"][0] == pytest.approx(rope.friction[0], rel=0.06, abs=4.0 * both.sd["friction"][0])

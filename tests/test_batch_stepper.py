@@ -1,0 +1,118 @@
+"""Members in lanes, taken interval by interval: each as a stepper of its own takes it, whatever its neighbours do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+
+ARM = hf.Arm(length=0.1, inertia=1e-3, friction=2e-3)
+DT, COUNT, N = 0.02, 20, 6
+SIZES = {"acceleration": 20.0, "angle": 0.3, "torque": 0.2}
+
+
+def ropes(dry: float = 0.0) -> list[hf.Rope]:
+    sizes = np.linspace(0.6, 1.0, COUNT)
+    return [hf.Rope.uniform(size, 0.06, N, radius=0.003, friction=3e-4, dry_friction=dry) for size in sizes]
+
+
+def given(command: str, steps: int = 12) -> Array:
+    return SIZES[command] * np.random.default_rng(0).uniform(-1.0, 1.0, (steps, COUNT))
+
+
+def walk(stepper: hf.BatchStepper, state: hf.BatchState, commands: Array) -> hf.BatchState:
+    for row in commands:
+        state = stepper.step(state, row, DT)
+    return state
+
+
+@pytest.mark.parametrize("command", SIZES)
+@pytest.mark.parametrize("dry", [0.0, 1e-3], ids=["viscous", "dry"])
+def test_each_member_is_a_stepper(command: str, dry: float) -> None:
+    """Two tolerances, and two methods: 1e-5 m a step, so some 1e-4 m after a dozen; the reference is at 1e-9 m."""
+    each, commands = ropes(dry), given(command)
+    batch = hf.BatchStepper(each, arm=ARM, command=command)
+    start = batch.start(np.full(N, 0.4), arm_angle=0.1, arm_rate=np.linspace(-1.0, 1.0, COUNT))
+    end = walk(batch, start, commands)
+    assert set(end.status) == {"ok"}
+    for m in range(0, COUNT, 7):
+        alone = hf.Stepper(each[m], arm=ARM, command=command, tol=1e-9)
+        state = alone.start(np.full(N, 0.4), arm_angle=0.1, arm_rate=float(start.arm_rate[m]))
+        for u in commands[:, m]:
+            state = alone.step(state, u, DT)
+        rope = {"arm": ARM, "arm_angle": state.arm_angle}
+        places = hf.forward_kinematics(each[m], state.q, **rope)
+        np.testing.assert_allclose(hf.forward_kinematics(each[m], end.q[m], **rope), places, rtol=0, atol=2e-4)
+        assert end.arm_angle[m] == pytest.approx(state.arm_angle, abs=1e-4)
+        assert end.arm_rate[m] == pytest.approx(state.arm_rate, abs=1e-2)
+        assert end.work[m] == pytest.approx(state.work, abs=1e-3)
+        assert end.t == pytest.approx(state.t)
+
+
+@pytest.mark.parametrize("command", SIZES)
+def test_a_step_depends_on_nothing_but_the_member(command: str) -> None:
+    """Not on threads, neighbours, or what was stepped in between."""
+    each, commands = ropes(1e-3), given(command)
+    batch = hf.BatchStepper(each, arm=ARM, command=command, threads=2)
+    half = walk(batch, batch.start(), commands[:6])
+    end = walk(batch, half, commands[6:])
+    assert (half.memory != batch.start().memory).any(axis=1).all()
+    batch.step(half, 0.3, 2.0 * DT)  # a branch
+    again = walk(hf.BatchStepper(each, arm=ARM, command=command, threads=1), half, commands[6:])
+    few = hf.BatchStepper(each[3:5], arm=ARM, command=command)
+    part = walk(few, few.start(), commands[:, 3:5])
+    for name in ("q", "qd", "arm_angle", "arm_rate", "work", "dissipated", "memory"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(end, name))
+        np.testing.assert_array_equal(getattr(part, name), getattr(end, name)[3:5])
+
+
+def test_a_member_that_fails_fails_alone() -> None:
+    batch = hf.BatchStepper(ropes(), arm=ARM)
+    start = walk(batch, batch.start(), given("acceleration", 2))
+    wild = np.full(COUNT, 1.0)
+    wild[4] = 1e300
+    end, want = batch.step(start, wild, DT), batch.step(start, 1.0, DT)
+    later = batch.step(end, 1.0, DT)
+    others = np.arange(COUNT) != 4
+    for state in (end, later):
+        assert [m for m, word in enumerate(state.status) if word != "ok"] == [4]
+        assert np.isnan(state.q[4]).all()
+    np.testing.assert_array_equal(end.q[others], want.q[others])
+    np.testing.assert_array_equal(later.q[others], batch.step(want, 1.0, DT).q[others])
+
+
+def test_a_member_can_be_set_anew() -> None:
+    """An environment that begins anew: rows of the state are replaced."""
+    batch = hf.BatchStepper(ropes(), arm=ARM)
+    begin, end = batch.start(), walk(batch, batch.start(), given("acceleration"))
+    names = ("q", "qd", "arm_angle", "arm_rate", "memory")
+    rows = {name: np.concatenate([getattr(begin, name)[:1], getattr(end, name)[1:]]) for name in names}
+    mixed = batch.step(replace(end, **rows), 2.0, DT)
+    np.testing.assert_allclose(mixed.q[0], batch.step(begin, 2.0, DT).q[0], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(mixed.q[1:], batch.step(end, 2.0, DT).q[1:])
+
+
+def test_bad_input_is_refused() -> None:
+    each = ropes()
+    with pytest.raises(InvalidInput, match="members and ropes"):
+        hf.BatchStepper(each, members=3, arm=ARM)
+    with pytest.raises(InvalidInput, match="needs an arm"):
+        hf.BatchStepper(each)
+    with pytest.raises(InvalidInput, match="differ in links"):
+        hf.BatchStepper([each[0], hf.Rope.uniform(1.0, 0.1, 3)], arm=ARM)
+    batch = hf.BatchStepper(each[0], members=3, arm=ARM)
+    with pytest.raises(InvalidInput, match="commands has the wrong shape"):
+        batch.step(batch.start(), [1.0, 2.0], DT)
+    with pytest.raises(InvalidInput, match=r"commands\[1\]"):
+        batch.step(batch.start(), [1.0, np.nan, 2.0], DT)
+    with pytest.raises(InvalidInput, match="dt has the wrong sign"):
+        batch.step(batch.start(), 1.0, -DT)
+    with pytest.raises(InvalidInput, match="not one of this batch"):
+        batch.step(hf.BatchStepper(each, arm=ARM).start(), 1.0, DT)
+    with pytest.raises(InvalidInput, match="do not fit together"):
+        batch.start(np.zeros((2, N)))
