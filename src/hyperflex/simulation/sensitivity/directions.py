@@ -18,7 +18,7 @@ from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.directions import Directions
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Setup
-from hyperflex.model.properties import LINKS
+from hyperflex.model.properties import DAMPING, LINKS
 from hyperflex.motion.variation import parameters, variation
 
 LINK_NAMES = tuple(each.name for each in LINKS if each.form)
@@ -34,12 +34,8 @@ ARM_NAMES = {
 Part = dict[str, Array]
 Wrt = Iterable[str | Mapping[str, Mapping[str, npt.ArrayLike]]] | str
 _MOMENTS = ("mass", "com", "inertia")  # they come in as moments about the joint
-_SEED_OF = {
-    each.name: getattr(tg, each.field.upper())
-    for each in LINKS
-    if each.form and each.name not in _MOMENTS
-}
-FAINT = 1e-300  # N m, dry friction that is felt by the sign of a joint's rate alone
+_SEED_OF = {each.name: getattr(tg, each.field.upper()) for each in LINKS if each.form and each.name not in _MOMENTS}
+FAINT = 1e-300  # a trace, which no number feels: kernels pass over what is not there
 
 
 @dataclass(frozen=True)
@@ -68,8 +64,8 @@ class Wanted:
         return np.stack([part.get("length", np.zeros(n)) for part in self.parts], axis=1)
 
     def felt(self, chain: Chain) -> Chain:
-        """The chain itself, with the faintest dry friction where there is none but a direction changes it."""
-        for each in (each for each in LINKS if each.least):
+        """The chain itself, with a trace of what damps it where there is none but a direction changes it."""
+        for each in (each for each in LINKS if each.name in DAMPING):
             now, faint = getattr(chain, each.field), np.zeros(chain.length.size)
             for part in self.parts:
                 faint[part.get(each.name, faint) != 0.0] = FAINT
