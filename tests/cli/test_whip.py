@@ -49,24 +49,30 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     assert (asked["rope"], asked["arm"], asked["point"]) == (ROPE, hf.Arm(length=0.2), (0.3, -0.9))
     np.testing.assert_allclose(asked["direction"], [math.cos(math.pi / 6), 0.5], rtol=1e-12)
     assert asked["limits"] == hf.MotorLimits(speed=5.0)
-    assert asked["within"] == pytest.approx(math.pi / 12)
-    assert (asked["least_speed"], asked["patience"], asked["seed"], asked["regardless"]) == (2.0, 7.0, 3, False)
+    assert asked["angle_tolerance"] == pytest.approx(math.pi / 12)
+    assert (asked["least_speed"], asked["time_budget"], asked["seed"], asked["skip_feasibility"]) == (
+        2.0,
+        7.0,
+        3,
+        False,
+    )
     assert told["success"]
-    assert (told["source"], told["reason"], told["strokes"]) == ("simulated", "", 3)
-    assert told["lash"]["miss_m"] == planned_whip().lash.miss
-    assert told["target"]["direction_rad"] == planned_whip().mark.direction
+    assert (told["source"], told["message"], len(told["starts"])) == ("simulated", "", 3)
+    assert told["outcome"]["miss"] == planned_whip().outcome.miss
+    assert told["target"]["direction"] == planned_whip().target.direction
     assert told["blow"]["impulse_Ns"] == planned_whip().impact().impulse
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
-    assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["arm_stops_s"], abs=5e-3)
+    assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(
+        planned_whip().motion.breaks[-1], abs=5e-3
+    )
 
 
 def test_without_a_direction_any_will_do(hyperflex_json, rope_file, ready, tmp_path):
-    asked = ready(planned_whip(anyhow=True))
+    asked = ready(planned_whip(any_direction=True))
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
     assert code == 0
     assert asked["direction"] is None
-    assert set(told["target"]) == {"x_m", "y_m", "speed_m_s"}
-    assert "off_rad" not in told["lash"]
+    assert told["target"]["angle_tolerance"] == math.pi
     assert "in any direction" in (tmp_path / "out" / "report.html").read_text()
 
 
@@ -79,7 +85,7 @@ def test_a_plan_that_fails_has_a_code_of_its_own(hyperflex, rope_file, ready, tm
 
 
 def test_ctrl_c_leaves_the_best_so_far(hyperflex_json, rope_file, ready, tmp_path):
-    ready(planned_whip(meets=False), interrupted=True, lash=None, finer=None, reason="interrupted early")
+    ready(planned_whip(meets=False), interrupted=True, outcome=None, finer_outcome=None, message="interrupted early")
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
     assert (code, told["error"], told["interrupted"]) == (130, "interrupted", True)
     assert "the best so far" in told["message"]
@@ -100,12 +106,12 @@ def test_a_target_out_of_reach_is_a_page_with_the_reason(hyperflex, rope_file, r
     [
         (("--direction", "nan"), "--direction"),
         (("--within", "0"), "--within"),
-        (("--within", "200"), "within is too large"),
+        (("--within", "200"), "angle_tolerance is too large"),
         (("--tip-speed", "0"), "--tip-speed"),
         (("--arm-length", "0"), "--arm-length"),
         (("--speed", "0"), "motor speed"),
         (("--acceleration", "0"), "motor acceleration"),
-        (("--patience", "0"), "patience"),
+        (("--patience", "0"), "time_budget"),
         (("--rate", "0"), "--rate"),
         (("--seed", "-1"), "seed"),
     ],

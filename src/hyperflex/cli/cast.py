@@ -12,9 +12,7 @@ from hyperflex.cli import output
 from hyperflex.errors import FileProblem
 
 if TYPE_CHECKING:
-    from hyperflex.planning import CastPlan
-    from hyperflex.planning.robust.uncertainty import Uncertainty
-    from hyperflex.planning.wind.holding import Holding
+    from hyperflex.planning import CastPlan, HoldingForce, Uncertainty
 
 
 def cast(
@@ -53,7 +51,7 @@ def cast(
             help="If no cast is found, plan for the nearest targets until one works; takes up to five times as long.",
         ),
     ] = False,
-    regardless: Annotated[
+    skip_feasibility: Annotated[
         bool, typer.Option("--regardless", help="Search even for a target that a rule of thumb calls out of reach.")
     ] = False,
     rate: Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz.")] = 200.0,
@@ -75,8 +73,7 @@ def cast(
     """
     from hyperflex.checks import number
     from hyperflex.model import Arm, Peg, Rope
-    from hyperflex.planning import MotorLimits, plan_cast
-    from hyperflex.planning.robust.uncertainty import Uncertainty
+    from hyperflex.planning import MotorLimits, Uncertainty, plan_cast
     from hyperflex.report.cast.folder import write_cast
 
     if out.exists() and not out.is_dir():
@@ -86,7 +83,7 @@ def cast(
     if time_limit is not None:
         time_limit = number("--time-limit", time_limit, sign="positive", unit="s")
     given: dict[str, Any] = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    uncertain = Uncertainty.of_file(rope) if robust else None
+    uncertain = Uncertainty.from_rope_file(rope) if robust else None
     limits = MotorLimits(**{name: value for name, value in given.items() if value is not None})
     plan = plan_cast(
         Rope.from_toml(rope),
@@ -94,11 +91,11 @@ def cast(
         Peg(*target, radius, mu),
         limits,
         time_limit=time_limit,
-        hold=hold,
+        holding_force=hold,
         uncertainty=uncertain,
-        patience=patience,
-        regardless=regardless,
-        elsewhere=elsewhere,
+        time_budget=patience,
+        skip_feasibility=skip_feasibility,
+        fallback=elsewhere,
         seed=seed,
         progress=output.watched(json),
     )
@@ -114,23 +111,19 @@ def cast(
 
 
 def _figures(
-    plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertain: Uncertainty | None
+    plan: CastPlan, held: HoldingForce | None, files: dict[str, Path], uncertain: Uncertainty | None
 ) -> dict[str, Any]:
     """Return the plan for JSON."""
-    from hyperflex.planning.files import summary
-
-    peg = plan.peg
-    told = summary(plan)
-    told |= {"target": {"x_m": peg.x, "y_m": peg.y, "radius_m": peg.radius, "mu": peg.mu}, "files": files}
+    told = plan.summary() | {"files": files}
     if uncertain is not None:
-        told["uncertain"] = uncertain.words()
+        told["uncertain"] = uncertain.describe()
     if held is not None:
         told["hold"] = {
             "force_N": held.force,
             "slipped": held.tug.slipped,
-            "tail_weight_N": held.tail,
-            "contact_rad": held.angle,
-            "tail_weight_times_exp_N": held.rule,
+            "tail_weight_N": held.tail_weight,
+            "contact_rad": held.contact_angle,
+            "tail_weight_times_exp_N": held.capstan_force,
         }
     return told
 
@@ -141,26 +134,26 @@ def _verdict(plan: CastPlan) -> str:
     return verdict(plan)
 
 
-def _show(plan: CastPlan, held: Holding | None, files: dict[str, Path], uncertain: Uncertainty | None) -> None:
+def _show(plan: CastPlan, held: HoldingForce | None, files: dict[str, Path], uncertain: Uncertainty | None) -> None:
     """Print what was planned and what to look at."""
     from hyperflex.report.cast.words import folds, instead, swings_words, target_words
 
-    pairs = [("target", target_words(plan.peg))]
+    pairs = [("target", target_words(plan.target))]
     if plan.throw is not None:
         pairs.append(("the arm makes", f"{swings_words(plan)} and a last move"))
-    if plan.cast is not None and math.isfinite(plan.cast.strike):
-        pairs.append(("strikes", f"{plan.cast.strike:.2f} s after the start"))
-        pairs.append(("turns in the end", f"{abs(plan.cast.turns):.2f}, from the arm's tip to the rope's end"))
-        pairs.append(("rope on the target", f"{math.degrees(plan.cast.contact):.0f} degrees"))
-    if plan.throw is not None and (plan.cast is None or plan.cast.run is None):
+    if plan.outcome is not None and math.isfinite(plan.outcome.strike_time):
+        pairs.append(("strikes", f"{plan.outcome.strike_time:.2f} s after the start"))
+        pairs.append(("turns in the end", f"{abs(plan.outcome.turns):.2f}, from the arm's tip to the rope's end"))
+        pairs.append(("rope on the target", f"{math.degrees(plan.outcome.contact_angle):.0f} degrees"))
+    if plan.throw is not None and (plan.outcome is None or plan.run is None):
         pairs.append(("strike, turns, hold", "not known: the throw was not verified to its end"))
     if held is not None:
         pairs.append(("hold force", f"{'' if held.tug.slipped else 'at least '}{held.force:.2f} N, by a tug"))
-        pairs.append(("tail weight times e^(mu angle)", f"{held.rule:.2f} N"))
+        pairs.append(("tail weight times e^(mu angle)", f"{held.capstan_force:.2f} N"))
     if uncertain is not None:
-        pairs.append(("uncertain", uncertain.words()))
-    if plan.stated is not None:
-        pairs.append(("wins in uncertain worlds", str(plan.stated)))
+        pairs.append(("uncertain", uncertain.describe()))
+    if plan.success_probability is not None:
+        pairs.append(("wins in uncertain worlds", str(plan.success_probability)))
     output.print_pairs("Cast (simulated)", pairs)
     told = (_verdict(plan), folds(plan), *instead(plan))
     output.console().print("\n".join(line for line in told if line), markup=False)

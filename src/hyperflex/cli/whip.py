@@ -34,7 +34,7 @@ def whip(
     acceleration: Annotated[
         float | None, typer.Option(help="Greatest acceleration, rad/s^2. [default: 23.6, the paper's]")
     ] = None,
-    regardless: Annotated[
+    skip_feasibility: Annotated[
         bool, typer.Option("--regardless", help="Search even for a target that is called out of reach.")
     ] = False,
     rate: Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz.")] = 200.0,
@@ -71,9 +71,9 @@ def whip(
         None if angle is None else (math.cos(angle), math.sin(angle)),
         limits,
         least_speed=number("--tip-speed", tip_speed, sign="positive", unit="m/s"),
-        within=math.radians(number("--within", within, sign="positive", unit="degrees")),
-        regardless=regardless,
-        patience=patience,
+        angle_tolerance=math.radians(number("--within", within, sign="positive", unit="degrees")),
+        skip_feasibility=skip_feasibility,
+        time_budget=patience,
         seed=seed,
         progress=output.watched(json),
     )
@@ -90,19 +90,12 @@ def whip(
 
 def _figures(plan: WhipPlan, blow: Impact | None, files: dict[str, Path]) -> dict[str, Any]:
     """Return the plan for JSON."""
-    from hyperflex.planning.whip.files import summary
-
-    mark = plan.mark
-    told = summary(plan)
-    asked: dict[str, Any] = {"x_m": mark.x, "y_m": mark.y, "speed_m_s": mark.speed}
-    if not mark.anyhow:
-        asked |= {"direction_rad": mark.direction, "within_rad": mark.within}
-    told |= {"target": asked, "files": files}
+    told = plan.summary() | {"files": files}
     if blow is not None:
         told["blow"] = {
             "t_s": blow.t,
             "impulse_Ns": blow.impulse,
-            "along_Ns": blow.along,
+            "along_Ns": blow.impulse_along,
             "energy_J": blow.energy,
             "link": blow.link,
         }
@@ -119,15 +112,15 @@ def _show(plan: WhipPlan, blow: Impact | None, files: dict[str, Path]) -> None:
     """Print what was planned and what to look at."""
     from hyperflex.report.whip.words import strokes_words, target_words
 
-    pairs = [("target", target_words(plan.mark))]
+    pairs = [("target", target_words(plan.target))]
     if plan.strokes is not None:
         pairs.append(("the arm makes", strokes_words(plan)))
-    if plan.lash is not None:
-        seen = plan.lash
+    if plan.outcome is not None:
+        seen = plan.outcome
         pairs.append(("the tip's speed peaks", f"{seen.t:.2f} s after the start, at {seen.speed:.2f} m/s"))
         pairs.append(("misses the target by", f"{1e3 * seen.miss:.2g} mm"))
-    if plan.finer is not None:
-        pairs.append(("with links of half the length", f"{1e3 * plan.finer.miss:.2g} mm"))
+    if plan.finer_outcome is not None:
+        pairs.append(("with links of half the length", f"{1e3 * plan.finer_outcome.miss:.2g} mm"))
     if blow is not None and math.isfinite(blow.t):
         pairs.append(("blow on a small peg there", f"{1e3 * blow.impulse:.1f} mN s"))
     output.print_pairs("Whip (simulated)", pairs)

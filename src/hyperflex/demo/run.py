@@ -13,10 +13,7 @@ from hyperflex.identification import Identification, identify
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import swings
 from hyperflex.paper.casting import DURATION, T_MOVE, T_REST, casting_arm
-from hyperflex.planning.cast_plan import CastPlan
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.plan import plan_cast
-from hyperflex.planning.wind.outcome import Cast, verify
+from hyperflex.planning import CastOutcome, CastPlan, CastSetup, plan_cast, verify_cast
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
@@ -26,7 +23,7 @@ Tell = Callable[[str], None]
 INTERVAL = 1.96  # standard deviations to each side of a 95 % interval
 SAMPLES_PER_SECOND = 200
 TARGET = Peg(x=0.62, y=-1.14, radius=0.05, mu=0.3)  # well within reach
-PATIENCE = 60.0  # s; a plan that stands, most often after some seconds, ends the search
+TIME_BUDGET = 60.0  # s; a plan that stands, most often after some seconds, ends the search
 _UNITS = {"friction": "N m s/rad", "inertia": "kg m^2"}
 
 
@@ -86,7 +83,7 @@ class Demo:
         The rope that made the recording, cast likewise.
     plan : CastPlan
         How the identified rope is wound round a target.
-    proof : Cast or None
+    proof : CastOutcome or None
         The same throw by the rope that made the recording; None where there is no throw.
     """
 
@@ -97,7 +94,7 @@ class Demo:
     cast: Trajectory
     reference: Trajectory
     plan: CastPlan
-    proof: Cast | None
+    proof: CastOutcome | None
 
 
 def run_demo(tell: Tell = lambda _: None) -> Demo:
@@ -148,13 +145,13 @@ def _cast(rope: Rope) -> Trajectory:
     return simulate(rope, motion, arm=casting_arm(), duration=DURATION, t_eval=t)
 
 
-def _wind(rope: Rope, tell: Tell) -> tuple[CastPlan, Cast | None]:
+def _wind(rope: Rope, tell: Tell) -> tuple[CastPlan, CastOutcome | None]:
     """Plan with the identified rope, and throw the one that made the recording likewise."""
     tell("planning how to wind it round a target")
-    plan = plan_cast(rope, casting_arm(), TARGET, patience=PATIENCE)
+    plan = plan_cast(rope, casting_arm(), TARGET, time_budget=TIME_BUDGET)
     if plan.interrupted:
         raise KeyboardInterrupt
     if plan.motion is None:
         return plan, None
     tell("throwing the rope that made the recording")
-    return plan, verify(Thrower(twin.fine_rope(), casting_arm(), plan.thrower.limits), TARGET, plan.motion)
+    return plan, verify_cast(CastSetup(twin.fine_rope(), casting_arm(), plan.cast_setup.limits), TARGET, plan.motion)

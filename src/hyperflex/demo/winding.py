@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hyperflex.demo.run import Demo
-from hyperflex.planning.files import run_of
-from hyperflex.planning.wind.holding import Holding, holding
+from hyperflex.planning import HoldingForce, measure_holding_force
 from hyperflex.report.cast import words
 from hyperflex.report.cast.folder import draw, shown_pictures
 from hyperflex.report.page import Section
@@ -32,14 +31,14 @@ class WindingPart:
         Of the page.
     verdicts : tuple of (bool, str)
         Whether the plan stands, and whether the rope that made the recording winds by the same throw.
-    held : Holding or None
+    held : HoldingForce or None
         What the wound rope bore.
     """
 
     files: dict[str, str]
     section: Section
     verdicts: tuple[tuple[bool, str], ...]
-    held: Holding | None
+    held: HoldingForce | None
 
 
 def write_winding(folder: Path, demo: Demo, tell: Callable[[str], None]) -> WindingPart:
@@ -49,9 +48,9 @@ def write_winding(folder: Path, demo: Demo, tell: Callable[[str], None]) -> Wind
         names = {"motion": "motion.csv", "plan": "plan.toml"}
         plan.to_csv(folder / names["motion"])
         plan.to_toml(folder / names["plan"])
-    if plan.cast is not None and plan.cast.run is not None:
+    if plan.outcome is not None and plan.outcome.run is not None:
         tell("tugging at the rope")
-        held = holding(run_of(plan), plan.peg) if plan.cast.wound else None
+        held = measure_holding_force(plan.required(plan.run, "run"), plan.target) if plan.outcome.wound else None
         names["wound"] = "wound.nc"
         plan.to_netcdf(folder / names["wound"])
         drawn = draw(folder, plan, held, tell, _FILM)
@@ -78,4 +77,4 @@ def _proof(demo: Demo) -> tuple[tuple[bool, str], ...]:
     who = f"The rope that made the recording ({demo.reference.q.shape[1]} links), thrown by the same motion"
     if proof.success:
         return ((True, f"{who}, winds {abs(proof.turns):.2f} turns and holds too."),)
-    return ((False, f"{who}, does not: {words.plain(proof.reason)}. The identified rope is not quite that rope."),)
+    return ((False, f"{who}, does not: {words.plain(proof.message)}. The identified rope is not quite that rope."),)

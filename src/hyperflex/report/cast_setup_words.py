@@ -7,16 +7,16 @@ import math
 import numpy as np
 
 from hyperflex.motion import Motion
-from hyperflex.planning import MotorLimits, Thrower
+from hyperflex.planning import CastSetup, MotorLimits
 from hyperflex.report.tables import TextTable
 from hyperflex.trajectory import Trajectory
 
 NOT_KNOWN = "not known"
 
 
-def rope_words(thrower: Thrower) -> str:
+def rope_words(cast_setup: CastSetup) -> str:
     """Return what the rope is, without a full stop."""
-    rope = thrower.rope
+    rope = cast_setup.rope
     name = f" ({rope.name})" if rope.name else ""
     tip = f", tip weight {1e3 * rope.tip_mass:.3g} g" if rope.tip_mass else ""
     return (
@@ -25,9 +25,9 @@ def rope_words(thrower: Thrower) -> str:
     )
 
 
-def arm_words(thrower: Thrower) -> str:
+def arm_words(cast_setup: CastSetup) -> str:
     """Return how long the arm is."""
-    return f"Arm: {1e3 * thrower.arm.length:.4g} mm."
+    return f"Arm: {1e3 * cast_setup.arm.length:.4g} mm."
 
 
 def asked_of_motor(limits: MotorLimits, motion: Motion | None, run: Trajectory | None) -> TextTable:

@@ -8,10 +8,7 @@ import numpy as np
 
 from hyperflex import winding
 from hyperflex.checks import Array
-from hyperflex.planning import CastPlan
-from hyperflex.planning.files import run_of
-from hyperflex.planning.wind.holding import Holding
-from hyperflex.planning.wind.outcome import SETTLING, WOUND
+from hyperflex.planning import MIN_TURNS, SETTLING_TIME, CastPlan, HoldingForce
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, look, new_figure
 
@@ -24,8 +21,8 @@ _ALLOWED = 5.0  # mm, slip up to which a tug is held
 
 def strike_figure(plan: CastPlan) -> Figure:
     """Draw the rope at many instants about the strike; before the arm stops, where there is none."""
-    run = run_of(plan)
-    middle = plan.cast.strike if plan.cast is not None else np.nan
+    run = plan.required(plan.run, "run")
+    middle = plan.outcome.strike_time if plan.outcome is not None else np.nan
     if not np.isfinite(middle):
         middle = _stop(plan) - _AFTER
     start, end = max(middle - _BEFORE, run.t[0]), min(middle + _AFTER, run.t[-1])
@@ -35,8 +32,8 @@ def strike_figure(plan: CastPlan) -> Figure:
 
 def course_figure(plan: CastPlan) -> Figure:
     """Draw arm angle, turns, tension and the motor's torque over time."""
-    run = run_of(plan)
-    wound = winding.wound(run, plan.peg)
+    run = plan.required(plan.run, "run")
+    wound = winding.wound(run, plan.target)
     sense = sense_of(plan)
     with look():
         figure = new_figure(8.6, 8.4)
@@ -45,8 +42,8 @@ def course_figure(plan: CastPlan) -> Figure:
         arm.set(ylabel="arm, degrees", title="What the arm does: swings numbered, then the last move")
         _number_swings(arm, plan)
         turns.plot(run.t, sense * wound.turns, color=GREEN)
-        turns.axhline(WOUND, color=GREY, ls="--", lw=1.0)
-        turns.text(run.t[0], WOUND, f" {WOUND:g} turns are asked", va="bottom", fontsize=8.0, color="#5a6472")
+        turns.axhline(MIN_TURNS, color=GREY, ls="--", lw=1.0)
+        turns.text(run.t[0], MIN_TURNS, f" {MIN_TURNS:g} turns are asked", va="bottom", fontsize=8.0, color="#5a6472")
         turns.set(ylabel="turns", title=f"Turns about the target, {way(plan)} counted positive")
         pull.plot(run.t, wound.before, color=BLUE, label="towards the arm")
         pull.plot(run.t, wound.after, color=RED, label="towards the tip")
@@ -61,7 +58,7 @@ def course_figure(plan: CastPlan) -> Figure:
     return figure
 
 
-def tug_figure(held: Holding) -> Figure:
+def tug_figure(held: HoldingForce) -> Figure:
     """Draw the pull at the wound rope and its slip over the way of the pull."""
     run = held.tug.run
     way = 1e3 * np.hypot(*(run.joints[:, 0] - run.joints[0, 0]).T)
@@ -70,10 +67,16 @@ def tug_figure(held: Holding) -> Figure:
         pull, slip = figure.subplots(2, 1, sharex=True)
         pulled = winding.tension(run)[:, 0]
         pull.plot(way, pulled, color=BLUE, lw=1.0, label="pull at the rope's first joint")
-        least = "" if held.tug.slipped else "at least "
+        least, rule = "" if held.tug.slipped else "at least ", held.capstan_force
         pull.axhline(held.force, color=GREEN, ls="--", lw=1.2, label=f"hold force {least}{held.force:.2f} N")
-        pull.axhline(held.rule, color=GREY, ls=":", lw=1.4, label=f"tail weight x e^(mu angle) {held.rule:.2f} N")
-        pull.set(ylabel="pull, N", ylim=(0.0, 1.05 * max(held.force, held.rule, float(pulled.max()))))
+        pull.axhline(
+            held.capstan_force,
+            color=GREY,
+            ls=":",
+            lw=1.4,
+            label=f"tail weight x e^(mu angle) {held.capstan_force:.2f} N",
+        )
+        pull.set(ylabel="pull, N", ylim=(0.0, 1.05 * max(held.force, rule, float(pulled.max()))))
         pull.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8.0)
         slip.plot(way, 1e3 * np.abs(held.tug.slip), color=RED)
         slip.axhline(_ALLOWED, color=GREY, ls="--", lw=1.0)
@@ -86,7 +89,7 @@ def tug_figure(held: Holding) -> Figure:
 
 def sense_of(plan: CastPlan) -> float:
     """Return 1 where the rope winds counterclockwise in the end, else -1."""
-    return -1.0 if plan.cast is not None and plan.cast.turns < 0.0 else 1.0
+    return -1.0 if plan.outcome is not None and plan.outcome.turns < 0.0 else 1.0
 
 
 def way(plan: CastPlan) -> str:
@@ -102,12 +105,12 @@ def _number_swings(axis: Any, plan: CastPlan) -> None:
     """Write beside each move of the arm what it is."""
     if plan.throw is None:
         return
-    starts, angles = plan.throw.starts(plan.thrower.limits), plan.throw.angles(plan.thrower.limits)
-    ends = starts + plan.thrower.limits.fastest(np.diff(angles), 1.0)[0]
+    starts, angles = plan.throw.starts(plan.cast_setup.limits), plan.throw.angles(plan.cast_setup.limits)
+    ends = starts + plan.cast_setup.limits.fastest_moves(np.diff(angles), 1.0)[0]
     count = plan.throw.count
     number_moves(axis, starts[:count], ends[:count], angles[: count + 1])
     if starts.size > count:
-        place, height = plan.throw.stops(plan.thrower.limits), np.degrees(angles[count + 1])
+        place, height = plan.throw.stops(plan.cast_setup.limits), np.degrees(angles[count + 1])
         axis.annotate("last", (place, height), (4, 5), textcoords="offset points", fontsize=8.5, color=INK)
 
 
@@ -131,19 +134,21 @@ def number_moves(axis: Any, starts: Array, ends: Array, angles: Array) -> None:
 
 def _mark_times(axis: Any, plan: CastPlan) -> None:
     """Mark the strike, and the time in which the rope is watched."""
-    run = run_of(plan)
+    run = plan.required(plan.run, "run")
     axis.set_xlim(run.t[0], run.t[-1])
-    axis.axvspan(_stop(plan) + SETTLING, run.t[-1], color=GREEN, alpha=0.10, lw=0)
-    if plan.cast is not None and np.isfinite(plan.cast.strike):
-        axis.axvline(plan.cast.strike, color=RED, lw=1.0, ls="--")
+    axis.axvspan(_stop(plan) + SETTLING_TIME, run.t[-1], color=GREEN, alpha=0.10, lw=0)
+    if plan.outcome is not None and np.isfinite(plan.outcome.strike_time):
+        axis.axvline(plan.outcome.strike_time, color=RED, lw=1.0, ls="--")
 
 
 def _name_times(axis: Any, plan: CastPlan) -> None:
     low, high = axis.get_ylim()
     axis.set_ylim(low, high + 0.15 * (high - low))
     across = axis.get_xaxis_transform()
-    if plan.cast is not None and np.isfinite(plan.cast.strike):
-        words = f"strikes at {plan.cast.strike:.2f} s "
-        axis.text(plan.cast.strike, 0.97, words, transform=across, ha="right", va="top", fontsize=8.0, color=RED)
-    place = _stop(plan) + SETTLING
+    if plan.outcome is not None and np.isfinite(plan.outcome.strike_time):
+        words = f"strikes at {plan.outcome.strike_time:.2f} s "
+        axis.text(
+            plan.outcome.strike_time, 0.97, words, transform=across, ha="right", va="top", fontsize=8.0, color=RED
+        )
+    place = _stop(plan) + SETTLING_TIME
     axis.text(place, 0.97, " watched", transform=across, va="top", fontsize=8.0, color=GREEN)

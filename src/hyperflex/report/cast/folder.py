@@ -9,10 +9,7 @@ from textwrap import fill
 import numpy as np
 
 from hyperflex import winding
-from hyperflex.planning import CastPlan
-from hyperflex.planning.files import RATE, run_of
-from hyperflex.planning.wind.holding import Holding, holding
-from hyperflex.planning.wind.outcome import SLIP
+from hyperflex.planning import MAX_SLIP, RATE, CastPlan, HoldingForce, measure_holding_force
 from hyperflex.report.animation import animate
 from hyperflex.report.cast import words
 from hyperflex.report.cast.figures import course_figure, sense_of, strike_figure, tug_figure, way
@@ -46,7 +43,7 @@ _CAPTIONS = {
 
 def write_cast(
     directory: str | Path, plan: CastPlan, *, rate: float = RATE, tell: Tell = lambda _: None
-) -> tuple[dict[str, Path], Holding | None]:
+) -> tuple[dict[str, Path], HoldingForce | None]:
     """Write everything that there is to a plan.
 
     Parameters
@@ -65,7 +62,7 @@ def write_cast(
     -------
     files : dict of str to Path
         By what they are: "page", "film", "motion", "plan", "run", "nearest" (the plan for the nearest target), ...
-    held : Holding or None
+    held : HoldingForce or None
         What the wound rope bore; None where it is not on the target, or slips without being pulled.
 
     Raises
@@ -80,13 +77,13 @@ def write_cast(
             names |= {"motion": "motion.csv", "plan": "cast.toml"}
             plan.to_csv(stage / "motion.csv", rate=rate)
             plan.to_toml(stage / "cast.toml")
-        if plan.nearest is not None and plan.nearest.plan is not None:
+        if plan.fallback is not None and plan.fallback.plan is not None:
             names["nearest"] = "nearest.toml"
-            plan.nearest.plan.to_toml(stage / "nearest.toml")
-        if plan.cast is not None and plan.cast.run is not None:
+            plan.fallback.plan.to_toml(stage / "nearest.toml")
+        if plan.outcome is not None and plan.run is not None:
             tell("tugging at the rope")
-            stays = plan.cast.wound and plan.cast.slipped < SLIP
-            held = holding(plan.cast.run, plan.peg) if stays else None
+            stays = plan.outcome.wound and plan.outcome.slip < MAX_SLIP
+            held = measure_holding_force(plan.run, plan.target) if stays else None
             names["run"] = "cast.nc"
             plan.to_netcdf(stage / "cast.nc")
             pictures = draw(stage, plan, held, tell)
@@ -95,14 +92,14 @@ def write_cast(
     return {kind: Path(directory) / name for kind, name in names.items()}, held
 
 
-def film_note(plan: CastPlan, held: Holding | None) -> Callable[[float], str]:
+def film_note(plan: CastPlan, held: HoldingForce | None) -> Callable[[float], str]:
     """Return what a film of the verified run says at a time: target, arm, turns, and in the end the hold."""
-    run, cast = run_of(plan), plan.cast
-    turns = sense_of(plan) * winding.turns(run, plan.peg)
-    strike = np.inf if cast is None or not np.isfinite(cast.strike) else cast.strike
+    run, cast = plan.required(plan.run, "run"), plan.outcome
+    turns = sense_of(plan) * winding.turns(run, plan.target)
+    strike = np.inf if cast is None or not np.isfinite(cast.strike_time) else cast.strike_time
 
     def note(t: float) -> str:
-        lines = [f"target: {words.target_words(plan.peg)}", f"arm: {_arm_words(plan, t)}"]
+        lines = [f"target: {words.target_words(plan.target)}", f"arm: {_arm_words(plan, t)}"]
         if t < strike:
             lines.append("rope: in the air")
         else:
@@ -117,7 +114,7 @@ def film_note(plan: CastPlan, held: Holding | None) -> Callable[[float], str]:
 def _arm_words(plan: CastPlan, t: float) -> str:
     if plan.throw is None:
         return ""
-    limits, count = plan.thrower.limits, plan.throw.count
+    limits, count = plan.cast_setup.limits, plan.throw.count
     begun = int((plan.throw.starts(limits) <= t).sum())
     if begun == 0:
         return f"at rest, {words.swings_words(plan)} to come"
@@ -128,7 +125,7 @@ def _arm_words(plan: CastPlan, t: float) -> str:
     return f"stands still, {words.swings_words(plan)} done" if done else f"last move after {words.swings_words(plan)}"
 
 
-def _end_words(plan: CastPlan, held: Holding | None) -> str:
+def _end_words(plan: CastPlan, held: HoldingForce | None) -> str:
     if not plan.success:
         return fill(f"FAILS: {words.why(plan)}", _LINE)
     if held is None:
@@ -136,7 +133,9 @@ def _end_words(plan: CastPlan, held: Holding | None) -> str:
     return f"wound and held; hold force {held.force:.2f} N" + (" (tug)" if held.tug.slipped else " or more (tug)")
 
 
-def draw(folder: Path, plan: CastPlan, held: Holding | None, tell: Tell, film: str = "cast.gif") -> dict[str, Path]:
+def draw(
+    folder: Path, plan: CastPlan, held: HoldingForce | None, tell: Tell, film: str = "cast.gif"
+) -> dict[str, Path]:
     """Draw pictures and film of a verified run into `folder`; return the files by what they are."""
     tell("drawing")
     figures = {"strike": strike_figure(plan), "course": course_figure(plan)}
@@ -145,7 +144,7 @@ def draw(folder: Path, plan: CastPlan, held: Holding | None, tell: Tell, film: s
     written = write_figures(folder, figures)
     written["film"] = folder / film
     animate(
-        run_of(plan),
+        plan.required(plan.run, "run"),
         written["film"],
         frame_rate=_FILM_RATE,
         width=_FILM_WIDTH,
@@ -161,7 +160,7 @@ def shown_pictures(pictures: dict[str, bytes]) -> dict[str, Picture]:
     return {kind: Picture(pictures[kind], caption) for kind, caption in _CAPTIONS.items() if kind in pictures}
 
 
-def _write_page(path: Path, plan: CastPlan, held: Holding | None, pictures: dict[str, bytes]) -> None:
+def _write_page(path: Path, plan: CastPlan, held: HoldingForce | None, pictures: dict[str, bytes]) -> None:
     sections = [
         Section(
             "In short",

@@ -8,7 +8,6 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.planning import WhipPlan
-from hyperflex.planning.whip.files import lash_of, motion_of
 from hyperflex.report.cast.figures import number_moves
 from hyperflex.report.shapes import shapes
 from hyperflex.report.strobe import strobe
@@ -24,17 +23,17 @@ _WAY_POINTS = 400
 
 def peak_figure(plan: WhipPlan) -> Figure:
     """Draw the rope at many instants up to just after the peak."""
-    seen = lash_of(plan)
-    run = seen.run
+    seen = plan.required(plan.outcome, "outcome")
+    run = plan.required(plan.run, "run")
     start, end = max(seen.t - _BEFORE, run.t[0]), min(seen.t + _AFTER, run.t[-1])
     title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); ring: the target"
-    return strobe(run, start=float(start), end=float(end), count=48, title=title, targets=plan.mark.point[None])
+    return strobe(run, start=float(start), end=float(end), count=48, title=title, targets=plan.target.point[None])
 
 
 def passing_figure(plan: WhipPlan) -> Figure:
     """Draw how the tip passes the target: its way, in the colour of its speed, and the direction asked."""
-    seen, mark = lash_of(plan), plan.mark
-    run = seen.run
+    seen, mark = plan.required(plan.outcome, "outcome"), plan.target
+    run = plan.required(plan.run, "run")
     half = max(_AROUND, 1.3 * seen.miss)
     span = 2.0 * half / max(seen.speed, 1e-3)
     times = np.linspace(max(seen.t - span, run.t[0]), min(seen.t + span, run.t[-1]), _WAY_POINTS)
@@ -45,7 +44,7 @@ def passing_figure(plan: WhipPlan) -> Figure:
         axis: Any = figure.subplots()
         _draw_way(figure, axis, way, speed)
         size = 0.55e3 * half
-        if not mark.anyhow:
+        if not mark.any_direction:
             _arrow(axis, np.zeros(2), size * _along(mark.direction), RED)
             axis.plot([], [], color=RED, lw=2.0, label="direction asked")
         place = 1e3 * (seen.place - mark.point)
@@ -62,8 +61,8 @@ def passing_figure(plan: WhipPlan) -> Figure:
 
 def course_figure(plan: WhipPlan) -> Figure:
     """Draw arm angle, the tip's speed, its distance from the target and the motor's torque over time."""
-    seen, mark = lash_of(plan), plan.mark
-    run = seen.run
+    seen, mark = plan.required(plan.outcome, "outcome"), plan.target
+    run = plan.required(plan.run, "run")
     with look():
         figure = new_figure(8.6, 8.0)
         arm, speed, away, torque = figure.subplots(4, 1, sharex=True, height_ratios=(1.1, 1.3, 1.0, 0.8))
@@ -93,10 +92,12 @@ def course_figure(plan: WhipPlan) -> Figure:
 def _number_strokes(axis: Any, plan: WhipPlan) -> None:
     if plan.strokes is None:
         return
-    limits = plan.thrower.limits
+    limits = plan.cast_setup.limits
     starts, angles = plan.strokes.starts(limits), plan.strokes.angles(limits)
-    shown = starts < lash_of(plan).run.t[-1]
-    ends = np.minimum(starts + limits.fastest(np.diff(angles))[0], motion_of(plan).breaks[-1])
+    shown = starts < plan.required(plan.run, "run").t[-1]
+    ends = np.minimum(
+        starts + limits.fastest_moves(np.diff(angles))[0], plan.required(plan.motion, "motion").breaks[-1]
+    )
     number_moves(axis, starts[shown], ends[shown], angles[: int(shown.sum()) + 1])
 
 

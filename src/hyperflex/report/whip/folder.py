@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from hyperflex.planning import Impact, WhipPlan
-from hyperflex.planning.files import RATE
-from hyperflex.planning.whip.files import lash_of
+from hyperflex.planning import RATE, Impact, WhipPlan
 from hyperflex.report.animation import animate
 from hyperflex.report.cast.words import search_words
 from hyperflex.report.cast_setup_words import asked_of_motor
@@ -60,7 +58,7 @@ def write_whip(
             names |= {"motion": "motion.csv", "plan": "whip.toml"}
             plan.to_csv(stage / "motion.csv", rate=rate)
             plan.to_toml(stage / "whip.toml")
-        if plan.lash is not None:
+        if plan.outcome is not None:
             tell("striking a small peg")
             blow = plan.impact()
             names["run"] = "whip.nc"
@@ -73,20 +71,20 @@ def write_whip(
 
 def film_note(plan: WhipPlan) -> Callable[[float], str]:
     """Return what a film of the verified run says at a time: target, arm, and from the peak on how it was met."""
-    seen, limits = lash_of(plan), plan.thrower.limits
+    seen, limits = plan.required(plan.outcome, "outcome"), plan.cast_setup.limits
     starts = None if plan.strokes is None else plan.strokes.starts(limits)
 
     def note(t: float) -> str:
         begun = 0 if starts is None else int((starts <= t).sum())
         arm = f"stroke {begun} of {words.strokes_words(plan)}" if begun else f"{words.strokes_words(plan)} to come"
-        mark = plan.mark
+        mark = plan.target
         lines = [f"target: x = {mark.x:.3g} m, y = {mark.y:.3g} m, {mark.speed:.3g} m/s or more", f"arm: {arm}"]
         if t < seen.t:
             lines.append("")
         elif plan.success:
             lines.append(f"met at {seen.t:.2f} s: {seen.speed:.1f} m/s, {1e3 * seen.miss:.2g} mm off")
         else:
-            lines.append(f"FAILS: {plan.reason}")
+            lines.append(f"FAILS: {plan.message}")
         return "\n".join(lines)
 
     return note
@@ -99,14 +97,14 @@ def _draw(folder: Path, plan: WhipPlan, tell: Tell) -> dict[str, Path]:
     written = write_figures(folder, figures)
     written["film"] = folder / "whip.gif"
     animate(
-        lash_of(plan).run,
+        plan.required(plan.run, "run"),
         written["film"],
         frame_rate=_FILM_RATE,
         speed=_SLOW,
         width=_FILM_WIDTH,
         title="planned whip, simulated, at half speed",
         note=film_note(plan),
-        targets=plan.mark.point[None],
+        targets=plan.target.point[None],
         progress=lambda done, total: tell(f"filming, frame {done} of {total}"),
     )
     return written
@@ -116,17 +114,16 @@ def _write_page(path: Path, plan: WhipPlan, blow: Impact | None, pictures: dict[
     verdict, tiles = (plan.success, words.verdict(plan)), words.tiles(plan, blow)
     sections = [
         Section("In short", verdict=verdict, tiles=tiles, notes=(search_words(plan),)),
-        Section("What happens" if plan.lash else "What is asked", text=words.story(plan, blow)),
+        Section("What happens" if plan.outcome else "What is asked", text=words.story(plan, blow)),
     ]
     shown = {kind: Picture(pictures[kind], caption) for kind, caption in _CAPTIONS.items() if kind in pictures}
     if shown:
         sections.append(Section("The whip", pictures=(shown["film"], shown["peak"], shown["passing"])))
         sections.append(Section("Course", pictures=(shown["course"],)))
     if plan.motion is not None:
-        run = None if plan.lash is None else plan.lash.run
         table = words.checks_table(plan)
         sections.append(Section("Does it stand with a finer rope?", table=table, notes=(words.finer_words(),)))
-        sections.append(Section("Motor", table=asked_of_motor(plan.thrower.limits, plan.motion, run)))
+        sections.append(Section("Motor", table=asked_of_motor(plan.cast_setup.limits, plan.motion, plan.run)))
     sections.append(Section("Set-up", text=words.setup_words(plan)))
     title = "A planned whip" if plan.success else "No whip found that meets its target"
     write_page(path, title, words.lead(plan), "simulated", sections)
