@@ -13,8 +13,8 @@ held one that slips by less than 5 mm in 2 s after that. A slow pull at the arm'
 simulated; targets are judged while the next are planned, at the lowest priority, so that the planner has all cores.
 Rows are kept in casting.jsonl: the same command goes on where it stopped.
 
-Anyone can take part: the ropes, the arm, the motor's limits and the targets are in ``thrower`` and ``targets``, which
-need nothing but numpy's generator; the judge is ``hyperflex.planning.verify`` on ``thrower(rope, 125)``.
+Anyone can take part: the ropes, the arm, the motor's limits and the targets are in ``cast_setup`` and ``targets``,
+which need nothing but numpy's generator; the judge is ``hyperflex.planning.verify_cast`` on ``cast_setup(rope, 125)``.
 """
 
 from __future__ import annotations
@@ -40,16 +40,24 @@ from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.motion import Motion
 from hyperflex.paper import T_REST, casting_arm
-from hyperflex.planning import Cast, CastPlan, MotorLimits, Thrower, plan_cast, reach, verify
-from hyperflex.planning.search.strikes import look
-from hyperflex.planning.wind.holding import holding
+from hyperflex.planning import (
+    CastOutcome,
+    CastPlan,
+    CastSetup,
+    MotorLimits,
+    check_feasibility,
+    measure_holding_force,
+    plan_cast,
+    verify_cast,
+)
+from hyperflex.planning.search.strikes import simulate_strikes
 
 RESULTS = Path(__file__).parent / "results"
 LINKS, FINE_LINKS = 50, 125
 STEP, TOL = 0.5 * DEFAULT_CONTACT_STEP, 0.2 * DEFAULT_TOL  # s, m, of a judging run
 FRICTION = 5e-4  # N m s/rad, of each joint of LINKS links
 TIP = {"nominal": 0.0, "weighted": 0.02}  # kg
-PATIENCE, TENFOLD = 60.0, 10.0  # s
+TIME_BUDGET, TENFOLD = 60.0, 10.0  # s
 LEAST, GREATEST, MU = 0.02, 0.05, 0.3  # m, m
 GOAL = {"nominal": 0.85, "weighted": 0.90}
 HALF_TURN = 0.73  # s
@@ -57,7 +65,7 @@ JUDGES = 2  # targets that are judged at once
 LONGEST = 300.0  # s of processor time for a judging run; one that takes more counts as a cast that fails
 
 
-def thrower(rope: str, links: int = LINKS) -> Thrower:
+def cast_setup(rope: str, links: int = LINKS) -> CastSetup:
     """The paper's cable, perhaps with a weight, on its arm, as so many links.
 
     It bends with the same friction per length whatever their number, and the hinge at the arm keeps its own, as
@@ -66,7 +74,7 @@ def thrower(rope: str, links: int = LINKS) -> Thrower:
     cable = hf.Rope.uniform(2.0, 0.125, links, 0.0025, tip_mass=TIP[rope])
     friction = np.full(links, FRICTION * links / LINKS)
     friction[0] = FRICTION
-    return Thrower(cable.replace(friction=friction), casting_arm(), MotorLimits())
+    return CastSetup(cable.replace(friction=friction), casting_arm(), MotorLimits())
 
 
 def target(number: int) -> hf.Peg:
@@ -78,10 +86,10 @@ def target(number: int) -> hf.Peg:
 
 def targets(rope: str, count: int, within: bool = True) -> list[int]:
     """Numbers of the first targets that are in reach, or that are not though geometry allows them."""
-    known, found, number = thrower(rope), [], 0
+    known, found, number = cast_setup(rope), [], 0
     while len(found) < count:
-        told = reach(known, target(number))
-        if told.within if within else not (told.within or told.impossible):
+        told = check_feasibility(known, target(number))
+        if told.feasible if within else not (told.feasible or told.impossible):
             found.append(number)
         number += 1
     return found
@@ -92,7 +100,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rope", choices=sorted(TIP), default="nominal")
     parser.add_argument("--count", type=int, default=60, help="targets (60)")
-    parser.add_argument("--patience", type=float, default=PATIENCE, help="s of planning a target (60)")
+    parser.add_argument("--patience", type=float, default=TIME_BUDGET, help="s of planning a target (60)")
     parser.add_argument("--outside", action="store_true", help="targets called out of reach, ten times the patience")
     parser.add_argument("--ours", action="store_true", help="our plans alone, without the paper's two ways")
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
@@ -132,7 +140,9 @@ def done(rope: str, numbers: list[int], patience: float, ours_alone: bool) -> It
         waiting: list[Future[dict[str, Any]]] = []
         for number in numbers:
             peg = target(number)
-            plan = plan_cast(thrower(rope).rope, casting_arm(), peg, patience=patience, regardless=True, seed=number)
+            plan = plan_cast(
+                cast_setup(rope).rope, casting_arm(), peg, time_budget=patience, skip_feasibility=True, seed=number
+            )
             waiting.append(judge.submit(entry, number, rope, plan, ours_alone))
             for one in [one for one in waiting if one.done()]:
                 waiting.remove(one)
@@ -149,7 +159,7 @@ def yielding() -> None:
 
 def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool) -> dict[str, Any]:
     """What was planned, and what becomes of it and of the paper's ways."""
-    peg, ways = plan.peg, {"ours": plan.motion}
+    peg, ways = plan.target, {"ours": plan.motion}
     if not ours_alone:
         ways |= {
             "paper's rests": until_strike(rope, peg, swinging()),
@@ -160,12 +170,12 @@ def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool) -> dict[str,
         "x": peg.x,
         "y": peg.y,
         "radius": peg.radius,
-        "room": plan.reach.room,
-        "energy": plan.reach.energy,
+        "room": plan.feasibility.available_turns,
+        "energy": plan.feasibility.energy_ratio,
         "seconds": plan.seconds,
         "runs": plan.runs,
         "planned": plan.success,
-        "reason": plan.reason,
+        "reason": plan.message,
         "kernels": SOURCE_HASH,
         "planner": lines.planner(),
     }
@@ -176,27 +186,27 @@ def judged(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
     """What becomes of a motion in a finer run, and what the wound rope bears."""
     if motion is None:
         return {"success": False, "reason": "nothing to do"}
-    fine = thrower(rope, FINE_LINKS)
-    cast = verify(fine, peg, motion, tol=TOL, contact_step=STEP, patience=LONGEST)
+    fine = cast_setup(rope, FINE_LINKS)
+    cast = verify_cast(fine, peg, motion, tol=TOL, contact_step=STEP, time_budget=LONGEST)
     row = {
         "success": cast.success,
         "wound": cast.wound,
         "turns": short(cast.turns),
-        "slipped": short(cast.slipped),
-        "strike": short(cast.strike),
-        "bend": short(cast.bend),
+        "slipped": short(cast.slip),
+        "strike": short(cast.strike_time),
+        "bend": short(cast.max_bend),
         "torque": short(cast.torque),
-        "reason": cast.reason,
+        "reason": cast.message,
     }
     return row | (bears(peg, cast) if cast.success else {})
 
 
-def bears(peg: hf.Peg, cast: Cast) -> dict[str, Any]:
+def bears(peg: hf.Peg, cast: CastOutcome) -> dict[str, Any]:
     """Pull that a wound rope holds, N, and the weight of its tail times e^(mu theta), N."""
-    held = None if cast.run is None else holding(cast.run, peg)
+    held = None if cast.run is None else measure_holding_force(cast.run, peg)
     if held is None:
         return {}
-    return {"hold": short(held.force), "let go": held.tug.slipped, "tail times e^(mu theta)": short(held.rule)}
+    return {"hold": short(held.force), "let go": held.tug.slipped, "tail times e^(mu theta)": short(held.capstan_force)}
 
 
 def swinging() -> Motion:
@@ -206,15 +216,17 @@ def swinging() -> Motion:
 
 def timed(rope: str) -> Motion:
     """The paper's timing rule on the true state, each half turn as the tip passes below the shaft."""
-    from hyperflex.control import Caster, CrossingRule, TrueState, swing
+    from hyperflex.control import CrossingRule, SwingModel, TrueState, run_closed_loop
 
-    model, known = Caster(thrower(rope).rope, casting_arm(), HALF_TURN), thrower(rope)
-    return swing(TrueState(known.rope, known.arm), CrossingRule(model, 0.0), model, duration=known.time).motion
+    model, known = SwingModel(cast_setup(rope).rope, casting_arm(), HALF_TURN), cast_setup(rope)
+    return run_closed_loop(
+        TrueState(known.rope, known.arm), CrossingRule(model, 0.0), model, duration=known.time
+    ).motion
 
 
 def until_strike(rope: str, peg: hf.Peg, motion: Motion) -> Motion | None:
     """A motion that ends with the half turn in which the rope strikes; None if it does not strike."""
-    struck = float(look(thrower(rope), peg, [motion]).t[0])
+    struck = float(simulate_strikes(cast_setup(rope), peg, [motion]).t[0])
     if math.isnan(struck):
         return None
     begins = [t for t in motion.switches(0.0, struck) if abs(float(motion.rate([t])[0])) < 1e-9]

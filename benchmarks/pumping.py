@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks import machine
 
 from hyperflex import files
-from hyperflex.control import CrossingRule, Pump, SimulatedCamera, TrueState, plan_pumping, swing
+from hyperflex.control import CrossingRule, PumpingRule, SimulatedCamera, TrueState, optimize_pumping, run_closed_loop
 from hyperflex.paper import T_REST, cable, casting_arm
 from hyperflex.paper.pumping import BEST, LONGEST, WANTED, arrival, caster, closed_loop, constant_arrivals, motion_of
 
@@ -60,15 +60,15 @@ def measure(path: Any, search: bool, ropes: int) -> dict[str, Any]:
     own = float(constant_arrivals(path, np.array([T_REST["success"]]))[0])
     row: dict[str, Any] = {"0.53 s": own, "constant": float(CONSTANTS[best]), "best constant": float(times[best])}
     for lead in LEADS:
-        swung = swing(TrueState(rope, arm), CrossingRule(model, lead), model, duration=LONGEST)
+        swung = run_closed_loop(TrueState(rope, arm), CrossingRule(model, lead), model, duration=LONGEST)
         row[f"t_b = {lead:g} s"] = known(arrival(swung.motion))
-    greedy = swing(TrueState(rope, arm), Pump(model, WANTED), model, duration=LONGEST - 4.0)
+    greedy = run_closed_loop(TrueState(rope, arm), PumpingRule(model, WANTED), model, duration=LONGEST - 4.0)
     row["looking ahead"] = known(arrival(greedy.motion))
     row["rests"] = list(BEST[path])
     row["search"] = arrival(motion_of(path, BEST[path]))
     if search:
-        found = plan_pumping(model, WANTED)
-        row["search anew"], row["rests anew"] = found.reached, [round(float(r), 4) for r in found.rests]
+        found = optimize_pumping(model, WANTED)
+        row["search anew"], row["rests anew"] = found.arrival_time, [round(float(r), 4) for r in found.rests]
     row["closed loop"] = known(arrival(closed_loop(path, TrueState(rope, arm))))
     row["camera"] = [camera(path, seed) for seed in range(ropes)]
     return row
@@ -81,7 +81,7 @@ def camera(path: Any, seed: int) -> dict[str, float | None]:
     true = rope.replace(
         length=length * rope.length, com=length * rope.com, mass=mass * rope.mass, friction=friction * rope.friction
     )
-    loop = closed_loop(path, SimulatedCamera(TrueState(true, arm), rope, arm, seed=seed), look_again=0.2)
+    loop = closed_loop(path, SimulatedCamera(TrueState(true, arm), rope, arm, seed=seed), recheck_time=0.2)
     return {
         "closed loop": known(arrival(loop, rope=true)),
         "open loop": known(arrival(motion_of(path, BEST[path]), rope=true)),

@@ -23,15 +23,15 @@ from typing import Any
 import numpy as np
 from benchmarks import log as lines
 from benchmarks import machine
-from benchmarks.casting import RESULTS, TIP, target, thrower
+from benchmarks.casting import RESULTS, TIP, cast_setup, target
 
 from hyperflex import files
 from hyperflex.core.jit import SOURCE_HASH
-from hyperflex.planning import Reach, plan_cast, reach
-from hyperflex.planning.wind.reachability import ENERGY
+from hyperflex.planning import Feasibility, check_feasibility, plan_cast
+from hyperflex.planning.wind.feasibility import MIN_ENERGY
 
 FIRST, COUNTED = 300, 10_000
-PATIENCE, COUNT = 110.0, 16  # s, targets of a kind
+TIME_BUDGET, COUNT = 110.0, 16  # s, targets of a kind
 DRAWS = 10_000  # of the interval of the part called out of reach
 IN, ROPE, SWING, HIGH, NEVER = (
     "in reach",
@@ -43,15 +43,15 @@ IN, ROPE, SWING, HIGH, NEVER = (
 KINDS = (ROPE, SWING, IN, HIGH)  # that are searched
 
 
-def kind(told: Reach) -> str:
+def kind(told: Feasibility) -> str:
     """What the criterion says, in a word; of two reasons the one that forbids more."""
     if told.impossible:
         return NEVER
-    if told.within:
+    if told.feasible:
         return IN
-    if told.energy < 0.0:
+    if told.energy_ratio < 0.0:
         return HIGH
-    return SWING if told.energy < ENERGY else ROPE
+    return SWING if told.energy_ratio < MIN_ENERGY else ROPE
 
 
 def main() -> None:
@@ -59,12 +59,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rope", choices=sorted(TIP), default="nominal")
     parser.add_argument("--count", type=int, default=COUNT, help=f"targets of each kind ({COUNT})")
-    parser.add_argument("--patience", type=float, default=PATIENCE, help=f"s of searching a target ({PATIENCE:g})")
+    parser.add_argument(
+        "--patience", type=float, default=TIME_BUDGET, help=f"s of searching a target ({TIME_BUDGET:g})"
+    )
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
     time.monotonic = time.process_time  # a search's clock
     about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "reach.jsonl"
-    kinds = {number: kind(reach(thrower(options.rope), target(number))) for number in range(FIRST, FIRST + COUNTED)}
+    kinds = {
+        number: kind(check_feasibility(cast_setup(options.rope), target(number)))
+        for number in range(FIRST, FIRST + COUNTED)
+    }
     known = read(log, options.rope, options.patience)
     lines.told(known.values(), planned=True)
     asked = wanted(kinds, options.count)
@@ -101,8 +106,10 @@ def read(log: Path | None, rope: str, patience: float) -> dict[int, dict[str, An
 
 def planned(rope: str, number: int, patience: float) -> dict[str, Any]:
     """A row: what a search finds for a target."""
-    who = thrower(rope)
-    plan = plan_cast(who.rope, who.arm, target(number), patience=patience, regardless=True, seed=number, threads=1)
+    who = cast_setup(rope)
+    plan = plan_cast(
+        who.rope, who.arm, target(number), time_budget=patience, skip_feasibility=True, seed=number, threads=1
+    )
     return {
         "kernels": SOURCE_HASH,
         "planner": lines.planner(),
@@ -110,10 +117,10 @@ def planned(rope: str, number: int, patience: float) -> dict[str, Any]:
         "number": number,
         "patience": patience,
         "success": plan.success,
-        "wound": plan.cast is not None and plan.cast.wound,
-        "turns": 0.0 if plan.cast is None else round(plan.cast.turns, 3),
+        "wound": plan.outcome is not None and plan.outcome.wound,
+        "turns": 0.0 if plan.outcome is None else round(plan.outcome.turns, 3),
         "seconds": round(plan.seconds, 1),
-        "reason": plan.reason,
+        "reason": plan.message,
     }
 
 
@@ -134,8 +141,14 @@ def text(kinds: dict[int, str], rows: dict[int, dict[str, Any]], options: argpar
     lines += [f"A search is {options.patience:g} s of one processor at most; the benchmark's are 60 s of two.", ""]
     lines += ["| number | called | room | needed | energy | success | turns | s | why not |", "|" + "---|" * 9]
     for number, row in sorted(rows.items(), key=lambda pair: (KINDS.index(kinds[pair[0]]), pair[0])):
-        told = reach(thrower(options.rope), target(number))
-        cells = [number, kinds[number], f"{told.room:.2f}", f"{told.needed:.2f}", f"{told.energy:.2f}"]
+        told = check_feasibility(cast_setup(options.rope), target(number))
+        cells = [
+            number,
+            kinds[number],
+            f"{told.available_turns:.2f}",
+            f"{told.needed_turns:.2f}",
+            f"{told.energy_ratio:.2f}",
+        ]
         cells += [row["success"], row["turns"], f"{row['seconds']:.0f}", row["reason"]]
         lines.append("| " + " | ".join(str(cell) for cell in cells) + " |")
     return "\n".join(lines) + "\n"

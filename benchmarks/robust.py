@@ -30,17 +30,28 @@ from typing import Any
 import numpy as np
 from benchmarks import log as lines
 from benchmarks import machine
-from benchmarks.casting import FINE_LINKS, STEP, TIP, TOL, target, targets, thrower
+from benchmarks.casting import FINE_LINKS, STEP, TIP, TOL, cast_setup, target, targets
 from benchmarks.robust_page import page
 
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.errors import HyperflexError, SimulationError
-from hyperflex.planning import DrawnWorld, Throw, Thrower, Uncertainty, follow, plan_cast, success, verify
-from hyperflex.planning.robust.success_probability import wins
-from hyperflex.planning.robust.uncertainty import Draw
-from hyperflex.planning.wind.outcome import SAMPLE_TIME, SETTLING, WATCH, judge
+from hyperflex.planning import (
+    CastPlan,
+    CastSetup,
+    ScenarioStateSource,
+    Throw,
+    Uncertainty,
+    check_feasibility,
+    estimate_success_probability,
+    follow_plan,
+    plan_cast,
+    verify_cast,
+)
+from hyperflex.planning.outcome import MIN_TURNS, SAMPLE_TIME, SETTLING_TIME, WATCH_TIME, evaluate_cast
+from hyperflex.planning.robust.scenario_rollouts import scenario_scores
+from hyperflex.planning.robust.uncertainty import Scenario
 
 RESULTS = Path(__file__).parent / "results"
 STREAM = 31337  # of the draws; planner, stated success and closed loop have others
@@ -126,7 +137,7 @@ class Case:
     plan: str
 
     def __post_init__(self) -> None:
-        self.peg, self.known = target(self.number), thrower(self.options.rope)
+        self.peg, self.known = target(self.number), cast_setup(self.options.rope)
         self.uncertainty = uncertainty(self.options.level)
 
     def row(self, fine: bool, closed: bool) -> dict[str, Any]:
@@ -156,25 +167,27 @@ class Case:
             arm,
             self.peg,
             uncertainty=known,
-            patience=patience,
-            regardless=True,
+            time_budget=patience,
+            skip_feasibility=True,
             seed=self.number,
             threads=threads,
         )
-        stated = plan.stated
+        stated = plan.success_probability
         if stated is None and plan.throw is not None:
-            stated = success(self.known, self.peg, plan.throw, self.uncertainty, seed=self.number, threads=threads)
+            stated = estimate_success_probability(
+                self.known, self.peg, plan.throw, self.uncertainty, seed=self.number, threads=threads
+            )
         return {
             "seconds": round(plan.seconds, 1),
             "planned": plan.success,
-            "reason": plan.reason,
-            "stated": None if stated is None else [stated.wins, stated.draws],
+            "reason": plan.message,
+            "stated": None if stated is None else [stated.successes, stated.samples],
             "throw": None if plan.throw is None else written(plan.throw),
         }
 
-    def worlds(self, count: int, links: Thrower | None = None) -> list[Draw]:
+    def worlds(self, count: int, links: CastSetup | None = None) -> list[Scenario]:
         """Fresh draws, the same for all plans of a target and for any number of links."""
-        return self.uncertainty.draws(count, links or self.known, self.peg, seed=[STREAM, self.number])
+        return self.uncertainty.sample(count, links or self.known, self.peg, seed=[STREAM, self.number])
 
     def open(self, throw: Throw, count: int) -> dict[str, Any]:
         """Make a throw as planned."""
@@ -183,14 +196,15 @@ class Case:
     def closed(self, throw: Throw, count: int) -> dict[str, Any]:
         """Follow a throw on the true state of each drawn world; a throw that is given up has lost."""
         begin, worlds = time.perf_counter(), self.worlds(count)
+        plan = CastPlan(self.known, self.peg, check_feasibility(self.known, self.peg), throw)
 
         def one(k: int) -> tuple[Throw, bool, list[str]]:
-            source = DrawnWorld(worlds[k], self.known.arm)
+            source = ScenarioStateSource(worlds[k], self.known.arm)
             try:
-                done = follow(self.known, self.peg, throw, source, uncertainty=self.uncertainty, seed=k, threads=1)
+                done = follow_plan(plan, source, uncertainty=self.uncertainty, seed=k, threads=1)
             except HyperflexError:
                 return throw, True, ["failed"]
-            return done.throw, done.aborted, [look.decided for look in done.looks]
+            return done.throw, not done.success, [each.action for each in done.decisions]
 
         with ThreadPoolExecutor(self.options.threads or os.cpu_count()) as pool:
             found = list(pool.map(one, range(count)))
@@ -201,16 +215,16 @@ class Case:
         row |= {word: words.count(word) for word in ("kept", "changed", "aborted", "failed")}
         return row | {"seconds": round(time.perf_counter() - begin, 1)}
 
-    def judged(self, pairs: list[tuple[Throw, Draw]]) -> dict[str, Any]:
+    def judged(self, pairs: list[tuple[Throw, Scenario]]) -> dict[str, Any]:
         """Which draws are won, and in which the rope is also held."""
-        won = wins(self.known, pairs, threads=self.options.threads)
+        won = scenario_scores(self.known, pairs, threads=self.options.threads).turns >= MIN_TURNS
         return {"won": won.astype(int).tolist(), "held": self.each(lambda pair: self.held(*pair), pairs)}
 
-    def held(self, throw: Throw, world: Draw) -> bool:
+    def held(self, throw: Throw, world: Scenario) -> bool:
         """Whether the rope winds and slips by less than 5 mm in 2 s, on links as coarse as those of the judge."""
         motion, known = world.motion(throw, self.known), replace(self.known, rope=world.rope)
         stop = float(motion.breaks[-1])
-        t = np.arange(0.0, stop + SETTLING + WATCH, SAMPLE_TIME)
+        t = np.arange(0.0, stop + SETTLING_TIME + WATCH_TIME, SAMPLE_TIME)
         try:
             run = hf.simulate(
                 world.rope,
@@ -225,15 +239,15 @@ class Case:
             )
         except SimulationError:
             return False
-        return judge(known, world.peg, run, stop).success
+        return evaluate_cast(known, world.peg, run, stop).success
 
     def fine(self, throw: Throw, count: int) -> dict[str, Any]:
         """Judge a throw in the first draws with 2.5 times the links, refined beside the peg, and shorter steps."""
-        known = thrower(self.options.rope, FINE_LINKS)
+        known = cast_setup(self.options.rope, FINE_LINKS)
 
-        def one(world: Draw) -> tuple[bool, bool]:
+        def one(world: Scenario) -> tuple[bool, bool]:
             one = replace(known, rope=world.rope)
-            cast = verify(one, world.peg, world.motion(throw, known), tol=TOL, contact_step=STEP)
+            cast = verify_cast(one, world.peg, world.motion(throw, known), tol=TOL, contact_step=STEP)
             return cast.wound, cast.success
 
         found = self.each(one, self.worlds(count, known))
@@ -248,7 +262,9 @@ class Case:
 def uncertainty(level: float) -> Uncertainty:
     """What a realistic identification leaves, its standard deviations times `level`."""
     usual = Uncertainty()
-    return Uncertainty(**{each.name: level * getattr(usual, each.name) for each in fields(usual) if each.name != "fit"})
+    return Uncertainty(
+        **{each.name: level * getattr(usual, each.name) for each in fields(usual) if each.name != "posterior"}
+    )
 
 
 def written(throw: Throw) -> dict[str, Any]:

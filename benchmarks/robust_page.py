@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from hyperflex.planning import Success
-from hyperflex.planning.robust.success_probability import difference
-from hyperflex.planning.search.contact_phase import LAST, SETTLE
-from hyperflex.planning.wind.outcome import SLIP, WATCH, WOUND
+from hyperflex.planning import SuccessProbability
+from hyperflex.planning.outcome import MAX_SLIP, MIN_TURNS, WATCH_TIME
+from hyperflex.planning.search.contact_phase import LAST, SETTLING_TIME
 
 RESAMPLES, STREAM = 10_000, 4711  # of the bootstrap over targets
 AIM, AGREES, APART = 0.75, 0.9, 0.05  # success; targets with 0 inside; stated less observed overall
@@ -45,11 +45,11 @@ def page(rows: Rows, options: dict[str, Any]) -> str:
 def definition() -> str:
     """What counts."""
     return (
-        f"Won: the rope makes {WOUND:g} turns or more from the arm's tip to its end and keeps them over the last "
-        f"{LAST:g} s of the {SETTLE:g} s after the arm has stopped, in a run on links as coarse as those of the "
+        f"Won: the rope makes {MIN_TURNS:g} turns or more from the arm's tip to its end and keeps them over the last "
+        f"{LAST:g} s of the {SETTLING_TIME:g} s after the arm has stopped, in a run on links as coarse as those of the "
         "search. Stated and observed success both ask for this, in draws of their own. Whether the rope also slips by "
-        f"less than {1e3 * SLIP:g} mm in {WATCH:g} s is not asked; it is told as held. A throw that is given up, and a "
-        "target without any throw, has lost."
+        f"less than {1e3 * MAX_SLIP:g} mm in {WATCH_TIME:g} s is not asked; it is told as held. A throw that is given "
+        "up, and a target without any throw, has lost."
     )
 
 
@@ -147,7 +147,21 @@ def gained(one: dict[str, Any]) -> float:
 
 def apart(one: dict[str, Any]) -> tuple[float, float]:
     """95 % interval of stated less observed."""
-    return difference(Success(*one["stated"]), Success(sum(one["open"]["won"]), len(one["open"]["won"])))
+    return probability_difference(
+        SuccessProbability(*one["stated"]), SuccessProbability(sum(one["open"]["won"]), len(one["open"]["won"]))
+    )
+
+
+def probability_difference(one: SuccessProbability, other: SuccessProbability) -> tuple[float, float]:
+    """Return the 95 % confidence interval of `one` less `other`, from independent samples.
+
+    Notes
+    -----
+    Newcombe (1998), method 10: at either end, the distances to the ends of both Wilson intervals add up as squares.
+    """
+    (low, high), (low_other, high_other) = one.interval, other.interval
+    p, q = one.estimate, other.estimate
+    return p - q - math.hypot(p - low, high_other - q), p - q + math.hypot(high - p, q - low_other)
 
 
 def agrees(one: dict[str, Any]) -> bool:

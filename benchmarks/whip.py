@@ -17,7 +17,6 @@ late and follows with a lag that the plan does not know. All simulated.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -37,18 +36,26 @@ from hyperflex.identification import identify
 from hyperflex.model import divided
 from hyperflex.model.stretch import stretched
 from hyperflex.motion import lagged
-from hyperflex.planning import MotorLimits, Strokes, Thrower, WhipMap, plan_whip, reach_whip, whip_map
-from hyperflex.planning.whip.impact import impact
-from hyperflex.planning.whip.outcome import lash
-from hyperflex.planning.whip.reachability import NEAR, WhipReach
-from hyperflex.planning.whip.tip_target import Mark
+from hyperflex.planning import (
+    CastSetup,
+    MotorLimits,
+    Strokes,
+    WhipMap,
+    build_whip_map,
+    check_whip_feasibility,
+    plan_whip,
+)
+from hyperflex.planning.whip.impact import simulate_impact
+from hyperflex.planning.whip.outcome import verify_whip
+from hyperflex.planning.whip.search import MAX_COST, WhipFeasibility
+from hyperflex.planning.whip.tip_target import TipTarget
 
 RESULTS = Path(__file__).parent / "results"
 TARGETS = Path(__file__).parent / "whip-targets.json"
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 ARM = hf.Arm(length=0.105)
 COUNT, SPEED, WITHIN = 30, 5.0, float(np.radians(20.0))
-PATIENCE = 15.0  # s
+TIME_BUDGET = 15.0  # s
 PERIODS = 3.0
 HEAD = (
     "| planned on | targets | fast and directed as asked | median miss, mm | others as missed, mm | quartiles, mm "
@@ -64,34 +71,34 @@ NAMES = {
 }
 FEWER = {"identified, no tape": 15}  # of the targets: a fit of the length takes its time
 BEYOND = 30  # targets out of reach that are tried all the same
-BANDS = (NEAR, 0.2, 0.3, 0.5, np.inf)  # m, of their cost
+BANDS = (MAX_COST, 0.2, 0.3, 0.5, np.inf)  # m, of their cost
 SPREAD = {"length": 0.01, "mass": 0.02, "friction": 0.2}  # standard deviations of a true rope, relative
 TIMING, LAG = 2e-3, 0.010  # s: standard deviation of each rest of the motor; time constant of its first-order lag
 TAPE = 5e-4  # relative standard deviation of a length that a tape tells
 RATE, SECONDS, NOISE, MARKERS = 60.0, 3.0, 2e-3, 10  # Hz, s, m: the recording
 
 
-def thrower(rope: hf.Rope) -> Thrower:
-    return Thrower(rope, ARM, MotorLimits(), PERIODS * swing_period(rope))
+def cast_setup(rope: hf.Rope) -> CastSetup:
+    return CastSetup(rope, ARM, MotorLimits(), PERIODS * swing_period(rope))
 
 
-def targets() -> list[Mark]:
+def targets() -> list[TipTarget]:
     """The committed targets."""
-    return [Mark(speed=SPEED, within=WITHIN, **row) for row in json.loads(TARGETS.read_text())]
+    return [TipTarget(speed=SPEED, angle_tolerance=WITHIN, **row) for row in json.loads(TARGETS.read_text())]
 
 
-def drawn(seed: int, known: WhipMap) -> Iterator[tuple[dict[str, float], WhipReach]]:
+def drawn(seed: int, known: WhipMap) -> Iterator[tuple[dict[str, float], WhipFeasibility]]:
     """Points and directions drawn evenly over all that the rope could touch, and whether they are in reach."""
     rng, far = np.random.default_rng(seed), CABLE.total_length + ARM.length
     while True:
         r, a, direction = far * np.sqrt(rng.uniform()), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
         row = {"x": round(r * np.cos(a), 4), "y": round(r * np.sin(a), 4), "direction": round(direction, 4)}
-        yield row, reach_whip(known, Mark(speed=SPEED, within=WITHIN, **row))
+        yield row, check_whip_feasibility(known, TipTarget(speed=SPEED, angle_tolerance=WITHIN, **row))
 
 
 def draw() -> list[dict[str, float]]:
     """Targets in reach."""
-    return list(islice((row for row, told in drawn(2, whip_map(thrower(CABLE))) if told.within), COUNT))
+    return list(islice((row for row, told in drawn(2, build_whip_map(cast_setup(CABLE))) if told.feasible), COUNT))
 
 
 def true_rope(index: int, pieces: int) -> hf.Rope:
@@ -149,63 +156,79 @@ def moved_late(strokes: Strokes, index: int) -> Strokes:
     return Strokes(strokes.side, strokes.ends, strokes.rests + late)
 
 
-def nominal(index: int, mark: Mark, known: WhipMap, **options: Any) -> dict[str, Any]:
+def nominal(index: int, mark: TipTarget, known: WhipMap, **options: Any) -> dict[str, Any]:
     """Plan on the cable itself; the miss is that of a run at a tight tolerance."""
-    plan = plan_whip(CABLE, ARM, mark.point, way(mark), known=known, patience=PATIENCE, seed=index, **options)
-    row: dict[str, Any] = {"success": plan.success, "reason": plan.reason, "cost": plan.reach.cost}
-    row |= {"runs": plan.runs, "seconds": plan.seconds, "doubt": 1e3 * plan.doubt}
-    if plan.lash is not None:
-        seen = plan.lash
-        row |= {"miss": 1e3 * seen.miss, "speed": seen.speed, "off": float(np.degrees(seen.off)), "t": seen.t}
-        row |= {"greatest": seen.before <= seen.speed, "finer": None if plan.finer is None else 1e3 * plan.finer.miss}
+    plan = plan_whip(CABLE, ARM, mark.point, way(mark), whip_map=known, time_budget=TIME_BUDGET, seed=index, **options)
+    row: dict[str, Any] = {"success": plan.success, "reason": plan.message, "cost": plan.feasibility.cost}
+    row |= {"runs": plan.runs, "seconds": plan.seconds, "doubt": 1e3 * plan.position_std}
+    if plan.outcome is not None:
+        seen = plan.outcome
+        row |= {"miss": 1e3 * seen.miss, "speed": seen.speed, "off": float(np.degrees(seen.angle_error)), "t": seen.t}
+        row |= {
+            "greatest": seen.earlier_speed <= seen.speed,
+            "finer": None if plan.finer_outcome is None else 1e3 * plan.finer_outcome.miss,
+        }
     if plan.strokes is not None:
         made = plan.strokes
         row |= {"side": made.side, "ends": made.ends.tolist(), "rests": made.rests.tolist()}
     return row
 
 
-def beyond(known: WhipMap) -> Iterator[tuple[dict[str, float], Mark, int]]:
+def beyond(known: WhipMap) -> Iterator[tuple[dict[str, float], TipTarget, int]]:
     """The first BEYOND targets drawn that are called out of reach but near a peak of the map of some cost, planned for
     all the same; and how many were drawn until then."""
     count = 0
     for number, (row, told) in enumerate(drawn(3, known), start=1):
-        if not told.within and np.isfinite(told.cost):
-            yield row, Mark(speed=SPEED, within=WITHIN, **row), number
+        if not told.feasible and np.isfinite(told.cost):
+            yield row, TipTarget(speed=SPEED, angle_tolerance=WITHIN, **row), number
             count += 1
             if count == BEYOND:
                 return
 
 
-def blow(row: dict[str, Any], mark: Mark) -> dict[str, Any]:
+def blow(row: dict[str, Any], mark: TipTarget) -> dict[str, Any]:
     """Impact of a nominal whip on a small peg at the target."""
     if row.get("miss") is None:
         return {"touched": False}
     made = Strokes(row["side"], np.array(row["ends"]), np.array(row["rests"]))
-    found = impact(thrower(CABLE), mark, made.motion(MotorLimits()), row["t"])
-    return {"touched": bool(np.isfinite(found.t)), **dataclasses.asdict(found)}
+    found = simulate_impact(cast_setup(CABLE), mark, made.motion(MotorLimits()), row["t"])
+    return {
+        "touched": bool(np.isfinite(found.t)),
+        "t": found.t,
+        "impulse": found.impulse,
+        "along": found.impulse_along,
+        "energy": found.energy,
+    }
 
 
-def on_identified(index: int, mark: Mark, kind: str) -> dict[str, Any]:
+def on_identified(index: int, mark: TipTarget, kind: str) -> dict[str, Any]:
     """Plan on an identified rope, throw the true one with a motor that is not quite in time and lags."""
     true = true_rope(index, PIECES[kind])
     rope, row = identified(true, index, tape=kind != "identified, no tape")
     plan = plan_whip(
-        rope, ARM, mark.point, way(mark), known=whip_map(thrower(rope)), patience=PATIENCE, seed=index, regardless=True
+        rope,
+        ARM,
+        mark.point,
+        way(mark),
+        whip_map=build_whip_map(cast_setup(rope)),
+        time_budget=TIME_BUDGET,
+        seed=index,
+        skip_feasibility=True,
     )
-    row |= {"success": plan.success, "reason": plan.reason, "doubt": 1e3 * plan.doubt, "seconds": plan.seconds}
-    if plan.strokes is None or plan.lash is None:
+    row |= {"success": plan.success, "reason": plan.message, "doubt": 1e3 * plan.position_std, "seconds": plan.seconds}
+    if plan.strokes is None or plan.outcome is None:
         return row
     exact = plan.strokes.motion(MotorLimits())
     late = moved_late(plan.strokes, index).motion(MotorLimits())
     for name, motion in (("", lagged(late, LAG)), (" without lag", late), (" in time", exact)):
-        seen = lash(thrower(true), mark, motion, plan.lash.t)
+        seen = verify_whip(cast_setup(true), mark, motion, plan.outcome.t)
         row[f"miss{name}"] = None if seen is None else 1e3 * seen.miss
         row[f"speed{name}"] = None if seen is None else seen.speed
-        row[f"off{name}"] = None if seen is None else float(np.degrees(seen.off))
+        row[f"off{name}"] = None if seen is None else float(np.degrees(seen.angle_error))
     return row
 
 
-def way(mark: Mark) -> Any:
+def way(mark: TipTarget) -> Any:
     """Unit vector (2,) of the asked direction."""
     return np.array([np.cos(mark.direction), np.sin(mark.direction)])
 
@@ -250,7 +273,7 @@ def page(found: dict[str, Any]) -> str:
         )
     text = (
         f"The paper's cable and motor, targets drawn evenly over all that the rope could touch in any direction, those "
-        f"in reach kept; at least {SPEED:g} m/s, at most {np.degrees(WITHIN):.0f} degrees off. {PATIENCE:g} s of "
+        f"in reach kept; at least {SPEED:g} m/s, at most {np.degrees(WITHIN):.0f} degrees off. {TIME_BUDGET:g} s of "
         f"searching a target. Identified: length 1 %, mass 2 %, friction 20 % off (standard deviations); "
         f"free swing of {SECONDS:g} s, {MARKERS} markers at {RATE:g} Hz with {1e3 * NOISE:g} mm of "
         f"noise at known parts of the rope; friction is fitted, length is told by a tape ({100 * TAPE:g} %) or fitted "
@@ -310,15 +333,15 @@ def beyond_words(rows: list[dict[str, Any]]) -> list[str]:
             told.append(f"{sum(some)} of {len(some)} {where}")
     met = sum(row["success"] for row in those)
     words = (
-        f"\nOut of reach is called what is farther than {NEAR:g} m (direction and speed that are not as asked count as "
-        f"distance) from every peak of the map. Of {max(row['drawn'] for row in those)} more targets drawn so, "
-        f"{len(those)} near some peak were called that. Planned for all the same (`regardless=True`, {PATIENCE:g} s "
-        f"each), {met} of them are met within 1 mm, as fast and directed as asked: {', '.join(told)}."
+        f"\nOut of reach is called what is farther than {MAX_COST:g} m (direction and speed that are not as asked "
+        f"count as distance) from every peak of the map. Of {max(row['drawn'] for row in those)} more targets, "
+        f"{len(those)} near some peak were called that. Planned for all the same (`skip_feasibility=True`, "
+        f"{TIME_BUDGET:g} s each), {met} of them are met within 1 mm, as fast and directed as asked: {', '.join(told)}."
     )
     return [words]
 
 
-def measure(index: int, kind: str, mark: Mark, known: WhipMap) -> dict[str, Any]:
+def measure(index: int, kind: str, mark: TipTarget, known: WhipMap) -> dict[str, Any]:
     """What becomes of a target."""
     return nominal(index, mark, known) if kind == "nominal" else on_identified(index, mark, kind)
 
@@ -339,9 +362,9 @@ def jobs(
             yield "beyond", index, partial(refused, index, place, mark, count, known)
 
 
-def refused(index: int, place: dict[str, float], mark: Mark, count: int, known: WhipMap) -> dict[str, Any]:
+def refused(index: int, place: dict[str, float], mark: TipTarget, count: int, known: WhipMap) -> dict[str, Any]:
     """Plan for a target that is called out of reach."""
-    return {**place, "drawn": count, **nominal(index, mark, known, regardless=True)}
+    return {**place, "drawn": count, **nominal(index, mark, known, skip_feasibility=True)}
 
 
 def main() -> None:
@@ -358,7 +381,7 @@ def main() -> None:
         files.write_text(TARGETS, json.dumps(draw(), indent=1) + "\n")
         return
     marks, about = targets(), machine.describe()
-    known = whip_map(thrower(CABLE))
+    known = build_whip_map(cast_setup(CABLE))
     if options.only is not None:
         for kind in ["nominal"] if options.nominal else list(GOALS):
             print(json.dumps(measure(options.only, kind, marks[options.only], known), indent=1))

@@ -105,10 +105,7 @@ def forward_kinematics(
     angles = np.asarray(q, dtype=np.float64)
     angles = checks.array("q", angles, (*angles.shape[:-1], rope.n_links), unit="rad")
     turned = checks.array("arm_angle", np.broadcast_to(arm_angle, angles.shape[:-1]), angles.shape[:-1], unit="rad")
-    whole = np.concatenate([turned[..., None], angles], axis=-1)
-    lengths = np.append(0.0 if arm is None else arm.length, rope.length)[:, None]
-    links = lengths * np.stack([np.sin(whole), -np.cos(whole)], axis=-1)
-    return np.asarray(np.cumsum(links, axis=-2) + np.array((0.0, 0.0) if arm is None else arm.pivot))
+    return rope.joints(angles, np.zeros((*turned.shape, 2)) if arm is None else arm.tip(turned))
 
 
 def linearize(

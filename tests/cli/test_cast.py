@@ -8,9 +8,9 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import files, planning
-from hyperflex.planning.robust.success_probability import Success
+from hyperflex.planning import FallbackTarget
+from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
 from hyperflex.planning.robust.uncertainty import Uncertainty
-from hyperflex.planning.wind.nearest_target import Nearest
 from tests.planning.known import CABLE, late, planned, stopped
 
 NAMES = {"report.html", "cast.gif", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "cast.nc"}
@@ -64,15 +64,15 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     assert asked["rope"] == CABLE
     assert (asked["target"], asked["arm"]) == (hf.Peg(-0.83, -1.07, 0.04, 0.4), hf.Arm(length=0.2))
     assert asked["limits"] == hf.MotorLimits(speed=5.0, torque=2.0)
-    assert (asked["patience"], asked["seed"], asked["uncertainty"]) == (7.0, 3, None)
-    assert (asked["time_limit"], asked["regardless"]) == (None, False)
+    assert (asked["time_budget"], asked["seed"], asked["uncertainty"]) == (7.0, 3, None)
+    assert (asked["time_limit"], asked["skip_feasibility"]) == (None, False)
     assert told["success"]
-    assert (told["source"], told["reason"]) == ("simulated", "")
-    assert told["strokes"] == 6
-    assert told["cast"]["turns"] == planned().cast.turns
-    assert told["hold"]["force_N"] > told["hold"]["tail_weight_times_exp_N"]
+    assert (told["source"], told["message"]) == ("simulated", "")
+    assert told["throw"]["count"] == 6
+    assert told["outcome"]["turns"] == planned().outcome.turns
+    assert told["holding_force"]["force"] > told["holding_force"]["capstan_force"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
-    assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["arm_stops_s"], abs=5e-3)
+    assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["stop"], abs=5e-3)
 
 
 def test_a_set_up_file_gives_rope_arm_limits_and_target(hyperflex, ready, tmp_path):
@@ -93,7 +93,7 @@ def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, rope_file, read
     asked = ready("winds")
     assert hyperflex(*arguments(rope_file, tmp_path / "out"))[0] == 0
     assert hyperflex("cast", tmp_path / "out" / "cast.toml", "-o", tmp_path / "again")[0] == 0
-    assert asked["target"] == planned().peg
+    assert asked["target"] == planned().target
 
 
 @pytest.mark.parametrize(
@@ -115,22 +115,22 @@ def test_a_set_up_file_that_does_not_do_is_refused(hyperflex, tmp_path, content,
 
 
 def test_a_robust_plan_says_how_often_it_wins(hyperflex, rope_file, ready, tmp_path):
-    asked = ready("misses", stated=Success(30, 40))
+    asked = ready("misses", success_probability=SuccessProbability(30, 40))
     _, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", "--robust"))
     assert isinstance(asked["uncertainty"], Uncertainty)
-    assert str(Success(30, 40)) in " ".join(out.split())
+    assert str(SuccessProbability(30, 40)) in " ".join(out.split())
     assert "as a usual identification leaves it: length 1 %" in " ".join(out.split())
-    assert str(Success(30, 40)) in (tmp_path / "out" / "report.html").read_text()
-    assert files.read_toml(tmp_path / "out" / "cast.toml")["plan"]["outcome"]["stated"]["wins"] == 30
+    assert str(SuccessProbability(30, 40)) in (tmp_path / "out" / "report.html").read_text()
+    assert files.read_toml(tmp_path / "out" / "cast.toml")["plan"]["success_probability"]["successes"] == 30
 
 
 def test_what_identify_left_in_the_ropes_file_counts(hyperflex_json, ready, tmp_path):
     fit = {"parameters": ["friction:shared"], "covariance": [[1e-9]], "values": {}}
     files.write_toml(tmp_path / "fit.toml", {"rope": CABLE.table(), "identification": fit})
-    asked = ready("misses", stated=Success(30, 40))
+    asked = ready("misses", success_probability=SuccessProbability(30, 40))
     _, told = hyperflex_json(*arguments(tmp_path / "fit.toml", tmp_path / "out", "--robust"))
-    assert asked["uncertainty"].fit.covariance.tolist() == [[1e-9]]
-    assert told["uncertain"].startswith("friction by the covariance in the rope's file; as a usual")
+    assert asked["uncertainty"].posterior.covariance.tolist() == [[1e-9]]
+    assert told["uncertainty"].startswith("friction by the covariance in the rope's file; as a usual")
     assert asked["uncertainty"].friction == 0.0
 
 
@@ -146,13 +146,14 @@ def test_a_target_out_of_reach_comes_with_the_nearest_one_and_with_remedies(
     hyperflex, hyperflex_json, rope_file, tmp_path
 ):
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out", target=("2.5", "0")))
-    near = told["nearest"]
-    assert (code, near["planned"], near["tried_in_vain"]) == (4, False, 0)
-    assert near["away_m"] == pytest.approx(((near["x_m"] - 2.5) ** 2 + near["y_m"] ** 2) ** 0.5)
+    near = told["fallback"]
+    assert (code, near.get("plan"), near["failed_plans"]) == (4, None, 0)
+    x, y = near["target"]["x"], near["target"]["y"]
+    assert near["distance"] == pytest.approx(((x - 2.5) ** 2 + y**2) ** 0.5)
     assert [text[:9] for text in told["remedies"]] == ["a rope of"]
     _, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", target=("2.5", "0")))
     page = (tmp_path / "out" / "report.html").read_text()
-    for words in (f"x = {near['x_m']:.4g} m", "not planned for", f"in reach with {told['remedies'][0]}"):
+    for words in (f"x = {x:.4g} m", "not planned for", f"in reach with {told['remedies'][0]}"):
         assert words in " ".join(out.split())
         assert words in page
 
@@ -160,23 +161,23 @@ def test_a_target_out_of_reach_comes_with_the_nearest_one_and_with_remedies(
 def test_a_target_out_of_reach_is_searched_for_if_one_insists(hyperflex_json, rope_file, ready, tmp_path):
     asked = ready("misses")
     hyperflex_json(*arguments(rope_file, tmp_path / "out", "--skip-feasibility", "--time-limit", "9.5"))
-    assert (asked["regardless"], asked["time_limit"]) == (True, 9.5)
+    assert (asked["skip_feasibility"], asked["time_limit"]) == (True, 9.5)
 
 
 def test_a_plan_for_the_nearest_target_is_written(hyperflex, rope_file, ready, tmp_path):
-    near = Nearest(planned().peg, 0.0712, planned(), 1)
-    asked = ready("misses", nearest=near)
-    code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", "--fallback-targets"))
-    assert (code, asked["elsewhere"]) == (4, True)
+    near = FallbackTarget(planned().target, 0.0712, planned(), 1)
+    asked = ready("misses", fallback=near)
+    code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", "--fallback"))
+    assert (code, asked["fallback"]) == (4, True)
     assert "Nearest target that works: x = -0.8338 m, y = -1.074 m, 7.12 cm away" in " ".join(out.split())
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES - {"tug.png"} | {"nearest.toml"}
-    assert planning.read_plan(tmp_path / "out" / "nearest.toml")[1] == planned().peg
-    outcome = files.read_toml(tmp_path / "out" / "cast.toml")["plan"]["outcome"]
-    assert (outcome["nearest"]["planned"], outcome["nearest"]["tried_in_vain"]) == (True, 1)
+    assert planning.read_plan(tmp_path / "out" / "nearest.toml").target == planned().target
+    back = planning.read_plan(tmp_path / "out" / "cast.toml")
+    assert (back.fallback.plan.success, back.fallback.failed_plans) == (True, 1)
 
 
 def test_ctrl_c_leaves_the_best_so_far(hyperflex, hyperflex_json, rope_file, ready, tmp_path):
-    ready("misses", interrupted=True, throw=None, cast=None, reason="interrupted before any throw was verified")
+    ready("misses", interrupted=True, throw=None, outcome=None, message="interrupted before any throw was verified")
     code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out"))
     assert code == 130
     assert "interrupted before any throw" in err
@@ -193,10 +194,10 @@ def test_a_throw_that_was_not_verified_has_no_numbers(hyperflex, hyperflex_json,
         ready(name)
         ended, told = hyperflex_json(*arguments(rope_file, tmp_path / name))
         assert ended == code
-        assert told.get("cast", {"reason": plan.reason}) == {"reason": plan.reason}
-        assert "nearest" not in told
-        assert files.read_notes(tmp_path / name / "motion.csv")["not verified"] == plan.reason
-        assert hf.read_motion(tmp_path / name / "motion.csv").breaks[-1] == pytest.approx(told["arm_stops_s"], abs=5e-3)
+        assert told.get("outcome", {"n_links": 0})["n_links"] == 0
+        assert "fallback" not in told
+        assert files.read_notes(tmp_path / name / "motion.csv")["not verified"] == plan.message
+        assert hf.read_motion(tmp_path / name / "motion.csv").breaks[-1] == pytest.approx(told["stop"], abs=5e-3)
         _, out, err = hyperflex(*arguments(rope_file, tmp_path / name))
         words = " ".join(out.split())
         assert "not known" in words
@@ -244,7 +245,7 @@ def test_a_target_that_cannot_be_wound_is_told_at_once(hyperflex, rope_file, tmp
         ({}, ("--time-budget", "0"), "--time-budget"),
         ({}, ("--time-limit", "0"), "--time-limit"),
         ({}, ("--rate", "0"), "--rate"),
-        ({}, ("--hold", "-1"), "hold"),
+        ({}, ("--holding-force", "-1"), "hold"),
         ({}, ("--seed", "-1"), "seed"),
         ({"target": ("0.5",)}, (), "--target"),
     ],

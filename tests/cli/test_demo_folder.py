@@ -79,13 +79,18 @@ def test_files_can_be_used_again(demo_report):
 
 def test_the_demo_ends_wound_and_held(demo_report):
     plan, held = demo_report.demo.plan, demo_report.demo.held
-    assert plan.success, plan.reason
-    assert abs(plan.cast.turns) >= 1.25
-    assert held.force > held.tail
+    assert plan.success, plan.message
+    assert abs(plan.outcome.turns) >= 1.25
+    assert held.force > held.tail_weight
     wound = hf.read_trajectory(demo_report.files["run"])
-    np.testing.assert_array_equal(wound.q, plan.cast.run.q)
+    np.testing.assert_array_equal(wound.q, plan.outcome.run.q)
     page = demo_report.files["page"].read_text("utf-8")
-    for told in (f"{abs(plan.cast.turns):.2f} turns", f"{held.force:.2f} N", f"{plan.throw.count} swings", "40 links"):
+    for told in (
+        f"{abs(plan.outcome.turns):.2f} turns",
+        f"{held.force:.2f} N",
+        f"{plan.throw.count} swings",
+        "40 links",
+    ):
         assert told in page
     # Whether the rope of the recording winds too is told as it is: it is no promise of a plan on an identified rope.
     assert (demo_report.verdicts[1][0]) == demo_report.demo.proof.success

@@ -60,30 +60,36 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     assert (asked["rope"], asked["arm"], asked["point"]) == (ROPE, hf.Arm(length=0.2), (0.3, -0.9))
     np.testing.assert_allclose(asked["direction"], [math.cos(math.pi / 6), 0.5], rtol=1e-12)
     assert asked["limits"] == hf.MotorLimits(speed=5.0)
-    assert asked["within"] == pytest.approx(math.pi / 12)
-    assert (asked["least_speed"], asked["patience"], asked["seed"], asked["regardless"]) == (2.0, 7.0, 3, False)
+    assert asked["angle_tolerance"] == pytest.approx(math.pi / 12)
+    assert (asked["least_speed"], asked["time_budget"], asked["seed"], asked["skip_feasibility"]) == (
+        2.0,
+        7.0,
+        3,
+        False,
+    )
     assert told["success"]
-    assert (told["source"], told["reason"], told["strokes"]) == ("simulated", "", 3)
-    assert told["lash"]["miss_m"] == planned_whip().lash.miss
-    assert told["target"]["direction_rad"] == planned_whip().mark.direction
-    assert told["impact"]["impulse_Ns"] == planned_whip().impact().impulse
+    assert (told["source"], told["message"], len(told["starts"])) == ("simulated", "", 3)
+    assert told["outcome"]["miss"] == planned_whip().outcome.miss
+    assert told["target"]["direction"] == planned_whip().target.direction
+    assert told["impact"]["impulse"] == planned_whip().impact().impulse
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
-    assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["arm_stops_s"], abs=5e-3)
+    stop = planned_whip().motion.breaks[-1]
+    assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(stop, abs=5e-3)
 
 
 def test_a_set_up_file_gives_rope_arm_and_target(hyperflex, ready, tmp_path):
     setup = tmp_path / "setup.toml"
     hf.Setup(ROPE, arm=hf.Arm(length=0.15)).to_toml(setup)
-    target = "[target]\nx = 0.3\ny = -0.9\ndirection = 0.5\nangle_tolerance = 0.2\nleast_speed = 3.0\n"
+    target = "[target]\nx = 0.3\ny = -0.9\ndirection = 0.5\nangle_tolerance = 0.2\nspeed = 3.0\n"
     setup.write_text(setup.read_text() + target)
     asked = ready(planned_whip())
     assert hyperflex("whip", setup, "-o", tmp_path / "out")[0] == 0
     assert (asked["rope"], asked["arm"], asked["point"]) == (ROPE, hf.Arm(length=0.15), (0.3, -0.9))
     np.testing.assert_allclose(asked["direction"], [math.cos(0.5), math.sin(0.5)], rtol=1e-12)
-    assert (asked["within"], asked["least_speed"]) == (0.2, 3.0)
+    assert (asked["angle_tolerance"], asked["least_speed"]) == (0.2, 3.0)
     assert hyperflex("whip", setup, "--target", "0.1", "-0.8", "--least-speed", "2", "-o", tmp_path / "out")[0] == 0
-    assert (asked["point"], asked["least_speed"], asked["within"]) == ((0.1, -0.8), 2.0, 0.2)
-    setup.write_text(setup.read_text() + "speed = 3.0\n")
+    assert (asked["point"], asked["least_speed"], asked["angle_tolerance"]) == ((0.1, -0.8), 2.0, 0.2)
+    setup.write_text(setup.read_text() + "pace = 3.0\n")
     code, _, err = hyperflex("whip", setup, "-o", tmp_path / "out")
     assert code == 2
     assert "[target] does not fit" in err
@@ -100,12 +106,11 @@ def test_obstacles_and_a_missing_target_are_refused(hyperflex, rope_file, tmp_pa
 
 
 def test_without_a_direction_any_will_do(hyperflex_json, rope_file, ready, tmp_path):
-    asked = ready(planned_whip(anyhow=True))
+    asked = ready(planned_whip(any_direction=True))
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
     assert code == 0
     assert asked["direction"] is None
-    assert set(told["target"]) == {"x_m", "y_m", "least_speed_m_s"}
-    assert "off_rad" not in told["lash"]
+    assert told["target"]["angle_tolerance"] == math.pi
     assert "in any direction" in (tmp_path / "out" / "report.html").read_text()
 
 
@@ -118,7 +123,7 @@ def test_a_plan_that_fails_has_a_code_of_its_own(hyperflex, rope_file, ready, tm
 
 
 def test_ctrl_c_leaves_the_best_so_far(hyperflex_json, rope_file, ready, tmp_path):
-    ready(planned_whip(meets=False), interrupted=True, lash=None, finer=None, reason="interrupted early")
+    ready(planned_whip(meets=False), interrupted=True, outcome=None, finer_outcome=None, message="interrupted early")
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
     assert (code, told["error"], told["interrupted"]) == (130, "interrupted", True)
     assert "the best so far" in told["message"]
@@ -139,7 +144,7 @@ def test_a_target_out_of_reach_is_a_page_with_the_reason(hyperflex, rope_file, r
     [
         (("--direction", "nan"), "--direction"),
         (("--angle-tolerance", "0"), "--angle-tolerance"),
-        (("--angle-tolerance", "200"), "within is too large"),
+        (("--angle-tolerance", "200"), "angle_tolerance is too large"),
         (("--least-speed", "0"), "--least-speed"),
         (("--arm-length", "0"), "--arm-length"),
         (("--speed", "0"), "motor speed"),

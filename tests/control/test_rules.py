@@ -8,13 +8,21 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.control import Caster, CrossingRule, Pump, Regulate, TrueState, reach_time, swing
+from hyperflex.control import (
+    AmplitudeRule,
+    CrossingRule,
+    PumpingRule,
+    SwingModel,
+    TrueState,
+    arrival_time,
+    run_closed_loop,
+)
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, radius=0.003, friction=1e-3)
 ARM = hf.Arm(length=0.08)
-CASTER = Caster(ROPE, ARM, t_move=0.5)
+MODEL = SwingModel(ROPE, ARM, t_move=0.5)
 
 
 def reach(motion: hf.Motion, duration: float) -> tuple[np.ndarray, np.ndarray]:
@@ -25,24 +33,24 @@ def reach(motion: hf.Motion, duration: float) -> tuple[np.ndarray, np.ndarray]:
 def test_the_period_is_that_of_a_rod():
     rod = hf.Rope(length=[0.7], mass=[0.2], com=[0.35], inertia=[0.2 * 0.7**2 / 12.0])
     # Textbook: 2 pi sqrt(2 L / 3 g).
-    assert Caster(rod, ARM).period == pytest.approx(2.0 * math.pi * math.sqrt(2.0 * 0.7 / (3.0 * 9.81)), rel=1e-12)
+    assert SwingModel(rod, ARM).period == pytest.approx(2.0 * math.pi * math.sqrt(2.0 * 0.7 / (3.0 * 9.81)), rel=1e-12)
 
 
 def test_a_crossing_is_where_the_tip_passes_the_shaft():
     now = RopeState(2.0, np.full(6, 0.3), np.zeros(6))
-    crossing = CASTER.next_crossing(now, 0)
-    still = hf.simulate(ROPE, CASTER.motion([]), arm=ARM, duration=crossing - 2.0, q0=now.q, t_eval=[crossing - 2.0])
+    crossing = MODEL.crossing(now, MODEL.motion([]), after=now.t + 1e-6, until=now.t + MODEL.period)
+    still = hf.simulate(ROPE, MODEL.motion([]), arm=ARM, duration=crossing - 2.0, q0=now.q, t_eval=[crossing - 2.0])
     assert abs(still.tip[-1, 0]) < 1e-4  # two runs at the default tolerance
 
 
 @pytest.mark.parametrize("lead", [0.0, 0.05, -0.05, -0.25])
 def test_the_papers_rule_starts_that_long_before_the_crossing(lead):
-    swung = swing(TrueState(ROPE, ARM), CrossingRule(CASTER, lead), CASTER, duration=3.0)
+    swung = run_closed_loop(TrueState(ROPE, ARM), CrossingRule(MODEL, lead), MODEL, duration=3.0)
     for k in range(1, swung.starts.size):
-        came = swung.starts[k - 1] + CASTER.t_move
+        came = swung.starts[k - 1] + MODEL.t_move
         resting = hf.simulate(
             ROPE,
-            CASTER.motion(swung.starts[:k]),
+            MODEL.motion(swung.starts[:k]),
             arm=ARM,
             duration=came + 2.0,
             until=hf.tip_crosses((0.0, 0.0), (1.0, 0.0), sense=0, after=came + min(lead, 0.0) + 1e-6),
@@ -53,28 +61,28 @@ def test_the_papers_rule_starts_that_long_before_the_crossing(lead):
 
 def test_foreseen_reach_is_that_of_a_run():
     now = RopeState(0.0, np.zeros(6), np.zeros(6))
-    t, foreseen = CASTER.foresee(now, 0, [[0.0, 0.2], [0.1, 0.4]], 1.6)
+    t, foreseen = MODEL.predict(now, 0, [[0.0, 0.2], [0.1, 0.4]], 1.6)
     for row, rests in zip(foreseen, ([0.0, 0.2], [0.1, 0.4]), strict=True):
         first = rests[0]
         second = first + 0.5 + rests[1]
-        starts = [s for s in (first, second, second + 0.5 + CASTER.usual_rest) if s < 1.6]
-        run = hf.simulate(ROPE, CASTER.motion(starts), arm=ARM, duration=t[-1], t_eval=t)
+        starts = [s for s in (first, second, second + 0.5 + MODEL.usual_rest) if s < 1.6]
+        run = hf.simulate(ROPE, MODEL.motion(starts), arm=ARM, duration=t[-1], t_eval=t)
         np.testing.assert_allclose(row, np.abs(run.tip[:, 0]), atol=2e-3)  # planning tolerance 1e-4 m, ten times that
 
 
 def test_pumping_gets_there_and_sooner_than_the_papers_rule():
-    pumped = swing(TrueState(ROPE, ARM), Pump(CASTER, 0.6), CASTER, duration=8.0)
-    timed = swing(TrueState(ROPE, ARM), CrossingRule(CASTER, 0.0), CASTER, duration=8.0)
+    pumped = run_closed_loop(TrueState(ROPE, ARM), PumpingRule(MODEL, 0.6), MODEL, duration=8.0)
+    timed = run_closed_loop(TrueState(ROPE, ARM), CrossingRule(MODEL, 0.0), MODEL, duration=8.0)
     times = []
     for swung in (pumped, timed):
         t, x = reach(swung.motion, 9.0)
-        times.append(reach_time(t, x[None], 0.6)[0])
+        times.append(arrival_time(t, x[None], 0.6)[0])
     assert times[0] < times[1]
     assert np.isfinite(times[0])
 
 
 def test_a_regulated_swing_does_not_overshoot():
-    swung = swing(TrueState(ROPE, ARM), Regulate(CASTER, 0.4), CASTER, duration=10.0)
+    swung = run_closed_loop(TrueState(ROPE, ARM), AmplitudeRule(MODEL, 0.4), MODEL, duration=10.0)
     t, x = reach(swung.motion, 10.0)
     # Foreseen every 20 ms at 1e-4 m; beyond the horizon nothing is promised, so 3 % for what comes after it.
     assert x.max() < 1.03 * 0.4
@@ -82,41 +90,41 @@ def test_a_regulated_swing_does_not_overshoot():
 
 
 def test_a_metre_too_far_costs_more_than_a_metre_too_little():
-    rule = Regulate(CASTER, 0.4)
+    rule = AmplitudeRule(MODEL, 0.4)
     t = 0.02 * np.arange(1.0, round(rule.horizon / 0.02) + 1.0)
     short, exact, far = rule.cost(t, np.array([0.3, 0.4, 0.5])[:, None] * np.ones(t.size))
     assert exact == 0.0
     assert far > 10.0 * short
 
 
-@pytest.mark.parametrize("look_again", [math.inf, 0.1])
-def test_a_plan_is_followed_where_nothing_disturbs(look_again):
-    plan = np.full(6, CASTER.usual_rest)
-    motion = CASTER.motion(np.cumsum(np.append(0.0, plan + 0.5)))
+@pytest.mark.parametrize("recheck_time", [math.inf, 0.1])
+def test_a_plan_is_followed_where_nothing_disturbs(recheck_time):
+    plan = np.full(6, MODEL.usual_rest)
+    motion = MODEL.motion(np.cumsum(np.append(0.0, plan + 0.5)))
     t, x = reach(motion, 5.0)
     wanted = 0.98 * x.max()
-    reached = float(reach_time(t, x[None], wanted)[0])
-    rule = Pump(CASTER, wanted, plan=plan, reached=reached)
-    swung = swing(TrueState(ROPE, ARM), rule, CASTER, duration=reached, look_again=look_again)
+    reached = float(arrival_time(t, x[None], wanted)[0])
+    rule = PumpingRule(MODEL, wanted, rests=plan, arrival_time=reached)
+    swung = run_closed_loop(TrueState(ROPE, ARM), rule, MODEL, duration=reached, recheck_time=recheck_time)
     t, x = reach(swung.motion, 6.0)
-    assert reach_time(t, x[None], wanted)[0] < reached + 0.02  # not later than planned, but for planning's tolerance
+    assert arrival_time(t, x[None], wanted)[0] < reached + 0.02  # not later than planned, but for planning's tolerance
 
 
 @pytest.mark.parametrize("planned", [True, False])
 def test_looking_again_within_a_rest_does_not_start_it_anew(planned, monkeypatch):
-    monkeypatch.setattr(Pump, "_choose", lambda *_: None)  # what was decided stands, so looks must not matter
+    monkeypatch.setattr(PumpingRule, "_choose", lambda *_: None)  # what was decided stands, so looks must not matter
     plan = [0.35, 0.2, 0.4]
     for again in (math.inf, 0.1):
-        rule = Pump(CASTER, 0.9, plan=plan if planned else None, depth=2)
-        starts = swing(TrueState(ROPE, ARM), rule, CASTER, duration=2.0, look_again=again).starts
-        rests = plan[:2] if planned else [CASTER.usual_rest] * 2
+        rule = PumpingRule(MODEL, 0.9, rests=plan if planned else None, depth=2)
+        starts = run_closed_loop(TrueState(ROPE, ARM), rule, MODEL, duration=2.0, recheck_time=again).starts
+        rests = plan[:2] if planned else [MODEL.usual_rest] * 2
         np.testing.assert_allclose(np.diff(starts)[:2] - 0.5, rests, atol=1e-12)  # rounding
 
 
 def test_bad_input():
-    with pytest.raises(InvalidInput, match="wanted"):
-        Pump(CASTER, 0.0)
+    with pytest.raises(InvalidInput, match="target"):
+        PumpingRule(MODEL, 0.0)
     with pytest.raises(InvalidInput, match="no weight"):
-        _ = Caster(ROPE.replace(gravity=(0.0, 0.0)), ARM).period
+        _ = SwingModel(ROPE.replace(gravity=(0.0, 0.0)), ARM).period
     with pytest.raises(InvalidInput, match="lead"):
-        CrossingRule(CASTER, math.nan)
+        CrossingRule(MODEL, math.nan)

@@ -262,6 +262,7 @@ def test_default_candidates_are_the_ones_that_resist() -> None:
         "viscous + stiffness + drag": ("friction:shared", "stiffness:shared", "drag:shared"),
         "dry": ("dry_friction:shared",),
         "drag": ("drag:shared",),
+        "dry + drag": ("dry_friction:shared", "drag:shared"),
     }
     for name, each in found.items():
         assert each.guess.friction.any() == ("viscous" in name)

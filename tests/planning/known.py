@@ -8,12 +8,15 @@ import time
 import numpy as np
 
 import hyperflex as hf
-from hyperflex.planning.cast_plan import CastPlan
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.planner import why_not
-from hyperflex.planning.wind.outcome import verify
-from hyperflex.planning.wind.reachability import reach
-from hyperflex.planning.wind.throw import Throw
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.outcome import verify_cast
+from hyperflex.planning.search.contact_phase import WindingScores, simulate_contact
+from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.search.strikes import Strikes, simulate_strikes
+from hyperflex.planning.throw import Throw
+from hyperflex.planning.wind.cast_plan import CastPlan
+from hyperflex.planning.wind.feasibility import check_feasibility
+from hyperflex.planning.wind.planner import failure
 
 PEG = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04, 0.3)
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
@@ -29,33 +32,47 @@ WINDS = Throw(
 SHORT = Throw(-1, np.array([1.0]), np.array([0.1]), -1.0, 0.1, 1.0, 1)  # does not strike anything
 
 
-def thrower() -> Thrower:
-    return Thrower(CABLE, hf.Arm(length=0.105), hf.MotorLimits())
+def cast_setup() -> CastSetup:
+    return CastSetup(CABLE, hf.Arm(length=0.105), hf.MotorLimits())
 
 
 @functools.cache
 def planned(winds: bool = True) -> CastPlan:
     """Return a plan that stands, or one whose throw misses."""
     begin = time.monotonic()
-    who, throw = thrower(), WINDS if winds else SHORT
-    cast = verify(who, PEG, throw.motion(who.limits))
+    who, throw = cast_setup(), WINDS if winds else SHORT
+    cast = verify_cast(who, PEG, throw.motion(who.limits))
     finer = cast if winds else None  # the run with finer links is not what is tested here
     seconds = time.monotonic() - begin
-    return CastPlan(who, PEG, reach(who, PEG), throw, cast, finer, why_not(cast, finer, False), 1, seconds)
+    return CastPlan(who, PEG, check_feasibility(who, PEG), throw, cast, finer, failure(cast, finer, False), 1, seconds)
 
 
 @functools.cache
 def late() -> CastPlan:
     """Return a plan for a target in reach, whose verification took longer than it might."""
-    who = thrower()
-    cast = verify(who, PEG, WINDS.motion(who.limits), patience=1e-9)
-    return CastPlan(who, PEG, reach(who, PEG), WINDS, cast, None, why_not(cast, None, False), 4321, 61.2)
+    who = cast_setup()
+    cast = verify_cast(who, PEG, WINDS.motion(who.limits), time_budget=1e-9)
+    return CastPlan(who, PEG, check_feasibility(who, PEG), WINDS, cast, None, failure(cast, None, False), 4321, 61.2)
 
 
 def stopped(throw: Throw | None = WINDS) -> CastPlan:
     """Return a plan for a target in reach, that Ctrl-C ended before anything was verified."""
-    who = thrower()
-    return CastPlan(who, PEG, reach(who, PEG), throw, None, None, why_not(None, None, True), 4321, 12.3, True)
+    who = cast_setup()
+    return CastPlan(
+        who, PEG, check_feasibility(who, PEG), throw, None, None, failure(None, None, True), 4321, 12.3, True
+    )
+
+
+def simulated_strikes(cast_setup: CastSetup, peg: hf.Peg, throws: list[Throw]) -> Strikes:
+    return simulate_strikes(cast_setup, peg, [throw.motion(cast_setup.limits) for throw in throws])
+
+
+def contact_scores(cast_setup: CastSetup, peg: hf.Peg, throws: list[Throw], state: tuple) -> WindingScores:
+    """Return the scores of throws that are simulated in contact from their states (t, q, qd)."""
+    t, q, qd = state
+    motions = [throw.motion(cast_setup.limits).shifted(-start) for throw, start in zip(throws, t, strict=True)]
+    batch = RolloutBatch([cast_setup.rope] * len(throws), [peg] * len(throws), motions, q, qd)
+    return simulate_contact(batch, t, arm=cast_setup.arm)
 
 
 def unreachable() -> CastPlan:

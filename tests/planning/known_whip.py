@@ -8,11 +8,20 @@ from dataclasses import replace
 import numpy as np
 
 import hyperflex as hf
-from hyperflex import planning
 from hyperflex.model import divided
-from hyperflex.planning import Mark, MotorLimits, Strokes, Thrower, WhipPlan, WhipReach
-from hyperflex.planning.whip.outcome import lash
-from hyperflex.planning.whip.planner import FINER, why_not
+from hyperflex.planning import (
+    CastSetup,
+    MotorLimits,
+    Strokes,
+    TipTarget,
+    WhipFeasibility,
+    WhipMap,
+    WhipPlan,
+    build_whip_map,
+    plan_whip,
+)
+from hyperflex.planning.whip.outcome import verify_whip
+from hyperflex.planning.whip.planner import FINER, failure
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=8, radius=0.0025, friction=5e-4, name="short rope")
 STROKES = Strokes(-1, np.array([1.4, 0.2, -0.9]), np.array([0.05, 0.3, 0.25]))
@@ -20,28 +29,28 @@ NEAR = 1.9  # s, when its tip is fast
 
 
 @functools.cache
-def planned_whip(meets: bool = True, anyhow: bool = False) -> WhipPlan:
+def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
     """Return a plan that stands, or one whose peak is 30 mm away from the target."""
-    who = Thrower(ROPE, hf.Arm(length=0.1), MotorLimits(), 4.0)
+    who = CastSetup(ROPE, hf.Arm(length=0.1), MotorLimits(), 4.0)
     motion = STROKES.motion(who.limits)
-    peak = lash(who, Mark(0.0, 0.0, 0.0, 1.0), motion, NEAR)
+    peak = verify_whip(who, TipTarget(0.0, 0.0, 0.0, 1.0), motion, NEAR)
     assert peak is not None
     place = peak.place + ([0.0004, 0.0003] if meets else [0.018, 0.024])
     direction = float(np.arctan2(*peak.velocity[::-1])) + 0.1
-    mark = Mark(*place, direction=direction, speed=0.9 * peak.speed, within=0.3)
-    if anyhow:
-        mark = Mark.anyway(place, 0.9 * peak.speed)
-    seen = lash(who, mark, motion, peak.t)
-    finer = lash(replace(who, rope=divided(ROPE, FINER)), mark, motion, peak.t)
-    reach = WhipReach(float(np.hypot(*place)), 0.01, "")
-    return WhipPlan(who, mark, reach, STROKES, seen, finer, 0.004, why_not(who, seen, finer, 0.004), 1, 0.5)
+    mark = TipTarget(*place, direction=direction, speed=0.9 * peak.speed, angle_tolerance=0.3)
+    if any_direction:
+        mark = TipTarget.at(place, None, 0.9 * peak.speed)
+    seen = verify_whip(who, mark, motion, peak.t)
+    finer = verify_whip(replace(who, rope=divided(ROPE, FINER)), mark, motion, peak.t)
+    known = WhipFeasibility(float(np.hypot(*place)), 0.01, "")
+    return WhipPlan(who, mark, known, STROKES, seen, finer, 0.004, failure(who, seen, finer, 0.004), 1, 0.5)
 
 
 def far_whip() -> WhipPlan:
     """Return the plan for a target that is out of reach."""
-    return planning.plan_whip(ROPE, hf.Arm(length=0.1), (2.5, 0.0), (1.0, 0.0), known=_map())
+    return plan_whip(ROPE, hf.Arm(length=0.1), (2.5, 0.0), (1.0, 0.0), whip_map=_map())
 
 
 @functools.cache
-def _map() -> planning.WhipMap:
-    return planning.whip_map(Thrower(ROPE, hf.Arm(length=0.1), MotorLimits(), 2.0), swings=8)
+def _map() -> WhipMap:
+    return build_whip_map(CastSetup(ROPE, hf.Arm(length=0.1), MotorLimits(), 2.0), swings=8)

@@ -11,39 +11,40 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.control import swing_period
-from hyperflex.planning import MotorLimits, Thrower
+from hyperflex.planning import CastSetup, MotorLimits
+from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import beam, strikes
-from hyperflex.planning.search.batch_rollout import Flights
-from hyperflex.planning.search.beam import Beam
-from hyperflex.planning.search.candidates import APART, SCREENED, SHARED, Landing, Swing, corrected
-from hyperflex.planning.search.contact_phase import Landings
-from hyperflex.planning.search.parametrization import LAST, Genes
-from hyperflex.planning.search.search import Search
-from hyperflex.planning.wind.outcome import WOUND
+from hyperflex.planning.search.beam import BeamSearch
+from hyperflex.planning.search.candidates import APART, SCREENED, SHARED, Candidate, Swing, corrected
+from hyperflex.planning.search.contact_phase import WindingScores
+from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.throw import LAST, ThrowParametrization
 from hyperflex.simulation import Batch
+from tests.planning.known import simulated_strikes
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=20, radius=0.0025, friction=5e-4)
-THROWER = Thrower(CABLE, hf.Arm(length=0.105), MotorLimits(), 8.0)
+CAST_SETUP = CastSetup(CABLE, hf.Arm(length=0.105), MotorLimits(), 8.0)
 LEVEL = hf.Peg(1.1, -0.6, 0.03)  # 60 degrees aside: a swing must be wide to strike it with much energy
 FAR = hf.Peg(9.0, 0.0, 0.03)
 
 
-def searched(peg: hf.Peg, time: float, seed: int = 1, most: int = 20, thrower: Thrower = THROWER) -> Beam:
-    found = Beam(thrower, peg, (-1, 1), np.random.default_rng(seed))
-    found.go(time, most)
+def searched(peg: hf.Peg, time: float, seed: int = 1, most: int = 20, cast_setup: CastSetup = CAST_SETUP) -> BeamSearch:
+    found = BeamSearch(cast_setup, peg, (-1, 1), np.random.default_rng(seed))
+    found.extend(time, most)
     return found
 
 
 def test_a_strike_is_that_of_the_whole_flight_from_rest() -> None:
     """Its strokes, flown at once: same time, same score; two integrations at a tolerance of 0.1 mm."""
-    patient = replace(THROWER, time=11.0)
-    found = searched(LEVEL, patient.time).go(patient.time, 20)
+    patient = replace(CAST_SETUP, time=11.0)
+    found = searched(LEVEL, patient.time).extend(patient.time, 20)
     assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
-    genes = {side: Genes(patient, side) for side in (-1, 1)}
+    genes = {side: ThrowParametrization(patient, side) for side in (-1, 1)}
     some = [one for one in found if len(one.strokes) <= genes[1].strokes]
     assert len(some) > 10
     throws = [genes[one.side].throw(genes[one.side].point(one.strokes, one.rests, one.after + 0.04)) for one in some]
-    whole = strikes.fly(patient, LEVEL, [throw.cut(patient.time, patient.limits) for throw in throws])
+    whole = simulated_strikes(patient, LEVEL, [throw.cut(patient.time, patient.limits) for throw in throws])
     close = np.abs(whole.t - [one.t for one in some]) < 2.0 * strikes.SAMPLE_TIME  # samples of both begin elsewhere
     assert close.all()
     assert np.median(np.abs(whole.score - [one.score for one in some])) < 0.1
@@ -52,21 +53,21 @@ def test_a_strike_is_that_of_the_whole_flight_from_rest() -> None:
 def test_swings_gain_energy_far_from_any_target() -> None:
     """Faster than steady pumping at half the period of a small swing, in time with which a wide one is not."""
     best = max(one.energy for one in searched(FAR, 7.0)._swings)
-    genes = Genes(THROWER, 1)
+    genes = ThrowParametrization(CAST_SETUP, 1)
     steady = genes.throw(genes.centre())
-    motion = steady.motion(THROWER.limits)
-    ends = steady.starts(THROWER.limits)[:-1]
+    motion = steady.motion(CAST_SETUP.limits)
+    ends = steady.starts(CAST_SETUP.limits)[:-1]
     t = ends[(ends > 1.0) & (ends < 8.5)]  # the arm rests before each stroke
-    run = hf.simulate(CABLE, motion, arm=THROWER.arm, duration=float(t[-1]), t_eval=t)
+    run = hf.simulate(CABLE, motion, arm=CAST_SETUP.arm, duration=float(t[-1]), t_eval=t)
     base = np.stack([np.sin(motion.angle(t)), -np.cos(motion.angle(t))], axis=1) * 0.105
-    places, speeds = strikes.bodies(CABLE, run.q, run.qd, base, np.zeros_like(base))
+    places, speeds = strikes.mass_points(CABLE, run.q, run.qd, base, np.zeros_like(base))
     energy = (np.append(CABLE.mass, 0.0) * (0.5 * (speeds**2).sum(axis=2) + 9.81 * places[..., 1])).sum(axis=1)
     assert best > energy.max() > energy[0]
 
 
 def test_no_swing_strikes_before_it_is_continued_and_all_keep_to_the_motor() -> None:
-    slow = replace(THROWER, limits=MotorLimits(angles=(-2.0, 1.0)))
-    swings = searched(LEVEL, 5.0, thrower=slow)._swings
+    slow = replace(CAST_SETUP, limits=MotorLimits(angles=(-2.0, 1.0)))
+    swings = searched(LEVEL, 5.0, cast_setup=slow)._swings
     assert swings
     for one in swings:
         angles = one.side * np.pi / 2 if one.side < 0 else 1.0
@@ -76,7 +77,7 @@ def test_no_swing_strikes_before_it_is_continued_and_all_keep_to_the_motor() -> 
         assert angles == pytest.approx(one.angle)
         assert (np.array(one.rests) >= 0.0).all()
         base = np.array([[[np.sin(one.angle), -np.cos(one.angle)]]]) * 0.105
-        gaps = [strikes.first(q[None, None], base, CABLE.length, LEVEL, CABLE.radius)[2][0] for q in one.q]
+        gaps = [strikes.first_contact(q[None, None], base, CABLE.length, LEVEL, CABLE.radius)[2][0] for q in one.q]
         assert min(gaps[1:], default=1.0) > 0.0
 
 
@@ -85,9 +86,9 @@ def test_a_search_goes_on_where_it_stopped_and_ends_at_so_many_strokes() -> None
     before = found.runs
     assert not found.ready(3.0, 20)
     assert found.ready(6.0, 20)
-    found.go(6.0, 20)
+    found.extend(6.0, 20)
     assert found.runs > before
-    assert min(one.spent for one in found._swings) >= 6.0
+    assert min(one.end for one in found._swings) >= 6.0
     assert {len(one.strokes) for one in searched(FAR, 60.0, most=3)._swings} == {3}
 
 
@@ -101,128 +102,136 @@ def test_only_so_many_are_continued_and_few_after_the_same_strokes() -> None:
 
 
 def test_a_swing_that_fails_later_is_not_continued(monkeypatch: pytest.MonkeyPatch) -> None:
-    run = Flights.run
+    run = RolloutBatch.run
 
-    def failing(self: Flights, *args: Any, **how: Any) -> Batch:
+    def failing(self: RolloutBatch, *args: Any, **how: Any) -> Batch:
         batch = run(self, *args, **how)
         if "qd" in how["keep"]:
             batch.q[:, -1] = np.nan
         return batch
 
-    monkeypatch.setattr(Flights, "run", failing)
+    monkeypatch.setattr(RolloutBatch, "run", failing)
     assert not searched(FAR, 3.0)._swings
 
 
 def test_a_motor_that_turns_little_makes_each_stroke_once() -> None:
-    narrow = replace(THROWER, limits=MotorLimits(angles=(-0.5, 0.5)))
-    found = searched(FAR, 60.0, most=3, thrower=narrow)
+    narrow = replace(CAST_SETUP, limits=MotorLimits(angles=(-0.5, 0.5)))
+    found = searched(FAR, 60.0, most=3, cast_setup=narrow)
     assert len(found._swings) > 3
     assert max(max(one.strokes) for one in found._swings) <= 1.0 + 1e-9
     for one in found._swings:
         sense = -one.side * (-1) ** len(one.strokes)
-        tries = found._tries(one._replace(angle=0.3 * sense))  # most strokes end where the motor does
-        assert len({(each.rest, each.end) for each in tries}) == len(tries) > 0
+        tries = found._continuations(one._replace(angle=0.3 * sense))  # most strokes end where the motor does
+        assert len({(each.rest, each.angle) for each in tries}) == len(tries) > 0
 
 
 def test_swings_left_to_chance_are_not_continued(monkeypatch: pytest.MonkeyPatch) -> None:
     assert searched(FAR, 3.0)._swings
-    monkeypatch.setattr(beam, "ASTRAY", 0.0)
+    monkeypatch.setattr(beam, "MAX_DEVIATION", 0.0)
     assert not searched(FAR, 3.0)._swings
 
 
 def test_a_search_whose_time_is_over_begins_nothing() -> None:
-    found = Beam(THROWER, LEVEL, (-1, 1), np.random.default_rng(1))
-    assert found.go(8.0, 20, lambda: 0.0) == []
+    found = BeamSearch(CAST_SETUP, LEVEL, (-1, 1), np.random.default_rng(1))
+    assert found.extend(8.0, 20, lambda: 0.0) == []
     assert found.runs == 0
-    work = Search(THROWER, LEVEL)
+    work = ThrowSearch(CAST_SETUP, LEVEL)
     work.left = lambda: 0.0
-    work.landings = [Landing(2.0, 2.0, 1, work.genes[1].centre(), work.genes[1].throw(work.genes[1].centre()))]
-    work.screen()
+    work.candidates = [
+        Candidate(
+            2.0,
+            2.0,
+            1,
+            work.parametrizations[1].centre(),
+            work.parametrizations[1].throw(work.parametrizations[1].centre()),
+        )
+    ]
+    work.confirm()
     assert work.runs == 0
 
 
 def test_a_swing_of_a_search_strikes_when_it_was_found_to() -> None:
     """Also those that strike long after their last stroke: the next one waits."""
-    patient = replace(THROWER, time=11.0)
-    work = Search(patient, LEVEL, seed=2)
-    work.climb()
-    throws = [work.genes[one.side].throw(one.x).cut(patient.time, patient.limits) for one in work.swings]
-    assert strikes.fly(patient, LEVEL, throws).t == pytest.approx([one.t for one in work.swings])
+    patient = replace(CAST_SETUP, time=11.0)
+    work = ThrowSearch(patient, LEVEL, seed=2)
+    work.beam_search()
+    throws = [work.parametrizations[one.side].throw(one.x).cut(patient.time, patient.limits) for one in work.swings]
+    assert simulated_strikes(patient, LEVEL, throws).t == pytest.approx([one.t for one in work.swings])
 
 
 def test_a_search_climbs_anew_or_goes_on_if_time_was_added() -> None:
-    work = Search(THROWER, LEVEL, seed=3)
-    score = work.climb()
+    work = ThrowSearch(CAST_SETUP, LEVEL, seed=3)
+    score = work.beam_search()
     assert score == work.swings[0].score
-    assert all(one.t < THROWER.time for one in work.swings)
-    work = Search(replace(THROWER, time=3.0), FAR)
-    assert work.climb() == strikes.NEVER
+    assert all(one.t < CAST_SETUP.time for one in work.swings)
+    work = ThrowSearch(replace(CAST_SETUP, time=3.0), FAR)
+    assert work.beam_search() == strikes.NEVER
     first, runs = work._beam, work.runs
-    work.climb()
+    work.beam_search()
     second = work._beam
     assert (second is first, work.runs > runs) == (False, True)
     work.lengthen(1.5)
-    work.climb()
+    work.beam_search()
     assert work._beam is second
 
 
 def test_a_swing_counts_what_it_does_with_shorter_links_if_that_is_less(monkeypatch: pytest.MonkeyPatch) -> None:
-    work = Search(THROWER, LEVEL)
-    genes = work.genes[1]
+    work = ThrowSearch(CAST_SETUP, LEVEL)
+    genes = work.parametrizations[1]
     found = [Swing(score, 1, genes.centre() + k, 3.0) for k, score in enumerate((2.0, 1.0))]
     seen = []
 
-    def fly(thrower: Thrower, peg: hf.Peg, throws: list, **_: object) -> object:
-        seen.append(thrower.rope.n_links)
+    def finer(self: ThrowSearch, cast_setup: CastSetup, throws: list, **_: object) -> object:
+        seen.append(cast_setup.rope.n_links)
         return SimpleNamespace(score=np.array([0.5, 3.0]))
 
-    monkeypatch.setattr(strikes, "fly", fly)
+    monkeypatch.setattr(ThrowSearch, "_strikes", finer)
     assert work._keep(found) == 1.0
     assert ([one.score for one in work.swings], seen) == ([1.0, 0.5], [3 * CABLE.n_links])
 
 
-def landings(work: Search, count: int = 6) -> list[Landing]:
+def landings(work: ThrowSearch, count: int = 6) -> list[Candidate]:
     """Pairs of throws from the same swing: their last moves differ, and what comes after the strike."""
-    genes, made = work.genes[1], []
+    genes, made = work.parametrizations[1], []
     for k in range(count):
         x = genes.centre()
         x[0] -= 2.0 * APART * (k // 2)
         x[-LAST + 1] = 0.1 * k
         x[genes.strokes - 1] -= 0.5 * k  # a stroke that is not made
         throw = replace(genes.throw(x), count=3)
-        made.append(Landing(3.0 - 0.1 * k, 2.5 - 0.1 * k, 1, x, throw))
+        made.append(Candidate(3.0 - 0.1 * k, 2.5 - 0.1 * k, 1, x, throw))
     return made
 
 
 def test_throws_that_do_not_wind_with_shorter_links_lose_and_so_do_those_of_the_same_swing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    work = Search(THROWER, LEVEL)
-    work.landings = landings(work)
+    work = ThrowSearch(CAST_SETUP, LEVEL)
+    work.candidates = landings(work)
     ran = []
 
-    def again(thrower: Thrower, throws: list, struck: object) -> Landings:
+    def again(cast_setup: CastSetup, throws: list, struck: object) -> WindingScores:
         ran.append(len(throws))
         good = np.array([throw.strokes[0] < np.pi * (0.95 - 3.0 * APART) for throw in throws])
-        return Landings(np.where(good, 2.0, 0.3), np.where(good, 1.8, 0.2))
+        return WindingScores(np.where(good, 2.0, 0.3), np.where(good, 1.8, 0.2))
 
-    def flown(thrower: Thrower, peg: hf.Peg, throws: list, **_: object) -> object:
-        assert thrower.rope.n_links == 3 * CABLE.n_links
-        return SimpleNamespace(t=np.full(len(throws), 2.0), part=lambda rows: None)
+    def flown(self: ThrowSearch, cast_setup: CastSetup, throws: list, **_: object) -> object:
+        assert cast_setup.rope.n_links == 3 * CABLE.n_links
+        return SimpleNamespace(t=np.full(len(throws), 2.0), select=lambda rows: None)
 
-    monkeypatch.setattr(strikes, "fly", flown)
-    monkeypatch.setattr(work, "_landed", again)
-    work.screen()
-    best = work.landings[0]
-    assert (best.firm, best.turns, best.score) == (True, 1.8, 2.0)
+    monkeypatch.setattr(ThrowSearch, "_strikes", flown)
+    monkeypatch.setattr(work, "_wind", again)
+    work.confirm()
+    best = work.candidates[0]
+    assert (best.confirmed, best.turns, best.score) == (True, 1.8, 2.0)
     assert ran[0] == 3 <= SCREENED  # one of each swing
-    failed = [one for one in work.landings if one.firm and one.turns < WOUND]
+    failed = [one for one in work.candidates if one.confirmed and one.turns < MIN_TURNS]
     assert failed
     assert all((one.score, one.turns) == (0.3, 0.2) for one in failed)
-    spared = [one for one in work.landings if not one.firm and one.x[0] > 0.95 - APART]
+    spared = [one for one in work.candidates if not one.confirmed and one.x[0] > 0.95 - APART]
     assert [one.turns for one in spared] == pytest.approx([2.4 - SHARED * 2.3])
     ran.clear()
-    work.screen()
+    work.confirm()
     assert not ran  # the best one that winds is sure
 
 
@@ -230,44 +239,49 @@ def test_a_firm_throw_loses_only_by_what_was_firm_too() -> None:
     """One that winds with shorter links is no worse for another of its swing that does not; but if it fails when it is
     verified, so may the others."""
     sure, other = (
-        one._replace(firm=firm) for one, firm in zip(landings(Search(THROWER, LEVEL), 2), (True, False), strict=True)
+        one._replace(confirmed=firm)
+        for one, firm in zip(landings(ThrowSearch(CAST_SETUP, LEVEL), 2), (True, False), strict=True)
     )
     after = corrected([sure, other], other, 0.2, 0.3)
     assert after[0] == sure
-    assert (after[1].turns, after[1].score, after[1].firm) == (0.2, 0.3, True)
-    third = other._replace(firm=True)
+    assert (after[1].turns, after[1].score, after[1].confirmed) == (0.2, 0.3, True)
+    third = other._replace(confirmed=True)
     after = corrected([sure, third], sure, 0.2, -0.8)
     assert [one.turns for one in after] == pytest.approx([third.turns - SHARED * (sure.turns - 0.2), 0.2])
 
 
 def test_a_throw_that_strikes_nothing_with_shorter_links_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    work = Search(THROWER, LEVEL)
-    work.landings = landings(work, 1)
-    monkeypatch.setattr(strikes, "fly", lambda *_, **__: SimpleNamespace(t=np.full(1, np.nan)))
-    work.screen()
-    assert (work.landings[0].turns, work.landings[0].firm) == (0.0, True)
+    work = ThrowSearch(CAST_SETUP, LEVEL)
+    work.candidates = landings(work, 1)
+    monkeypatch.setattr(ThrowSearch, "_strikes", lambda *_, **__: SimpleNamespace(t=np.full(1, np.nan)))
+    work.confirm()
+    assert (work.candidates[0].turns, work.candidates[0].confirmed) == (0.0, True)
 
 
 def test_throws_that_differ_in_the_last_move_alone_are_flown_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    work = Search(THROWER, LEVEL)
+    work = ThrowSearch(CAST_SETUP, LEVEL)
     some = landings(work, 1)[0].x
     other = some.copy()
     other[-LAST:] += 0.3
     third = some.copy()
     third[1] -= 0.2
     points = [some, other, third]
-    work = Search(THROWER, hf.Peg(1.36 * np.sin(0.66), -1.36 * np.cos(0.66), 0.04))  # struck by steady pumping
+    work = ThrowSearch(CAST_SETUP, hf.Peg(1.36 * np.sin(0.66), -1.36 * np.cos(0.66), 0.04))  # struck by steady pumping
     before = work.runs
-    found = work._flown(points, [work.genes[1].throw(x) for x in points])
+    found = work._first_strikes(points, [work.parametrizations[1].throw(x) for x in points])
     assert work.runs - before == 2
     assert found.t[0] == found.t[1]
     assert np.array_equal(found.q[0], found.q[1])
-    apart = strikes.fly(THROWER, work.peg, [work.genes[1].throw(x).cut(THROWER.time, THROWER.limits) for x in points])
+    apart = simulated_strikes(
+        CAST_SETUP,
+        work.peg,
+        [work.parametrizations[1].throw(x).cut(CAST_SETUP.time, CAST_SETUP.limits) for x in points],
+    )
     assert np.array_equal(found.t, apart.t)
 
 
 def test_the_time_of_a_small_swing_is_the_unit_of_rests() -> None:
-    genes = Genes(THROWER, 1)
+    genes = ThrowParametrization(CAST_SETUP, 1)
     x = genes.point([np.pi / 2, np.pi], [0.5 * swing_period(CABLE), 0.0], 0.7 * swing_period(CABLE))
     throw = genes.throw(x)
     assert throw.strokes[:2] == pytest.approx([np.pi / 2, np.pi])

@@ -6,23 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.robust_page import probability_difference
 from scipy.stats import binomtest
 
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import Success, Uncertainty, success
-from hyperflex.planning.robust.scenarios import ends, from_rest, strike
-from hyperflex.planning.robust.success_probability import difference, wins
-from hyperflex.planning.search.contact_phase import land
-from hyperflex.planning.search.strikes import fly
-from tests.planning.test_landing import PEG, THROWER, WINDS
+from hyperflex.planning import SuccessProbability, Uncertainty, estimate_success_probability
+from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.robust.scenario_rollouts import nominal_strike_times, scenario_scores
+from tests.planning.known import contact_scores, simulated_strikes
+from tests.planning.test_landing import CAST_SETUP, PEG, WINDS
 from tests.planning.test_uncertainty import NONE
 
 
 @pytest.mark.parametrize(("won", "draws"), [(0, 1), (1, 1), (0, 40), (40, 40), (1, 40), (17, 40), (333, 1000)])
 def test_the_interval_is_wilsons(won: int, draws: int) -> None:
     reference = binomtest(won, draws).proportion_ci(0.95, method="wilson")
-    found = Success(won, draws)
-    assert found.probability == won / draws
+    found = SuccessProbability(won, draws)
+    assert found.estimate == won / draws
     np.testing.assert_allclose(found.interval, (reference.low, reference.high), atol=1e-12)  # rounding
 
 
@@ -40,32 +40,33 @@ def test_the_interval_of_a_difference_is_newcombes(
     one: tuple[int, int], other: tuple[int, int], interval: tuple[float, float]
 ) -> None:
     """As printed in Newcombe (1998), Statistics in Medicine 17, 873, table II, method 10."""
-    assert difference(Success(*one), Success(*other)) == pytest.approx(interval, abs=5.1e-5)  # printed to four digits
+    assert probability_difference(SuccessProbability(*one), SuccessProbability(*other)) == pytest.approx(
+        interval, abs=5.1e-5
+    )  # printed to four digits
 
 
 def test_what_is_no_count_is_refused() -> None:
     for won, draws in ((2, 1), (-1, 4), (0, 0)):
         with pytest.raises(InvalidInput):
-            Success(won, draws)
-    with pytest.raises(InvalidInput, match="draws"):
-        success(THROWER, PEG, WINDS, draws=0)
+            SuccessProbability(won, draws)
+    with pytest.raises(InvalidInput, match="samples"):
+        estimate_success_probability(CAST_SETUP, PEG, WINDS, samples=0)
 
 
 def test_in_the_expected_world_a_throw_ends_as_the_search_saw_it_end() -> None:
-    strikes = fly(THROWER, PEG, [WINDS])
-    seen = land(THROWER, PEG, [WINDS], (strikes.t, strikes.q, strikes.qd))
-    batch = from_rest(THROWER, [(WINDS, draw) for draw in NONE.draws(1, THROWER, PEG)])
-    found = ends(batch, THROWER.arm, THROWER.time)
-    assert strike(THROWER, PEG, [WINDS]) == pytest.approx(strikes.t)
+    strikes = simulated_strikes(CAST_SETUP, PEG, [WINDS])
+    seen = contact_scores(CAST_SETUP, PEG, [WINDS], (strikes.t, strikes.q, strikes.qd))
+    found = scenario_scores(CAST_SETUP, [(WINDS, draw) for draw in NONE.sample(1, CAST_SETUP, PEG)])
+    assert nominal_strike_times(CAST_SETUP, PEG, [WINDS]) == pytest.approx(strikes.t)
     assert found.turns == pytest.approx(seen.turns)  # the same runs
     assert found.score == pytest.approx(seen.score)
 
 
 def test_throws_that_win_and_that_never_strike_are_told_apart() -> None:
     idle = replace(WINDS, strokes=np.full(6, 0.06), rests=np.full(6, 1.0), rest=1.0)
-    worlds = Uncertainty().draws(2, THROWER, PEG, seed=3)
-    won = wins(THROWER, [(throw, world) for throw in (WINDS, idle) for world in worlds])
-    assert won.tolist() == [True, True, False, False]
-    stated = success(THROWER, PEG, idle, draws=2)
-    assert (stated.wins, stated.draws) == (0, 2)
+    worlds = Uncertainty().sample(2, CAST_SETUP, PEG, seed=3)
+    found = scenario_scores(CAST_SETUP, [(throw, world) for throw in (WINDS, idle) for world in worlds])
+    assert (found.turns >= MIN_TURNS).tolist() == [True, True, False, False]
+    stated = estimate_success_probability(CAST_SETUP, PEG, idle, samples=2)
+    assert (stated.successes, stated.samples) == (0, 2)
     assert "0 of 2" in str(stated)

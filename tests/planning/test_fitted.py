@@ -13,18 +13,20 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import divided
-from hyperflex.planning.robust.posterior import Fitted
+from hyperflex.planning.robust.posterior import RopePosterior
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=4, radius=0.003, friction=1e-3, stiffness=2e-3, tip_mass=0.02)
 COUNT = 1500  # draws: a deviation is told within 1.8 %, a covariance within some 4 % of the product of deviations
 
 
-def fitted(covariance: list[list[float]], *labels: str, **factors: float) -> Fitted:
-    return Fitted(ROPE, labels, np.array(covariance), {f"{name}:factor": value for name, value in factors.items()})
+def fitted(covariance: list[list[float]], *labels: str, **factors: float) -> RopePosterior:
+    return RopePosterior(
+        ROPE, labels, np.array(covariance), {f"{name}:factor": value for name, value in factors.items()}
+    )
 
 
-def ropes(one: Fitted, count: int = COUNT) -> list[hf.Rope]:
-    return [one.draw(np.random.default_rng([1, m])) for m in range(count)]
+def ropes(one: RopePosterior, count: int = COUNT) -> list[hf.Rope]:
+    return [one.sample(np.random.default_rng([1, m])) for m in range(count)]
 
 
 def test_what_hangs_together_is_drawn_together() -> None:
@@ -76,9 +78,9 @@ def test_what_a_fit_could_not_tell_is_known(sd: dict[str, Any], row: float, unkn
     """An infinite deviation, the word for it in a file, or a row of 0: all that is said of a direction left out."""
     names = ("friction[1]", "friction[2]")
     fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=np.diag([1e-8, row]), values={}, sd=sd)
-    found = Fitted.of(fit)  # type: ignore[arg-type]
-    assert found.unknown == unknown
-    assert found.untold == (("friction",) if unknown else ())
+    found = RopePosterior.from_identification(fit)  # type: ignore[arg-type]
+    assert found.undetermined == unknown
+    assert found.undetermined_properties == (("friction",) if unknown else ())
 
 
 def test_gravity_turns_and_what_is_none_of_the_rope_s_is_left() -> None:
@@ -87,7 +89,7 @@ def test_gravity_turns_and_what_is_none_of_the_rope_s_is_left() -> None:
     assert np.std([rope.hanging_angle for rope in drawn]) == pytest.approx(0.01, rel=0.06)
     assert np.hypot(*drawn[0].gravity) == pytest.approx(9.81, rel=1e-3)
     assert drawn[0].replace(gravity=ROPE.gravity) == ROPE
-    assert one.names == ("gravity_angle",)
+    assert one.fitted_properties == ("gravity_angle",)
 
 
 def test_a_file_says_what_the_fit_said(tmp_path: Path) -> None:
@@ -103,12 +105,12 @@ def test_a_file_says_what_the_fit_said(tmp_path: Path) -> None:
     }
     path = tmp_path / "rope.toml"
     files.write_toml(path, {"rope": ROPE.table(), "identification": told})
-    read = Fitted.from_toml(path)
+    read = RopePosterior.from_toml(path)
     assert read is not None
-    assert ropes(read, 5) == ropes(Fitted.of(fit), 5)  # type: ignore[arg-type]
+    assert ropes(read, 5) == ropes(RopePosterior.from_identification(fit), 5)  # type: ignore[arg-type]
     ROPE.to_toml(path)
-    assert Fitted.from_toml(path) is None
+    assert RopePosterior.from_toml(path) is None
     for wrong in ({"values": {}}, {"covariance": [[1.0]]}, {"covariance": [["a", 1.0], [1.0, 1.0]]}):
         files.write_toml(path, {"rope": ROPE.table(), "identification": told | wrong})
         with pytest.raises(InvalidInput):
-            Fitted.from_toml(path)
+            RopePosterior.from_toml(path)

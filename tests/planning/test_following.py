@@ -12,15 +12,24 @@ from hyperflex.errors import InvalidInput
 from hyperflex.hardware import SimulatedMotor
 from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
-from hyperflex.planning import DrawnWorld, DrivenWorld, Throw, Uncertainty, follow
-from hyperflex.planning.feedback import closed_loop as following
-from hyperflex.planning.feedback.closed_loop import ASTRAY, THINKING, swing_down
+from hyperflex.planning import (
+    CastPlan,
+    MotorStateSource,
+    ScenarioStateSource,
+    Throw,
+    Uncertainty,
+    check_feasibility,
+    follow_plan,
+)
+from hyperflex.planning.feedback import closed_loop
+from hyperflex.planning.feedback.closed_loop import DECISION_TIME, MAX_ARM_ERROR, swing_down
 from hyperflex.planning.feedback.matching import Goal, match
-from hyperflex.planning.search.strikes import fly
-from tests.planning.test_landing import PEG, THROWER, WINDS
+from tests.planning.known import simulated_strikes
+from tests.planning.test_landing import CAST_SETUP, PEG, WINDS
 from tests.planning.test_uncertainty import NONE
 
-LIMITS = THROWER.limits
+LIMITS = CAST_SETUP.limits
+PLAN = CastPlan(CAST_SETUP, PEG, check_feasibility(CAST_SETUP, PEG), WINDS)
 
 
 def rest_before(throw: Throw, move: int) -> float:
@@ -29,23 +38,23 @@ def rest_before(throw: Throw, move: int) -> float:
 
 
 def test_the_goal_is_the_strike_of_the_plan() -> None:
-    goal = Goal.of(THROWER, PEG, WINDS)
+    goal = Goal.of(CAST_SETUP, PEG, WINDS)
     assert goal is not None
-    assert goal.t == pytest.approx(float(fly(THROWER, PEG, [WINDS]).t[0]))
-    assert Goal.of(THROWER, PEG, replace(WINDS, strokes=np.full(6, 0.06))) is None
+    assert goal.t == pytest.approx(float(simulated_strikes(CAST_SETUP, PEG, [WINDS]).t[0]))
+    assert Goal.of(CAST_SETUP, PEG, replace(WINDS, strokes=np.full(6, 0.06))) is None
 
 
 def test_a_throw_that_was_late_by_one_rest_is_led_back() -> None:
     """The state after a stroke that came 40 ms late: what is left undoes most of it."""
-    goal, move = Goal.of(THROWER, PEG, WINDS), 3
+    goal, move = Goal.of(CAST_SETUP, PEG, WINDS), 3
     assert goal is not None
     rests = WINDS.rests.copy()
     rests[move - 1] += 0.04
     late = replace(WINDS, rests=rests)
     now = rest_before(late, move)
-    seen = TrueState(THROWER.rope, THROWER.arm, tol=1e-4).state(now, late.motion(LIMITS))
-    (world,) = NONE.draws(1, THROWER, PEG)
-    ways = match(THROWER, world, goal, late, move, seen, 0.1)
+    seen = TrueState(CAST_SETUP.rope, CAST_SETUP.arm, tol=1e-4).state(now, late.motion(LIMITS))
+    (world,) = NONE.sample(1, CAST_SETUP, PEG)
+    ways = match(CAST_SETUP, world, goal, late, move, seen, 0.1)
     assert ways
     best = ways[0]
     assert best.rests[:move].tolist() == late.rests[:move].tolist()  # what was done stays done
@@ -57,37 +66,37 @@ def test_a_throw_that_was_late_by_one_rest_is_led_back() -> None:
 def miss(throw: Throw, goal: Goal) -> float:
     """Distance from the goal's features, by whole flights from rest, at the best time about the goal's."""
     from hyperflex.planning.feedback.matching import features
-    from hyperflex.planning.search.strikes import arm_tip, arm_tip_velocity
+    from hyperflex.planning.search.strikes import arm_tip
     from hyperflex.simulation import simulate
 
     motion = throw.motion(LIMITS)
     t = goal.t + np.arange(-0.25, 0.25, 0.002)
-    run = simulate(THROWER.rope, motion, arm=THROWER.arm, duration=float(t[-1]), t_eval=t, tol=1e-4)
-    base = arm_tip(THROWER.arm, motion, t), arm_tip_velocity(THROWER.arm, motion, t)
-    return float(((features(THROWER.rope, run.q, run.qd, *base) - goal.features) ** 2).sum(axis=1).min())
+    run = simulate(CAST_SETUP.rope, motion, arm=CAST_SETUP.arm, duration=float(t[-1]), t_eval=t, tol=1e-4)
+    base = arm_tip(CAST_SETUP.arm, motion, t)
+    return float(((features(CAST_SETUP.rope, run.q, run.qd, *base) - goal.features) ** 2).sum(axis=1).min())
 
 
 def test_in_the_expected_world_the_plan_is_kept() -> None:
-    (world,) = NONE.draws(1, THROWER, PEG)
-    done = follow(THROWER, PEG, WINDS, DrawnWorld(world, THROWER.arm), uncertainty=NONE)
-    assert [look.decided for look in done.looks] == ["kept"] * len(done.looks)
-    assert [look.move for look in done.looks] == list(range(1, len(done.looks) + 1))
-    assert len(done.looks) >= 5
-    assert not done.aborted
+    (world,) = NONE.sample(1, CAST_SETUP, PEG)
+    done = follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), uncertainty=NONE)
+    assert [look.action for look in done.decisions] == ["kept"] * len(done.decisions)
+    assert [look.move for look in done.decisions] == list(range(1, len(done.decisions) + 1))
+    assert len(done.decisions) >= 5
+    assert (done.success, done.status, done.message) == (True, 0, "")
     assert done.motion == WINDS.motion(LIMITS)
-    for look in done.looks:
+    for look in done.decisions:
         assert look.t == pytest.approx(rest_before(WINDS, look.move))
         assert look.t + look.left == pytest.approx(float(WINDS.starts(LIMITS)[look.move]))
 
 
 def test_shortly_before_the_strike_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
     """A rope that has struck is not what is flown freely; here 2.5 s are called shortly."""
-    goal = Goal.of(THROWER, PEG, WINDS)
+    goal = Goal.of(CAST_SETUP, PEG, WINDS)
     assert goal is not None
-    monkeypatch.setattr(following, "SHY", 2.5)
-    (world,) = NONE.draws(1, THROWER, PEG)
-    done = follow(THROWER, PEG, WINDS, DrawnWorld(world, THROWER.arm), uncertainty=NONE)
-    assert goal.t - 4.0 < done.looks[-1].t <= goal.t - 2.5
+    monkeypatch.setattr(closed_loop, "BLIND_TIME", 2.5)
+    (world,) = NONE.sample(1, CAST_SETUP, PEG)
+    done = follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), uncertainty=NONE)
+    assert goal.t - 4.0 < done.decisions[-1].t <= goal.t - 2.5
 
 
 class Hanging:
@@ -98,28 +107,29 @@ class Hanging:
 
 
 def test_a_throw_that_cannot_win_any_more_is_given_up_slowly() -> None:
-    done = follow(THROWER, PEG, WINDS, Hanging(), uncertainty=NONE)  # type: ignore[arg-type]
-    assert done.aborted
-    assert done.looks[-1].decided == "aborted"
-    assert done.looks[-1].after == 0.0
-    made = done.looks[-1].move
+    done = follow_plan(PLAN, Hanging(), uncertainty=NONE)  # type: ignore[arg-type]
+    assert (done.success, done.status) == (False, 1)
+    assert done.decisions[-1].action == "aborted"
+    assert done.decisions[-1].after == 0.0
+    assert done.message == f"aborted at {done.decisions[-1].t:.2f} s: it succeeds in 0 % of the likely scenarios"
+    made = done.decisions[-1].move
     assert made >= WINDS.count - 1
     assert done.throw.count == made
     end = float(done.motion.breaks[-1])
     assert float(done.motion.angle(end)) == pytest.approx(0.0, abs=1e-9)
-    t = np.linspace(done.looks[-1].t, end, 500)
+    t = np.linspace(done.decisions[-1].t, end, 500)
     assert float(np.abs(done.motion.rate(t)).max()) <= 0.31 * LIMITS.speed
-    before = np.linspace(0.0, done.looks[-1].t, 50)
+    before = np.linspace(0.0, done.decisions[-1].t, 50)
     np.testing.assert_allclose(swing_down(done.throw, made).motion(LIMITS).angle(before), done.motion.angle(before))
-    assert done.throw.starts(LIMITS)[-1] == pytest.approx(done.looks[-1].t + THINKING)  # time to decide
+    assert done.throw.starts(LIMITS)[-1] == pytest.approx(done.decisions[-1].t + DECISION_TIME)  # time to decide
 
 
 def test_what_is_due_too_soon_to_be_decided_is_made_as_planned() -> None:
     """With more time to think than any rest leaves, the next move stays; the one after it may be given up."""
-    done = follow(THROWER, PEG, WINDS, Hanging(), uncertainty=NONE, thinking=1.0)  # type: ignore[arg-type]
-    assert done.aborted
-    move = done.looks[-1].move
-    assert done.looks[-1].left < 1.0
+    done = follow_plan(PLAN, Hanging(), uncertainty=NONE, decision_time=1.0)  # type: ignore[arg-type]
+    assert (done.success, done.status) == (False, 1)
+    move = done.decisions[-1].move
+    assert done.decisions[-1].left < 1.0
     assert done.throw.count == move + 1
     assert done.throw.starts(LIMITS)[-1] == pytest.approx(rest_before(done.throw, move + 1) + 1.0)
 
@@ -139,7 +149,7 @@ class Kept(SimulatedMotor):
 def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done() -> None:
     """A servo that hardly lags: the rope's state at each look is that of the asked motion."""
     motor = Kept(lag=1e-3, counts=10**6)
-    world = DrivenWorld(THROWER.rope, THROWER.arm, motor)
+    world = MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor)
     seen: list[tuple[RopeState, Motion]] = []
 
     class Watched:
@@ -147,12 +157,12 @@ def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done() 
             seen.append((world.state(t, motion), motion))
             return seen[-1][0]
 
-    done = follow(THROWER, PEG, WINDS, Watched(), motor=motor, uncertainty=NONE)
+    done = follow_plan(PLAN, Watched(), motor=motor, uncertainty=NONE)
     assert motor.asked[0] == (0.0, WINDS.motion(LIMITS))
-    changes = [look.t for look in done.looks if look.decided == "changed"]
+    changes = [look.t for look in done.decisions if look.action == "changed"]
     assert [at for at, _ in motor.asked[1:]] == changes
-    assert all(abs(look.astray) < 2e-3 for look in done.looks)  # at rest the lag has faded; a count is 6e-6 rad
-    true = TrueState(THROWER.rope, THROWER.arm)
+    assert all(abs(look.arm_error) < 2e-3 for look in done.decisions)  # at rest the lag has faded; a count is 6e-6 rad
+    true = TrueState(CAST_SETUP.rope, CAST_SETUP.arm)
     for state, motion in seen:
         # Late by 1 ms at links that turn with some 10 rad/s, and further apart in the course of the swings.
         np.testing.assert_allclose(true.state(state.t, motion).q, state.q, atol=0.1)
@@ -161,16 +171,17 @@ def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done() 
 def test_a_motor_that_does_not_come_along_ends_the_throw() -> None:
     """A torque too weak for the strokes: at the first look the arm is far from where it should be."""
     motor = Kept(torque=0.005)
-    done = follow(THROWER, PEG, WINDS, DrivenWorld(THROWER.rope, THROWER.arm, motor), motor=motor, uncertainty=NONE)
-    assert done.aborted
-    assert len(done.looks) == 1
-    assert abs(done.looks[0].astray) > ASTRAY
-    assert motor.asked[-1] == (done.looks[0].t, done.motion)
+    done = follow_plan(PLAN, MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor, uncertainty=NONE)
+    assert (done.success, done.status) == (False, 1)
+    assert len(done.decisions) == 1
+    assert abs(done.decisions[0].arm_error) > MAX_ARM_ERROR
+    assert "rad from its command" in done.message
+    assert motor.asked[-1] == (done.decisions[0].t, done.motion)
     assert float(done.motion.angle(float(done.motion.breaks[-1]))) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_bad_numbers_are_refused() -> None:
-    (world,) = Uncertainty().draws(1, THROWER, PEG)
-    for wrong in ({"thinking": -1.0}, {"seed": -1}, {"thinking": np.nan}):
+    (world,) = Uncertainty().sample(1, CAST_SETUP, PEG)
+    for wrong in ({"decision_time": -1.0}, {"seed": -1}, {"decision_time": np.nan}):
         with pytest.raises(InvalidInput):
-            follow(THROWER, PEG, WINDS, DrawnWorld(world, THROWER.arm), **wrong)
+            follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), **wrong)

@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 
 from hyperflex import winding
-from hyperflex.planning import planner as course
-from hyperflex.planning.search.search import Search
-from hyperflex.planning.wind import holding as hold
-from hyperflex.planning.wind import outcome
-from hyperflex.planning.wind.holding import bearing, holding
+from hyperflex.planning import outcome
+from hyperflex.planning.outcome import measure_holding_force, require_holding_force
+from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.wind import planner as cast_planner
 from tests.planning.known import CABLE, PEG, planned
 
 
 def test_the_tail_is_what_hangs_below_the_peg():
-    run = planned().cast.run
+    run = planned().outcome.run
     tail = winding.wound(run, PEG).tail
     # Quiet at the end: the tension towards the tip is the tail's weight, but for its last slow swinging (1 %).
     assert winding.wound(run, PEG).after[-1] == pytest.approx(tail[-1], rel=0.01)
@@ -27,53 +26,57 @@ def test_the_tail_is_what_hangs_below_the_peg():
 
 
 def test_a_tug_bears_at_least_what_the_rule_gives():
-    held = holding(planned().cast.run, PEG)
-    assert held.angle / (2.0 * np.pi) == pytest.approx(abs(planned().cast.turns), abs=0.7)  # both tangents are off it
-    assert held.rule == pytest.approx(held.tail * np.exp(0.3 * held.angle), rel=1e-12)
+    held = measure_holding_force(planned().outcome.run, PEG)
+    assert held.contact_angle / (2.0 * np.pi) == pytest.approx(
+        abs(planned().outcome.turns), abs=0.7
+    )  # both tangents are off it
+    assert held.capstan_force == pytest.approx(held.tail_weight * np.exp(0.3 * held.contact_angle), rel=1e-12)
     # The rope on the peg has weight as well, and a tug turns the tangent: more than the rule, within a factor of 3.
-    assert held.rule < held.force < 3.0 * held.rule
+    assert held.capstan_force < held.force < 3.0 * held.capstan_force
     assert held.tug.slipped
 
 
 def test_a_rope_off_the_peg_holds_nothing():
-    assert holding(planned(winds=False).cast.run, PEG) is None
+    assert measure_holding_force(planned(winds=False).outcome.run, PEG) is None
 
 
 def test_a_rope_that_ended_inside_the_peg_is_not_tugged():
-    run, wider = planned().cast.run, replace(PEG, radius=PEG.radius + 1e-3)
-    assert holding(replace(run, setup=replace(run.setup, pegs=(wider,))), wider) is None
+    run, wider = planned().outcome.run, replace(PEG, radius=PEG.radius + 1e-3)
+    assert measure_holding_force(replace(run, setup=replace(run.setup, pegs=(wider,))), wider) is None
 
 
 def test_a_cast_that_bears_less_than_is_asked_has_failed():
-    cast = planned().cast
-    force = holding(cast.run, PEG).force
-    assert bearing(cast, PEG, 0.9 * force) is cast
-    failed = bearing(cast, PEG, 1.1 * force)
+    cast = planned().outcome
+    force = measure_holding_force(cast.run, PEG).force
+    assert require_holding_force(cast, PEG, 0.9 * force) is cast
+    failed = require_holding_force(cast, PEG, 1.1 * force)
     assert (failed.wound, failed.held, failed.success) == (True, False, False)
-    assert failed.reason == f"it bears {force:.3g} N, and {1.1 * force:.3g} N are asked"
+    assert failed.message == f"it bears {force:.3g} N, and {1.1 * force:.3g} N are asked"
 
 
 @pytest.mark.parametrize(("asked", "stands"), [(0.0, True), (0.9, True), (1.1, False)])
 def test_a_plan_is_asked_for_the_pull_by_a_tug(monkeypatch, asked, stands):
     plan = planned()
-    force = holding(plan.finer.run, PEG).force
-    search = Search(plan.thrower, PEG, hold=asked * force)
-    work = course.Course(search, 60.0)
-    monkeypatch.setattr(course, "verify", lambda *_, **__: plan.cast)
-    work.check([course.Landing(2.0, 2.0, 1, np.zeros(3), plan.throw)])
-    reason = course.why_not(*work.best[1:], interrupted=False)
+    force = measure_holding_force(plan.finer_outcome.run, PEG).force
+    search = ThrowSearch(plan.cast_setup, PEG, holding_force=asked * force)
+    work = cast_planner.CastPlanner(search, 60.0)
+    monkeypatch.setattr(cast_planner, "verify_cast", lambda *_, **__: plan.outcome)
+    work.check([cast_planner.Candidate(2.0, 2.0, 1, np.zeros(3), plan.throw)])
+    reason = cast_planner.failure(*work.best[1:], interrupted=False)
     assert reason == "" if stands else reason.startswith("it bears")
     assert work.done() is stands
 
 
 def test_a_pull_that_is_less_than_is_asked_tells_nothing_of_more(monkeypatch):
-    cast = planned().cast
-    held = holding(cast.run, PEG)
-    monkeypatch.setattr(hold, "holding", lambda *_: replace(held, tug=replace(held.tug, slipped=False)))
-    assert bearing(cast, PEG, 2.0 * held.force).reason.startswith("it was pulled with")
-    monkeypatch.setattr(hold, "holding", lambda *_: None)
-    assert bearing(cast, PEG, 0.1).reason == "what it bears could not be simulated"
-    assert bearing(cast, PEG, 0.0) is cast
+    cast = planned().outcome
+    held = measure_holding_force(cast.run, PEG)
+    monkeypatch.setattr(
+        outcome, "measure_holding_force", lambda *_: replace(held, tug=replace(held.tug, slipped=False))
+    )
+    assert require_holding_force(cast, PEG, 2.0 * held.force).message.startswith("it was pulled with")
+    monkeypatch.setattr(outcome, "measure_holding_force", lambda *_: None)
+    assert require_holding_force(cast, PEG, 0.1).message == "what it bears could not be simulated"
+    assert require_holding_force(cast, PEG, 0.0) is cast
 
 
 @pytest.mark.parametrize(
@@ -93,17 +96,17 @@ def test_the_strike_begins_the_longest_stay(touched: list[float], begins: float)
 
 def test_contact_and_bend_are_those_of_the_run() -> None:
     """By the places of the joints, in place of angles."""
-    cast = planned().cast
+    cast = planned().outcome
     assert cast is not None
     assert cast.run is not None
     run = cast.run
     links = np.diff(run.joints, axis=1) / np.linalg.norm(np.diff(run.joints, axis=1), axis=2)[..., None]
     bend = np.arccos(np.clip((links[:, 1:] * links[:, :-1]).sum(axis=2), -1.0, 1.0)).max()
-    assert cast.bend == pytest.approx(bend, abs=1e-6)
+    assert cast.max_bend == pytest.approx(bend, abs=1e-6)
     assert not cast.folded
-    assert replace(cast, bend=3.2).folded
+    assert replace(cast, max_bend=3.2).folded
     away = run.joints[-1] - [PEG.x, PEG.y]
     lies = np.flatnonzero(np.hypot(*away.T) < PEG.radius + 0.0025 + 0.002)
     angle = np.unwrap(np.arctan2(away[lies, 1], away[lies, 0]))
-    assert cast.contact == pytest.approx(abs(angle[-1] - angle[0]), abs=0.5)  # to the length of a link on the peg
-    assert cast.touch <= cast.strike
+    assert cast.contact_angle == pytest.approx(abs(angle[-1] - angle[0]), abs=0.5)  # to the length of a link on the peg
+    assert cast.touch_time <= cast.strike_time

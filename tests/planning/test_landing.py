@@ -10,28 +10,25 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import MotorLimits, Throw, Thrower, success, verify
-from hyperflex.planning.search import batch_rollout as launch
-from hyperflex.planning.search import contact_phase as landing
-from hyperflex.planning.search import strikes
-from hyperflex.planning.search.batch_rollout import Flights
+from hyperflex.planning import CastSetup, MotorLimits, Throw, estimate_success_probability, verify_cast
+from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.search import contact_phase, rollouts
 from hyperflex.planning.search.contact_phase import (
-    ENOUGH,
-    HOPE,
     LAST,
-    LATE,
+    LATE_COST,
+    MAX_TURNS,
+    MIN_HOPE,
     PASSING,
-    SLIDING,
+    SLIP_COST,
     TOGETHER,
-    judge,
-    land,
-    settle,
+    score_winding,
+    simulate_contact,
 )
-from hyperflex.planning.search.strikes import fly
-from hyperflex.planning.wind.outcome import WOUND
+from hyperflex.planning.search.rollouts import RolloutBatch
+from tests.planning.known import contact_scores, simulated_strikes
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-THROWER = Thrower(CABLE, hf.Arm(length=0.105), MotorLimits())
+CAST_SETUP = CastSetup(CABLE, hf.Arm(length=0.105), MotorLimits())
 PEG = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04, 0.3)
 WINDS = Throw(
     side=-1,
@@ -50,126 +47,127 @@ def test_turns_count_if_they_stay() -> None:
     undone = np.where(t < 3.9, -2.0 * np.ones_like(t), -0.2)
     failed = np.where(t < 1.0, 1.0, np.nan)
     many = 9.0 * np.ones_like(t)
-    found = judge(t, np.stack([stays, undone, failed, many]), np.full(4, t[-1]), np.array([0.0, 1.0, 0.0, 0.0]))
+    found = score_winding(t, np.stack([stays, undone, failed, many]), np.full(4, t[-1]), np.array([0.0, 1.0, 0.0, 0.0]))
     assert found.turns == pytest.approx([2.3, 0.2, 0.0, 9.0])
     assert found.score == pytest.approx(
-        [2.3 + PASSING * 2.3, 0.2 + PASSING * 2.0 - LATE, -1.0, ENOUGH + PASSING * ENOUGH]
+        [2.3 + PASSING * 2.3, 0.2 + PASSING * 2.0 - LATE_COST, -1.0, MAX_TURNS + PASSING * MAX_TURNS]
     )
 
 
 def test_each_run_is_judged_over_its_own_span() -> None:
     t = np.arange(0.0, 4.0, 0.01)
     later = np.where(t < 2.0, 1.5, 0.0)  # undone after 2 s: beyond the first one's span
-    found = judge(t, np.stack([later, later]), np.array([1.9, t[-1]]), np.zeros(2))
+    found = score_winding(t, np.stack([later, later]), np.array([1.9, t[-1]]), np.zeros(2))
     assert found.turns == pytest.approx([1.5, 0.0])
     assert LAST < 1.9
 
 
 def test_a_run_from_the_strike_on_ends_as_the_whole_run_does() -> None:
-    strike = fly(THROWER, PEG, [WINDS])
-    found = land(THROWER, PEG, [WINDS], (strike.t, strike.q, strike.qd))
-    whole = verify(THROWER, PEG, WINDS.motion(THROWER.limits))
-    assert whole.success, whole.reason
+    strike = simulated_strikes(CAST_SETUP, PEG, [WINDS])
+    found = contact_scores(CAST_SETUP, PEG, [WINDS], (strike.t, strike.q, strike.qd))
+    whole = verify_cast(CAST_SETUP, PEG, WINDS.motion(CAST_SETUP.limits))
+    assert whole.success, whole.message
     assert whole.turns < 0.0  # clockwise: struck from the right
     # 50 links and a step of 1 ms against the refined rope; turns are quantised, the hanging tail swings
     assert found.turns[0] == pytest.approx(-whole.turns, abs=0.1)
-    assert whole.slipped < 5e-3
-    assert whole.strike == pytest.approx(strike.t[0], abs=0.05)
+    assert whole.slip < 5e-3
+    assert whole.strike_time == pytest.approx(strike.t[0], abs=0.05)
 
 
 def test_without_friction_it_does_not_hold() -> None:
     smooth = hf.Peg(PEG.x, PEG.y, PEG.radius, 0.0)
-    whole = verify(THROWER, smooth, WINDS.motion(THROWER.limits))
+    whole = verify_cast(CAST_SETUP, smooth, WINDS.motion(CAST_SETUP.limits))
     assert not whole.success
-    assert whole.reason
+    assert whole.message
 
 
 def test_a_motor_that_is_too_weak_is_told() -> None:
-    weak = Thrower(CABLE, THROWER.arm, MotorLimits(torque=0.05))
-    whole = verify(weak, PEG, WINDS.motion(weak.limits))
+    weak = CastSetup(CABLE, CAST_SETUP.arm, MotorLimits(torque=0.05))
+    whole = verify_cast(weak, PEG, WINDS.motion(weak.limits))
     assert whole.wound
     assert whole.held
     assert not whole.success
-    assert "N m of a motor that gives 0.05" in whole.reason
+    assert "N m of a motor that gives 0.05" in whole.message
 
 
 def test_a_rope_that_misses_is_told() -> None:
-    whole = verify(THROWER, hf.Peg(1.5, 1.2, 0.03), hf.moves([-1.5, -1.4], [0.0], [0.2]), watch=0.2)
-    assert whole.reason == "the rope does not touch the peg"
-    assert np.isnan(whole.strike)
+    whole = verify_cast(CAST_SETUP, hf.Peg(1.5, 1.2, 0.03), hf.moves([-1.5, -1.4], [0.0], [0.2]), watch_time=0.2)
+    assert whole.message == "the rope does not touch the peg"
+    assert np.isnan(whole.strike_time)
 
 
 def test_throws_are_judged_alike_alone_and_together() -> None:
     """Whatever they stop beside, and though those without hope end early."""
     still = replace(WINDS, end=0.9 * np.pi, rest=0.9)  # it stops later
-    strike = fly(THROWER, PEG, [WINDS] * 2)
+    strike = simulated_strikes(CAST_SETUP, PEG, [WINDS] * 2)
     state = strike.t, strike.q, strike.qd
-    throws = [WINDS.cut(float(strike.t[0]), THROWER.limits), still.cut(float(strike.t[0]), THROWER.limits)]
-    stops = [float(throw.stops(THROWER.limits) - strike.t[0]) for throw in throws]
+    throws = [WINDS.cut(float(strike.t[0]), CAST_SETUP.limits), still.cut(float(strike.t[0]), CAST_SETUP.limits)]
+    stops = [float(throw.stops(CAST_SETUP.limits) - strike.t[0]) for throw in throws]
     assert abs(stops[0] - stops[1]) > TOGETHER
-    both = land(THROWER, PEG, throws, state)
+    both = contact_scores(CAST_SETUP, PEG, throws, state)
     for k, throw in enumerate(throws):
-        alone = land(THROWER, PEG, [throw], tuple(values[k : k + 1] for values in state))
+        alone = contact_scores(CAST_SETUP, PEG, [throw], tuple(values[k : k + 1] for values in state))
         assert (both.score[k], both.turns[k]) == (alone.score[0], alone.turns[0])
-    far = land(THROWER, hf.Peg(3.0, 3.0, 0.04), [WINDS], tuple(values[:1] for values in state))
-    assert far.turns[0] < HOPE
+    far = contact_scores(CAST_SETUP, hf.Peg(3.0, 3.0, 0.04), [WINDS], tuple(values[:1] for values in state))
+    assert far.turns[0] < MIN_HOPE
 
 
 def test_a_rope_that_slips_in_the_end_is_worth_less() -> None:
     """On a smooth peg the same throw stays wound for the time watched, and slides."""
-    strike = fly(THROWER, PEG, [WINDS])
+    strike = simulated_strikes(CAST_SETUP, PEG, [WINDS])
     smooth = hf.Peg(PEG.x, PEG.y, PEG.radius, 0.13)
-    holds, slides = (land(THROWER, peg, [WINDS], (strike.t, strike.q, strike.qd)) for peg in (PEG, smooth))
-    least = [(1.0 + PASSING) * found.turns[0] - LATE * strike.t[0] for found in (holds, slides)]  # but for slipping
-    assert slides.turns[0] > WOUND
-    assert holds.score[0] > least[0] - 0.01 * SLIDING  # what is held moves by less than 0.2 mm
-    assert slides.score[0] < least[1] - 0.3 * SLIDING
+    holds, slides = (contact_scores(CAST_SETUP, peg, [WINDS], (strike.t, strike.q, strike.qd)) for peg in (PEG, smooth))
+    least = [
+        (1.0 + PASSING) * found.turns[0] - LATE_COST * strike.t[0] for found in (holds, slides)
+    ]  # but for slipping
+    assert slides.turns[0] > MIN_TURNS
+    assert holds.score[0] > least[0] - 0.01 * SLIP_COST  # what is held moves by less than 0.2 mm
+    assert slides.score[0] < least[1] - 0.3 * SLIP_COST
 
 
 def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two turns until 1 s after its stop, none from then on; the other stops half a second later. Runs are made up."""
 
-    def run(flights: Flights, t: np.ndarray, *_: object) -> SimpleNamespace:
+    def run(flights: RolloutBatch, t: np.ndarray, *_: object) -> SimpleNamespace:
         stops = np.array([motion.breaks[-1] for motion in flights.motions])
         turns = np.where(t < stops[:, None] + 1.0, 2.0, 0.0)
         still = np.zeros((*turns.shape, 1))
         return SimpleNamespace(values={"turns": turns[..., None]}, q=still, qd=still)
 
-    monkeypatch.setattr(landing, "_run", run)
+    monkeypatch.setattr(contact_phase, "_run", run)
     motions = [hf.moves([0.0, 1.0], [0.0], [0.6]), hf.moves([0.0, 1.0], [0.4], [0.69])]
     assert motions[1].breaks[-1] - motions[0].breaks[-1] > 0.4
-    both = Flights([CABLE] * 2, [PEG] * 2, motions, np.zeros((2, 1)), np.zeros((2, 1)))
-    found = settle(both, np.zeros(2), arm=THROWER.arm)
-    assert found.turns[0] <= HOPE
-    assert found.score[0] <= HOPE + PASSING * 2.0
+    both = RolloutBatch([CABLE] * 2, [PEG] * 2, motions, np.zeros((2, 1)), np.zeros((2, 1)))
+    found = simulate_contact(both, np.zeros(2), arm=CAST_SETUP.arm)
+    assert found.turns[0] <= MIN_HOPE
+    assert found.score[0] <= MIN_HOPE + PASSING * 2.0
 
 
 def test_a_run_that_is_too_deep_in_the_peg_to_go_on_counts_little(monkeypatch: pytest.MonkeyPatch) -> None:
     """Coarse runs sink deeper than a run may begin: one throw of a search ended it with an error."""
-    strike = fly(THROWER, PEG, [WINDS])
+    strike = simulated_strikes(CAST_SETUP, PEG, [WINDS])
     state, asked = (strike.t, strike.q, strike.qd), []
 
     def refuse(setup: hf.Setup, t: float, q: np.ndarray) -> None:
         asked.append((t, q.shape))
         raise InvalidInput("too deep")
 
-    monkeypatch.setattr(landing, "check_outside", refuse)
-    found = land(THROWER, PEG, [WINDS], state)
-    assert found.turns[0] == HOPE
-    assert found.score[0] < WOUND
+    monkeypatch.setattr(contact_phase, "check_outside", refuse)
+    found = contact_scores(CAST_SETUP, PEG, [WINDS], state)
+    assert found.turns[0] == MIN_HOPE
+    assert found.score[0] < MIN_TURNS
     assert [shape for _, shape in asked] == [(50,)]
 
 
 @pytest.mark.parametrize("what", ["swings", "landings", "drawn worlds"])
 def test_a_batch_that_ctrl_c_cut_short_is_no_result(monkeypatch: pytest.MonkeyPatch, what: str) -> None:
     """It would count what was cut off as lost."""
-    strike = fly(THROWER, PEG, [WINDS])
-    for module in (launch, strikes):
-        monkeypatch.setattr(module, "simulate_batch", lambda *_, **__: SimpleNamespace(status=("interrupted",)))
+    strike = simulated_strikes(CAST_SETUP, PEG, [WINDS])
+    monkeypatch.setattr(rollouts, "simulate_batch", lambda *_, **__: SimpleNamespace(status=("interrupted",)))
     work = {
-        "swings": lambda: fly(THROWER, PEG, [WINDS]),
-        "landings": lambda: land(THROWER, PEG, [WINDS], (strike.t, strike.q, strike.qd)),
-        "drawn worlds": lambda: success(THROWER, PEG, WINDS, draws=2),
+        "swings": lambda: simulated_strikes(CAST_SETUP, PEG, [WINDS]),
+        "landings": lambda: contact_scores(CAST_SETUP, PEG, [WINDS], (strike.t, strike.q, strike.qd)),
+        "drawn worlds": lambda: estimate_success_probability(CAST_SETUP, PEG, WINDS, samples=2),
     }
     with pytest.raises(KeyboardInterrupt):
         work[what]()

@@ -11,7 +11,7 @@ import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import from_spec, to_spec
 from hyperflex.planning import Throw
-from hyperflex.planning.wind.throw import LEAST_STROKE
+from hyperflex.planning.throw import MIN_STROKE
 
 LIMITS = hf.MotorLimits(speed=6.0, acceleration=25.0)
 THROW = Throw(-1, np.array([3.0, 1.0, 3.0]), np.array([0.1, 0.0, 0.4]), end=0.4, rest=0.05, speed=0.5, count=3)
@@ -49,7 +49,7 @@ def test_moves_refuse_what_cannot_be(angles, rests, durations, ramps, told) -> N
 @pytest.mark.parametrize("way", [0.01, 0.5, 1.44, 1.45, 3.0, 6.0])
 @pytest.mark.parametrize("part", [1.0, 0.4])
 def test_the_fastest_move_uses_the_limits_and_keeps_them(way: float, part: float) -> None:
-    durations, ramps = LIMITS.fastest([way], part)
+    durations, ramps = LIMITS.fastest_moves([way], part)
     motion = hf.moves([0.0, way], [0.0], durations, ramps)
     t = np.linspace(0.0, float(durations[0]), 4001)
     speed, rise = np.abs(motion.rate(t)).max(), np.abs(motion.acceleration(t[1:-1])).max()
@@ -80,7 +80,7 @@ def test_a_throw_goes_to_and_fro_within_the_motor_s_angles() -> None:
 
 def test_a_throw_that_goes_nowhere_is_made_to_move() -> None:
     still = replace(THROW, strokes=np.zeros(3), end=-np.pi / 2)
-    assert np.abs(np.diff(still.angles(LIMITS))).min() >= LEAST_STROKE * (1 - 1e-12)
+    assert np.abs(np.diff(still.angles(LIMITS))).min() >= MIN_STROKE * (1 - 1e-12)
 
 
 def test_a_cut_throw_is_the_same_until_then_and_waits() -> None:

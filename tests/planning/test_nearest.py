@@ -12,19 +12,18 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.planning import MotorLimits, Thrower, reach
-from hyperflex.planning.cast_plan import CastPlan
-from hyperflex.planning.search.candidates import Landing
-from hyperflex.planning.search.parametrization import Genes
-from hyperflex.planning.search.search import Search
-from hyperflex.planning.wind import fallback_targets as elsewhere
-from hyperflex.planning.wind import nearest_target as nearest
-from hyperflex.planning.wind.remedies import remedies
-from tests.planning.known import CABLE, PEG, WINDS, late, planned, stopped, thrower, unreachable
+from hyperflex.planning import CastSetup, MotorLimits, check_feasibility
+from hyperflex.planning.search.candidates import Candidate
+from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.throw import ThrowParametrization
+from hyperflex.planning.wind import fallback_targets
+from hyperflex.planning.wind.cast_plan import CastPlan
+from hyperflex.planning.wind.remedies import find_remedies
+from tests.planning.known import CABLE, PEG, WINDS, cast_setup, late, planned, stopped, unreachable
 
-THROWER = thrower()
+CAST_SETUP = cast_setup()
 FAR = hf.Peg(1.72 * np.sin(0.9), -1.72 * np.cos(0.9), 0.04)  # some 10 cm beyond what is in reach in its direction
-SLOW, LAZY, WEAK = (replace(THROWER, limits=MotorLimits(*pair)) for pair in ((0.8, 8.0), (8.6, 0.5), (0.8, 1.0)))
+SLOW, LAZY, WEAK = (replace(CAST_SETUP, limits=MotorLimits(*pair)) for pair in ((0.8, 8.0), (8.6, 0.5), (0.8, 1.0)))
 
 
 def distance(one: hf.Peg, other: hf.Peg) -> float:
@@ -33,80 +32,89 @@ def distance(one: hf.Peg, other: hf.Peg) -> float:
 
 @pytest.mark.parametrize("peg", [FAR, hf.Peg(-FAR.x, FAR.y, 0.04), hf.Peg(0.14, -0.9, 0.03), hf.Peg(0.02, 0.05, 0.02)])
 def test_the_nearest_place_is_in_reach_and_none_is_nearer(peg: hf.Peg) -> None:
-    found = nearest.nearest(THROWER, peg)
+    found = fallback_targets.nearest_feasible(CAST_SETUP, peg)
     assert found is not None
-    assert reach(THROWER, found.peg).within
-    assert not reach(THROWER, peg).within
+    assert check_feasibility(CAST_SETUP, found.target).feasible
+    assert not check_feasibility(CAST_SETUP, peg).feasible
     assert found.plan is None
-    assert found.away == pytest.approx(distance(found.peg, peg))
-    assert (found.peg.radius, found.peg.mu) == (peg.radius, peg.mu)
+    assert found.distance == pytest.approx(distance(found.target, peg))
+    assert (found.target.radius, found.target.mu) == (peg.radius, peg.mu)
     random = np.random.default_rng(1)
-    far, angle = 0.97 * found.away * np.sqrt(random.uniform(size=400)), random.uniform(-np.pi, np.pi, 400)
+    far, angle = 0.97 * found.distance * np.sqrt(random.uniform(size=400)), random.uniform(-np.pi, np.pi, 400)
     assert not any(
-        reach(THROWER, replace(peg, x=peg.x + r * np.sin(a), y=peg.y + r * np.cos(a))).within
+        check_feasibility(CAST_SETUP, replace(peg, x=peg.x + r * np.sin(a), y=peg.y + r * np.cos(a))).feasible
         for r, a in zip(far, angle, strict=True)
     )
 
 
 def test_a_target_ten_centimetres_too_far_has_one_near_by() -> None:
-    found = nearest.nearest(THROWER, FAR)
+    found = fallback_targets.nearest_feasible(CAST_SETUP, FAR)
     assert found is not None
-    assert 0.05 < found.away < 0.15
-    assert found.peg.x == pytest.approx(round(found.peg.x, 3), abs=1e-12)  # a place that can be said
+    assert 0.05 < found.distance < 0.15
+    assert found.target.x == pytest.approx(round(found.target.x, 3), abs=1e-12)  # a place that can be said
 
 
 def test_what_the_nearest_place_shall_have_to_spare_and_hold_counts() -> None:
-    plain, safe = (nearest.nearest(THROWER, FAR, more=more) for more in (0.0, 0.5))
-    firm = nearest.nearest(THROWER, FAR, hold=2.0)
+    plain, safe = (fallback_targets.nearest_feasible(CAST_SETUP, FAR, margin=margin) for margin in (0.0, 0.5))
+    firm = fallback_targets.nearest_feasible(CAST_SETUP, FAR, holding_force=2.0)
     assert plain is not None and safe is not None and firm is not None  # noqa: PT018
-    spares = [nearest.spare(reach(THROWER, one.peg)) for one in (plain, safe)]
+    spares = [check_feasibility(CAST_SETUP, one.target).margin() for one in (plain, safe)]
     assert 0.0 <= spares[0] < 0.1
     assert 0.5 <= spares[1] < 0.6
-    assert plain.away < safe.away
-    assert reach(THROWER, firm.peg).hold >= 2.0 > reach(THROWER, plain.peg).hold
+    assert plain.distance < safe.distance
+    assert (
+        check_feasibility(CAST_SETUP, firm.target).holding_force
+        >= 2.0
+        > check_feasibility(CAST_SETUP, plain.target).holding_force
+    )
 
 
 def test_a_motor_too_slow_for_everything_reaches_nothing() -> None:
-    asleep = replace(THROWER, limits=MotorLimits(speed=0.01, acceleration=0.1))
-    assert nearest.nearest(asleep, PEG) is None
+    asleep = replace(CAST_SETUP, limits=MotorLimits(speed=0.01, acceleration=0.1))
+    assert fallback_targets.nearest_feasible(asleep, PEG) is None
 
 
 def test_down_is_where_gravity_points() -> None:
-    turned = replace(THROWER, rope=CABLE.replace(gravity=(9.81, 0.0)))
-    there, here = nearest.nearest(turned, hf.Peg(-FAR.y, FAR.x, 0.04)), nearest.nearest(THROWER, FAR)
+    turned = replace(CAST_SETUP, rope=CABLE.replace(gravity=(9.81, 0.0)))
+    there, here = (
+        fallback_targets.nearest_feasible(turned, hf.Peg(-FAR.y, FAR.x, 0.04)),
+        fallback_targets.nearest_feasible(CAST_SETUP, FAR),
+    )
     assert there is not None
     assert here is not None
-    assert (there.peg.x, there.peg.y) == pytest.approx((-here.peg.y, here.peg.x), abs=1.5e-3)  # in whole millimetres
+    assert (there.target.x, there.target.y) == pytest.approx(
+        (-here.target.y, here.target.x), abs=1.5e-3
+    )  # in whole millimetres
 
 
-def with_speed(speed: float) -> tuple[Thrower, hf.Peg]:
+def with_speed(speed: float) -> tuple[CastSetup, hf.Peg]:
     return replace(SLOW, limits=MotorLimits(speed, SLOW.limits.acceleration)), PEG
 
 
-def with_acceleration(acceleration: float) -> tuple[Thrower, hf.Peg]:
+def with_acceleration(acceleration: float) -> tuple[CastSetup, hf.Peg]:
     return replace(LAZY, limits=MotorLimits(LAZY.limits.speed, acceleration)), PEG
 
 
-def with_motor(speed: float, acceleration: float) -> tuple[Thrower, hf.Peg]:
+def with_motor(speed: float, acceleration: float) -> tuple[CastSetup, hf.Peg]:
     return replace(SLOW, limits=MotorLimits(speed, acceleration)), PEG
 
 
-def with_rope(length: float) -> tuple[Thrower, hf.Peg]:
+def with_rope(length: float) -> tuple[CastSetup, hf.Peg]:
     """A rope of the same kind; the time stays as it was."""
     longer = hf.Rope.uniform(length, 0.0625 * length, 50, 0.0025, friction=5e-4)
-    return replace(THROWER, rope=longer, time=THROWER.time), FAR
+    return replace(CAST_SETUP, rope=longer, time=CAST_SETUP.time), FAR
 
 
-def with_arm(length: float) -> tuple[Thrower, hf.Peg]:
-    return replace(THROWER, arm=hf.Arm(length=1e-3 * length)), hf.Peg(0.068, -1.179, 0.025)
+def with_arm(length: float) -> tuple[CastSetup, hf.Peg]:
+    return replace(CAST_SETUP, arm=hf.Arm(length=1e-3 * length)), hf.Peg(0.068, -1.179, 0.025)
 
 
-def with_time(time: float) -> tuple[Thrower, hf.Peg]:
-    return replace(THROWER, time=time), PEG
+def with_time(time: float) -> tuple[CastSetup, hf.Peg]:
+    return replace(CAST_SETUP, time=time), PEG
 
 
-def with_peg(radius: float) -> tuple[Thrower, hf.Peg]:
-    return THROWER, replace(FAR, radius=1e-3 * radius)
+def with_peg(radius: float) -> tuple[CastSetup, hf.Peg]:
+    return CAST_SETUP, replace(FAR, radius=1e-3 * radius)
 
 
 @pytest.mark.parametrize(
@@ -115,48 +123,48 @@ def with_peg(radius: float) -> tuple[Thrower, hf.Peg]:
         (SLOW, PEG, r"a motor of (\S+) rad/s", with_speed),
         (LAZY, PEG, r"a motor of (\S+) rad/s\^2", with_acceleration),
         (WEAK, PEG, r"a motor of (\S+) rad/s and (\S+) rad/s\^2", with_motor),
-        (THROWER, FAR, r"a rope of (\S+) m", with_rope),
-        (THROWER, hf.Peg(0.068, -1.179, 0.025), r"an arm of (\S+) mm", with_arm),
-        (replace(THROWER, time=1.5), PEG, r"(\S+) s to strike", with_time),
-        (THROWER, FAR, r"a peg of (\S+) mm radius", with_peg),
+        (CAST_SETUP, FAR, r"a rope of (\S+) m", with_rope),
+        (CAST_SETUP, hf.Peg(0.068, -1.179, 0.025), r"an arm of (\S+) mm", with_arm),
+        (replace(CAST_SETUP, time=1.5), PEG, r"(\S+) s to strike", with_time),
+        (CAST_SETUP, FAR, r"a peg of (\S+) mm radius", with_peg),
     ],
 )
 def test_a_remedy_helps_and_less_of_it_does_not(
-    who: Thrower, target: hf.Peg, words: str, changed: Callable[..., tuple[Thrower, hf.Peg]]
+    who: CastSetup, target: hf.Peg, words: str, changed: Callable[..., tuple[CastSetup, hf.Peg]]
 ) -> None:
-    assert not reach(who, target).within
-    told = next(found for text in remedies(who, target) if (found := re.fullmatch(words, text)))
+    assert not check_feasibility(who, target).feasible
+    told = next(found for text in find_remedies(who, target) if (found := re.fullmatch(words, text)))
     numbers = np.array([float(text) for text in told.groups()])
     sense = -1.0 if "radius" in words else 1.0
-    assert reach(*changed(*numbers)).within  # rounded to what is enough
-    assert not reach(*changed(*(numbers * (1.0 - sense * 0.02)))).within  # a factor is found to 1 %
+    assert check_feasibility(*changed(*numbers)).feasible  # rounded to what is enough
+    assert not check_feasibility(*changed(*(numbers * (1.0 - sense * 0.02)))).feasible  # a factor is found to 1 %
 
 
 def test_a_faster_motor_makes_each_move_in_the_same_part_of_the_time() -> None:
-    told = next(found for text in remedies(WEAK, PEG) if (found := re.search(r"(\S+) rad/s and (\S+) rad", text)))
+    told = next(found for text in find_remedies(WEAK, PEG) if (found := re.search(r"(\S+) rad/s and (\S+) rad", text)))
     speed, acceleration = (float(text) for text in told.groups())
-    before, after = (MotorLimits(*pair).fastest([0.1, 3.0])[0] for pair in ((0.8, 1.0), (speed, acceleration)))
+    before, after = (MotorLimits(*pair).fastest_moves([0.1, 3.0])[0] for pair in ((0.8, 1.0), (speed, acceleration)))
     assert after / before == pytest.approx(0.8 / speed, rel=0.02)  # three digits are told
 
 
 def test_places_about_a_peg_are_tried_from_the_sides_that_are_clear_there() -> None:
     """A long arm, whose rope hangs where the target is moved to."""
-    who = replace(THROWER, arm=hf.Arm(length=0.5))
-    search = Search(who, hf.Peg(0.56, -1.1, 0.03))
-    search.landings.append(Landing(1.0, 1.0, 1, search.genes[1].centre(), WINDS))
-    sides = [list(beside.genes) for beside in nearest.around(search)]
+    who = replace(CAST_SETUP, arm=hf.Arm(length=0.5))
+    search = ThrowSearch(who, hf.Peg(0.56, -1.1, 0.03))
+    search.candidates.append(Candidate(1.0, 1.0, 1, search.parametrizations[1].centre(), WINDS))
+    sides = [list(beside.parametrizations) for beside in fallback_targets.searches_near_by(search)]
     assert [-1] in sides
 
 
 def test_a_target_in_reach_needs_no_remedy() -> None:
-    assert remedies(THROWER, PEG) == ()
+    assert find_remedies(CAST_SETUP, PEG) == ()
 
 
 def test_a_plan_that_fails_says_where_one_should_do() -> None:
     plan = unreachable()
-    assert plan.nearest is not None
-    assert plan.nearest.plan is None
-    assert reach(plan.thrower, plan.nearest.peg).within
+    assert plan.fallback is not None
+    assert plan.fallback.plan is None
+    assert check_feasibility(plan.cast_setup, plan.fallback.target).feasible
     assert [text[:9] for text in plan.remedies] == ["a rope of"]
 
 
@@ -164,21 +172,23 @@ def test_a_plan_that_fails_says_where_one_should_do() -> None:
 def test_no_place_is_named_where_the_target_is_not_what_failed(made: Callable[[], CastPlan]) -> None:
     plan = made()
     assert plan.unfinished
-    assert elsewhere.expected(plan, 0.0) is None
+    assert fallback_targets.expected_fallback(plan, 0.0) is None
 
 
 @pytest.mark.parametrize(
     "made",
     [
         lambda: planned(winds=False),  # a throw that was run says so
-        lambda: replace(stopped(None), peg=FAR, reach=reach(THROWER, FAR)),  # the criterion says so
+        lambda: replace(
+            stopped(None), target=FAR, feasibility=check_feasibility(CAST_SETUP, FAR)
+        ),  # the criterion says so
     ],
     ids=["throw", "criterion"],
 )
 def test_a_place_is_named_where_the_target_is_what_failed(made: Callable[[], CastPlan]) -> None:
     plan = made()
     assert not plan.unfinished
-    assert elsewhere.expected(plan, 0.0) is not None
+    assert fallback_targets.expected_fallback(plan, 0.0) is not None
 
 
 def test_a_plan_that_stands_is_finished() -> None:
@@ -186,7 +196,7 @@ def test_a_plan_that_stands_is_finished() -> None:
 
 
 def test_a_finer_run_that_took_too_long_is_not_the_targets_fault() -> None:
-    assert replace(planned(), finer=late().cast, reason="with shorter links").unfinished
+    assert replace(planned(), finer_outcome=late().outcome, message="with shorter links").unfinished
 
 
 class Planner:
@@ -198,100 +208,103 @@ class Planner:
     def __call__(self, peg: hf.Peg) -> CastPlan:
         self.asked.append(peg)
         if len(self.asked) == self.good:
-            return replace(planned(), peg=peg)
-        return replace(planned(), peg=peg, reason="it slips", interrupted=self.interrupted)
+            return replace(planned(), target=peg)
+        return replace(planned(), target=peg, message="it slips", interrupted=self.interrupted)
 
 
 def failed(peg: hf.Peg) -> CastPlan:
-    return replace(planned(), peg=peg, reach=reach(THROWER, peg), reason="it slips")
+    return replace(planned(), target=peg, feasibility=check_feasibility(CAST_SETUP, peg), message="it slips")
 
 
 @pytest.mark.parametrize("peg", [FAR, PEG])
 def test_places_are_planned_for_until_one_stands(peg: hf.Peg) -> None:
     again = Planner(good=2)
-    plan = elsewhere.found(failed(peg), Search(THROWER, peg), 0.0, 1.0, again)
-    assert plan.nearest is not None
-    assert plan.nearest.plan is not None
-    assert plan.nearest.plan.peg == plan.nearest.peg == again.asked[1]
-    assert plan.nearest.tried == 1
-    assert plan.reason == "it slips"
+    plan = fallback_targets.plan_fallback(failed(peg), ThrowSearch(CAST_SETUP, peg), 1.0, again)
+    assert plan.fallback is not None
+    assert plan.fallback.plan is not None
+    assert plan.fallback.plan.target == plan.fallback.target == again.asked[1]
+    assert plan.fallback.failed_plans == 1
+    assert plan.message == "it slips"
     away = [distance(one, peg) for one in again.asked]
-    assert 0.0 < away[0] < away[1] == pytest.approx(plan.nearest.away)
+    assert 0.0 < away[0] < away[1] == pytest.approx(plan.fallback.distance)
 
 
 def test_where_no_place_stands_the_next_one_is_expected() -> None:
     again = Planner(good=0)
-    plan = elsewhere.found(failed(FAR), Search(THROWER, FAR), 0.0, 1.0, again)
-    assert plan.nearest is not None
-    assert (plan.nearest.plan, plan.nearest.tried) == (None, 3)
-    assert plan.nearest.peg not in again.asked
-    assert plan.nearest.away > max(distance(one, FAR) for one in again.asked)
+    plan = fallback_targets.plan_fallback(failed(FAR), ThrowSearch(CAST_SETUP, FAR), 1.0, again)
+    assert plan.fallback is not None
+    assert (plan.fallback.plan, plan.fallback.failed_plans) == (None, 3)
+    assert plan.fallback.target not in again.asked
+    assert plan.fallback.distance > max(distance(one, FAR) for one in again.asked)
 
 
 def test_no_place_is_planned_for_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(elsewhere, "SPARE", (0.0, 0.0, 0.0, 0.0))
+    monkeypatch.setattr(fallback_targets, "MARGINS", (0.0, 0.0, 0.0, 0.0))
     again = Planner(good=0)
-    plan = elsewhere.found(failed(FAR), Search(THROWER, FAR), 0.0, 1.0, again)
+    plan = fallback_targets.plan_fallback(failed(FAR), ThrowSearch(CAST_SETUP, FAR), 1.0, again)
     assert len(again.asked) == 1
-    assert plan.nearest is None
+    assert plan.fallback is None
 
 
 def test_a_throw_at_hand_counts_where_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
     """Made up: nothing strikes or winds at the first places, one slips at the next, one stands at the last."""
     places = [replace(PEG, x=PEG.x + 0.01 * k) for k in (1, 2, 3, 4)]
-    beside = [SimpleNamespace(thrower=THROWER, peg=peg, landings=[]) for peg in places]
+    beside = [SimpleNamespace(cast_setup=CAST_SETUP, peg=peg, candidates=[]) for peg in places]
     for one, turns in zip(beside[1:], (1.2, 1.3, 1.3), strict=True):
-        one.landings.append(SimpleNamespace(turns=turns))
-    monkeypatch.setattr(elsewhere, "around", lambda search: iter(beside))
-    monkeypatch.setattr(elsewhere, "Course", lambda search, *_: SimpleNamespace(search=search, look=lambda: None))
-    stands = replace(planned(), peg=places[3])
+        one.candidates.append(SimpleNamespace(turns=turns))
+    monkeypatch.setattr(fallback_targets, "searches_near_by", lambda search: iter(beside))
+    stands = replace(planned(), target=places[3])
     monkeypatch.setattr(
-        elsewhere, "come_to", lambda work, known: failed(places[2]) if work.search.peg == places[2] else stands
+        fallback_targets,
+        "CastPlanner",
+        lambda search, *_: SimpleNamespace(
+            verify_new=lambda: None, plan=lambda known: failed(places[2]) if search.peg == places[2] else stands
+        ),
     )
-    plan = elsewhere.found(failed(PEG), Search(THROWER, PEG), 0.0, 10.0, Planner(good=0))
-    assert plan.nearest is not None
-    assert plan.nearest.plan is stands
-    assert plan.nearest.away == pytest.approx(0.04)
-    assert plan.nearest.tried == 0
+    plan = fallback_targets.plan_fallback(failed(PEG), ThrowSearch(CAST_SETUP, PEG), 10.0, Planner(good=0))
+    assert plan.fallback is not None
+    assert plan.fallback.plan is stands
+    assert plan.fallback.distance == pytest.approx(0.04)
+    assert plan.fallback.failed_plans == 0
 
 
 def test_an_interrupt_ends_the_search_for_a_place() -> None:
     again = Planner(good=0, interrupted=True)
-    plan = elsewhere.found(failed(FAR), Search(THROWER, FAR), 0.0, 1.0, again)
+    plan = fallback_targets.plan_fallback(failed(FAR), ThrowSearch(CAST_SETUP, FAR), 1.0, again)
     assert plan.interrupted
     assert len(again.asked) == 1
-    assert plan.nearest is not None
-    assert plan.nearest.plan is None
+    assert plan.fallback is not None
+    assert plan.fallback.plan is None
 
 
 def test_a_throw_at_hand_is_tried_on_pegs_near_by_and_verified(monkeypatch: pytest.MonkeyPatch) -> None:
     """The throw that is known to wind, for a target 2 mm beside its own."""
-    monkeypatch.setattr(nearest, "RADII", (0.001,))
-    genes = Genes(THROWER, WINDS.side)
+    monkeypatch.setattr(fallback_targets, "RADII", (0.001,))
+    genes = ThrowParametrization(CAST_SETUP, WINDS.side)
     x = genes.centre()
     x[:6], x[genes.strokes : genes.strokes + 6] = WINDS.strokes / np.pi, WINDS.rests / genes.period
     x[-4:] = 0.5, WINDS.end / np.pi, WINDS.rest / genes.period, WINDS.speed
-    search = Search(THROWER, replace(PEG, x=PEG.x - 0.002))
-    search.landings.append(Landing(1.0, 1.0, WINDS.side, x, WINDS))
+    search = ThrowSearch(CAST_SETUP, replace(PEG, x=PEG.x - 0.002))
+    search.candidates.append(Candidate(1.0, 1.0, WINDS.side, x, WINDS))
     again = Planner(good=1)
-    plan = elsewhere.found(failed(search.peg), search, 0.0, 1e3, again)
+    plan = fallback_targets.plan_fallback(failed(search.peg), search, 1e3, again)
     assert again.asked == []
-    assert plan.nearest is not None
-    assert plan.nearest.plan is not None
-    assert plan.nearest.away == pytest.approx(0.002)
-    cast = plan.nearest.plan.cast
+    assert plan.fallback is not None
+    assert plan.fallback.plan is not None
+    assert plan.fallback.distance == pytest.approx(0.002)
+    cast = plan.fallback.plan.outcome
     assert cast is not None
     assert cast.success
     assert cast.run is not None
-    assert plan.nearest.peg in cast.run.setup.pegs
+    assert plan.fallback.target in cast.run.setup.pegs
 
 
 def test_throws_at_hand_are_tried_on_near_places_first(monkeypatch: pytest.MonkeyPatch) -> None:
     landed: list[int] = []
-    monkeypatch.setattr(Search, "land", lambda self, side, points: landed.append(len(points)))
-    search = Search(THROWER, PEG)
-    search.landings += [Landing(1.0, 1.0, side, np.zeros(3), WINDS) for side in (1, -1, 1, 1, 1, 1, 1, 1)]
-    places: Iterator[Search] = nearest.around(search)
+    monkeypatch.setattr(ThrowSearch, "evaluate", lambda self, side, points: landed.append(len(points)))
+    search = ThrowSearch(CAST_SETUP, PEG)
+    search.candidates += [Candidate(1.0, 1.0, side, np.zeros(3), WINDS) for side in (1, -1, 1, 1, 1, 1, 1, 1)]
+    places: Iterator[ThrowSearch] = fallback_targets.searches_near_by(search)
     away = [distance(one.peg, PEG) for one in places]
     assert np.all(np.diff(away) > -1e-8)  # places are rounded to 1e-9 m
     assert away[0] == pytest.approx(0.02)

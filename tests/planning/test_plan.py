@@ -10,11 +10,12 @@ import pytest
 import hyperflex as hf
 from hyperflex import winding
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import MotorLimits, Thrower, plan
-from hyperflex.planning import planner as course
-from hyperflex.planning.planner import LONGER
+from hyperflex.planning import CastSetup, MotorLimits, SuccessProbability, Uncertainty
 from hyperflex.planning.search.candidates import Swing
-from hyperflex.planning.search.search import Search
+from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.wind import casting
+from hyperflex.planning.wind import planner as cast_planner
+from hyperflex.planning.wind.planner import LONGER
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 ARM = hf.Arm(length=0.105)
@@ -24,8 +25,8 @@ EASY = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04, 0.3)
 @pytest.mark.slow
 def test_a_target_in_reach_is_wound_and_held() -> None:
     """And by an independent run: half the step, and links that the planner did not know."""
-    found = hf.plan_cast(CABLE, ARM, EASY, patience=300.0)  # as long as it takes on a busy machine
-    assert found.success, found.reason
+    found = hf.plan_cast(CABLE, ARM, EASY, time_budget=300.0)  # as long as it takes on a busy machine
+    assert found.success, found.message
     assert found.motion is not None
     fine = hf.Rope.uniform(length=2.0, mass=0.125, n_links=125, radius=0.0025, friction=5e-4 * 2.5)
     stop = float(found.motion.breaks[-1])
@@ -33,7 +34,7 @@ def test_a_target_in_reach_is_wound_and_held() -> None:
     turns = np.abs(winding.turns(run, EASY)[run.t > stop + 1.0])
     assert turns.min() >= 1.25
     t = np.linspace(0.0, stop, 5000)
-    limits = found.thrower.limits
+    limits = found.cast_setup.limits
     assert np.abs(found.motion.rate(t)).max() <= limits.speed * (1 + 1e-9)
     assert np.abs(found.motion.acceleration(t)).max() <= limits.acceleration * (1 + 1e-9)
 
@@ -49,17 +50,17 @@ def test_a_target_in_reach_is_wound_and_held() -> None:
 def test_out_of_reach_is_said_before_searching(target: hf.Peg, told: str) -> None:
     found = hf.plan_cast(CABLE, ARM, target)
     assert not found.success
-    assert told in found.reason
-    assert (found.runs, found.motion, found.cast) == (0, None, None)
+    assert told in found.message
+    assert (found.runs, found.motion, found.outcome) == (0, None, None)
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
         ({"target": hf.Ground(0.0, -1.0)}, "target is not a peg"),
-        ({"patience": 0.0}, "patience"),
-        ({"patience": np.nan}, "patience"),
-        ({"hold": -1.0}, "hold"),
+        ({"time_budget": 0.0}, "time_budget"),
+        ({"time_budget": np.nan}, "time_budget"),
+        ({"holding_force": -1.0}, "holding_force"),
         ({"time_limit": -1.0}, "time"),
         ({"time_limit": 0.02}, "too short for any cast"),
         ({"seed": -1}, "seed"),
@@ -68,43 +69,43 @@ def test_out_of_reach_is_said_before_searching(target: hf.Peg, told: str) -> Non
     ],
 )
 def test_bad_input_is_refused(change: dict[str, object], told: str) -> None:
-    given: dict[str, object] = {"rope": CABLE, "arm": ARM, "target": EASY, "patience": 0.01} | change
+    given: dict[str, object] = {"rope": CABLE, "arm": ARM, "target": EASY, "time_budget": 0.01} | change
     with pytest.raises(InvalidInput, match=told):
         hf.plan_cast(given.pop("rope"), given.pop("arm"), given.pop("target"), **given)  # type: ignore[arg-type]
 
 
 def test_a_search_that_finds_nothing_says_so() -> None:
-    found = hf.plan_cast(CABLE, ARM, hf.Peg(0.0, -0.9, 0.03), patience=0.5, regardless=True, time_limit=1.0)
+    found = hf.plan_cast(CABLE, ARM, hf.Peg(0.0, -0.9, 0.03), time_budget=0.5, skip_feasibility=True, time_limit=1.0)
     assert not found.success
-    assert found.reason
+    assert found.message
     assert found.runs > 0
 
 
 def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) -> None:
-    landed = course.Landing(2.0, 2.0, 1, np.zeros(3), "a throw", firm=True)  # type: ignore[arg-type]
+    landed = cast_planner.Candidate(2.0, 2.0, 1, np.zeros(3), "a throw", confirmed=True)  # type: ignore[arg-type]
 
-    def swing(self: Search) -> float:
-        if self.landings:
+    def swing(self: ThrowSearch) -> float:
+        if self.candidates:
             raise KeyboardInterrupt
-        self.landings.append(landed)
+        self.candidates.append(landed)
         return 1.0
 
-    def verified(self: course.Course, found: course.Landing) -> object:
-        return SimpleNamespace(success=False, turns=2.0, slipped=9e-3, reason="it slips"), None
+    def verified(self: cast_planner.CastPlanner, found: cast_planner.Candidate) -> object:
+        return SimpleNamespace(success=False, turns=2.0, slip=9e-3, message="it slips"), None
 
-    monkeypatch.setattr(Search, "climb", swing)
-    monkeypatch.setattr(Search, "swing", swing)
-    monkeypatch.setattr(Search, "try_ends", lambda self: None)
-    monkeypatch.setattr(course.Course, "verified", verified)
+    monkeypatch.setattr(ThrowSearch, "beam_search", swing)
+    monkeypatch.setattr(ThrowSearch, "evolve_swings", swing)
+    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: None)
+    monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
     found = hf.plan_cast(CABLE, ARM, EASY)
     assert found.interrupted
     assert found.throw == "a throw"
-    assert found.reason == "it slips"
+    assert found.message == "it slips"
 
 
 def test_the_same_seed_searches_alike() -> None:
-    searches = [Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY, seed) for seed in (4, 4, 5)]
-    scores = [search.swing() for search in searches]
+    searches = [ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, seed) for seed in (4, 4, 5)]
+    scores = [search.evolve_swings() for search in searches]
     assert scores[0] == scores[1] != scores[2]
     assert np.array_equal(searches[0].swings[0].x, searches[1].swings[0].x)
 
@@ -117,98 +118,112 @@ def test_the_same_seed_searches_alike() -> None:
         ({"throw 0", "throw 1", "throw 2"}, "throw 2"),  # the most robust one, if none stands
     ],
 )
-@pytest.mark.parametrize("slipped", [1e-3, 3e-3])  # with something in hand and without
+@pytest.mark.parametrize("slip", [1e-3, 3e-3])  # with something in hand and without
 def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_success_stated(
-    monkeypatch: pytest.MonkeyPatch, fails: set[str], planned: str, slipped: float
+    monkeypatch: pytest.MonkeyPatch, fails: set[str], planned: str, slip: float
 ) -> None:
     """The course of things alone: what is raced, verified and stated is made up."""
-    landed = [course.Landing(3.0 - k, 2.0, 1, np.full(3, float(k)), f"throw {k}") for k in range(3)]  # type: ignore[arg-type]
+    landed = [cast_planner.Candidate(3.0 - k, 2.0, 1, np.full(3, float(k)), f"throw {k}") for k in range(3)]  # type: ignore[arg-type]
     seen: dict[str, object] = {}
 
-    def go(self: course.Course, report: object) -> None:
-        self.search.landings += landed
+    def go(self: cast_planner.CastPlanner, report: object) -> None:
+        self.search.candidates += landed
         self.check(landed[:1])
 
-    def verified(self: course.Course, found: course.Landing) -> object:
+    def verified(self: cast_planner.CastPlanner, found: cast_planner.Candidate) -> object:
         good = found.throw not in fails
         cast = SimpleNamespace(
             success=good,
             turns=2.0,
-            slipped=slipped,
-            grip=0.5,
+            slip=slip,
+            load_ratio=0.5,
             folded=False,
-            reason="" if good else "it slips",
-            run="a run",
+            message="" if good else "it slips",
+            completed=True,
         )
         return cast, cast if good else None
 
-    def race(self: course.Hardening, found: list, seeded: list) -> None:
+    def race(self: cast_planner.RobustRefinement, found: list, seeded: list) -> None:
         seen["seeded"] = [one.throw for one in seeded]
         seen["raced"] = [one.throw for one in found]
-        self.order = [course.Runner(landed[k], worth=16 * [0.5 * k]) for k in (2, 1)]
+        self.order = [cast_planner.RobustCandidate(landed[k], values=16 * [0.5 * k]) for k in (2, 1)]
 
-    def success(thrower: object, peg: object, throw: object, *_: object, **__: object) -> hf.casting.Success:
+    def estimate_success_probability(
+        cast_setup: object, peg: object, throw: object, *_: object, **__: object
+    ) -> SuccessProbability:
         seen["stated"] = throw
-        return hf.casting.Success(30, 40)
+        return SuccessProbability(30, 40)
 
-    monkeypatch.setattr(course.Course, "go", go)
-    monkeypatch.setattr(course.Course, "verified", verified)
-    monkeypatch.setattr(course.Hardening, "race", race)
-    monkeypatch.setattr(course.Hardening, "go", lambda self, report=None: None)
-    monkeypatch.setattr(course.Hardening, "best", lambda self, count: self.order[:count])
-    monkeypatch.setattr(plan, "success", success)
-    found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=hf.casting.Uncertainty())
+    monkeypatch.setattr(cast_planner.CastPlanner, "run", go)
+    monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
+    monkeypatch.setattr(cast_planner.RobustRefinement, "halve", race)
+    monkeypatch.setattr(cast_planner.RobustRefinement, "run", lambda self, report=None: None)
+    monkeypatch.setattr(cast_planner.RobustRefinement, "best", lambda self, count: self.order[:count])
+    monkeypatch.setattr(casting, "estimate_success_probability", estimate_success_probability)
+    found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty())
     assert seen["seeded"] == ["throw 0"]
     assert sorted(seen["raced"]) == ["throw 0", "throw 1", "throw 2"]  # type: ignore[arg-type, call-overload]
     assert seen["stated"] == planned
-    assert (found.throw, found.success, found.stated) == (planned, planned not in fails, hf.casting.Success(30, 40))
+    assert (found.throw, found.success, found.success_probability) == (
+        planned,
+        planned not in fails,
+        SuccessProbability(30, 40),
+    )
     nominal = hf.plan_cast(CABLE, ARM, EASY)
-    assert (nominal.throw, nominal.stated) == ("throw 0", None)
+    assert (nominal.throw, nominal.success_probability) == ("throw 0", None)
 
 
-class Race(course.Hardening):
+class Race(cast_planner.RobustRefinement):
     """Throws that win in so many of the common worlds; nothing is simulated."""
 
     wins = (16, 10, 8)
 
-    def race(self, found: list, seeded: object = ()) -> None:
-        self.order = [course.Runner(found[k], worth=[m < self.wins[k] for m in range(16)]) for k in range(3)]
+    def halve(self, found: list, seeded: object = ()) -> None:
+        self.order = [
+            cast_planner.RobustCandidate(found[k], values=[m < self.wins[k] for m in range(16)]) for k in range(3)
+        ]
 
-    def meet(self, runners: object, worlds: list) -> None:
-        assert not worlds
+    def evaluate(self, runners: object, scenarios: list) -> None:
+        assert not scenarios
 
-    def go(self, report: object = None) -> None:
+    def run(self, report: object = None) -> None:
         pass
 
 
-def hardened(monkeypatch: pytest.MonkeyPatch, patience: float = 60.0, **told: dict[str, object]) -> course.Course:
+def hardened(
+    monkeypatch: pytest.MonkeyPatch, time_budget: float = 60.0, **told: dict[str, object]
+) -> cast_planner.CastPlanner:
     """A plan that was made robust, of throws a, b and c; what is `told` of each: what its verification says."""
-    good = {"success": True, "turns": 2.0, "slipped": 1e-3, "grip": 0.5, "folded": False, "run": "a run"}
+    good = {"success": True, "turns": 2.0, "slip": 1e-3, "load_ratio": 0.5, "folded": False, "completed": True}
     landings = [
-        course.Landing(1.0, 2.0, 1, np.full(26, float(k)), SimpleNamespace(name=name, count=5))
+        cast_planner.Candidate(1.0, 2.0, 1, np.full(26, float(k)), SimpleNamespace(name=name, count=5))
         for k, name in enumerate("abc")
     ]
 
-    def verified(self: course.Course, found: course.Landing) -> object:
+    def verified(self: cast_planner.CastPlanner, found: cast_planner.Candidate) -> object:
         cast = SimpleNamespace(**(good | told.get(found.throw.name, {})))  # type: ignore[attr-defined]
         return cast, cast if cast.success else None
 
-    monkeypatch.setattr(course, "Hardening", Race)
-    monkeypatch.setattr(course.Course, "verified", verified)
-    search = Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
-    search.landings = landings
-    work = course.Course(search, course.NOMINAL * patience)
+    monkeypatch.setattr(cast_planner, "RobustRefinement", Race)
+    monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
+    search.candidates = landings
+    work = cast_planner.CastPlanner(search, cast_planner.NOMINAL * time_budget)
     nominal = SimpleNamespace(**(good | told.get("nominal", {})))
     work.best = ("nominal", nominal, nominal)  # type: ignore[assignment]
-    work.harden(hf.casting.Uncertainty(), None)
+    work.refine_robustly(Uncertainty(), None)
     return work
 
 
-FAILS, LOOSE, LATE = {"success": False, "turns": 0.5}, {"folded": True}, {"success": False, "turns": 0.0, "run": None}
+FAILS, LOOSE, LATE = (
+    {"success": False, "turns": 0.5},
+    {"folded": True},
+    {"success": False, "turns": 0.0, "completed": False},
+)
 
 
 @pytest.mark.parametrize(
-    ("told", "patience", "planned"),
+    ("told", "time_budget", "planned"),
     [
         ({}, 60.0, "a"),
         ({"a": FAILS}, 60.0, "b"),  # what does not stand is dropped, and the rest refined
@@ -221,10 +236,10 @@ FAILS, LOOSE, LATE = {"success": False, "turns": 0.5}, {"folded": True}, {"succe
     ],
 )
 def test_the_race_goes_on_without_throws_that_do_not_stand(
-    monkeypatch: pytest.MonkeyPatch, told: dict, patience: float, planned: str
+    monkeypatch: pytest.MonkeyPatch, told: dict, time_budget: float, planned: str
 ) -> None:
     """Two throws are verified at once."""
-    work = hardened(monkeypatch, patience, **told)
+    work = hardened(monkeypatch, time_budget, **told)
     assert getattr(work.best[0], "name", work.best[0]) == planned
 
 
@@ -242,34 +257,34 @@ def test_what_cannot_be_the_plan_is_not_verified(monkeypatch: pytest.MonkeyPatch
 
 def test_what_was_verified_before_the_race_is_not_verified_again(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
-    go, outcomes = Race.go, course.Course.outcomes
+    go, outcomes = Race.run, cast_planner.CastPlanner.outcomes
 
     def first(self: Race, report: object = None) -> None:
-        asked.append("go " + " ".join(one.landing.throw.name for one in self.order))  # type: ignore[attr-defined]
+        asked.append("go " + " ".join(one.candidate.throw.name for one in self.order))  # type: ignore[attr-defined]
         go(self)
 
-    def told(self: course.Course, some: list) -> object:
+    def told(self: cast_planner.CastPlanner, some: list) -> object:
         asked.append("verify " + " ".join(one.throw.name for one in some))
         return outcomes(self, some)
 
-    monkeypatch.setattr(Race, "go", first)
-    monkeypatch.setattr(course.Course, "outcomes", told)
-    init = course.Course.__init__
+    monkeypatch.setattr(Race, "run", first)
+    monkeypatch.setattr(cast_planner.CastPlanner, "outcomes", told)
+    init = cast_planner.CastPlanner.__init__
 
-    def begun(self: course.Course, search: Search, *more: object, **how: object) -> None:
+    def begun(self: cast_planner.CastPlanner, search: ThrowSearch, *more: object, **how: object) -> None:
         init(self, search, *more, **how)  # type: ignore[arg-type]
-        failed = SimpleNamespace(success=False, turns=1.0, run="a run")
-        late = SimpleNamespace(success=False, turns=0.0, run=None)
-        self.seen = [(search.landings[0].throw, failed, None), (search.landings[1].throw, late, None)]  # type: ignore[list-item]
+        failed = SimpleNamespace(success=False, turns=1.0, completed=True)
+        late = SimpleNamespace(success=False, turns=0.0, completed=False)
+        self.verified = [(search.candidates[0].throw, failed, None), (search.candidates[1].throw, late, None)]  # type: ignore[list-item]
 
-    monkeypatch.setattr(course.Course, "__init__", begun)
+    monkeypatch.setattr(cast_planner.CastPlanner, "__init__", begun)
     assert hardened(monkeypatch).best[0].name == "b"  # type: ignore[union-attr]
     assert asked == ["go b c", "verify b c", "go b c"]  # the one that failed is not refined; the one not told is tried
 
 
 def test_a_second_interrupt_keeps_what_was_verified(monkeypatch: pytest.MonkeyPatch) -> None:
     count = 0
-    go = Race.go
+    go = Race.run
 
     def broken_off(self: Race, report: object = None) -> None:
         nonlocal count
@@ -278,16 +293,16 @@ def test_a_second_interrupt_keeps_what_was_verified(monkeypatch: pytest.MonkeyPa
         if count == 2:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(Race, "go", broken_off)
+    monkeypatch.setattr(Race, "run", broken_off)
     best: list[object] = []
-    harden = course.Course.harden
+    harden = cast_planner.CastPlanner.refine_robustly
 
-    def caught(self: course.Course, *more: object) -> None:
+    def caught(self: cast_planner.CastPlanner, *more: object) -> None:
         with pytest.raises(KeyboardInterrupt):
             harden(self, *more)  # type: ignore[arg-type]
         best.append(self.best[0])
 
-    monkeypatch.setattr(course.Course, "harden", caught)
+    monkeypatch.setattr(cast_planner.CastPlanner, "refine_robustly", caught)
     hardened(monkeypatch, a=FAILS)
     assert best[0].name == "b"  # type: ignore[attr-defined]
 
@@ -295,77 +310,79 @@ def test_a_second_interrupt_keeps_what_was_verified(monkeypatch: pytest.MonkeyPa
 def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_then(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    landed = course.Landing(1.0, 2.0, 1, np.zeros(3), "nominal")  # type: ignore[arg-type]
+    landed = cast_planner.Candidate(1.0, 2.0, 1, np.zeros(3), "nominal")  # type: ignore[arg-type]
 
-    def go(self: course.Course, report: object) -> None:
-        self.best = ("nominal", SimpleNamespace(success=True, turns=2.0, slipped=1e-3, reason=""), None)  # type: ignore[assignment]
+    def go(self: cast_planner.CastPlanner, report: object) -> None:
+        self.best = ("nominal", SimpleNamespace(success=True, turns=2.0, slip=1e-3, message=""), None)  # type: ignore[assignment]
 
-    def verified(self: course.Course, found: course.Landing) -> object:
+    def verified(self: cast_planner.CastPlanner, found: cast_planner.Candidate) -> object:
         raise KeyboardInterrupt
 
-    def race(self: course.Hardening, found: list, seeded: list) -> None:
-        self.order = [course.Runner(landed, worth=16 * [1.0])]
+    def race(self: cast_planner.RobustRefinement, found: list, seeded: list) -> None:
+        self.order = [cast_planner.RobustCandidate(landed, values=16 * [1.0])]
 
-    monkeypatch.setattr(course.Course, "go", go)
-    monkeypatch.setattr(course.Course, "verified", verified)
-    monkeypatch.setattr(course.Hardening, "race", race)
-    monkeypatch.setattr(course.Hardening, "go", lambda self, report=None: None)
-    found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=hf.casting.Uncertainty())
+    monkeypatch.setattr(cast_planner.CastPlanner, "run", go)
+    monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
+    monkeypatch.setattr(cast_planner.RobustRefinement, "halve", race)
+    monkeypatch.setattr(cast_planner.RobustRefinement, "run", lambda self, report=None: None)
+    found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty())
     assert found.interrupted
-    assert (found.throw, found.stated) == ("nominal", None)
+    assert (found.throw, found.success_probability) == ("nominal", None)
 
 
 @pytest.mark.parametrize(
     ("first", "second", "enough"),
     [
         ({}, {}, True),
-        ({"slipped": 3e-3}, {}, False),  # 5 mm are allowed
+        ({"slip": 3e-3}, {}, False),  # 5 mm are allowed
         ({"folded": True}, {}, False),  # through itself: a real rope does not
-        ({}, {"grip": 1.2}, False),  # pulled with more than Capstan's rule lets it bear
+        ({}, {"load_ratio": 1.2}, False),  # pulled with more than Capstan's rule lets it bear
         ({}, {"turns": 1.3}, False),  # one turn fewer with finer links: left to chance
         ({}, {"success": False}, False),
     ],
 )
 def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, second: dict, enough: bool) -> None:
-    search = SimpleNamespace(thrower=Thrower(CABLE, ARM, hf.MotorLimits()), peg=EASY, landings=[])
-    work = course.Course(search, 1.0)  # type: ignore[arg-type]
-    good = {"success": True, "turns": 2.3, "slipped": 1e-3, "grip": 0.8, "folded": False}
+    search = SimpleNamespace(cast_setup=CastSetup(CABLE, ARM, hf.MotorLimits()), peg=EASY, candidates=[])
+    work = cast_planner.CastPlanner(search, 1.0)  # type: ignore[arg-type]
+    good = {"success": True, "turns": 2.3, "slip": 1e-3, "load_ratio": 0.8, "folded": False}
     pair = [SimpleNamespace(**(good | change)) for change in (first, second)]
     work.best = ("a throw", *pair)  # type: ignore[assignment]
     assert work.done() is enough
 
 
 def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    search = SimpleNamespace(thrower=Thrower(CABLE, ARM, hf.MotorLimits()), peg=EASY, hold=0.0, correct=lambda *_: None)
-    work = course.Course(search, 1.0)  # type: ignore[arg-type]
+    search = SimpleNamespace(
+        cast_setup=CastSetup(CABLE, ARM, hf.MotorLimits()), peg=EASY, holding_force=0.0, correct=lambda *_: None
+    )
+    work = cast_planner.CastPlanner(search, 1.0)  # type: ignore[arg-type]
     ends = {"slips": [(False, 3.2)], "stands": [(True, 1.4), (True, 1.4)], "once": [(True, 2.3), (False, 2.3)]}
     casts: list[object] = []
 
-    def verify(*_: object, **__: object) -> object:
+    def verify_cast(*_: object, **__: object) -> object:
         success, turns = casts.pop(0) if len(casts) > 1 else casts[0]  # type: ignore[misc]
-        return SimpleNamespace(success=success, turns=turns, slipped=0.0, grip=0.5, folded=False, run="a run")
+        return SimpleNamespace(success=success, turns=turns, slip=0.0, load_ratio=0.5, folded=False, completed=True)
 
-    monkeypatch.setattr(course, "verify", verify)
+    monkeypatch.setattr(cast_planner, "verify_cast", verify_cast)
     kept = []
     for name in ("slips", "once", "slips", "stands", "slips", "once"):
         casts[:] = ends[name]
         throw = SimpleNamespace(name=name, motion=lambda limits: None)
-        work.check([course.Landing(1.0, 2.0, 1, np.zeros(3), throw)])  # type: ignore[arg-type]
+        work.check([cast_planner.Candidate(1.0, 2.0, 1, np.zeros(3), throw)])  # type: ignore[arg-type]
         kept.append(work.best[0].name)  # type: ignore[union-attr]
     assert kept == ["slips", "once", "once", "stands", "stands", "stands"]
     assert work.done()
 
 
 @pytest.mark.parametrize(
-    ("scores", "hurried", "worth"),
+    ("scores", "late", "worth"),
     [([], False, False), ([0.5], False, True), ([0.5], True, False), ([1.0], True, True)],
 )
 def test_poor_throws_are_refined_only_where_swings_do_not_lack_time(
-    scores: list[float], hurried: bool, worth: bool
+    scores: list[float], late: bool, worth: bool
 ) -> None:
-    search = Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY)
-    search.landings = [course.Landing(score, 1.0, 1, np.zeros(3), None) for score in scores]  # type: ignore[arg-type]
-    assert course.Course(search, 60.0).near(hurried) is worth
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY)
+    search.candidates = [cast_planner.Candidate(score, 1.0, 1, np.zeros(3), None) for score in scores]  # type: ignore[arg-type]
+    assert cast_planner.CastPlanner(search, 60.0).worth_refining(late) is worth
 
 
 @pytest.mark.parametrize(
@@ -381,39 +398,41 @@ def test_poor_throws_are_refined_only_where_swings_do_not_lack_time(
 def test_a_throw_is_verified_with_shorter_and_shorter_links(
     monkeypatch: pytest.MonkeyPatch, ends: list[float | None], told: float | None
 ) -> None:
-    search, links = Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY), []
+    search, links = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), []
 
-    def verify(thrower: Thrower, *_: object, **__: object) -> object:
+    def verify_cast(cast_setup: CastSetup, *_: object, **__: object) -> object:
         turns = ends[len(links)]
-        links.append(thrower.rope.n_links // CABLE.n_links)
-        return SimpleNamespace(success=turns is not None and turns > 1.25, turns=turns, run=turns)
+        links.append(cast_setup.rope.n_links // CABLE.n_links)
+        return SimpleNamespace(success=turns is not None and turns > 1.25, turns=turns, completed=turns is not None)
 
-    monkeypatch.setattr(course, "verify", verify)
+    monkeypatch.setattr(cast_planner, "verify_cast", verify_cast)
     throw = SimpleNamespace(motion=lambda limits: None)
-    _, finer = course.Course(search, 60.0).verified(course.Landing(1.0, 2.0, 1, np.zeros(3), throw))  # type: ignore[arg-type]
+    _, finer = cast_planner.CastPlanner(search, 60.0).verify(cast_planner.Candidate(1.0, 2.0, 1, np.zeros(3), throw))  # type: ignore[arg-type]
     assert finer is not None
     assert (finer.turns, links) == (told, [1, 2, 3][: len(ends)])
 
 
 def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
-    search = Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
-    motion, strokes = SimpleNamespace(motion=lambda limits: None, count=2), search.genes[1].strokes
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
+    motion, strokes = SimpleNamespace(motion=lambda limits: None, count=2), search.parametrizations[1].strokes
     points = [np.full(2 * strokes + 4, float(k)) for k in range(3)]
-    search.landings = [course.Landing(3.0 - k, 2.0, 1, x, motion, firm=True) for k, x in enumerate(points)]  # type: ignore[arg-type]
-    second, third = search.landings[1:]
-    work = course.Course(search, 1.0)
-    failed = SimpleNamespace(success=False, turns=0.4, slipped=np.nan, grip=np.nan, folded=False)
-    monkeypatch.setattr(course, "verify", lambda *_, **__: failed)
-    assert work.fresh() == search.landings[:2]  # as many as threads
-    unsure = [one._replace(firm=k > 0) for k, one in enumerate(search.landings)]
-    monkeypatch.setattr(search, "landings", unsure)
+    search.candidates = [
+        cast_planner.Candidate(3.0 - k, 2.0, 1, x, motion, confirmed=True) for k, x in enumerate(points)
+    ]  # type: ignore[arg-type]
+    second, third = search.candidates[1:]
+    work = cast_planner.CastPlanner(search, 1.0)
+    failed = SimpleNamespace(success=False, turns=0.4, slip=np.nan, load_ratio=np.nan, folded=False)
+    monkeypatch.setattr(cast_planner, "verify_cast", lambda *_, **__: failed)
+    assert work.fresh() == search.candidates[:2]  # as many as threads
+    unsure = [one._replace(confirmed=k > 0) for k, one in enumerate(search.candidates)]
+    monkeypatch.setattr(search, "candidates", unsure)
     assert work.fresh() == unsure[1:]  # throws that were run with shorter links
     monkeypatch.undo()
-    monkeypatch.setattr(course, "verify", lambda *_, **__: failed)
-    work.check(search.landings[:1])
-    assert search.landings[0] is second
-    assert search.landings[1] is third
-    assert (search.landings[2].turns, search.landings[2].score < third.score) == (0.4, True)
+    monkeypatch.setattr(cast_planner, "verify_cast", lambda *_, **__: failed)
+    work.check(search.candidates[:1])
+    assert search.candidates[0] is second
+    assert search.candidates[1] is third
+    assert (search.candidates[2].turns, search.candidates[2].score < third.score) == (0.4, True)
     assert [one.x[0] for one in work.fresh()] == [1.0, 2.0]
 
 
@@ -427,20 +446,20 @@ def test_late_swings_that_promise_too_little_may_take_longer_once(
     """Unless the user has said how long; swings that strike early do not lack time."""
     times = []
 
-    def swing(self: course.Course) -> float:
+    def swing(self: cast_planner.CastPlanner) -> float:
         self.search.runs += 1
-        self.search.swings[:] = [Swing(score, 1, np.zeros(3), strike * self.search.thrower.time)]
-        times.append(self.search.thrower.time)
+        self.search.swings[:] = [Swing(score, 1, np.zeros(3), strike * self.search.cast_setup.time)]
+        times.append(self.search.cast_setup.time)
         return score
 
-    monkeypatch.setattr(course, "EARLY", 0.0)
-    monkeypatch.setattr(course.Course, "swing", swing)
-    monkeypatch.setattr(Search, "refine", lambda self: None)
-    monkeypatch.setattr(Search, "try_ends", lambda self: None)
-    found = hf.plan_cast(CABLE, ARM, EASY, patience=0.2, time_limit=given)
-    usual = given or Thrower(CABLE, ARM, hf.MotorLimits()).time
+    monkeypatch.setattr(cast_planner, "EARLY", 0.0)
+    monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
+    monkeypatch.setattr(ThrowSearch, "evolve_throws", lambda self: None)
+    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: None)
+    found = hf.plan_cast(CABLE, ARM, EASY, time_budget=0.2, time_limit=given)
+    usual = given or CastSetup(CABLE, ARM, hf.MotorLimits()).time
     assert (times[0], set(times)) == (usual, {usual, factor * usual})
-    assert found.thrower.time == factor * usual
+    assert found.cast_setup.time == factor * usual
 
 
 def test_other_directions_of_gravity_are_refused() -> None:
@@ -451,18 +470,18 @@ def test_other_directions_of_gravity_are_refused() -> None:
 def test_sides_are_those_from_which_the_motor_can_begin() -> None:
     """A rope that hangs from the arm at half a radian, not at a quarter turn."""
     limits, arm = MotorLimits(angles=(-0.5, 0.5)), hf.Arm(length=0.5)
-    who = Thrower(CABLE, arm, limits)
-    assert set(Search(who, hf.Peg(0.5, -0.6, 0.03)).genes) == {-1, 1}
-    assert set(Search(who, hf.Peg(0.5 * np.sin(0.5), -1.2, 0.03)).genes) == {-1}
+    who = CastSetup(CABLE, arm, limits)
+    assert set(ThrowSearch(who, hf.Peg(0.5, -0.6, 0.03)).parametrizations) == {-1, 1}
+    assert set(ThrowSearch(who, hf.Peg(0.5 * np.sin(0.5), -1.2, 0.03)).parametrizations) == {-1}
 
 
 def test_rounds_of_swings_are_stroke_by_stroke_and_in_whole_by_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     """With more time the swings at hand are continued first."""
-    work, made = course.Course(Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY), 60.0), []
-    monkeypatch.setattr(Search, "climb", lambda self: made.append("stroke by stroke") or 0.5)
-    monkeypatch.setattr(Search, "swing", lambda self: made.append("whole") or 0.7)
+    work, made = cast_planner.CastPlanner(ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), 60.0), []
+    monkeypatch.setattr(ThrowSearch, "beam_search", lambda self: made.append("stroke by stroke") or 0.5)
+    monkeypatch.setattr(ThrowSearch, "evolve_swings", lambda self: made.append("whole") or 0.7)
     assert [work.swing() for _ in range(3)] == [0.5, 0.7, 0.5]
-    whole = ["whole"] * course.GENERATIONS
+    whole = ["whole"] * cast_planner.GENERATIONS
     assert made == ["stroke by stroke", *whole, "stroke by stroke"]
     work.lengthen()
     work.swing()
@@ -474,16 +493,16 @@ def test_late_swings_are_tried_beside_the_peg_once_they_are_worth_it(
     monkeypatch: pytest.MonkeyPatch, strike: float, tries: int
 ) -> None:
     """Those that strike early are tried at once."""
-    search = Search(Thrower(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
-    work, scores, tried = course.Course(search, 1e3), [1.0, 1.1, 1.2, 1.3, 1.6], []
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    work, scores, tried = cast_planner.CastPlanner(search, 1e3), [1.0, 1.1, 1.2, 1.3, 1.6], []
 
-    def swing(self: course.Course) -> float:
+    def swing(self: cast_planner.CastPlanner) -> float:
         search.runs += 1
-        search.swings[:] = [Swing(scores[0], 1, np.zeros(3), strike * search.thrower.time)]
+        search.swings[:] = [Swing(scores[0], 1, np.zeros(3), strike * search.cast_setup.time)]
         return scores.pop(0)
 
-    monkeypatch.setattr(course.Course, "swing", swing)
-    monkeypatch.setattr(Search, "try_ends", lambda self: tried.append(self.swings[0].score))
-    monkeypatch.setattr(course.Course, "done", lambda self: not scores)
-    work.go(None)
+    monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
+    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: tried.append(self.swings[0].score))
+    monkeypatch.setattr(cast_planner.CastPlanner, "done", lambda self: not scores)
+    work.run(None)
     assert tried == [1.0, 1.1, 1.2, 1.3, 1.6][-tries:]

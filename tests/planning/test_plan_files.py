@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,12 +11,13 @@ import pytest
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import planner as course
-from hyperflex.planning import read_plan
-from hyperflex.planning.search.candidates import Landing
-from hyperflex.planning.search.search import Search
-from hyperflex.planning.wind.outcome import SETTLING, WATCH
-from tests.planning.known import PEG, WINDS, late, planned, stopped, thrower, unreachable
+from hyperflex.planning import CastOutcome, CastPlan, FallbackTarget, SuccessProbability, Throw, verify_cast
+from hyperflex.planning.outcome import SETTLING_TIME, WATCH_TIME
+from hyperflex.planning.plan import to_table
+from hyperflex.planning.search.candidates import Candidate
+from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.wind import planner as cast_planner
+from tests.planning.known import PEG, WINDS, cast_setup, late, planned, stopped, unreachable
 
 
 def test_the_motors_table_holds_the_planned_angles(tmp_path):
@@ -26,7 +28,7 @@ def test_the_motors_table_holds_the_planned_angles(tmp_path):
     np.testing.assert_array_equal(rows[:, 1], plan.motion.angle(rows[:, 0]))
     np.testing.assert_allclose(np.diff(rows[:, 0]), 1.0 / 250.0, rtol=1e-9)  # rounding of k / 250
     assert plan.motion.breaks[-1] <= rows[-1, 0] < plan.motion.breaks[-1] + 1.0 / 250.0
-    assert rows[-1, 1] == plan.throw.angles(plan.thrower.limits)[-1]
+    assert rows[-1, 1] == plan.throw.angles(plan.cast_setup.limits)[-1]
 
 
 def test_the_motors_table_reads_back_as_the_motion(tmp_path):
@@ -45,31 +47,81 @@ def test_a_rate_that_suits_no_motor_is_refused(tmp_path, rate):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_plan_reads_back(tmp_path):
+def uncertain() -> CastPlan:
+    return replace(planned(), success_probability=SuccessProbability(37, 40), interrupted=True)
+
+
+def with_fallback() -> CastPlan:
+    near = FallbackTarget(PEG, 0.07, planned(), 2)
+    return replace(planned(winds=False), fallback=near, remedies=("a rope of 2.94 m", "an arm of 120 mm"))
+
+
+def expected_only() -> CastPlan:
+    return replace(stopped(), fallback=FallbackTarget(PEG, 0.07))
+
+
+@pytest.mark.parametrize(
+    "made", [planned, lambda: planned(winds=False), late, stopped, uncertain, with_fallback, expected_only]
+)
+def test_a_plan_reads_back_as_it_was_written(tmp_path, made):
+    """In all its fields but the runs, and once more in the same file."""
+    plan = made()
+    plan.to_toml(tmp_path / "plan.toml")
+    back = hf.read_plan(tmp_path / "plan.toml")
+    assert isinstance(back, CastPlan)
+    assert (back.cast_setup, back.target, back.feasibility) == (plan.cast_setup, PEG, plan.feasibility)
+    assert (back.success, back.status, back.message) == (plan.success, plan.status, plan.message)
+    assert back.motion == plan.motion
+    assert (back.refuted, back.unfinished, back.notes()) == (plan.refuted, plan.unfinished, plan.notes())
+    assert files.dumps_toml(to_table(back)) == files.dumps_toml(to_table(plan))
+    back.to_toml(tmp_path / "again.toml")
+    assert (tmp_path / "again.toml").read_text() == (tmp_path / "plan.toml").read_text()
+    assert back.run is None
+    with pytest.raises(InvalidInput, match="holds no run"):
+        back.to_netcdf(tmp_path / "run.nc")
+
+
+def test_parts_read_back_as_their_classes(tmp_path):
+    with_fallback().to_toml(tmp_path / "plan.toml")
+    back = hf.read_plan(tmp_path / "plan.toml")
+    for part, kind in ((back.throw, Throw), (back.outcome, CastOutcome), (back.fallback.plan, CastPlan)):
+        assert type(part) is kind
+    assert type(back.throw.strokes) is np.ndarray
+    assert type(back.fallback.plan.cast_setup.limits.angles) is tuple
+    assert back.remedies == ("a rope of 2.94 m", "an arm of 120 mm")
+
+
+def test_a_throw_that_is_read_back_does_the_same_again(tmp_path):
     plan = planned()
     plan.to_toml(tmp_path / "plan.toml")
-    who, peg, motion = read_plan(tmp_path / "plan.toml")
-    assert (who.rope, who.arm, who.limits, who.time) == (
-        plan.thrower.rope,
-        plan.thrower.arm,
-        plan.thrower.limits,
-        plan.thrower.time,
-    )
-    assert peg == PEG
-    assert motion == plan.motion
-    told = files.read_toml(tmp_path / "plan.toml")["plan"]["outcome"]
-    assert told["source"] == "simulated"
-    assert told["cast"]["turns"] == plan.cast.turns
-    assert told["strokes"] == 6
+    back = hf.read_plan(tmp_path / "plan.toml")
+    again = verify_cast(back.cast_setup, back.target, back.motion)
+    assert (again.turns, again.slip) == (plan.outcome.turns, plan.outcome.slip)
+
+
+@pytest.mark.parametrize(
+    ("made", "status"),
+    [
+        (planned, 0),
+        (unreachable, 1),
+        (lambda: replace(stopped(None), interrupted=False), 2),
+        (lambda: planned(winds=False), 3),
+        (late, 4),
+        (stopped, 5),
+    ],
+)
+def test_the_status_says_why_the_planner_ended(made, status):
+    plan = made()
+    assert (plan.status, plan.success, bool(plan.message)) == (status, status == 0, status != 0)
 
 
 def test_the_set_up_of_a_plan_is_the_verified_run(tmp_path):
     plan = planned(winds=False)
     plan.to_toml(tmp_path / "plan.toml")
     plan.to_netcdf(tmp_path / "run.nc")
-    again = hf.simulate(hf.Setup.from_toml(tmp_path / "plan.toml"), t_eval=plan.cast.run.t)
-    np.testing.assert_array_equal(again.q, plan.cast.run.q)
-    np.testing.assert_array_equal(hf.read_trajectory(tmp_path / "run.nc").q, plan.cast.run.q)
+    again = hf.simulate(hf.Setup.from_toml(tmp_path / "plan.toml"), t_eval=plan.outcome.run.t)
+    np.testing.assert_array_equal(again.q, plan.outcome.run.q)
+    np.testing.assert_array_equal(hf.read_trajectory(tmp_path / "run.nc").q, plan.outcome.run.q)
 
 
 @pytest.mark.parametrize("made", [late, stopped])
@@ -77,16 +129,19 @@ def test_the_set_up_of_a_plan_without_a_run_lasts_as_long_as_one(tmp_path, made)
     plan = made()
     plan.to_toml(tmp_path / "plan.toml")
     setup = hf.Setup.from_toml(tmp_path / "plan.toml")
-    assert setup.duration == pytest.approx(WINDS.stops(plan.thrower.limits) + SETTLING + WATCH)
-    assert setup.duration == planned().cast.run.setup.duration
+    assert setup.duration == pytest.approx(WINDS.stops(plan.cast_setup.limits) + SETTLING_TIME + WATCH_TIME)
+    assert setup.duration == planned().outcome.run.setup.duration
 
 
-def test_a_run_that_was_not_finished_has_no_numbers(tmp_path):
-    plan = late()
-    plan.to_toml(tmp_path / "plan.toml")
-    outcome = files.read_toml(tmp_path / "plan.toml")["plan"]["outcome"]
-    assert outcome["cast"] == {"reason": plan.reason}
-    assert "out of patience" in plan.reason
+def test_a_summary_has_the_figures_of_the_plan():
+    told = uncertain().summary()
+    assert (told["source"], told["success"], told["status"], told["message"]) == ("simulated", True, 0, "")
+    assert told["outcome"]["turns"] == planned().outcome.turns
+    assert told["success_probability"]["interval"] == SuccessProbability(37, 40).interval
+    assert len(told["starts"]) == planned().throw.count + 1
+    assert told["stop"] == planned().motion.breaks[-1]
+    assert "run" not in told["outcome"]
+    assert with_fallback().summary()["fallback"]["plan"]["success"]
 
 
 @pytest.mark.parametrize(
@@ -95,8 +150,8 @@ def test_a_run_that_was_not_finished_has_no_numbers(tmp_path):
 def test_the_motors_table_says_whether_its_throw_was_verified(tmp_path, made, mark):
     plan = made()
     plan.to_csv(tmp_path / "motion.csv")
-    assert f"# {mark}: {plan.reason}\n" in (tmp_path / "motion.csv").read_text()
-    assert files.read_notes(tmp_path / "motion.csv")[mark] == plan.reason
+    assert f"# {mark}: {plan.message}\n" in (tmp_path / "motion.csv").read_text()
+    assert files.read_notes(tmp_path / "motion.csv")[mark] == plan.message
     assert hf.read_motion(tmp_path / "motion.csv").breaks[-1] == pytest.approx(plan.motion.breaks[-1], abs=5e-3)
 
 
@@ -112,22 +167,22 @@ def test_an_interrupt_leaves_the_best_throw_that_was_not_verified(tmp_path, monk
     """Ctrl-C in the search, and again while its best throw is verified."""
 
     def swing(self):
-        if self.landings:
+        if self.candidates:
             raise KeyboardInterrupt
-        self.landings.append(Landing(2.0, 2.0, -1, np.zeros(3), WINDS))
+        self.candidates.append(Candidate(2.0, 2.0, -1, np.zeros(3), WINDS))
         return 1.0
 
     def check(self, found):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Search, "swing", swing)
-    monkeypatch.setattr(Search, "try_ends", lambda self: None)
-    monkeypatch.setattr(course.Course, "check", check)
-    plan = hf.plan_cast(thrower().rope, thrower().arm, PEG)
+    monkeypatch.setattr(ThrowSearch, "evolve_swings", swing)
+    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: None)
+    monkeypatch.setattr(cast_planner.CastPlanner, "check", check)
+    plan = hf.plan_cast(cast_setup().rope, cast_setup().arm, PEG)
     assert plan.interrupted
-    assert (plan.throw, plan.cast) == (WINDS, None)
+    assert (plan.throw, plan.outcome) == (WINDS, None)
     plan.to_csv(tmp_path / "motion.csv")
-    assert files.read_notes(tmp_path / "motion.csv")["not verified"] == plan.reason
+    assert files.read_notes(tmp_path / "motion.csv")["not verified"] == plan.message
 
 
 def test_a_plan_without_a_throw_has_nothing_to_write(tmp_path):
@@ -139,23 +194,26 @@ def test_a_plan_without_a_throw_has_nothing_to_write(tmp_path):
 
 
 def test_a_set_up_is_no_plan(tmp_path):
-    hf.Setup(thrower().rope).to_toml(tmp_path / "setup.toml")
+    hf.Setup(cast_setup().rope).to_toml(tmp_path / "setup.toml")
     with pytest.raises(InvalidInput, match="holds no plan"):
-        read_plan(tmp_path / "setup.toml")
+        hf.read_plan(tmp_path / "setup.toml")
 
 
-def test_a_plan_that_lacks_a_part_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("old", "new"), [("[plan.cast_setup.limits]", "[plan.cast_setup.limit]"), ("turns = ", "rounds = ")]
+)
+def test_a_plan_that_lacks_a_part_is_refused(tmp_path, old, new):
     planned().to_toml(tmp_path / "plan.toml")
     text = (tmp_path / "plan.toml").read_text()
-    (tmp_path / "plan.toml").write_text(text.replace("[plan.limits]", "[plan.limit]"))
-    with pytest.raises(InvalidInput, match="not whole"):
-        read_plan(tmp_path / "plan.toml")
+    assert old in text
+    (tmp_path / "plan.toml").write_text(text.replace(old, new))
+    with pytest.raises(InvalidInput, match="not complete"):
+        hf.read_plan(tmp_path / "plan.toml")
 
 
 def test_what_is_read_back_can_be_printed(tmp_path):
     planned().to_toml(tmp_path / "plan.toml")
-    who, peg, motion = read_plan(tmp_path / "plan.toml")
-    assert repr(motion) == "Motion(moves, 0 to 8.05965 s, 21 pieces)"
-    assert repr(who.rope) == "Rope(50 links, 2 m, 0.125 kg)"
-    assert len(repr((who, peg, motion))) < 500
+    back = hf.read_plan(tmp_path / "plan.toml")
+    assert repr(back.motion) == "Motion(moves, 0 to 8.05965 s, 21 pieces)"
+    assert repr(back.cast_setup.rope) == "Rope(50 links, 2 m, 0.125 kg)"
     assert repr(hf.swings(t_move=0.7, t_rest=0.3)).endswith("repeats from 0 s on)")

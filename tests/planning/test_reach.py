@@ -10,12 +10,12 @@ from scipy.integrate import quad
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import MotorLimits, Thrower, reach
-from hyperflex.planning.wind.outcome import WOUND
-from hyperflex.planning.wind.reachability import ENERGY, GAIN, HANGING, MARGIN, WIDEST
+from hyperflex.planning import CastSetup, MotorLimits, check_feasibility
+from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.wind.feasibility import GAIN, HANGING, MARGIN, MIN_ENERGY, WIDEST
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-THROWER = Thrower(CABLE, hf.Arm(length=0.105), MotorLimits())
+CAST_SETUP = CastSetup(CABLE, hf.Arm(length=0.105), MotorLimits())
 
 
 def at(far: float, aside: float, radius: float = 0.03) -> hf.Peg:
@@ -32,7 +32,7 @@ def test_the_energy_is_that_of_rods(far: float, aside: float) -> None:
     share = quad(lambda s: s**2, far, length)[0] / quad(lambda s: s**2, 0.0, length)[0]
     lift = quad(lambda s: (s - far) * (1.0 + np.cos(slope)), far, length)[0]
     # Links of 40 mm as points, one of which straddles the peg; their own inertia moves the pendulum by 1e-4.
-    assert reach(THROWER, at(far, aside)).energy == pytest.approx(share * drop / lift, rel=0.04)
+    assert check_feasibility(CAST_SETUP, at(far, aside)).energy_ratio == pytest.approx(share * drop / lift, rel=0.04)
 
 
 @pytest.mark.parametrize(
@@ -47,54 +47,54 @@ def test_the_energy_is_that_of_rods(far: float, aside: float) -> None:
     ],
 )
 def test_what_is_out_of_reach_is_told_why(peg: hf.Peg, told: str) -> None:
-    known = reach(THROWER, peg)
-    assert not known.within
-    assert told in known.reason
+    known = check_feasibility(CAST_SETUP, peg)
+    assert not known.feasible
+    assert told in known.message
 
 
 def test_a_slow_motor_is_told_from_little_energy() -> None:
-    slow = replace(THROWER, limits=MotorLimits(speed=0.5, acceleration=5.0))
-    assert reach(THROWER, at(0.9, 0.46)).within
-    assert "motor is too slow" in reach(slow, at(0.9, 0.46)).reason
-    told = reach(slow, at(0.9, 1.5))
-    assert told.energy < 0.0
-    assert "motor is too slow" in told.reason
-    assert "higher than the rope swings" in told.reason
+    slow = replace(CAST_SETUP, limits=MotorLimits(speed=0.5, acceleration=5.0))
+    assert check_feasibility(CAST_SETUP, at(0.9, 0.46)).feasible
+    assert "motor is too slow" in check_feasibility(slow, at(0.9, 0.46)).message
+    told = check_feasibility(slow, at(0.9, 1.5))
+    assert told.energy_ratio < 0.0
+    assert "motor is too slow" in told.message
+    assert "higher than the rope swings" in told.message
 
 
 @pytest.mark.parametrize(("tip", "widest"), [(0.0, WIDEST[0]), (0.02, WIDEST[1]), (0.5, WIDEST[1])])
 def test_a_rope_with_a_weight_at_its_end_swings_less_far_beyond_level(tip: float, widest: float) -> None:
     """Just below the widest swing there is energy left, just above it there is none."""
-    who = replace(THROWER, rope=CABLE.replace(tip_mass=tip))
-    assert reach(who, at(1.0, widest - 0.01)).energy > 0.0
-    assert reach(who, at(1.0, widest + 0.01)).energy < 0.0
+    who = replace(CAST_SETUP, rope=CABLE.replace(tip_mass=tip))
+    assert check_feasibility(who, at(1.0, widest - 0.01)).energy_ratio > 0.0
+    assert check_feasibility(who, at(1.0, widest + 0.01)).energy_ratio < 0.0
 
 
 def test_a_motor_that_cannot_hold_the_hanging_rope_is_refused_before_a_search() -> None:
     asked = 0.125 * 9.81 * 0.105  # N m, weight times arm
-    weak = replace(THROWER, limits=MotorLimits(torque=0.99 * asked))
-    told = reach(weak, at(0.9, 0.46))
+    weak = replace(CAST_SETUP, limits=MotorLimits(torque=0.99 * asked))
+    told = check_feasibility(weak, at(0.9, 0.46))
     assert told.impossible
-    assert "too weak" in told.reason
-    assert "0.129 N m" in told.reason
-    assert reach(replace(THROWER, limits=MotorLimits(torque=1.01 * asked)), at(0.9, 0.46)).within
+    assert "too weak" in told.message
+    assert "0.129 N m" in told.message
+    assert check_feasibility(replace(CAST_SETUP, limits=MotorLimits(torque=1.01 * asked)), at(0.9, 0.46)).feasible
     low = MotorLimits(torque=0.99 * asked, angles=(-1.0, 3.0))  # on the left the arm begins 1 rad from hanging
-    assert reach(replace(THROWER, limits=low), at(0.9, 0.46)).within
+    assert check_feasibility(replace(CAST_SETUP, limits=low), at(0.9, 0.46)).feasible
 
 
 def test_the_pull_borne_is_that_of_the_end_that_hangs() -> None:
     """With a fourth of the mass in its outer half, of which the end is a part, it bears a fourth."""
     mass = np.repeat([1.0, 0.25], 25) * 0.0025
     light = hf.Rope(length=np.full(50, 0.04), mass=mass, friction=np.full(50, 5e-4), radius=0.0025)
-    assert reach(replace(THROWER, rope=light), at(1.5, 0.9)).hold == pytest.approx(
-        0.25 * reach(THROWER, at(1.5, 0.9)).hold
+    assert check_feasibility(replace(CAST_SETUP, rope=light), at(1.5, 0.9)).holding_force == pytest.approx(
+        0.25 * check_feasibility(CAST_SETUP, at(1.5, 0.9)).holding_force
     )
 
 
 def test_a_wider_swing_reaches_more() -> None:
-    energies = [reach(THROWER, at(1.0, a)).energy for a in (0.1, 0.3, 0.6, 0.9)]
+    energies = [check_feasibility(CAST_SETUP, at(1.0, a)).energy_ratio for a in (0.1, 0.3, 0.6, 0.9)]
     assert np.all(np.diff(energies) > 0.0)
-    assert energies[0] < ENERGY < energies[-1]
+    assert energies[0] < MIN_ENERGY < energies[-1]
 
 
 def wound(far: float, aside: float, axis: float, more: int, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,28 +117,33 @@ def test_the_room_needed_is_that_of_a_rope_wound_and_hanging(aside: float, radiu
     far, axis = 1.0, radius + 0.0025
     ends = axis * np.linspace(HANGING, 40.0, 20001)
     drawn = [wound(far, aside, axis, more, ends) for more in (0, 1, 2)]
-    rooms = [(length[turns >= WOUND + MARGIN] - far + axis).min(initial=np.inf) for length, turns in drawn]
+    rooms = [(length[turns >= MIN_TURNS + MARGIN] - far + axis).min(initial=np.inf) for length, turns in drawn]
     needed = min(rooms) / (2.0 * np.pi * axis)
-    assert reach(THROWER, at(far, aside, radius)).needed == pytest.approx(needed, abs=1e-3)  # ends 0.002 radii apart
+    assert check_feasibility(CAST_SETUP, at(far, aside, radius)).needed_turns == pytest.approx(
+        needed, abs=1e-3
+    )  # ends 0.002 radii apart
 
 
 def test_the_hold_asked_for_counts() -> None:
     """Capstan's rule on ropes drawn with one turn more or less, of which the one that bears most counts."""
     peg, weight = at(1.36, 0.66, 0.04), 0.125 * 9.81 / 2.0
-    known, bears = reach(THROWER, peg), []
+    known, bears = check_feasibility(CAST_SETUP, peg), []
     for more in (1, 2):
         (bare,), (turns,) = wound(1.36, 0.66, 0.0425, more, np.zeros(1))
         contact = 2.0 * np.pi * turns - np.arccos(0.0425 / 1.36)
         bears.append(weight * (2.0 - bare) * np.exp(0.3 * contact))
-    assert known.hold == pytest.approx(max(bears), rel=1e-6)  # the polyline's arc is shorter by 1e-9
-    assert reach(THROWER, peg, hold=0.9 * known.hold).within
-    assert "asked" in reach(THROWER, peg, hold=1.1 * known.hold).reason
+    assert known.holding_force == pytest.approx(max(bears), rel=1e-6)  # the polyline's arc is shorter by 1e-9
+    assert check_feasibility(CAST_SETUP, peg, holding_force=0.9 * known.holding_force).feasible
+    assert "asked" in check_feasibility(CAST_SETUP, peg, holding_force=1.1 * known.holding_force).message
 
 
 def test_what_is_down_is_where_gravity_points() -> None:
     """Gravity along x: the same target turned by a right angle."""
-    turned = Thrower(CABLE.replace(gravity=(9.81, 0.0)), THROWER.arm, THROWER.limits)
-    there, here = reach(turned, hf.Peg(0.9, 0.4, 0.03)), reach(THROWER, hf.Peg(-0.4, -0.9, 0.03))
+    turned = CastSetup(CABLE.replace(gravity=(9.81, 0.0)), CAST_SETUP.arm, CAST_SETUP.limits)
+    there, here = (
+        check_feasibility(turned, hf.Peg(0.9, 0.4, 0.03)),
+        check_feasibility(CAST_SETUP, hf.Peg(-0.4, -0.9, 0.03)),
+    )
     assert there == here
 
 
@@ -146,4 +151,4 @@ def test_what_is_down_is_where_gravity_points() -> None:
 def test_a_rope_of_few_links_is_refused(links: int) -> None:
     rope = hf.Rope.uniform(length=2.0, mass=0.125, n_links=links, radius=0.0025)
     with pytest.raises(InvalidInput, match="too few links"):
-        Thrower(rope, THROWER.arm, THROWER.limits)
+        CastSetup(rope, CAST_SETUP.arm, CAST_SETUP.limits)

@@ -7,14 +7,15 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import MotorLimits, Thrower
-from hyperflex.planning.search.contact_phase import PATIENCE
-from hyperflex.planning.search.parametrization import Genes
-from hyperflex.planning.search.search import LEAST, Search
-from hyperflex.planning.search.strikes import NEAR, first, fly, promise
+from hyperflex.planning import CastSetup, MotorLimits
+from hyperflex.planning.search.contact_phase import TIME_BUDGET
+from hyperflex.planning.search.strikes import NEAR, first_contact, tail_energy
+from hyperflex.planning.search.throw_search import MIN_BUDGET, ThrowSearch
+from hyperflex.planning.throw import ThrowParametrization
+from tests.planning.known import simulated_strikes
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-THROWER = Thrower(CABLE, hf.Arm(length=0.105), MotorLimits())
+CAST_SETUP = CastSetup(CABLE, hf.Arm(length=0.105), MotorLimits())
 
 
 def test_the_gap_is_that_of_many_points_along_the_rope() -> None:
@@ -22,7 +23,7 @@ def test_the_gap_is_that_of_many_points_along_the_rope() -> None:
     q = random.uniform(-np.pi, np.pi, (4, 1, 6)).repeat(3, axis=1)
     base, length = np.zeros((4, 3, 2)), random.uniform(0.1, 0.3, 6)
     peg = hf.Peg(0.3, -0.5, 0.02)
-    _, _, least = first(q, base, length, peg, 0.01)
+    _, _, least = first_contact(q, base, length, peg, 0.01)
     steps = np.stack([np.sin(q[:, 0]), -np.cos(q[:, 0])], axis=-1) * length[:, None]
     joints = np.concatenate([np.zeros((4, 1, 2)), np.cumsum(steps, axis=1)], axis=1)
     part = np.linspace(0.0, 1.0, 2001)[:, None]
@@ -35,9 +36,9 @@ def test_the_gap_is_that_of_many_points_along_the_rope() -> None:
 def test_a_link_that_passes_between_two_samples_is_seen() -> None:
     angle = np.array([0.0, -0.6, 0.6])  # a rod that swings through a peg below it
     q, base = angle[None, :, None], np.zeros((1, 3, 2))
-    at, link, _ = first(q, base, np.array([1.0]), hf.Peg(0.0, -0.8, 0.001), 0.0)
+    at, link, _ = first_contact(q, base, np.array([1.0]), hf.Peg(0.0, -0.8, 0.001), 0.0)
     assert (at.tolist(), link.tolist()) == ([2], [0])
-    at, _, least = first(q[:, :2], base[:, :2], np.array([1.0]), hf.Peg(0.5, -0.8, 0.001), 0.0)
+    at, _, least = first_contact(q[:, :2], base[:, :2], np.array([1.0]), hf.Peg(0.5, -0.8, 0.001), 0.0)
     assert at.tolist() == [0]
     assert least[0] > NEAR
 
@@ -45,36 +46,36 @@ def test_a_link_that_passes_between_two_samples_is_seen() -> None:
 def test_a_rope_that_hangs_beside_the_peg_leaves_it_before_it_strikes() -> None:
     angle = np.array([0.0, -0.01, -0.3, -0.5, -0.3, 0.0, 0.3])  # a rod, 12 mm from the peg at the start
     peg, base = hf.Peg(0.022, -0.8, 0.01), np.zeros((1, 7, 2))
-    at, _, _ = first(angle[None, :, None], base, np.array([1.0]), peg, 0.0)
+    at, _, _ = first_contact(angle[None, :, None], base, np.array([1.0]), peg, 0.0)
     assert at.tolist() == [5]
-    at, _, _ = first(angle[None, :5, None], base[:, :5], np.array([1.0]), peg, 0.0)
+    at, _, _ = first_contact(angle[None, :5, None], base[:, :5], np.array([1.0]), peg, 0.0)
     assert at.tolist() == [0]
 
 
 def test_a_side_on_which_the_rope_starts_inside_the_peg_is_left_out() -> None:
     arm = hf.Arm(length=0.5)
-    thrower = Thrower(CABLE, arm, MotorLimits())
-    assert list(Search(thrower, hf.Peg(0.5, -0.6, 0.03)).genes) == [-1]
-    assert list(Search(thrower, hf.Peg(0.545, -0.6, 0.03)).genes) == [-1, 1]
-    wide = Search(thrower, hf.Peg(0.0, -1.0, 0.6))
+    cast_setup = CastSetup(CABLE, arm, MotorLimits())
+    assert list(ThrowSearch(cast_setup, hf.Peg(0.5, -0.6, 0.03)).parametrizations) == [-1]
+    assert list(ThrowSearch(cast_setup, hf.Peg(0.545, -0.6, 0.03)).parametrizations) == [-1, 1]
+    wide = ThrowSearch(cast_setup, hf.Peg(0.0, -1.0, 0.6))
     with pytest.raises(InvalidInput, match="on either side"):
-        wide.swing()
+        wide.evolve_swings()
 
 
 def test_a_rod_beside_the_peg_that_swings_through_it_strikes() -> None:
     """It is near the peg before, and has not left it."""
     base, length, peg = np.zeros((1, 3, 2)), np.array([1.0]), hf.Peg(0.0, -0.5, 0.001)
     for angles, strike in (([0.03, -0.03, -0.06], 1), ([0.03, 0.001, 0.03], 1), ([0.03, 0.02, 0.03], 0)):
-        at, _, _ = first(np.array(angles)[None, :, None], base, length, peg, 0.0)
+        at, _, _ = first_contact(np.array(angles)[None, :, None], base, length, peg, 0.0)
         assert at[0] == strike
 
 
 def test_a_search_that_is_nearly_over_gives_no_run_much_time() -> None:
-    search = Search(THROWER, hf.Peg(0.9, -0.9, 0.03), threads=2)
-    assert search.allowance(60) == PATIENCE  # without an end
-    for left, members, each in ((60.0, 60, PATIENCE), (6.0, 60, 2.0), (0.0, 60, LEAST), (-5.0, 4, LEAST)):
+    search = ThrowSearch(CAST_SETUP, hf.Peg(0.9, -0.9, 0.03), threads=2)
+    assert search.run_budget(60) == TIME_BUDGET  # without an end
+    for left, members, each in ((60.0, 60, TIME_BUDGET), (6.0, 60, 2.0), (0.0, 60, MIN_BUDGET), (-5.0, 4, MIN_BUDGET)):
         search.left = lambda left=left: left  # type: ignore[misc]
-        assert search.allowance(members) == pytest.approx(each)
+        assert search.run_budget(members) == pytest.approx(each)
 
 
 def test_what_a_turning_rod_promises() -> None:
@@ -82,7 +83,7 @@ def test_what_a_turning_rod_promises() -> None:
     peg, w, slope = hf.Peg(0.0, -1.0, 0.01), 4.0, 0.7
     q = np.where(np.arange(50) < 25, 0.0, slope)[None]  # the upper half hangs to the peg, the lower one is the tail
     qd = np.where(np.arange(50) < 25, 0.0, w)[None]
-    ratio, turns = promise(THROWER, peg, (q, qd), (np.zeros((1, 2)), np.zeros((1, 2))), np.array([25]))
+    ratio, turns = tail_energy(CAST_SETUP, peg, (q, qd), (np.zeros((1, 2)), np.zeros((1, 2))), np.array([25]))
     s = 1.0
     expected = (w**2 * s**2 / 6.0) / (9.81 * 0.5 * s * (1.0 + np.cos(slope)))
     assert ratio[0] == pytest.approx(expected, rel=1e-3)  # links as points: (1/25)^2 / 4 of the inertia is missing
@@ -90,22 +91,22 @@ def test_what_a_turning_rod_promises() -> None:
 
 
 def test_a_weight_at_the_tip_counts() -> None:
-    heavy = Thrower(CABLE.replace(tip_mass=1e5), THROWER.arm, THROWER.limits)
+    heavy = CastSetup(CABLE.replace(tip_mass=1e5), CAST_SETUP.arm, CAST_SETUP.limits)
     peg, w = hf.Peg(0.0, -1.0, 0.01), 4.0
     q, qd = np.zeros((1, 50)), np.where(np.arange(50) < 25, 0.0, w)[None]
-    ratio, _ = promise(heavy, peg, (q, qd), (np.zeros((1, 2)), np.zeros((1, 2))), np.array([25]))
+    ratio, _ = tail_energy(heavy, peg, (q, qd), (np.zeros((1, 2)), np.zeros((1, 2))), np.array([25]))
     assert ratio[0] == pytest.approx(0.5 * w**2 / (2.0 * 9.81), rel=1e-5)  # a point: the rope is 1e-6 of it
 
 
 def test_strikes_are_those_of_the_swing_itself() -> None:
     """The state before the strike is that of a single run, and the rope is at the peg a sample later."""
     peg = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04)
-    genes = Genes(THROWER, -1)
+    genes = ThrowParametrization(CAST_SETUP, -1)
     throws = [genes.throw(genes.centre())]
-    found = fly(THROWER, peg, throws)
+    found = simulated_strikes(CAST_SETUP, peg, throws)
     t = float(found.t[0])
-    motion = throws[0].motion(THROWER.limits)
-    run = hf.simulate(CABLE, motion, arm=THROWER.arm, duration=t + 0.02, t_eval=[t, t + 0.02], tol=1e-3)
+    motion = throws[0].motion(CAST_SETUP.limits)
+    run = hf.simulate(CABLE, motion, arm=CAST_SETUP.arm, duration=t + 0.02, t_eval=[t, t + 0.02], tol=1e-3)
     assert np.abs(found.q[0] - run.q[0]).max() < 0.05  # two runs at a tolerance of 1 mm
     links = run.joints[:, :-1] + 0.5 * np.diff(run.joints, axis=1)
     gap = np.hypot(links[..., 0] - peg.x, links[..., 1] - peg.y).min(axis=1) - 0.0425
@@ -114,6 +115,10 @@ def test_strikes_are_those_of_the_swing_itself() -> None:
 
 
 def test_what_strikes_nothing_is_told_by_its_distance() -> None:
-    found = fly(THROWER, hf.Peg(1.9, 1.9, 0.03), [Genes(THROWER, 1).throw(Genes(THROWER, 1).centre())])
+    found = simulated_strikes(
+        CAST_SETUP,
+        hf.Peg(1.9, 1.9, 0.03),
+        [ThrowParametrization(CAST_SETUP, 1).throw(ThrowParametrization(CAST_SETUP, 1).centre())],
+    )
     assert np.isnan(found.t[0])
     assert found.score[0] < -1.0

@@ -13,11 +13,11 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import moves
-from hyperflex.planning import MotorLimits, Throw, Thrower, Uncertainty
-from hyperflex.planning.robust.uncertainty import MOVES, Draw, scaled
+from hyperflex.planning import CastSetup, MotorLimits, Throw, Uncertainty
+from hyperflex.planning.robust.uncertainty import MOVES, Scenario, scaled
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, radius=0.003, friction=1e-3, tip_mass=0.02)
-THROWER = Thrower(ROPE, hf.Arm(length=0.1), MotorLimits())
+CAST_SETUP = CastSetup(ROPE, hf.Arm(length=0.1), MotorLimits())
 PEG = hf.Peg(0.5, -0.6, 0.03, 0.3)
 NONE = Uncertainty(length=0.0, mass=0.0, friction=0.0, mu=0.0, lag=0.0, timing=0.0)
 THROW = Throw(-1, np.array([3.0, 2.5, 3.0]), np.array([0.1, 0.3, 0.0]), 0.0, 0.2, 0.5, 3)
@@ -25,7 +25,7 @@ THROW = Throw(-1, np.array([3.0, 2.5, 3.0]), np.array([0.1, 0.3, 0.0]), 0.0, 0.2
 
 def test_the_spread_is_the_one_asked_for_and_nothing_turns_negative() -> None:
     wide = Uncertainty(length=0.05, mass=0.1, friction=0.6, mu=0.3, lag=0.02, timing=0.005)
-    draws = wide.draws(1500, THROWER, PEG)
+    draws = wide.sample(1500, CAST_SETUP, PEG)
     seen = {
         "length": [d.rope.total_length for d in draws],
         "mass": [d.rope.total_mass / 0.12 for d in draws],
@@ -41,11 +41,11 @@ def test_the_spread_is_the_one_asked_for_and_nothing_turns_negative() -> None:
     lags = [d.lag for d in draws]
     assert min(lags) >= 0.0
     assert np.sqrt(np.mean(np.square(lags))) == pytest.approx(0.02, rel=0.1)
-    assert np.std([d.late for d in draws]) == pytest.approx(0.005, rel=0.03)
+    assert np.std([d.delays for d in draws]) == pytest.approx(0.005, rel=0.03)
 
 
 def test_a_draw_is_the_same_whatever_their_number_and_another_with_another_seed() -> None:
-    few, many, other = (Uncertainty().draws(n, THROWER, PEG, seed=s) for n, s in ((2, 5), (4, 5), (2, 6)))
+    few, many, other = (Uncertainty().sample(n, CAST_SETUP, PEG, seed=s) for n, s in ((2, 5), (4, 5), (2, 6)))
     assert few[1].rope == many[1].rope
     assert few[1].peg == many[1].peg
     assert few[1].rope != other[1].rope
@@ -63,16 +63,16 @@ def test_a_scaled_rope_swings_as_its_length_says() -> None:
 
 
 def test_without_uncertainty_the_motor_does_what_it_is_asked() -> None:
-    (draw,) = NONE.draws(1, THROWER, PEG)
-    assert draw.motion(THROW, THROWER) == THROW.motion(THROWER.limits)
+    (draw,) = NONE.sample(1, CAST_SETUP, PEG)
+    assert draw.motion(THROW, CAST_SETUP) == THROW.motion(CAST_SETUP.limits)
     assert draw.rope == ROPE
 
 
 def test_moves_start_late_but_not_before_the_last_one_has_ended() -> None:
-    asked = THROW.motion(THROWER.limits)
+    asked = THROW.motion(CAST_SETUP.limits)
     late = np.zeros(MOVES)
     late[:4] = [-0.5, 0.03, -0.02, 0.0]  # the third move has no rest before it; it cannot be early
-    done = Draw(ROPE, PEG, 0.0, late).executed(asked)
+    done = Scenario(ROPE, PEG, 0.0, late).executed_motion(asked)
     rests, times = np.array(asked.spec["rests"]), np.array(asked.spec["durations"])
     starts = np.cumsum(rests) + np.cumsum(times) - times
     new = np.array(done.spec["rests"])
@@ -83,46 +83,46 @@ def test_moves_start_late_but_not_before_the_last_one_has_ended() -> None:
 
 
 def test_a_lag_makes_the_arm_late() -> None:
-    asked = THROW.motion(THROWER.limits)
-    done = Draw(ROPE, PEG, 0.01, np.zeros(MOVES)).executed(asked)
+    asked = THROW.motion(CAST_SETUP.limits)
+    done = Scenario(ROPE, PEG, 0.01, np.zeros(MOVES)).executed_motion(asked)
     t = np.linspace(0.3, 0.6, 7)  # amid the first stroke: late by the lag, but for what its acceleration does
     behind = (asked.angle(t) - done.angle(t)) / asked.rate(t)
     np.testing.assert_allclose(behind, 0.01, rtol=0.15)
     with pytest.raises(InvalidInput, match="not made of moves"):
-        Draw(ROPE, PEG, 0.0, np.zeros(MOVES)).executed(hf.hold(0.0))
+        Scenario(ROPE, PEG, 0.0, np.zeros(MOVES)).executed_motion(hf.hold(0.0))
     with pytest.raises(InvalidInput, match="not made of moves"):
-        Draw(ROPE, PEG, 0.0, np.zeros(MOVES)).executed(moves([0.0, 1.0], [0.1], [0.5]).shifted(0.1))
+        Scenario(ROPE, PEG, 0.0, np.zeros(MOVES)).executed_motion(moves([0.0, 1.0], [0.1], [0.5]).shifted(0.1))
 
 
 def test_ropes_are_drawn_from_a_fit_and_the_rest_as_usual() -> None:
     told = {"sd": {"friction": np.full(6, 2e-4)}, "values": {}}
     fit = SimpleNamespace(rope=ROPE, parameters=("friction:shared",), covariance=np.array([[4e-8]]), **told)
-    known = Uncertainty.of(fit)  # type: ignore[arg-type]
+    known = Uncertainty.from_identification(fit)  # type: ignore[arg-type]
     assert (known.length, known.mass, known.friction, known.mu) == (0.0, 0.0, 0.0, Uncertainty().mu)
-    draws = known.draws(1500, THROWER, PEG)
+    draws = known.sample(1500, CAST_SETUP, PEG)
     assert np.std([d.rope.friction[0] for d in draws]) == pytest.approx(2e-4, rel=0.06)  # 3 sd of a sd of 1500 draws
     assert all(d.rope.total_length == ROPE.total_length for d in draws[:9])
     assert np.std([d.peg.mu for d in draws]) == pytest.approx(0.03, rel=0.06)
-    other = replace(THROWER, rope=hf.Rope.uniform(length=1.0, mass=0.1, n_links=5))
+    other = replace(CAST_SETUP, rope=hf.Rope.uniform(length=1.0, mass=0.1, n_links=5))
     with pytest.raises(InvalidInput, match="of another rope"):
-        known.draws(1, other, PEG)
-    with pytest.raises(InvalidInput, match="no Fitted"):
-        Uncertainty(fit=fit)  # type: ignore[arg-type]
+        known.sample(1, other, PEG)
+    with pytest.raises(InvalidInput, match="no RopePosterior"):
+        Uncertainty(posterior=fit)  # type: ignore[arg-type]
 
 
 def test_a_rope_file_tells_what_it_can_and_the_rest_is_as_usual(tmp_path: Path) -> None:
     ROPE.to_toml(tmp_path / "plain.toml")
-    usual = Uncertainty.of_file(tmp_path / "plain.toml")
-    assert usual.words() == Uncertainty().words()
-    assert "usual identification" in usual.words()
-    assert "length 1 %, mass 2 %, friction 20 %, mu 10 %, lag 10 ms, timing 2 ms" in usual.words()
+    usual = Uncertainty.from_rope_file(tmp_path / "plain.toml")
+    assert usual.describe() == Uncertainty().describe()
+    assert "usual identification" in usual.describe()
+    assert "length 1 %, mass 2 %, friction 20 %, mu 10 %, lag 10 ms, timing 2 ms" in usual.describe()
     told = {"parameters": ["length[0]", "tip_mass"], "covariance": [[1e-6, 0.0], [0.0, 1e-8]], "values": {}}
     files.write_toml(tmp_path / "fitted.toml", {"rope": ROPE.table(), "identification": told})
-    known = Uncertainty.of_file(tmp_path / "fitted.toml")
+    known = Uncertainty.from_rope_file(tmp_path / "fitted.toml")
     assert (known.length, known.mass, known.friction) == (0.0, 0.02, 0.2)
-    assert known.words().startswith("length, tip_mass by the covariance in the rope's file; as a usual")
-    assert "length 1 %" not in known.words()
-    assert np.std([d.rope.length[0] for d in known.draws(500, THROWER, PEG)]) == pytest.approx(1e-3, rel=0.1)
+    assert known.describe().startswith("length, tip_mass by the covariance in the rope's file; as a usual")
+    assert "length 1 %" not in known.describe()
+    assert np.std([d.rope.length[0] for d in known.sample(500, CAST_SETUP, PEG)]) == pytest.approx(1e-3, rel=0.1)
 
 
 def test_what_a_fit_could_not_tell_is_as_uncertain_as_usual(tmp_path: Path) -> None:
@@ -130,25 +130,29 @@ def test_what_a_fit_could_not_tell_is_as_uncertain_as_usual(tmp_path: Path) -> N
     told = {"parameters": ["length:factor", "friction:shared"], "covariance": [[0.0, 0.0], [0.0, 4e-8]]}
     told |= {"values": {"length:factor": 1.0}, "sd": {"length:factor": "unknown", "friction": [2e-4] * 6}}
     files.write_toml(tmp_path / "fitted.toml", {"rope": ROPE.table(), "identification": told})
-    known = Uncertainty.of_file(tmp_path / "fitted.toml")
+    known = Uncertainty.from_rope_file(tmp_path / "fitted.toml")
     assert (known.length, known.mass, known.friction) == (0.01, 0.0, 0.0)
-    assert "the fit could not tell all of length; as a usual identification leaves it: length 1 %" in known.words()
-    draws = known.draws(500, THROWER, PEG)
+    assert "the fit could not tell all of length; as a usual identification leaves it: length 1 %" in known.describe()
+    draws = known.sample(500, CAST_SETUP, PEG)
     assert np.std([d.rope.total_length for d in draws]) == pytest.approx(0.01, rel=0.1)  # 3 sd of a sd of 500 draws
     covariance, values = np.diag([0.0, 4e-8]), {"length:factor": np.array(1.0)}
     sd = {"length:factor": np.array(np.inf), "friction": np.full(6, 2e-4)}
     names = ("length:factor", "friction:shared")
     fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=covariance, values=values, sd=sd)
-    again = Uncertainty.of(fit)  # type: ignore[arg-type]
+    again = Uncertainty.from_identification(fit)  # type: ignore[arg-type]
     assert (again.length, again.mass, again.friction) == (0.01, 0.0, 0.0)
-    assert Uncertainty.of(fit, length=0.0).length == 0.0  # type: ignore[arg-type]
+    assert Uncertainty.from_identification(fit, length=0.0).length == 0.0  # type: ignore[arg-type]
 
 
 def test_a_punctual_world_differs_in_time_alone() -> None:
-    (draw,) = Uncertainty().draws(1, THROWER, PEG)
-    assert draw.late.any()
-    assert not draw.punctual().late.any()
-    assert (draw.punctual().rope, draw.punctual().peg, draw.punctual().lag) == (draw.rope, draw.peg, draw.lag)
+    (draw,) = Uncertainty().sample(1, CAST_SETUP, PEG)
+    assert draw.delays.any()
+    assert not draw.without_delays().delays.any()
+    assert (draw.without_delays().rope, draw.without_delays().peg, draw.without_delays().lag) == (
+        draw.rope,
+        draw.peg,
+        draw.lag,
+    )
 
 
 @pytest.mark.parametrize("name", ["length", "mass", "friction", "mu", "lag", "timing"])

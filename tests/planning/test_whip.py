@@ -10,10 +10,19 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import Motion
-from hyperflex.planning import MotorLimits, Strokes, Thrower, WhipMap, plan_whip, reach_whip, whip_map
-from hyperflex.planning.whip.aim import look
-from hyperflex.planning.whip.impact import BLOW, RADIUS, impact
-from hyperflex.planning.whip.tip_target import Mark, costs, peaks
+from hyperflex.planning import (
+    IMPACT_RADIUS,
+    CastSetup,
+    MotorLimits,
+    Strokes,
+    WhipMap,
+    build_whip_map,
+    check_whip_feasibility,
+    plan_whip,
+)
+from hyperflex.planning.whip.aim import find_peak
+from hyperflex.planning.whip.impact import IMPACT_TIME, simulate_impact
+from hyperflex.planning.whip.tip_target import TipTarget, find_peaks, peak_costs
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=8, radius=0.0025, friction=5e-4)
 ARM = hf.Arm(length=0.1)
@@ -22,7 +31,7 @@ LIMITS = MotorLimits()
 
 @pytest.fixture(scope="module")
 def known() -> WhipMap:
-    return whip_map(Thrower(ROPE, ARM, LIMITS, 4.0), swings=96)
+    return build_whip_map(CastSetup(ROPE, ARM, LIMITS, 4.0), swings=96)
 
 
 def swing(side: int = 1) -> Strokes:
@@ -36,12 +45,12 @@ def test_a_peak_is_found_between_samples() -> None:
     angle, rate = 4.0 * t + np.sin(3.0 * (t - 1.0)) / 3.0, 4.0 + np.cos(3.0 * (t - 1.0))
     tip = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     velocity = rate[:, None] * np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
-    found = peaks(t, tip[None], velocity[None])
+    found = find_peaks(t, tip[None], velocity[None])
     assert found.t.size == 1
     assert found.t[0] == pytest.approx(1.0, abs=1e-4)  # the parabola's error is of the fourth order in the step
     # 5 m/s times that, and the third order of a way of 7 ms: 5e-6 m; without the acceleration it were 6e-4 m
     np.testing.assert_allclose(found.place[0], [np.cos(4.0), np.sin(4.0)], atol=2e-4)
-    assert found.speed[0] == found.before[0] == pytest.approx(5.0, abs=1e-4)
+    assert found.speed[0] == found.highest[0] == pytest.approx(5.0, abs=1e-4)
     np.testing.assert_allclose(found.velocity[0], [-5.0 * np.sin(4.0), 5.0 * np.cos(4.0)], atol=5e-3)
 
 
@@ -49,18 +58,18 @@ def test_what_a_peak_costs() -> None:
     """At the target, along and fast it costs its lateness alone; each fault adds to it."""
     t = np.linspace(0.0, 2.0, 201)
     velocity = np.stack([5.5 * np.exp(-((t - 1.0) ** 2)), 0.0 * t], axis=-1)
-    found = peaks(t, np.zeros((1, t.size, 2)), velocity[None])
+    found = find_peaks(t, np.zeros((1, t.size, 2)), velocity[None])
     place = found.place[0]
-    fair = costs(Mark(*place, direction=0.0), found)[0]
+    fair = peak_costs(TipTarget(*place, direction=0.0), found)[0]
     assert fair < 0.01
     for worse in (
-        Mark(place[0] + 0.3, place[1] + 0.4, direction=0.0),
-        Mark(*place, direction=1.0),
-        Mark(*place, direction=-1.0),
-        Mark(*place, direction=0.0, speed=7.0),
+        TipTarget(place[0] + 0.3, place[1] + 0.4, direction=0.0),
+        TipTarget(*place, direction=1.0),
+        TipTarget(*place, direction=-1.0),
+        TipTarget(*place, direction=0.0, speed=7.0),
     ):
-        assert costs(worse, found)[0] > fair + 0.15
-    assert costs(Mark(place[0] + 0.3, place[1] + 0.4, direction=0.0), found)[0] == pytest.approx(fair + 0.5)
+        assert peak_costs(worse, found)[0] > fair + 0.15
+    assert peak_costs(TipTarget(place[0] + 0.3, place[1] + 0.4, direction=0.0), found)[0] == pytest.approx(fair + 0.5)
 
 
 def test_variations_of_strokes() -> None:
@@ -87,20 +96,20 @@ def test_strokes_keep_to_the_motor() -> None:
 
 def test_derivatives_of_a_peak(known: WhipMap) -> None:
     """Against central differences of peaks that are found anew."""
-    found = known.nearest(Mark(0.3, -0.9, 0.0, 3.0))[0]
+    found = known.candidates(TipTarget(0.3, -0.9, 0.0, 3.0))[0]
     strokes = found.strokes.cut(found.t, LIMITS)
-    aim = look(known.thrower, strokes, found.t)
+    aim = find_peak(known.cast_setup, strokes, found.t)
     assert aim is not None
-    h, size = 1e-4, strokes.numbers.size
+    h, size = 1e-4, strokes.parameters.size
     for k in range(size):
         change = np.zeros(size)
         change[k] = h
-        plus, minus = (look(known.thrower, strokes.varied(s * change), aim.t) for s in (1.0, -1.0))
+        plus, minus = (find_peak(known.cast_setup, strokes.varied(s * change), aim.t) for s in (1.0, -1.0))
         assert plus is not None
         assert minus is not None
         by = (plus.place - minus.place) / (2.0 * h)
         # a peak's time comes from a parabola through samples 2 ms apart, its derivative from differences of them
-        np.testing.assert_allclose(aim.by_place[:, k], by, rtol=0.0, atol=0.03 * np.abs(aim.by_place).max())
+        np.testing.assert_allclose(aim.dplace[:, k], by, rtol=0.0, atol=0.03 * np.abs(aim.dplace).max())
 
 
 def test_a_plan() -> None:
@@ -109,23 +118,23 @@ def test_a_plan() -> None:
     With 24 links and an early peak: eight leave too little of a rope's shape for half their length to do the same.
     """
     rope = hf.Rope.uniform(length=1.0, mass=0.06, n_links=24, radius=0.0025, friction=5e-4)
-    known = whip_map(Thrower(rope, ARM, LIMITS, 4.0), swings=48)
+    known = build_whip_map(CastSetup(rope, ARM, LIMITS, 4.0), swings=48)
     peak = known.peaks
-    k = int(np.argmax(np.where((peak.speed >= peak.before) & (peak.t < 1.5), peak.speed, 0.0)))
+    k = int(np.argmax(np.where((peak.speed >= peak.highest) & (peak.t < 1.5), peak.speed, 0.0)))
     way = peak.velocity[k] / peak.speed[k]
     plan = plan_whip(
-        rope, ARM, peak.place[k] + [0.01, 0.02], way, least_speed=0.9 * peak.speed[k], known=known, patience=20.0
+        rope, ARM, peak.place[k] + [0.01, 0.02], way, least_speed=0.9 * peak.speed[k], whip_map=known, time_budget=20.0
     )
-    assert plan.success, plan.reason
-    assert plan.lash is not None
-    run = plan.lash.run
-    about = np.abs(run.t - plan.lash.t) < 0.15
+    assert plan.success, plan.message
+    assert plan.outcome is not None
+    run = plan.outcome.run
+    about = np.abs(run.t - plan.outcome.t) < 0.15
     speed = np.hypot(*run.tip_velocity[about].T)
     at = run.tip[about][speed.argmax()]
     assert speed.max() >= 0.9 * peak.speed[k]
-    assert np.hypot(*(at - plan.mark.point)) < 1e-3 + 1e-3 * speed.max()  # samples lie 2 ms apart: half of it away
-    assert plan.finer is not None
-    assert plan.finer.miss < max(3e-3, plan.doubt)
+    assert np.hypot(*(at - plan.target.point)) < 1e-3 + 1e-3 * speed.max()  # samples lie 2 ms apart: half of it away
+    assert plan.finer_outcome is not None
+    assert plan.finer_outcome.miss < max(3e-3, plan.position_std)
 
 
 def turning(run: hf.Trajectory) -> np.ndarray:
@@ -143,20 +152,22 @@ def turning(run: hf.Trajectory) -> np.ndarray:
 def test_impact_is_what_turns_the_rope() -> None:
     """Without friction in the joints, gravity and the blow alone turn the rope about its first joint, which rests."""
     rope = ROPE.replace(friction=0.0)
-    thrower = Thrower(rope, ARM, LIMITS, 3.0)
+    cast_setup = CastSetup(rope, ARM, LIMITS, 3.0)
     motion = Strokes(1, np.array([-1.4]), np.array([0.1])).motion(LIMITS)
     free = hf.simulate(rope, motion, arm=ARM, duration=3.0, t_eval=np.arange(0.0, 3.0, 2e-3), tol=1e-7)
-    peak = peaks(free.t, free.tip[None], free.tip_velocity[None])
+    peak = find_peaks(free.t, free.tip[None], free.tip_velocity[None])
     k = int(np.where(peak.t > motion.breaks[-1] + 0.1, peak.speed, 0.0).argmax())
-    mark = Mark(*peak.place[k], direction=float(np.arctan2(peak.velocity[k, 1], peak.velocity[k, 0])))
-    blow = impact(thrower, mark, motion, peak.t[k])
+    mark = TipTarget(*peak.place[k], direction=float(np.arctan2(peak.velocity[k, 1], peak.velocity[k, 0])))
+    blow = simulate_impact(cast_setup, mark, motion, peak.t[k])
     assert blow.t == pytest.approx(peak.t[k], abs=0.02)
     assert blow.link == ROPE.n_links - 1
     assert blow.energy > 0.0
-    assert blow.along > 0.9 * blow.impulse  # the peg takes up what comes along the asked direction
-    x, y = mark.point + (RADIUS + rope.radius) * np.array([np.cos(mark.direction), np.sin(mark.direction)])
-    t = np.array([0.0, *np.arange(blow.t - 0.002, blow.t + BLOW, 1e-3)])
-    run = hf.simulate(rope, motion, arm=ARM, duration=float(t[-1]), t_eval=t, pegs=[hf.Peg(x, y, RADIUS)], refine=False)
+    assert blow.impulse_along > 0.9 * blow.impulse  # the peg takes up what comes along the asked direction
+    x, y = mark.point + (IMPACT_RADIUS + rope.radius) * np.array([np.cos(mark.direction), np.sin(mark.direction)])
+    t = np.array([0.0, *np.arange(blow.t - 0.002, blow.t + IMPACT_TIME, 1e-3)])
+    run = hf.simulate(
+        rope, motion, arm=ARM, duration=float(t[-1]), t_eval=t, pegs=[hf.Peg(x, y, IMPACT_RADIUS)], refine=False
+    )
     arms = run.joints[:, :-1] + rope.com[:, None] * np.stack([np.sin(run.q), -np.cos(run.q)], -1)
     weight = 9.81 * (rope.mass * (arms[..., 0] - run.base[:, :1])).sum(axis=1)
     gained = turning(run)[-1] - turning(run)[1] + np.trapezoid(weight[1:], run.t[1:])
@@ -176,38 +187,43 @@ def test_impact_is_what_turns_the_rope() -> None:
 )
 def test_bad_input(point: list[float], direction: list[float], words: str, known: WhipMap) -> None:
     with pytest.raises(InvalidInput, match=words):
-        plan_whip(ROPE, ARM, point, direction, known=known)
+        plan_whip(ROPE, ARM, point, direction, whip_map=known)
 
 
 def test_speed_of_zero_is_refused(known: WhipMap) -> None:
     with pytest.raises(InvalidInput, match="speed"):
-        plan_whip(ROPE, ARM, [0.3, -0.9], [1.0, 0.0], least_speed=0.0, known=known)
+        plan_whip(ROPE, ARM, [0.3, -0.9], [1.0, 0.0], least_speed=0.0, whip_map=known)
 
 
 def test_a_map_of_another_rope_is_refused(known: WhipMap) -> None:
     for rope, limits in ((ROPE.replace(mass=0.01), None), (ROPE, MotorLimits(speed=1.0))):
         with pytest.raises(InvalidInput, match="another rope"):
-            plan_whip(rope, ARM, [0.3, -0.9], [1.0, 0.0], limits, known=known)
+            plan_whip(rope, ARM, [0.3, -0.9], [1.0, 0.0], limits, whip_map=known)
 
 
 def test_any_direction_costs_nothing(known: WhipMap) -> None:
     """Without a direction the cost of the cheapest peak is that of the best of many directions, or less."""
     point, speed = known.peaks.place[np.argmax(known.peaks.speed)] + [0.03, -0.02], 2.0
-    free = known.nearest(Mark.anyway(point, speed))[0].cost
-    asked = [known.nearest(Mark(*point, direction=a, speed=speed))[0].cost for a in np.arange(-np.pi, np.pi, 0.2)]
+    free = known.candidates(TipTarget.at(point, None, speed))[0].cost
+    asked = [
+        known.candidates(TipTarget(*point, direction=a, speed=speed))[0].cost for a in np.arange(-np.pi, np.pi, 0.2)
+    ]
     # 0.2 rad apart and 0.21 rad free of cost: one of them is within it, and asks for nothing then
     assert free == pytest.approx(min(asked), abs=1e-12)
-    plan = plan_whip(ROPE, ARM, point, least_speed=speed, known=known, patience=10.0)
-    assert plan.success, plan.reason
-    assert plan.mark.anyhow
+    plan = plan_whip(ROPE, ARM, point, least_speed=speed, whip_map=known, time_budget=10.0)
+    assert plan.success, plan.message
+    assert plan.target.any_direction
 
 
 def test_out_of_reach(known: WhipMap) -> None:
-    far = plan_whip(ROPE, ARM, [1.5, 0.0], [0.0, 1.0], known=known)
+    far = plan_whip(ROPE, ARM, [1.5, 0.0], [0.0, 1.0], whip_map=known)
     assert not far.success
     assert far.motion is None
-    assert "ends 0.40 m short" in far.reason
-    with pytest.raises(InvalidInput, match="strikes nothing"):
+    assert "ends 0.40 m short" in far.message
+    with pytest.raises(InvalidInput, match="holds no outcome"):
         far.impact()
-    for mark, words in ((Mark(0.2, -1.0, 0.0, 50.0), "m/s at most"), (Mark(0.0, 1.0, 0.0), "no peak so near")):
-        assert words in reach_whip(known, mark).reason
+    for mark, words in (
+        (TipTarget(0.2, -1.0, 0.0, 50.0), "m/s at most"),
+        (TipTarget(0.0, 1.0, 0.0), "no peak so near"),
+    ):
+        assert words in check_whip_feasibility(known, mark).message

@@ -13,13 +13,11 @@ import hyperflex as hf
 from hyperflex.core import jit
 from hyperflex.errors import InvalidInput
 from hyperflex.model import divided
-from hyperflex.planning import Mark, MotorLimits, Thrower, WhipMap, plan_whip, whip_map
-from hyperflex.planning import time_budget as clock
-from hyperflex.planning.search.batch_rollout import finished
-from hyperflex.planning.whip import plan as whip
-from hyperflex.planning.whip import planner as whip_course
-from hyperflex.planning.whip import tip_target as lash
-from hyperflex.planning.whip.planner import PLANS, Verified, WhipCourse, why_not
+from hyperflex.planning import CastSetup, MotorLimits, TipTarget, WhipMap, build_whip_map, plan_whip, time_budget
+from hyperflex.planning.search import rollouts
+from hyperflex.planning.search.rollouts import not_interrupted
+from hyperflex.planning.whip import planner
+from hyperflex.planning.whip.planner import PLANS, Verified, WhipPlanner, failure
 from tests.planning.known_whip import ROPE, planned_whip
 
 ARM = hf.Arm(length=0.1)
@@ -28,37 +26,39 @@ FAR = ([1.5, 0.0], [0.0, 1.0])  # no rope gets there: what is asked of the map i
 
 @pytest.fixture(scope="module")
 def known() -> WhipMap:
-    return whip_map(Thrower(ROPE, ARM, MotorLimits(), 2.0), swings=4)
+    return build_whip_map(CastSetup(ROPE, ARM, MotorLimits(), 2.0), swings=4)
 
 
 def seen_as(*found: tuple[float, float]) -> list[Any]:
     """Whips of some misses and doubts, m, by what the search makes of them."""
     return [
-        SimpleNamespace(place=np.array([miss, 0.0]), velocity=np.array([5.0, 0.0]), speed=5.0, doubt=doubt)
+        SimpleNamespace(place=np.array([miss, 0.0]), velocity=np.array([5.0, 0.0]), speed=5.0, position_std=doubt)
         for miss, doubt in found
     ]
 
 
-def course(known: WhipMap, patience: float = 1.0) -> WhipCourse:
-    return WhipCourse(known, Mark(0.0, 0.0, 0.0), patience, 0, 1)
+def course(known: WhipMap, patience: float = 1.0) -> WhipPlanner:
+    return WhipPlanner(known, TipTarget(0.0, 0.0, 0.0), patience, 0, 1)
 
 
 def test_compiling_uses_up_no_patience(known: WhipMap, monkeypatch: pytest.MonkeyPatch) -> None:
     """Three swings, each tried as it is and once more after a search; each try waits 10 s for the compiler."""
     now, tried = [0.0], []
-    monkeypatch.setattr(clock.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(WhipMap, "nearest", lambda *_: [SimpleNamespace(cost=0.0, strokes=planned_whip().strokes)] * 3)
+    monkeypatch.setattr(time_budget.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(
+        WhipMap, "candidates", lambda *_: [SimpleNamespace(cost=0.0, strokes=planned_whip().strokes)] * 3
+    )
 
     def slow(*_: object) -> None:
         tried.append(now[0])
         now[0] += 10.0
         monkeypatch.setattr(jit._TIMER, "spent", jit._TIMER.spent + 10.0)
 
-    monkeypatch.setattr(whip_course, "aimed", slow)
+    monkeypatch.setattr(planner, "aim_peak", slow)
     work = course(known)
-    work.go(None)
+    work.run(None)
     assert len(tried) == 6
-    assert (work.clock.spent, work.clock.passed) == (0.0, 60.0)
+    assert (work.clock.spent, work.clock.elapsed) == (0.0, 60.0)
     now[0] += 1.5
     assert work.clock.spent == 1.5
     assert work.add(None, None)
@@ -66,42 +66,42 @@ def test_compiling_uses_up_no_patience(known: WhipMap, monkeypatch: pytest.Monke
 
 def test_ctrl_c_while_the_map_is_made_is_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     """A batch that is cut short keeps its finished members and marks the others; half a map is no map."""
-    whole = lash.simulate_batch
+    whole = rollouts.simulate_batch
 
     def cut(*args: Any, **options: Any) -> Any:
         batch = whole(*args, **options)
         return replace(batch, status=(*batch.status[:-1], "interrupted"))
 
-    monkeypatch.setattr(lash, "simulate_batch", cut)
-    monkeypatch.setattr(whip, "whip_map", lambda thrower, **_: whip_map(thrower, swings=2))
+    monkeypatch.setattr(rollouts, "simulate_batch", cut)
+    monkeypatch.setattr(planner, "build_whip_map", lambda cast_setup, **_: build_whip_map(cast_setup, swings=2))
     plan = plan_whip(ROPE, ARM, [0.3, -0.9], [1.0, 0.0], time_limit=1.0)
     assert plan.interrupted
     assert not plan.success
-    assert plan.reason == "interrupted before the map of swings was made"
+    assert plan.message == "interrupted before the map of swings was made"
     assert plan.strokes is None
-    assert plan.reach.distance == pytest.approx(np.hypot(0.3, 0.9))
+    assert plan.feasibility.distance == pytest.approx(np.hypot(0.3, 0.9))
 
 
 def test_a_batch_that_failed_is_finished_all_the_same() -> None:
     batch = hf.simulate_batch(ROPE, [hf.hold(0.0)] * 2, arm=ARM, duration=0.01)
-    assert finished(batch) is batch
+    assert not_interrupted(batch) is batch
     failed = replace(batch, status=("ok", "energy"))
-    assert finished(failed) is failed
+    assert not_interrupted(failed) is failed
     with pytest.raises(KeyboardInterrupt):
-        finished(replace(batch, status=("interrupted", "ok")))
+        not_interrupted(replace(batch, status=("interrupted", "ok")))
 
 
 def test_a_map_of_an_equal_rope_will_do(known: WhipMap) -> None:
     again = hf.Rope.from_table(ROPE.table())
     assert again is not ROPE
-    plan = plan_whip(again, ARM, *FAR, known=known, time_limit=2.0)
-    assert "out of reach" in plan.reason
+    plan = plan_whip(again, ARM, *FAR, whip_map=known, time_limit=2.0)
+    assert "out of reach" in plan.message
 
 
 @pytest.mark.parametrize(("limit", "words"), [(-3.0, "time_limit"), (np.nan, "time_limit"), (1.5, "another rope")])
 def test_a_time_limit_beside_a_map_is_looked_at(known: WhipMap, limit: float, words: str) -> None:
     with pytest.raises(InvalidInput, match=words):
-        plan_whip(ROPE, ARM, *FAR, known=known, time_limit=limit)
+        plan_whip(ROPE, ARM, *FAR, whip_map=known, time_limit=limit)
 
 
 def test_a_time_in_which_no_tip_peaks_is_refused() -> None:
@@ -110,7 +110,7 @@ def test_a_time_in_which_no_tip_peaks_is_refused() -> None:
 
 
 def test_a_rope_that_cannot_be_cut_is_refused_before_the_search(known: WhipMap) -> None:
-    other = replace(known, thrower=replace(known.thrower, rope=ROPE.replace(com=0.05)))
+    other = replace(known, cast_setup=replace(known.cast_setup, rope=ROPE.replace(com=0.05)))
     with pytest.raises(InvalidInput, match="not uniform"):
         course(other)
 
@@ -136,17 +136,17 @@ def test_whips_are_verified_until_one_stands(
     work, looked = course(known), []
     work.aims = seen_as(*[(0.0 if k < meet else 0.1, 0.001 * k) for k in range(PLANS + 1)])
 
-    def verify(_: object, finer: Thrower, __: object, aim: Any) -> Verified:
+    def verify_both(_: object, finer: CastSetup, __: object, aim: Any) -> Verified:
         assert finer.rope == divided(ROPE, 2)
         looked.append(aim)
         return Verified(aim, None, None, "" if stands[len(looked) - 1] else f"fault {len(looked)}")
 
-    monkeypatch.setattr(whip_course, "verify", verify)
+    monkeypatch.setattr(planner, "verify_both", verify_both)
     best, interrupted = work.verified()
     assert best is not None
     assert best.aim is work.aims[taken]
     assert (len(looked), interrupted) == (looks, False)
-    assert bool(best.reason) == (not stands[taken])
+    assert bool(best.message) == (not stands[taken])
 
 
 @pytest.mark.parametrize("after", [0, 1])
@@ -156,18 +156,18 @@ def test_ctrl_c_while_whips_are_verified_keeps_the_best(
     work, looked = course(known), []
     work.aims = seen_as((0.0, 0.001), (0.0, 0.002))
 
-    def verify(*args: Any) -> Verified:
+    def verify_both(*args: Any) -> Verified:
         if len(looked) == after:
             raise KeyboardInterrupt
         looked.append(args)
         return Verified(args[-1], None, None, "it misses")
 
-    monkeypatch.setattr(whip_course, "verify", verify)
+    monkeypatch.setattr(planner, "verify_both", verify_both)
     best, interrupted = work.verified()
     assert interrupted
     assert best is not None
     assert best.aim is work.aims[0]
-    assert best.reason == ("it misses" if after else "interrupted before it was verified")
+    assert best.message == ("it misses" if after else "interrupted before it was verified")
 
 
 def test_no_whip_is_none(known: WhipMap) -> None:
@@ -176,11 +176,11 @@ def test_no_whip_is_none(known: WhipMap) -> None:
 
 def test_a_motor_that_is_too_weak_is_a_reason() -> None:
     plan = planned_whip()
-    assert plan.lash is not None
-    asked = np.abs(plan.lash.run.motor_torque).max()
+    assert plan.outcome is not None
+    asked = np.abs(plan.outcome.run.motor_torque).max()
     for part, words in ((1.001, ""), (0.99, f"it asks {asked:.3g} N m of a motor that gives {0.99 * asked:.3g}")):
-        who = replace(plan.thrower, limits=MotorLimits(torque=part * asked))
-        assert why_not(who, plan.lash, plan.finer, plan.doubt) == words
+        who = replace(plan.cast_setup, limits=MotorLimits(torque=part * asked))
+        assert failure(who, plan.outcome, plan.finer_outcome, plan.position_std) == words
 
 
 @pytest.mark.parametrize(
@@ -194,6 +194,6 @@ def test_a_motor_that_is_too_weak_is_a_reason() -> None:
 )
 def test_finer_links_may_move_the_peak_by_its_doubt_or_3_mm(miss: float, doubt: float, words: str) -> None:
     plan = planned_whip()
-    assert plan.finer is not None
-    assert why_not(plan.thrower, plan.lash, replace(plan.finer, miss=miss), doubt) == words
-    assert "no peak there" in why_not(plan.thrower, plan.lash, None, doubt)
+    assert plan.finer_outcome is not None
+    assert failure(plan.cast_setup, plan.outcome, replace(plan.finer_outcome, miss=miss), doubt) == words
+    assert "no peak there" in failure(plan.cast_setup, plan.outcome, None, doubt)

@@ -11,8 +11,7 @@ import pytest
 from PIL import Image
 
 import hyperflex as hf
-from hyperflex.planning import tug_wound
-from hyperflex.planning.wind.nearest_target import Nearest
+from hyperflex.planning import FallbackTarget
 from hyperflex.report.animation import animate
 from hyperflex.report.cast import CastReport
 from hyperflex.report.cast.figures import course_figure, strike_figure, tug_figure
@@ -35,7 +34,7 @@ def words_of(path):
 
 @pytest.fixture(scope="module")
 def held():
-    return tug_wound(planned().cast, PEG)
+    return planned().measure_holding_force()
 
 
 def test_the_page_names_target_swings_turns_and_hold(tmp_path, held):
@@ -50,7 +49,7 @@ def test_the_page_names_target_swings_turns_and_hold(tmp_path, held):
         "2.36 turns",
         "clockwise",
         f"bore {held.force:.2f} N",
-        f"{held.rule:.2f} N",
+        f"{held.capstan_force:.2f} N",
         "simulated",
         "8.61 rad/s",
         "shorter links",
@@ -62,7 +61,7 @@ def test_the_page_names_target_swings_turns_and_hold(tmp_path, held):
 
 
 def test_a_plan_without_a_throw_is_a_page_with_the_reason(tmp_path):
-    assert tug_wound(unreachable().cast, PEG) is None
+    assert unreachable().measure_holding_force() is None
     files = write_cast(tmp_path / "out", unreachable())
     assert list(files) == ["page"]
     assert "out of reach: the rope ends" in words_of(files["page"])
@@ -112,16 +111,18 @@ def test_a_target_in_reach_that_is_not_to_blame_comes_with_advice(tmp_path, made
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"held": False, "slipped": 0.077}, "winds but slips: with more friction"),
+        ({"held": False, "slip": 0.077}, "winds but slips: with more friction"),
         ({"torque": 0.4}, "a motor of 0.4 N m is needed; 0.3 N m are given"),
         ({"wound": False}, "another --seed may help"),
     ],
 )
 def test_advice_is_about_what_failed(change, told):
     plan = planned()
-    who = dataclasses.replace(plan.thrower, limits=hf.MotorLimits(torque=0.3))
-    cast = dataclasses.replace(plan.cast, **({"torque": 0.1} | change))
-    failed = dataclasses.replace(plan, thrower=who, cast=cast, reason="it fails", nearest=Nearest(PEG, 0.0))
+    who = dataclasses.replace(plan.cast_setup, limits=hf.MotorLimits(torque=0.3))
+    cast = dataclasses.replace(plan.outcome, **({"torque": 0.1} | change))
+    failed = dataclasses.replace(
+        plan, cast_setup=who, outcome=cast, message="it fails", fallback=FallbackTarget(PEG, 0.0)
+    )
     given = " ".join(CastReport(failed, None).advice)
     assert told in given
     assert ("--seed" in given) == ("--seed" in told)
@@ -131,10 +132,10 @@ def test_a_graze_and_a_fold_are_told(tmp_path):
     plan = planned()
     assert "grazes" not in " ".join(CastReport(plan, None).story)
     assert CastReport(plan, None).warning == ""
-    cast = dataclasses.replace(plan.cast, touch=plan.cast.strike - 2.0, bend=4.0)
-    plan = dataclasses.replace(plan, cast=cast)
+    cast = dataclasses.replace(plan.outcome, touch_time=plan.outcome.strike_time - 2.0, max_bend=4.0)
+    plan = dataclasses.replace(plan, outcome=cast)
     told = " ".join(CastReport(plan, None).story)
-    assert f"grazes the target at {plan.cast.touch:.2f} s and comes off again. The rope strikes" in told
+    assert f"grazes the target at {plan.outcome.touch_time:.2f} s and comes off again. The rope strikes" in told
     assert "folds by 229 degrees" in told
 
 
@@ -147,15 +148,15 @@ def test_files_of_an_earlier_cast_go_with_it(tmp_path, held):
 
 
 def test_a_target_in_reach_that_no_throw_winds_is_not_said_to_be_out_of_reach():
-    plan = dataclasses.replace(planned(winds=False), nearest=Nearest(PEG, 0.0))
+    plan = dataclasses.replace(planned(winds=False), fallback=FallbackTarget(PEG, 0.0))
     told = " ".join(CastReport(plan, None).advice)
     assert "Nearest target that should be easier" in told
     assert "this target is in reach, too" in told
 
 
 def test_what_the_rule_of_thumb_says_is_said_to_be_that():
-    rope, arm = planned().thrower.rope, planned().thrower.arm
-    asked = CastReport(hf.plan_cast(rope, arm, PEG, hold=20.0), None)
+    rope, arm = planned().cast_setup.rope, planned().cast_setup.arm
+    asked = CastReport(hf.plan_cast(rope, arm, PEG, holding_force=20.0), None)
     assert "out of reach by a rule of thumb: wound it bears 2.94 N at most" in asked.verdict
     assert (
         "found: out of reach: the rope ends" in CastReport(unreachable(), None).verdict
@@ -170,7 +171,7 @@ def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
     (axis,) = figure.axes
     discs = [(patch.center, patch.radius) for patch in axis.patches]
     assert discs[0][0] == (2.5, 0.0)
-    assert discs[1][0] == (plan.nearest.peg.x, plan.nearest.peg.y)
+    assert discs[1][0] == (plan.fallback.target.x, plan.fallback.target.y)
     assert all(radius >= 0.03 for _, radius in discs)
     reach, arm = (line.get_xydata() for line in axis.get_lines()[:2])
     np.testing.assert_allclose(np.hypot(*reach.T), 2.105, rtol=1e-12)  # rounding
@@ -196,11 +197,11 @@ def test_the_film_tells_the_course(held):
 
 def test_the_film_of_a_miss_says_why():
     note = CastReport(planned(winds=False), None).film_note()
-    assert "FAILS: the rope does not touch the peg" in note(planned(winds=False).cast.run.t[-1])
+    assert "FAILS: the rope does not touch the peg" in note(planned(winds=False).run.t[-1])
 
 
 def test_the_target_is_drawn_as_large_as_it_is(tmp_path):
-    run = planned(winds=False).cast.run
+    run = planned(winds=False).run
     animate(run, tmp_path / "a.gif", end=0.1, frame_rate=10, width=300, note=lambda _: "one\ntwo")
     frame = np.asarray(opened(tmp_path / "a.gif").convert("RGB"))
     _, columns = np.nonzero((frame[..., 0] > 180) & (frame[..., 1] < 120))
@@ -213,7 +214,7 @@ def test_the_target_is_drawn_as_large_as_it_is(tmp_path):
 
 
 def test_a_film_has_room_for_its_words(tmp_path):
-    run = planned(winds=False).cast.run
+    run = planned(winds=False).run
     heights = []
     for note in (None, lambda _: "one", lambda _: "one\ntwo\nthree"):
         animate(run, tmp_path / "a.gif", end=0.1, frame_rate=10, width=200, note=note)
@@ -226,7 +227,7 @@ def test_the_course_marks_the_strike_and_counts_the_swings():
     arm, turns = figure.axes[:2]
     texts = [text.get_text() for text in arm.texts]
     assert texts == ["1", "2", "3", "4", "5", "6", "last"]
-    assert any(line.get_xdata()[0] == planned().cast.strike for line in arm.get_lines())
+    assert any(line.get_xdata()[0] == planned().outcome.strike_time for line in arm.get_lines())
     assert any("1.25 turns" in text.get_text() for text in turns.texts)
     assert turns.get_lines()[0].get_ydata()[-1] == pytest.approx(2.36, abs=0.005)
 
@@ -249,7 +250,7 @@ def test_a_pull_that_did_not_slip_is_a_lower_bound(held):
 
 
 def test_a_long_reason_has_room_in_a_film():
-    plan = dataclasses.replace(planned(), reason="with shorter links the simulation failed (out of patience)")
+    plan = dataclasses.replace(planned(), message="with shorter links the simulation failed (out of patience)")
     lines = CastReport(plan, None).film_note()(11.0).split("\n")
     assert "time allowed for it" in " ".join(lines)
     assert max(len(line) for line in lines) <= 90

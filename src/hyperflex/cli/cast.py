@@ -11,7 +11,7 @@ from hyperflex.checks import number
 from hyperflex.cli import output, planner
 
 if TYPE_CHECKING:
-    from hyperflex.planning import CastPlan, Holding, Uncertainty
+    from hyperflex.planning import CastPlan, HoldingForce, Uncertainty
 
 
 def cast(
@@ -25,7 +25,7 @@ def cast(
     speed: planner.Speed = None,
     acceleration: planner.Acceleration = None,
     torque: planner.Torque = None,
-    hold: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
+    holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
     time_limit: Annotated[
         float | None,
         typer.Option(help="Within which the rope must strike, s. [default: five periods of its swing, or more]"),
@@ -38,10 +38,10 @@ def cast(
             "rope's file, if identify wrote it there, and else as a usual identification leaves it.",
         ),
     ] = False,
-    fallback_targets: Annotated[
+    fallback: Annotated[
         bool,
         typer.Option(
-            "--fallback-targets",
+            "--fallback",
             help="If no cast is found, plan for the nearest targets until one works; takes up to five times as long.",
         ),
     ] = False,
@@ -65,55 +65,52 @@ def cast(
     The exit code is 4 if no cast that winds and holds was found; the best throw is written all the same, with the
     reason and with the nearest target that should work.
     """
-    from hyperflex.planning import Uncertainty, plan_cast, tug_wound
+    from hyperflex.planning import Uncertainty, plan_cast
     from hyperflex.report.cast import CastReport
 
     planner.check_folder(out)
     rate = number("--rate", rate, sign="positive", unit="Hz")
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
-    uncertainty = Uncertainty.of_file(rope or setup or Path()) if robust else None
+    uncertainty = Uncertainty.from_rope_file(rope or setup or Path()) if robust else None
     plan = plan_cast(
         task.rope,
         task.arm,
         planner.peg_of(task, target, radius, mu),
         task.limits,
         time_limit=None if time_limit is None else number("--time-limit", time_limit, sign="positive", unit="s"),
-        hold=hold,
+        holding_force=holding_force,
         uncertainty=uncertainty,
-        patience=number("--time-budget", time_budget, sign="positive", unit="s"),
-        regardless=skip_feasibility,
-        elsewhere=fallback_targets,
+        time_budget=number("--time-budget", time_budget, sign="positive", unit="s"),
+        skip_feasibility=skip_feasibility,
+        fallback=fallback,
         seed=seed,
         progress=output.watched(json),
     )
     with output.spinner(json) as progress:
         progress("tugging at the rope")
-        held = tug_wound(plan.cast, plan.peg)
+        held = plan.measure_holding_force()
         report = CastReport(plan, held)
         files = report.write(out, rate=rate, progress=progress)
     notes = [report.warning] if report.warning else []
     if uncertainty is not None:
-        notes.append(f"Uncertain: {uncertainty.words()}.")
-    if plan.stated is not None:
-        notes.append(f"Success probability: {plan.stated}.")
+        notes.append(f"Uncertain: {uncertainty.describe()}.")
+    if plan.success_probability is not None:
+        notes.append(f"Success probability: {plan.success_probability}.")
     planner.finish(report, files, _result(plan, held, uncertainty), [*notes, *report.advice], as_json=json)
 
 
-def _result(plan: CastPlan, held: Holding | None, uncertainty: Uncertainty | None) -> dict[str, Any]:
+def _result(plan: CastPlan, held: HoldingForce | None, uncertainty: Uncertainty | None) -> dict[str, Any]:
     """Return the plan for JSON."""
-    from hyperflex.planning.files import summary
-
-    peg = plan.peg
-    result = summary(plan) | {"target": {"x_m": peg.x, "y_m": peg.y, "radius_m": peg.radius, "mu": peg.mu}}
+    result = plan.summary()
     if uncertainty is not None:
-        result["uncertain"] = uncertainty.words()
+        result["uncertainty"] = uncertainty.describe()
     if held is not None:
-        result["hold"] = {
-            "force_N": held.force,
+        result["holding_force"] = {
+            "force": held.force,
             "slipped": held.tug.slipped,
-            "tail_weight_N": held.tail,
-            "contact_rad": held.angle,
-            "tail_weight_times_exp_N": held.rule,
+            "tail_weight": held.tail_weight,
+            "contact_angle": held.contact_angle,
+            "capstan_force": held.capstan_force,
         }
     return result

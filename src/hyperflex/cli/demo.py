@@ -36,7 +36,6 @@ def demo(
 def _figures(report: DemoReport) -> dict[str, Any]:
     """Return what the demo found, for JSON."""
     from hyperflex.demo.report import held_out_rms
-    from hyperflex.planning.files import summary
 
     found = report.demo
     parameters = {
@@ -61,7 +60,7 @@ def _figures(report: DemoReport) -> dict[str, Any]:
         "angle_noise_rad": found.angle_noise.mean(),
         "greatest_x_m": abs(found.cast.tip[:, 0]).max(),
         "greatest_x_of_the_rope_m": abs(found.reference.tip[:, 0]).max(),
-        "plan": summary(found.plan),
+        "plan": found.plan.summary(),
         "hold_force_N": None if report.demo.held is None else report.demo.held.force,
         "recorded_rope_winds": None if found.proof is None else found.proof.success,
     }

@@ -54,7 +54,7 @@ def interrupted(message: str, left: Mapping[str, Any], *, as_json: bool) -> int:
     """Say on standard error that Ctrl-C was met, and as JSON, with what was `left`, if asked for; return the code."""
     sys.stderr.write(f"hyperflex: {message}\n")
     if as_json:
-        print_json({"error": "interrupted", "type": "Interrupted", "message": message, **left})
+        print_json({**left, "error": "interrupted", "type": "Interrupted", "message": message})
     return INTERRUPTED
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import asdict
+from typing import Annotated
 
 import typer
 
@@ -11,10 +12,7 @@ from hyperflex.checks import number
 from hyperflex.cli import output, planner
 from hyperflex.errors import InvalidInput
 
-if TYPE_CHECKING:
-    from hyperflex.planning import Impact, WhipPlan
-
-_TARGET = ("x", "y", "direction", "least_speed", "angle_tolerance")  # of the set-up file
+_TARGET = ("x", "y", "direction", "speed", "angle_tolerance")  # of the set-up file, as of TipTarget
 
 
 def whip(
@@ -47,7 +45,7 @@ def whip(
     """Plan how the arm whips its rope, so that the tip passes a point at a peak of its speed.
 
     The target is given by options, or as the table [target] of the set-up file: x, y (m), direction, angle_tolerance
-    (rad), least_speed (m/s).
+    (rad), speed (m/s).
 
     The plan is verified in simulation, on the rope as given and with links of half the length; the impact on a small
     peg at the target is simulated too. Writes a page, pictures, a film, the motion for the motor (CSV), the verified
@@ -74,20 +72,21 @@ def whip(
         (asked["x"], asked["y"]),
         None if angle is None else (math.cos(angle), math.sin(angle)),
         task.limits,
-        least_speed=asked.get("least_speed", 5.0),
-        within=asked.get("angle_tolerance", math.radians(20.0)),
+        least_speed=asked.get("speed", 5.0),
+        angle_tolerance=asked.get("angle_tolerance", math.radians(20.0)),
         time_limit=None if time_limit is None else number("--time-limit", time_limit, sign="positive", unit="s"),
-        regardless=skip_feasibility,
-        patience=number("--time-budget", time_budget, sign="positive", unit="s"),
+        skip_feasibility=skip_feasibility,
+        time_budget=number("--time-budget", time_budget, sign="positive", unit="s"),
         seed=seed,
         progress=output.watched(json),
     )
     with output.spinner(json) as progress:
         progress("striking a small peg")
-        impact = None if plan.lash is None else plan.impact()
+        impact = None if plan.outcome is None else plan.impact()
         report = WhipReport(plan, impact)
         files = report.write(out, rate=rate, progress=progress)
-    planner.finish(report, files, _result(plan, impact), (), as_json=json)
+    result = plan.summary() | ({} if impact is None else {"impact": asdict(impact)})
+    planner.finish(report, files, result, (), as_json=json)
 
 
 def _target(
@@ -109,27 +108,7 @@ def _target(
         tolerance = number("--angle-tolerance", angle_tolerance, sign="positive", unit="degrees")
         asked["angle_tolerance"] = math.radians(tolerance)
     if least_speed is not None:
-        asked["least_speed"] = number("--least-speed", least_speed, sign="positive", unit="m/s")
+        asked["speed"] = number("--least-speed", least_speed, sign="positive", unit="m/s")
     if not {"x", "y"} <= set(asked):
         raise InvalidInput("--target is missing", fix="Give it, or a set-up file with a table [target]")
     return asked
-
-
-def _result(plan: WhipPlan, impact: Impact | None) -> dict[str, Any]:
-    """Return the plan for JSON."""
-    from hyperflex.planning.whip.files import summary
-
-    mark = plan.mark
-    target: dict[str, Any] = {"x_m": mark.x, "y_m": mark.y, "least_speed_m_s": mark.speed}
-    if not mark.anyhow:
-        target |= {"direction_rad": mark.direction, "angle_tolerance_rad": mark.within}
-    result = summary(plan) | {"target": target}
-    if impact is not None:
-        result["impact"] = {
-            "t_s": impact.t,
-            "impulse_Ns": impact.impulse,
-            "along_Ns": impact.along,
-            "energy_J": impact.energy,
-            "link": impact.link,
-        }
-    return result

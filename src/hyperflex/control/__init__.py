@@ -1,4 +1,4 @@
-"""Control of a cast: pseudo-energy, the paper's timing rule, better rules, and the loop that they run in."""
+"""Control of a swing: pseudo-energy, the paper's timing rule, receding-horizon rules, and their closed loop."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
-    from hyperflex.control.caster import Caster, swing_period
-    from hyperflex.control.closed_loop import Swung, swing
+    from hyperflex.control.closed_loop import ClosedLoopRun, run_closed_loop
     from hyperflex.control.pseudo_energy import (
         PhasePortrait,
         Spiral,
@@ -17,31 +16,32 @@ if TYPE_CHECKING:
         pseudo_energy,
         spiral,
     )
-    from hyperflex.control.pumping import Pump, Regulate
-    from hyperflex.control.reach import reach_time
-    from hyperflex.control.rests import PumpPlan, plan_pumping
-    from hyperflex.control.state_source import SimulatedCamera, TrueState
+    from hyperflex.control.pumping import AmplitudeRule, PumpingRule
+    from hyperflex.control.pumping_optimizer import PumpingPlan, optimize_pumping
+    from hyperflex.control.state_source import SimulatedCamera, TrueState, hanging_state
+    from hyperflex.control.swing_model import SwingModel, arrival_time, swing_period
     from hyperflex.control.timing import CrossingRule, Rule
 
 __all__ = [
-    "Caster",
+    "AmplitudeRule",
+    "ClosedLoopRun",
     "CrossingRule",
     "PhasePortrait",
-    "Pump",
-    "PumpPlan",
-    "Regulate",
+    "PumpingPlan",
+    "PumpingRule",
     "Rule",
     "SimulatedCamera",
     "Spiral",
-    "Swung",
+    "SwingModel",
     "TrueState",
+    "arrival_time",
     "driving_constant",
+    "hanging_state",
+    "optimize_pumping",
     "phase_portrait",
-    "plan_pumping",
     "pseudo_energy",
-    "reach_time",
+    "run_closed_loop",
     "spiral",
-    "swing",
     "swing_period",
 ]
 

@@ -1,4 +1,4 @@
-"""The loop: look at the rope whenever the arm rests, ask a rule, move."""
+"""Closed loop of half turns: at each rest of the arm the rule gets the rope's state and returns the next start."""
 
 from __future__ import annotations
 
@@ -9,51 +9,52 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.control.caster import Caster
+from hyperflex.control.swing_model import SwingModel
 from hyperflex.control.timing import Rule
 from hyperflex.interfaces import StateSource
 from hyperflex.motion import Motion
 
 
 @dataclass(frozen=True, eq=False)
-class Swung:
-    """What a closed loop made the arm do.
+class ClosedLoopRun:
+    """Half turns of a closed loop.
 
     Attributes
     ----------
     starts : (k,) float64
-        When each half turn started, s.
+        Start of each half turn, s.
     motion : Motion
-        The arm's motion.
-    asked : int
-        How often the rule was asked.
+        Of the arm.
+    decisions : int
+        Number of calls of the rule.
     """
 
     starts: Array
     motion: Motion
-    asked: int
+    decisions: int
 
 
-def swing(source: StateSource, rule: Rule, caster: Caster, *, duration: float, look_again: float = math.inf) -> Swung:
-    """Swing a rope that hangs at rest, each half turn when the rule says.
+def run_closed_loop(
+    source: StateSource, rule: Rule, model: SwingModel, *, duration: float, recheck_time: float = math.inf
+) -> ClosedLoopRun:
+    """Swing a rope that hangs at rest; the rule determines the start of each half turn.
 
     Parameters
     ----------
     source : StateSource
-        Tells the rope's state.
+        Source of the rope's state.
     rule : Rule
-        Decides.
-    caster : Caster
-        Arm and half turns. The first one starts at t = 0.
+    model : SwingModel
+        Its half turns are made. The first one starts at t = 0.
     duration : float
         No half turn starts at or after this, s.
-    look_again : float
-        A start that is farther off than this, s, is decided anew after this time, from a fresh state. By default what
-        was decided when the arm came to rest stands.
+    recheck_time : float
+        A start that is later than this, s, is decided again after this time, from a new state. By default the first
+        decision at each rest is final.
 
     Returns
     -------
-    Swung
+    ClosedLoopRun
 
     Raises
     ------
@@ -65,27 +66,27 @@ def swing(source: StateSource, rule: Rule, caster: Caster, *, duration: float, l
     Examples
     --------
     >>> import hyperflex as hf
-    >>> from hyperflex.control import Caster, CrossingRule, TrueState, swing
+    >>> from hyperflex.control import CrossingRule, SwingModel, TrueState, run_closed_loop
     >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    >>> caster = Caster(cable, hf.Arm())
-    >>> swung = swing(TrueState(cable, hf.Arm()), CrossingRule(caster, 0.0), caster, duration=3.0)
+    >>> model = SwingModel(cable, hf.Arm())
+    >>> swung = run_closed_loop(TrueState(cable, hf.Arm()), CrossingRule(model, 0.0), model, duration=3.0)
     >>> [round(float(start), 2) for start in swung.starts]
     [0.0, 1.03, 1.78, 2.99]
     """
     end = checks.number("duration", duration, sign="positive", unit="s")
-    pause = checks.number("look_again", look_again, sign="positive", unit="s", infinite=True)
+    pause = checks.number("recheck_time", recheck_time, sign="positive", unit="s", infinite=True)
     starts = [0.0]
-    asked = 0
+    decisions = 0
     while True:
-        motion = caster.motion(starts)
-        now = starts[-1] + caster.t_move
+        motion = model.motion(starts)
+        now = starts[-1] + model.t_move
         start = now
         while now < end:
             start = rule.next_start(source.state(now, motion), len(starts))
-            asked += 1
+            decisions += 1
             if start - now <= pause:
                 break
             now += pause
         if now >= end or start >= end:
-            return Swung(np.array(starts), motion, asked)
+            return ClosedLoopRun(np.array(starts), motion, decisions)
         starts.append(start)

@@ -1,4 +1,4 @@
-"""Better than the paper's rule: half turns started when, as the model foresees it, they serve the swing best."""
+"""Receding-horizon rules: half turns start when the model predicts the best swing (better than the paper's rule)."""
 
 from __future__ import annotations
 
@@ -9,52 +9,50 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.control.caster import Caster
-from hyperflex.control.reach import soonest
+from hyperflex.control.swing_model import SwingModel, arrival_cost
 from hyperflex.interfaces import RopeState
 
 COARSE, FINE = 0.04, 0.01  # s, between rests that are tried
 STEPS = (0.05, 0.02, 0.007)  # s, by which the rests of a plan are moved
-HORIZON = 1.38  # periods of the rope that are looked ahead: the next half turn and the swing that it drives
-MARGIN = 0.1  # periods beyond the end of a plan that are looked ahead
-OVERSHOOT_COST = 20.0  # of a metre too far, in metres too little
+HORIZON = 1.38  # periods of the rope to look ahead: the next half turn and the swing that it drives
+MARGIN = 0.1  # periods to look ahead beyond the end of a plan
+OVERSHOOT_COST = 20.0  # of an overshoot, relative to a shortfall
 
 
-class Lookahead(ABC):
-    """Chooses the next rests by coordinate search over what the model foresees; each sweep is one batch.
+class LookaheadRule(ABC):
+    """Receding horizon: the next rests by coordinate search over the model's predictions; each sweep is one batch.
 
     Parameters
     ----------
-    caster : Caster
-        The model.
-    wanted : float
-        ``|x|`` of the tip, m, > 0.
+    model : SwingModel
+    target : float
+        Amplitude ``|x|`` of the tip, m, > 0.
     depth : int
-        Rests that are chosen together; the first one is used, the others are where the next search starts.
+        Rests that are optimized together; the first one is used, the others are the next search's start.
     horizon : float, optional
-        How far to look ahead, s; 1.38 periods if not given.
+        Time to look ahead, s; by default HORIZON periods.
     """
 
-    def __init__(self, caster: Caster, wanted: float, *, depth: int = 2, horizon: float | None = None) -> None:
-        self.caster = caster
-        self.wanted = checks.number("wanted", wanted, sign="positive", unit="m")
+    def __init__(self, model: SwingModel, target: float, *, depth: int = 2, horizon: float | None = None) -> None:
+        self.model = model
+        self.target = checks.number("target", target, sign="positive", unit="m")
         depth = checks.count("depth", depth)
-        period = caster.period
+        period = model.period
         self.horizon = HORIZON * period
         if horizon is not None:
             self.horizon = checks.number("horizon", horizon, sign="positive", unit="s")
         self.longest = 0.6 * period
-        self.rests = np.full(depth, caster.usual_rest)
-        self._before = (0, 0.0)  # half turns made, and time, s, at the last look
+        self.rests = np.full(depth, model.usual_rest)
+        self._before = (0, 0.0)  # half turns made, and time, s, at the last call
 
     @abstractmethod
-    def cost(self, t: Array, reach: Array) -> Array:
-        """Return the cost (m,) of foreseen ways (m, T) of ``|x|``, m, at times `t` (T,) from now on, s."""
+    def cost(self, t: Array, amplitude: Array) -> Array:
+        """Return the cost (m,) of predicted amplitudes (m, T), m, at times `t` (T,) from now on, s."""
 
     def next_start(self, now: RopeState, made: int) -> float:
-        """Return when the next half turn shall start, s."""
+        """Return the start of the next half turn, s."""
         if not self._waited(now, made):
-            self.rests = np.append(self.rests[1:], self.caster.usual_rest)
+            self.rests = np.append(self.rests[1:], self.model.usual_rest)
         coarse, fine = np.arange(0.0, self.longest, COARSE), FINE * np.arange(-4, 5)
         for k in range(self.rests.size):
             self._choose(k, coarse, self.horizon, now, made)
@@ -63,7 +61,7 @@ class Lookahead(ABC):
         return now.t + float(self.rests[0])
 
     def _waited(self, now: RopeState, made: int) -> bool:
-        """Whether this is another look in the same rest, of which a part is over then."""
+        """Whether this is another call in the same rest; then the time since the last call is taken off its rest."""
         again = made == self._before[0]
         if again:
             self.rests[0] = max(0.0, self.rests[0] - (now.t - self._before[1]))
@@ -71,86 +69,88 @@ class Lookahead(ABC):
         return again
 
     def _choose(self, k: int, tried: Array, horizon: float, now: RopeState, made: int) -> None:
-        """Replace rest k by the best of those `tried` (m,), s, or leave it."""
+        """Replace rest k by the best of the values `tried` (m,), s, and its own."""
         values = np.unique(np.append(np.maximum(tried, 0.0), self.rests[k]))
         plans = np.tile(self.rests, (values.size, 1))
         plans[:, k] = values
-        costs = self.cost(*self.caster.foresee(now, made, plans, horizon))
+        costs = self.cost(*self.model.predict(now, made, plans, horizon))
         self.rests = plans[int(np.argmin(costs))]
 
 
-class Pump(Lookahead):
-    """Pump the tip out to a wanted ``|x|`` as soon as possible.
+class PumpingRule(LookaheadRule):
+    """Pump the tip to a target amplitude as soon as possible.
 
     Parameters
     ----------
-    caster, wanted, depth, horizon
-        As of :class:`Lookahead`.
-    plan : (k,) array_like, optional
-        Rests after the first, second, ... half turn, s, as :func:`plan_pumping` finds them. They are followed, and at
-        each look all that are left are adjusted to where the rope is, over the whole rest of the plan.
-    reached : float, optional
-        When the plan reaches what is wanted, s.
+    model, target, depth, horizon
+        As of :class:`LookaheadRule`.
+    rests : (k,) array_like, optional
+        Planned rests after the first, second, ... half turn, s, from :func:`optimize_pumping`. All that are left are
+        adjusted at each call, over the rest of the plan.
+    arrival_time : float, optional
+        Time at which the plan reaches the amplitude, s.
 
     Notes
     -----
-    Where the wanted reach is foreseen, the soonest wins; else the greatest reach within the horizon. Without a plan
-    this is greedy: a horizon that is fixed in time trades power against time, half turn by half turn. Not from the
+    Where the model predicts the amplitude within the horizon, the soonest arrival wins; else the greatest amplitude.
+    Without a plan this is greedy: a fixed horizon trades power against time, half turn by half turn. Not from the
     paper, which leaves more efficient casting to future work.
     """
 
     def __init__(
         self,
-        caster: Caster,
-        wanted: float,
+        model: SwingModel,
+        target: float,
         *,
-        plan: npt.ArrayLike | None = None,
-        reached: float | None = None,
+        rests: npt.ArrayLike | None = None,
+        arrival_time: float | None = None,
         depth: int = 2,
         horizon: float | None = None,
     ) -> None:
-        super().__init__(caster, wanted, depth=depth, horizon=horizon)
-        self.plan = None if plan is None else checks.array("plan", plan, (-1,), sign="nonnegative", unit="s")
-        self.reached = 0.0 if reached is None else checks.number("reached", reached, sign="positive", unit="s")
+        super().__init__(model, target, depth=depth, horizon=horizon)
+        self.plan = None if rests is None else checks.array("rests", rests, (-1,), sign="nonnegative", unit="s")
+        self.arrival_time = 0.0
+        if arrival_time is not None:
+            self.arrival_time = checks.number("arrival_time", arrival_time, sign="positive", unit="s")
         if self.plan is not None:
             self.rests = np.append(0.0, self.plan)
 
-    def cost(self, t: Array, reach: Array) -> Array:
-        """Return the time to the wanted reach, s, if it is foreseen; else more than any such time, less the reach."""
-        return soonest(t, reach, self.wanted)
+    def cost(self, t: Array, amplitude: Array) -> Array:
+        """Return the time to the target amplitude, s, if it is reached; else more, the less the amplitude."""
+        return arrival_cost(t, amplitude, self.target)
 
     def next_start(self, now: RopeState, made: int) -> float:
-        """Return when the next half turn shall start, s."""
+        """Return the start of the next half turn, s."""
         if self.plan is None or made > self.plan.size:
             return super().next_start(now, made)
         self.rests = self.rests[-(self.plan.size - made + 1) :].copy()
         self._waited(now, made)
-        left = max(0.5 * self.caster.period, self.reached - now.t) + MARGIN * self.caster.period
+        left = max(0.5 * self.model.period, self.arrival_time - now.t) + MARGIN * self.model.period
         for step in STEPS:
             for k in range(self.rests.size):
                 self._choose(k, self.rests[k] + step * np.arange(-2, 3), left, now, made)
         return now.t + float(self.rests[0])
 
 
-class Regulate(Lookahead):
-    """Bring the swing to a wanted ``|x|`` and keep it near there, never beyond.
+class AmplitudeRule(LookaheadRule):
+    """Bring the swing to a target amplitude and keep it near there, never beyond.
 
     Parameters
     ----------
-    caster, wanted, depth, horizon
-        As of :class:`Lookahead`.
+    model, target, depth, horizon
+        As of :class:`LookaheadRule`.
 
     Notes
     -----
-    The cost is how far the farthest point in the last half period of the horizon, and less so in the half before, falls
-    short, and twenty times what any point overshoots. Half turns are all of one size, so the swing cannot be kept
-    exactly: half turns that drive and half turns that brake alternate.
+    The cost is the shortfall of the greatest amplitude in the last half period of the horizon, a fifth of that in the
+    half before, and OVERSHOOT_COST times the overshoot of any point. Half turns are all of one size, so the amplitude
+    cannot be kept exactly: half turns that drive and half turns that brake alternate.
     """
 
-    def cost(self, t: Array, reach: Array) -> Array:
-        """Return what is missing, m, and twenty times what is too much, m."""
-        half = 0.55 * self.caster.period
+    def cost(self, t: Array, amplitude: Array) -> Array:
+        """Return the shortfall, m, and OVERSHOOT_COST times the overshoot, m."""
+        half = 0.55 * self.model.period
         late, before = t > self.horizon - half, (t <= self.horizon - half) & (t > self.horizon - 2.0 * half)
-        short = np.abs(self.wanted - reach[:, late].max(axis=1))
-        short = short + 0.2 * np.abs(self.wanted - reach[:, before].max(axis=1, initial=0.0))
-        return np.asarray(short + OVERSHOOT_COST * np.maximum(reach.max(axis=1) - self.wanted, 0.0))
+        short = np.abs(self.target - amplitude[:, late].max(axis=1))
+        short = short + 0.2 * np.abs(self.target - amplitude[:, before].max(axis=1, initial=0.0))
+        return np.asarray(short + OVERSHOOT_COST * np.maximum(amplitude.max(axis=1) - self.target, 0.0))

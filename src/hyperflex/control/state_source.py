@@ -1,4 +1,4 @@
-"""Simulated sources of a rope's state: the truth of a simulation, or an estimate with noise and delay."""
+"""Sources of the rope's state for a controller: the true simulated state, or an estimate with noise and delay."""
 
 from __future__ import annotations
 
@@ -14,6 +14,11 @@ from hyperflex.model import DEFAULT_TOL, Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import State
+
+
+def hanging_state(rope: Rope) -> RopeState:
+    """Return the state of a rope that hangs at rest at t = 0."""
+    return RopeState(0.0, np.full(rope.n_links, rope.hanging_angle), np.zeros(rope.n_links))
 
 
 class TrueState:
@@ -113,7 +118,7 @@ class SimulatedCamera:
         """
         number = math.floor((t - self.delay) * self.rate + 1e-9)
         if number < 0:
-            seen = RopeState(0.0, np.full(self.rope.n_links, self.rope.hanging_angle), np.zeros(self.rope.n_links))
+            seen = hanging_state(self.rope)
         else:
             seen = self._frame(number, motion)
         if t <= seen.t:

@@ -5,23 +5,22 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-import numpy as np
-
 from hyperflex import checks
-from hyperflex.control.caster import Caster
+from hyperflex.control.state_source import hanging_state
+from hyperflex.control.swing_model import SOON, SwingModel
 from hyperflex.interfaces import RopeState
 
 
 class Rule(Protocol):
-    """Decides when the arm moves next."""
+    """A rule for the start of the next half turn."""
 
     def next_start(self, now: RopeState, made: int) -> float:
-        """Return when the next half turn shall start, s, not before now; inf: not at all.
+        """Return the start of the next half turn, s, not before now; inf for none.
 
         Parameters
         ----------
         now : RopeState
-            Where the rope is; the arm rests.
+            State of the rope; the arm rests.
         made : int
             Half turns made so far.
         """
@@ -32,8 +31,8 @@ class CrossingRule:
 
     Parameters
     ----------
-    caster : Caster
-        The model that predicts.
+    model : SwingModel
+        For the prediction.
     lead : float
         t_b of the paper, s; negative: that long after the crossing.
 
@@ -45,16 +44,18 @@ class CrossingRule:
     arm still moves, and is predicted when that half turn is decided.
     """
 
-    def __init__(self, caster: Caster, lead: float = 0.0) -> None:
-        self.caster = caster
+    def __init__(self, model: SwingModel, lead: float = 0.0) -> None:
+        self.model = model
         self.lead = checks.number("lead", lead, unit="s")
         self._passed = (0, math.inf)  # half turns made, and the crossing that the last of them brings, s
 
     def next_start(self, now: RopeState, made: int) -> float:
-        """Return when the next half turn shall start, s; now, if the tip does not cross within a period."""
+        """Return the start of the next half turn, s; now if the tip does not cross within a period."""
         crossing = self._while_moving(now, made) if self.lead < 0.0 else math.inf
         if math.isinf(crossing):
-            crossing = self.caster.next_crossing(now, made)
+            crossing = self.model.crossing(
+                now, self.model.motion([], made), after=now.t + SOON, until=now.t + self.model.period
+            )
         start = now.t if math.isinf(crossing) else max(now.t, crossing - self.lead)
         if self.lead < 0.0:
             self._passed = made + 1, self._passing(now, made, start)
@@ -63,13 +64,11 @@ class CrossingRule:
     def _while_moving(self, now: RopeState, made: int) -> float:
         """Return the crossing that the last half turn brought late enough to count, s; inf if there was none."""
         count, crossing = self._passed
-        if made == 1:  # the first half turn is nobody's decision: at t = 0, from rest
-            rope = self.caster.rope
-            hanging = RopeState(0.0, np.full(rope.n_links, rope.hanging_angle), np.zeros(rope.n_links))
-            count, crossing = 1, self._passing(hanging, 0, 0.0)
+        if made == 1:  # the first half turn was made at t = 0, from rest, without a decision
+            count, crossing = 1, self._passing(hanging_state(self.model.rope), 0, 0.0)
         return crossing if count == made and crossing >= now.t + self.lead else math.inf
 
     def _passing(self, now: RopeState, made: int, start: float) -> float:
         """Return when the tip passes in the last -`lead` seconds of a half turn that starts at `start`, s, or inf."""
-        end = start + self.caster.t_move
-        return self.caster.crossing(now, self.caster.motion([start], made), after=end + self.lead, until=end)
+        end = start + self.model.t_move
+        return self.model.crossing(now, self.model.motion([start], made), after=end + self.lead, until=end)

@@ -156,7 +156,7 @@ def _proof(demo: Demo) -> tuple[tuple[bool, str], ...]:
     rope = f"The rope that made the recording ({demo.reference.q.shape[1]} links), thrown by the same motion"
     if proof.success:
         return ((True, f"{rope}, winds {abs(proof.turns):.2f} turns and holds too."),)
-    return ((False, f"{rope}, does not: {plain(proof.reason)}. The identified rope is not quite that rope."),)
+    return ((False, f"{rope}, does not: {plain(proof.message)}. The identified rope is not quite that rope."),)
 
 
 def held_out_rms(demo: Demo) -> float:

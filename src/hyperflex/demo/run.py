@@ -12,7 +12,7 @@ from hyperflex.identification import Identification, identify
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import swings
 from hyperflex.paper import DURATION, T_MOVE, T_REST, casting_arm
-from hyperflex.planning import Cast, CastPlan, Holding, Thrower, plan_cast, tug_wound, verify
+from hyperflex.planning import CastOutcome, CastPlan, CastSetup, HoldingForce, plan_cast, verify_cast
 from hyperflex.recording import Recording
 from hyperflex.report.folder import Progress, silent
 from hyperflex.simulation import simulate
@@ -81,9 +81,9 @@ class Demo:
         The rope that made the recording, cast likewise.
     plan : CastPlan
         How the identified rope is wound round a target.
-    held : Holding or None
+    held : HoldingForce or None
         A tug at the wound rope; None where it is not wound.
-    proof : Cast or None
+    proof : CastOutcome or None
         The same throw by the rope that made the recording; None where there is no throw.
     """
 
@@ -94,8 +94,8 @@ class Demo:
     cast: Trajectory
     reference: Trajectory
     plan: CastPlan
-    held: Holding | None
-    proof: Cast | None
+    held: HoldingForce | None
+    proof: CastOutcome | None
 
 
 def run_demo(progress: Progress = silent) -> Demo:
@@ -147,15 +147,19 @@ def _cast(rope: Rope) -> Trajectory:
     return simulate(rope, motion, arm=casting_arm(), duration=DURATION, t_eval=t)
 
 
-def _wind(rope: Rope, progress: Progress) -> tuple[CastPlan, Holding | None, Cast | None]:
+def _wind(rope: Rope, progress: Progress) -> tuple[CastPlan, HoldingForce | None, CastOutcome | None]:
     """Plan with the identified rope, tug at it, and throw the one that made the recording likewise."""
     progress("planning how to wind it round a target")
-    plan = plan_cast(rope, casting_arm(), TARGET, patience=TIME_BUDGET)
+    plan = plan_cast(rope, casting_arm(), TARGET, time_budget=TIME_BUDGET)
     if plan.interrupted:
         raise KeyboardInterrupt
     progress("tugging at the rope")
-    held = tug_wound(plan.cast, plan.peg)
+    held = plan.measure_holding_force()
     if plan.motion is None:
         return plan, held, None
     progress("throwing the rope that made the recording")
-    return plan, held, verify(Thrower(twin.fine_rope(), casting_arm(), plan.thrower.limits), TARGET, plan.motion)
+    return (
+        plan,
+        held,
+        verify_cast(CastSetup(twin.fine_rope(), casting_arm(), plan.cast_setup.limits), TARGET, plan.motion),
+    )

@@ -67,6 +67,10 @@ class Arm:
         x, y = checks.array("arm pivot", self.pivot, (2,), unit="m")
         object.__setattr__(self, "pivot", (float(x), float(y)))
 
+    def tip(self, angle: Array) -> Array:
+        """Return the position of the rope's first joint (..., 2), m, at arm angles (...), rad."""
+        return np.array(self.pivot) + self.length * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
+
     def table(self) -> dict[str, Any]:
         """Return the ``[arm]`` table of a TOML file."""
         return {**asdict(self), "pivot": list(self.pivot)}

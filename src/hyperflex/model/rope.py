@@ -238,6 +238,14 @@ class Rope:
         gx, gy = self.gravity
         return float(np.arctan2(gx, -gy)) if (gx or gy) else 0.0
 
+    def joints(self, q: Array, base: Array) -> Array:
+        """Return the joints' positions (..., n + 1, 2), m, the tip last, at link angles q (..., n), rad.
+
+        `base` (..., 2) is the position of the first joint, m.
+        """
+        links = self.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
+        return np.cumsum(np.concatenate([base[..., None, :], links], axis=-2), axis=-2)
+
     def replace(self, **changes: Any) -> Rope:
         """Return a rope with the fields named in `changes` replaced; com and inertia stay unless named."""
         unknown = set(changes) - {f.name for f in fields(self)}

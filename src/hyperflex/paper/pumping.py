@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.control import Caster, PumpPlan, reach_time, swing
-from hyperflex.control.pumping import Pump
+from hyperflex.control import PumpingPlan, PumpingRule, SwingModel, arrival_time, run_closed_loop
 from hyperflex.interfaces import StateSource
 from hyperflex.model import Rope
 from hyperflex.motion import Motion
@@ -27,9 +26,9 @@ BEST: dict[Path, tuple[float, ...]] = {
 }
 
 
-def caster(path: Path) -> Caster:
+def caster(path: Path) -> SwingModel:
     """Return the paper's cable (physical friction), arm and half turn."""
-    return Caster(cable(), casting_arm(), T_MOVE, path=path)
+    return SwingModel(cable(), casting_arm(), T_MOVE, path=path)
 
 
 def motion_of(path: Path, rests: npt.ArrayLike) -> Motion:
@@ -41,7 +40,7 @@ def arrival(motion: Motion, *, rope: Rope | None = None, duration: float = LONGE
     """Return when the tip first is at ``|x|`` = 1.8 m, s, for the paper's cable or another rope; inf if it is not."""
     t = np.arange(0.0, duration, 0.5 * SAMPLE_TIME)
     run = simulate(rope or cable(), motion, arm=casting_arm(), duration=duration, t_eval=t, tol=tol)
-    return float(reach_time(run.t, np.abs(run.tip[:, :1]).T, WANTED)[0])
+    return float(arrival_time(run.t, np.abs(run.tip[:, :1]).T, WANTED)[0])
 
 
 def constant_arrivals(path: Path, rests: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -50,13 +49,15 @@ def constant_arrivals(path: Path, rests: npt.NDArray[np.float64]) -> npt.NDArray
     t = SAMPLE_TIME * np.arange(1.0, round(LONGEST / SAMPLE_TIME) + 1.0)
     motions = [motion_of(path, np.full(count, rest)) for rest in rests]
     batch = simulate_batch(cable(), motions, arm=casting_arm(), duration=float(t[-1]), t_eval=t, tol=1e-6)
-    return reach_time(t, np.abs(batch.tip[:, :, 0]), WANTED)
+    return arrival_time(t, np.abs(batch.tip[:, :, 0]), WANTED)
 
 
-def closed_loop(path: Path, source: StateSource, plan: PumpPlan | None = None, *, look_again: float = np.inf) -> Motion:
+def closed_loop(
+    path: Path, source: StateSource, plan: PumpingPlan | None = None, *, recheck_time: float = np.inf
+) -> Motion:
     """Return what the closed loop makes of a plan, by default the best one known, on a source of states."""
     model = caster(path)
     rests = np.array(BEST[path]) if plan is None else plan.rests
-    reached = arrival(motion_of(path, rests)) if plan is None else plan.reached
-    rule = Pump(model, WANTED, plan=rests, reached=reached)
-    return swing(source, rule, model, duration=reached + 0.5 * model.period, look_again=look_again).motion
+    reached = arrival(motion_of(path, rests)) if plan is None else plan.arrival_time
+    rule = PumpingRule(model, WANTED, rests=rests, arrival_time=reached)
+    return run_closed_loop(source, rule, model, duration=reached + 0.5 * model.period, recheck_time=recheck_time).motion

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.control import Caster, CrossingRule, Spiral, TrueState, spiral, swing
+from hyperflex.control import CrossingRule, Spiral, SwingModel, TrueState, run_closed_loop, spiral
 from hyperflex.paper.casting import READINGS, T_MOVE, TIME_CONSTANT, Reading, cable, casting_arm
 from hyperflex.paper.casting_results import TABLE_RATE
 from hyperflex.paper.results import Claim, Table
@@ -69,8 +69,8 @@ def timed(reading: Reading, lead: float) -> TimedCast:
         t_b, s. The crossing is predicted exactly, by the model that is simulated.
     """
     rope, arm = cable(reading.friction), casting_arm()
-    caster = Caster(rope, arm, T_MOVE, path=reading.path)
-    swung = swing(TrueState(rope, arm, tol=TOL), CrossingRule(caster, lead), caster, duration=DURATION)
+    caster = SwingModel(rope, arm, T_MOVE, path=reading.path)
+    swung = run_closed_loop(TrueState(rope, arm, tol=TOL), CrossingRule(caster, lead), caster, duration=DURATION)
     t = np.linspace(0.0, DURATION, round(DURATION * RATE) + 1)
     run = simulate(rope, swung.motion, arm=arm, duration=DURATION, t_eval=t, tol=TOL)
     return TimedCast(

@@ -1,4 +1,4 @@
-"""Casting: throw a rope round a target, wind it and hold; whip: bring its tip fast through a point."""
+"""Planning: casts that wind a rope round a target and hold, and whips whose tip passes a point fast."""
 
 from __future__ import annotations
 
@@ -7,63 +7,82 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
-    from hyperflex.planning.cast_plan import CastPlan
-    from hyperflex.planning.cast_setup import Thrower
-    from hyperflex.planning.feedback.closed_loop import Followed, Look, follow
-    from hyperflex.planning.feedback.simulated_ropes import DrawnWorld, DrivenWorld
-    from hyperflex.planning.files import read_plan
-    from hyperflex.planning.motor_limits import MotorLimits
-    from hyperflex.planning.plan import plan_cast
-    from hyperflex.planning.robust.success_probability import Success, success
-    from hyperflex.planning.robust.uncertainty import Draw, Uncertainty
-    from hyperflex.planning.whip.files import read_whip
-    from hyperflex.planning.whip.impact import Impact
-    from hyperflex.planning.whip.outcome import Lash
-    from hyperflex.planning.whip.plan import WhipPlan, plan_whip
-    from hyperflex.planning.whip.reachability import WhipReach, reach_whip
-    from hyperflex.planning.whip.search import WhipMap, whip_map
+    from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+    from hyperflex.planning.feedback.closed_loop import FollowResult, follow_plan
+    from hyperflex.planning.feedback.simulated_ropes import MotorStateSource, ScenarioStateSource
+    from hyperflex.planning.outcome import (
+        BOUNCE_TIME,
+        MAX_SLIP,
+        MIN_TURNS,
+        SETTLING_TIME,
+        WATCH_TIME,
+        CastOutcome,
+        HoldingForce,
+        measure_holding_force,
+        verify_cast,
+    )
+    from hyperflex.planning.plan import RATE
+    from hyperflex.planning.plan_files import read_plan
+    from hyperflex.planning.robust.posterior import RopePosterior
+    from hyperflex.planning.robust.scenario_rollouts import SuccessProbability, estimate_success_probability
+    from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
+    from hyperflex.planning.throw import Throw
+    from hyperflex.planning.whip.aim import FRICTION_STD, LENGTH_STD, TIMING_STD
+    from hyperflex.planning.whip.impact import IMPACT_RADIUS, IMPACT_TIME, Impact
+    from hyperflex.planning.whip.outcome import TipStrike
+    from hyperflex.planning.whip.planner import plan_whip
+    from hyperflex.planning.whip.search import WhipFeasibility, WhipMap, build_whip_map, check_whip_feasibility
     from hyperflex.planning.whip.strokes import Strokes
-    from hyperflex.planning.whip.tip_target import Mark
-    from hyperflex.planning.wind.holding import Holding, tug_wound
-    from hyperflex.planning.wind.nearest_target import Nearest
-    from hyperflex.planning.wind.outcome import Cast, verify
-    from hyperflex.planning.wind.reachability import Reach, reach
-    from hyperflex.planning.wind.throw import Throw
+    from hyperflex.planning.whip.tip_target import TipTarget
+    from hyperflex.planning.whip.whip_plan import WhipPlan
+    from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget
+    from hyperflex.planning.wind.casting import plan_cast
+    from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
 
 __all__ = [
-    "Cast",
+    "BOUNCE_TIME",
+    "FRICTION_STD",
+    "IMPACT_RADIUS",
+    "IMPACT_TIME",
+    "LENGTH_STD",
+    "MAX_SLIP",
+    "MIN_TURNS",
+    "RATE",
+    "SETTLING_TIME",
+    "TIMING_STD",
+    "WATCH_TIME",
+    "CastOutcome",
     "CastPlan",
-    "Draw",
-    "DrawnWorld",
-    "DrivenWorld",
-    "Followed",
-    "Holding",
+    "CastSetup",
+    "FallbackTarget",
+    "Feasibility",
+    "FollowResult",
+    "HoldingForce",
     "Impact",
-    "Lash",
-    "Look",
-    "Mark",
     "MotorLimits",
-    "Nearest",
-    "Reach",
+    "MotorStateSource",
+    "RopePosterior",
+    "Scenario",
+    "ScenarioStateSource",
     "Strokes",
-    "Success",
+    "SuccessProbability",
     "Throw",
-    "Thrower",
+    "TipStrike",
+    "TipTarget",
     "Uncertainty",
+    "WhipFeasibility",
     "WhipMap",
     "WhipPlan",
-    "WhipReach",
-    "follow",
+    "build_whip_map",
+    "check_feasibility",
+    "check_whip_feasibility",
+    "estimate_success_probability",
+    "follow_plan",
+    "measure_holding_force",
     "plan_cast",
     "plan_whip",
-    "reach",
-    "reach_whip",
     "read_plan",
-    "read_whip",
-    "success",
-    "tug_wound",
-    "verify",
-    "whip_map",
+    "verify_cast",
 ]
 
 __getattr__ = loader(__name__, __file__)

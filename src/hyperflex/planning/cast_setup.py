@@ -1,30 +1,119 @@
-"""Who throws: a rope on an arm, the motor's limits, and the time that a cast may take."""
+"""What a plan is made for: a rope on an arm, the motor's limits, and the time until the strike."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 from hyperflex import checks
+from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope
-from hyperflex.planning.motor_limits import MotorLimits
 
-PERIODS = 5.0  # periods of a small swing that a cast may take by default
-LEAST_LINKS, LEAST_TIME = 4, 0.1  # links, s
+PERIODS = 5.0  # default time until the strike, in periods of a small swing
+MIN_LINKS, MIN_TIME = 4, 0.1  # links, s
 
 
 @dataclass(frozen=True)
-class Thrower:
-    """A rope on an arm, as a planner knows them.
+class MotorLimits:
+    """Limits of the motor that a plan keeps to. The defaults allow the paper's half turn in 0.73 s (bang-bang).
+
+    Parameters
+    ----------
+    speed : float
+        Greatest speed of the arm, rad/s.
+    acceleration : float
+        Greatest acceleration of the arm, rad/s^2.
+    torque : float
+        Greatest torque at the shaft, N m; inf for no limit.
+    angles : (float, float)
+        Least and greatest arm angle, rad; 0 hangs down.
+
+    Raises
+    ------
+    InvalidInput
+        If a limit is not positive, or the angles are less than 0.1 rad apart.
+
+    Examples
+    --------
+    >>> times, ramps = MotorLimits(speed=5.0, acceleration=20.0).fastest_moves([1.0, 3.0])
+    >>> times.round(3).tolist(), ramps.round(3).tolist()
+    ([0.447, 0.85], [0.5, 0.294])
+    """
+
+    speed: float = 2.0 * math.pi / 0.73
+    acceleration: float = 4.0 * math.pi / 0.73**2
+    torque: float = math.inf
+    angles: tuple[float, float] = (-math.pi, math.pi)
+
+    def __post_init__(self) -> None:
+        for name, unit in (("speed", "rad/s"), ("acceleration", "rad/s^2")):
+            value = checks.number(f"motor {name}", getattr(self, name), sign="positive", unit=unit)
+            object.__setattr__(self, name, value)
+        torque = checks.number("motor torque", self.torque, sign="positive", unit="N m", infinite=True)
+        least, greatest = checks.array("motor angles", self.angles, (2,), unit="rad").tolist()
+        if greatest - least < 0.1:
+            raise InvalidInput(
+                "motor angles leave no room to move", got=[least, greatest], allowed="(least, greatest), 0.1 rad apart"
+            )
+        object.__setattr__(self, "torque", torque)
+        object.__setattr__(self, "angles", (least, greatest))
+
+    def start_angle(self, side: int) -> float:
+        """Return the arm angle at t = 0, rad: a quarter turn to one side, clipped to the motor's range.
+
+        Parameters
+        ----------
+        side : {-1, 1}
+            Left or right.
+        """
+        return float(np.clip(side * 0.5 * np.pi, *self.angles))
+
+    def fastest_moves(self, angles: npt.ArrayLike, speed: npt.ArrayLike = 1.0) -> tuple[Array, Array]:
+        """Return duration and ramp of the fastest moves, as :func:`hyperflex.moves` takes them.
+
+        Parameters
+        ----------
+        angles : (k,) array_like
+            Angles to turn through, rad, not 0.
+        speed : float or (k,) array_like
+            Fraction of the motor's speed that may be used, 0 to 1; of its acceleration the square of that.
+
+        Returns
+        -------
+        durations : (k,) float64
+            s.
+        ramps : (k,) float64
+            Fraction of the duration that speeds up; 0.5 where the greatest speed is not reached.
+        """
+        way, part = np.abs(np.asarray(angles, dtype=np.float64)), np.asarray(speed, dtype=np.float64)
+        top, rise = part * self.speed, part**2 * self.acceleration
+        short = way * rise <= top**2
+        durations = np.where(short, 2.0 * np.sqrt(way / rise), way / top + top / rise)
+        return durations, np.where(short, 0.5, np.minimum(0.5, top / rise / durations))
+
+
+@dataclass(frozen=True)
+class CastSetup:
+    """A rope on an arm, with the motor's limits and the time until the strike.
 
     Parameters
     ----------
     rope, arm : Rope, Arm
+        The rope hangs at rest from the arm, which points to one side.
     limits : MotorLimits
     time : float
-        Within which the rope must strike, s, at least LEAST_TIME; by default, and with 0, PERIODS periods of the
+        Time within which the rope must strike, s, at least MIN_TIME; 0 (the default) means PERIODS periods of the
         rope's swing.
+
+    Raises
+    ------
+    InvalidInput
+        If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, or the time is too short.
     """
 
     rope: Rope
@@ -36,14 +125,14 @@ class Thrower:
         for name, kind in (("rope", Rope), ("arm", Arm), ("limits", MotorLimits)):
             if not isinstance(getattr(self, name), kind):
                 raise InvalidInput(f"{name} is not of its class", got=getattr(self, name), allowed=kind.__name__)
-        if self.rope.n_links < LEAST_LINKS:
+        if self.rope.n_links < MIN_LINKS:
             raise InvalidInput(
                 "rope has too few links to wind round anything",
                 got=self.rope.n_links,
-                allowed=f"at least {LEAST_LINKS}; 25 to 60 are usual",
+                allowed=f"at least {MIN_LINKS}; 25 to 60 are usual",
                 fix="Give the rope more, shorter links",
             )
         time = checks.number("time", self.time, sign="nonnegative", unit="s")
-        if 0.0 < time < LEAST_TIME:
-            raise InvalidInput("time is too short for any cast", got=time, allowed=f"{LEAST_TIME:g} s or more, or 0")
+        if 0.0 < time < MIN_TIME:
+            raise InvalidInput("time is too short for any cast", got=time, allowed=f"{MIN_TIME:g} s or more, or 0")
         object.__setattr__(self, "time", time or PERIODS * swing_period(self.rope))

@@ -1,159 +1,202 @@
-"""Plan a cast: search for a throw that winds a rope round a target and holds, and verify it."""
+"""What casts and whips have in common as plans: success, the motor's file, and a TOML file that reads back equal."""
 
 from __future__ import annotations
 
-from contextlib import suppress
-from dataclasses import replace
-from functools import partial
+import math
+import types
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
-from hyperflex import checks
+import numpy as np
+
+from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Peg, Rope, Setup
-from hyperflex.planning.cast_plan import CastPlan, come_to
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.motor_limits import MotorLimits
-from hyperflex.planning.planner import NOMINAL, Course
-from hyperflex.planning.robust.success_probability import success
-from hyperflex.planning.robust.uncertainty import Uncertainty
-from hyperflex.planning.search.search import Search
-from hyperflex.planning.wind.fallback_targets import expected, found
-from hyperflex.planning.wind.reachability import Reach, reach
-from hyperflex.planning.wind.remedies import remedies
-from hyperflex.simulation.rollouts import progress_bar
+from hyperflex.model import PLAN, Rope, Setup
+from hyperflex.motion import Motion
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.trajectory import Trajectory
 
-PATIENCE = 60.0  # s of searching by default
+T = TypeVar("T")
+
+RATE = 200.0  # Hz
+MAX_ROWS = 10_000_000
+SUCCEEDED, INFEASIBLE, NOT_FOUND, FAILED, NOT_VERIFIED, INTERRUPTED = range(6)  # status of a plan
 
 
-def plan_cast(
-    rope: Rope,
-    arm: Arm,
-    target: Peg,
-    limits: MotorLimits | None = None,
-    *,
-    time_limit: float | None = None,
-    hold: float = 0.0,
-    uncertainty: Uncertainty | None = None,
-    patience: float = PATIENCE,
-    regardless: bool = False,
-    elsewhere: bool = False,
-    seed: int = 0,
-    threads: int | None = None,
-    progress: bool = False,
-) -> CastPlan:
-    """Plan how an arm casts its rope round a target, winds it and holds.
+class Plan(ABC):
+    """A planned motion, or why there is none.
 
-    Parameters
+    Attributes
     ----------
-    rope, arm : Rope, Arm
-        The rope hangs at rest from the arm, which points to one side.
-    target : Peg
-        To be wound by WOUND turns or more.
-    limits : MotorLimits, optional
-        Of the motor; by default the paper's.
-    time_limit : float, optional
-        Within which the rope must strike, s; by default five periods of its swing, and half as many again where these
-        do not seem to give it energy enough.
-    hold : float
-        Pull that the wound rope should bear, N: asked of the target by a rule, before the search, and of a throw that
-        winds by a simulated tug. What is stated of uncertain worlds does not ask for it.
-    uncertainty : Uncertainty, optional
-        Of what is given here. With it the plan is the throw that wins in most of the worlds drawn from it, and its
-        success is stated from worlds drawn afresh.
-    patience : float
-        Time to search, s; a plan that stands ends it, one that wins in all worlds tried if they are uncertain.
-    regardless : bool
-        Search even for a target that is called out of reach.
-    elsewhere : bool
-        If the plan fails, plan for the nearest places until one stands: with throws at hand, then three times at most,
-        each with as much patience. Without, the nearest place is no more than expected, by the criterion of reach.
-    seed : int
-        Of the search: with the same seed, and patience enough, the same plan.
-    threads : int, optional
-        By default one a processor.
-    progress : bool
-        Show a progress bar.
-
-    Returns
-    -------
-    CastPlan
-        Ctrl-C ends the search; the plan is the best until then.
-
-    Raises
-    ------
-    InvalidInput
-        If an argument is not what it should be.
-
-    Examples
-    --------
-    >>> import hyperflex as hf
-    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    >>> far = hf.plan_cast(cable, hf.Arm(length=0.105), hf.Peg(2.5, 0.0, 0.03))
-    >>> far.success, far.reason
-    (False, 'out of reach: the rope ends 0.36 m short of the target')
-    >>> near = far.nearest  # no more than expected: nothing was planned for it
-    >>> round(near.peg.x, 1), round(near.away, 1), near.plan
-    (1.6, 0.9, None)
-    >>> far.remedies
-    ('a rope of 2.94 m',)
+    cast_setup : CastSetup
+        Rope, arm, motor limits and time.
+    message : str
+        Why the plan fails; empty if it succeeds.
+    runs : int
+        Simulated runs of the search.
+    seconds : float
+        Time that the search took, s.
+    interrupted : bool
+        Whether Ctrl-C ended the search; the plan is the best until then.
     """
-    if not isinstance(target, Peg):
-        raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
-    if target.turns:
-        raise InvalidInput("casts are planned for fixed targets", got=target, fix="Leave out inertia and bearing")
-    patience = checks.number("patience", patience, sign="positive", unit="s")
-    thrower = Thrower(rope, arm, MotorLimits() if limits is None else limits, 0.0 if time_limit is None else time_limit)
-    Setup(thrower.rope, arm=thrower.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
-    if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
-        raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
-    known = reach(thrower, target, hold=hold)
-    search = Search(thrower, target, checks.count("seed", seed, least=0), threads, hold)
-    if known.impossible or not (known.within or regardless):
-        plan = CastPlan(thrower, target, known, None, None, None, known.reason, 0, 0.0)
-    else:
-        plan = _searched(search, known, uncertainty, patience, progress, longer=time_limit is None)
-    if plan.success:
-        return plan
-    plan = replace(plan, remedies=remedies(thrower, target, hold=hold))
-    if not elsewhere or plan.interrupted:
-        return replace(plan, nearest=expected(plan, hold))
-    again = partial(
-        plan_cast,
-        rope,
-        arm,
-        limits=limits,
-        time_limit=time_limit,
-        hold=hold,
-        uncertainty=uncertainty,
-        patience=patience,
-        seed=seed,
-        threads=threads,
-        progress=progress,
-    )
-    return found(plan, search, hold, patience, again)
+
+    kind: ClassVar[str]  # in files
+    cast_setup: CastSetup
+    message: str
+    runs: int
+    seconds: float
+    interrupted: bool
+
+    @property
+    @abstractmethod
+    def motion(self) -> Motion | None:
+        """Motion of the arm, from rest at t = 0; None if no motion was found."""
+
+    @property
+    @abstractmethod
+    def run(self) -> Trajectory | None:
+        """The verified run; None if there is none, or if the plan was read from a file."""
+
+    @property
+    @abstractmethod
+    def refuted(self) -> bool:
+        """Whether a simulated run to the end shows that the plan fails."""
+
+    @abstractmethod
+    def setup(self) -> Setup:
+        """Return the set-up of the verified run. Raises InvalidInput if no motion was found."""
+
+    def notes(self) -> dict[str, str]:
+        """Return notes for the head of the motor's file."""
+        return {} if self.success else {"fails" if self.refuted else "not verified": self.message}
+
+    @property
+    def success(self) -> bool:
+        """Whether the plan does what was asked, in all its verified runs."""
+        return not self.message
+
+    @property
+    def status(self) -> int:
+        """Why the planner ended.
+
+        0: the plan succeeds. 1: the target is not feasible; nothing was searched. 2: no motion was found. 3: a
+        verified run fails. 4: the motion was not verified to the end. 5: Ctrl-C.
+        """
+        if self.success:
+            return SUCCEEDED
+        if self.interrupted:
+            return INTERRUPTED
+        if self.motion is None:
+            return NOT_FOUND if self.runs else INFEASIBLE
+        return FAILED if self.refuted else NOT_VERIFIED
+
+    def required(self, value: T | None, name: str) -> T:
+        """Return a part of the plan; raises InvalidInput if it is None.
+
+        Parameters
+        ----------
+        value : object or None
+            The part.
+        name : str
+            Its name in the message.
+        """
+        if value is None:
+            raise InvalidInput(f"the plan holds no {name}", got=self.message, fix="Plan for a target that is feasible")
+        return value
+
+    def summary(self) -> dict[str, Any]:
+        """Return success, status and all fields but the set-up as nested tables, for JSON."""
+        table = {"source": "simulated", "success": self.success, "status": self.status, **to_table(self)}
+        del table["cast_setup"]
+        return table
+
+    def to_csv(self, path: files.PathLike, *, rate: float = RATE) -> None:
+        """Write the motion at a motor's rate to a CSV file that :func:`hyperflex.read_motion` reads.
+
+        A plan that fails is marked in the file's head, ``# not verified: ...`` or ``# fails: ...``.
+
+        Parameters
+        ----------
+        path : path-like
+            CSV file with the columns ``t`` (s) and ``angle`` (rad), written whole or not at all. The last row is the
+            arm at rest.
+        rate : float
+            Rows a second, Hz.
+
+        Raises
+        ------
+        InvalidInput
+            If no motion was found, or the rate gives fewer than 3 or more than MAX_ROWS rows.
+        """
+        motion = self.required(self.motion, "motion")
+        rate = checks.number("rate", rate, sign="positive", unit="Hz")
+        count = math.ceil(float(motion.breaks[-1]) * rate - 1e-9) + 1
+        if not 2 < count <= MAX_ROWS:
+            allowed = "some rows a move, and 10 million in all"
+            raise InvalidInput("rate does not suit the motion", got=rate, allowed=allowed)
+        t = np.arange(count) / rate
+        columns = {
+            "contents": "planned motion of the arm",
+            "rate": f"{rate:g} Hz",
+            "t": "s",
+            "angle": "rad, 0 hangs down",
+        }
+        files.write_table(path, ["t", "angle"], np.column_stack([t, motion.angle(t)]), notes=self.notes() | columns)
+
+    def to_netcdf(self, path: str | Path) -> None:
+        """Write the verified run to NetCDF; raises InvalidInput if there is none.
+
+        Parameters
+        ----------
+        path : str or Path
+            Where to write, whole or not at all.
+        """
+        self.required(self.run, "run").to_netcdf(path)
+
+    def to_toml(self, path: files.PathLike) -> None:
+        """Write the plan to TOML; :func:`hyperflex.read_plan` reads all of it but the runs.
+
+        Parameters
+        ----------
+        path : path-like
+            Where to write, whole or not at all. ``hyperflex simulate`` and :meth:`hyperflex.Setup.from_toml` read the
+            set-up of the verified run.
+
+        Raises
+        ------
+        InvalidInput
+            If no motion was found.
+        """
+        table = {"kind": self.kind, "source": "simulated", **to_table(self)}
+        files.write_text(path, self.setup().dumps() + "\n" + files.dumps_toml({PLAN: table}))
 
 
-def _searched(
-    search: Search, known: Reach, uncertainty: Uncertainty | None, patience: float, progress: bool, *, longer: bool
-) -> CastPlan:
-    """Search for a throw, verify it, and state its success."""
-    work = Course(search, patience if uncertainty is None else NOMINAL * patience, longer=longer)
-    interrupted = False
-    with progress_bar(0.0, patience, progress, "planning") as report:
-        try:
-            work.go(report)
-        except KeyboardInterrupt:
-            interrupted = True
-            with suppress(KeyboardInterrupt):
-                work.settle()
-        if uncertainty is not None and not interrupted:
-            try:
-                work.harden(uncertainty, report)
-            except KeyboardInterrupt:
-                interrupted = True
-    throw, stated = work.best[0], None
-    if uncertainty is not None and throw is not None and not interrupted:
-        try:
-            stated = success(search.thrower, search.peg, throw, uncertainty, seed=search.seed, threads=search.threads)
-        except KeyboardInterrupt:
-            interrupted = True
-    return replace(come_to(work, known, interrupted), stated=stated)
+def to_table(value: Any) -> Any:
+    """Turn a dataclass into nested tables for TOML; fields that are None and runs are left out."""
+    if isinstance(value, Rope):
+        return value.table()
+    if not is_dataclass(value):
+        return value
+    parts = {field.name: getattr(value, field.name) for field in fields(value)}
+    return {name: to_table(part) for name, part in parts.items() if not (part is None or isinstance(part, Trajectory))}
+
+
+def from_table(kind: type[T], table: Mapping[str, Any]) -> T:
+    """Build a dataclass from what :func:`to_table` returned; raises TypeError where a field lacks or is unknown."""
+    if kind is Rope:
+        return Rope.from_table(table)  # type: ignore[return-value]
+    hints = get_type_hints(kind)
+    return kind(**{name: _from_value(hints.get(name), value) for name, value in table.items()})
+
+
+def _from_value(hint: Any, value: Any) -> Any:
+    if isinstance(hint, types.UnionType):
+        (hint,) = (each for each in get_args(hint) if each is not types.NoneType)
+    if isinstance(value, Mapping):
+        return from_table(hint, value)
+    if get_origin(hint) is np.ndarray:
+        return np.array(value, dtype=np.float64)
+    return tuple(value) if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""A clock for patience: what compiling kernels takes is not counted."""
+"""A clock for time budgets that does not count the compiling of kernels."""
 
 from __future__ import annotations
 
@@ -8,24 +8,17 @@ from hyperflex.core.jit import compiling
 
 
 class Clock:
-    """Time by the clock since it was made, but for that on which kernels were compiled.
+    """Time since the clock was made, with and without compiling."""
 
-    Parameters
-    ----------
-    begin : float, optional
-        When it began, on the monotonic clock, s; by default now.
-    """
-
-    def __init__(self, begin: float | None = None) -> None:
-        self.begin = time.monotonic() if begin is None else begin
-        self._compiled = compiling()
+    def __init__(self) -> None:
+        self._begin, self._compiled = time.monotonic(), compiling()
 
     @property
     def spent(self) -> float:
-        """Time since it began, but for compiling, s: what patience is compared with."""
-        return self.passed - (compiling() - self._compiled)
+        """Time without compiling, s."""
+        return self.elapsed - (compiling() - self._compiled)
 
     @property
-    def passed(self) -> float:
-        """Time since it began, compiling too, s."""
-        return time.monotonic() - self.begin
+    def elapsed(self) -> float:
+        """Time with compiling, s."""
+        return time.monotonic() - self._begin

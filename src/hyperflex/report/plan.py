@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from hyperflex.motion import Motion
-from hyperflex.planning import CastPlan, MotorLimits, Thrower, WhipPlan
-from hyperflex.planning.files import RATE
+from hyperflex.planning import RATE, CastPlan, CastSetup, MotorLimits, WhipPlan
 from hyperflex.report.animation import animate
 from hyperflex.report.folder import Progress, silent, whole_folder
 from hyperflex.report.page import Picture, Section, TextTable, write_page
@@ -34,8 +33,6 @@ class PlanReport(ABC, Generic[PlanT]):
     Attributes
     ----------
     plan : CastPlan or WhipPlan
-    run : Trajectory or None
-        The verified run; None where there is none that was finished.
     name : str
         Stem of the file names.
     title, task, verdict, target : str
@@ -71,9 +68,8 @@ class PlanReport(ABC, Generic[PlanT]):
     without_run: tuple[Section, ...] = ()
     others: Mapping[str, CastPlan | None] = {}
 
-    def __init__(self, plan: PlanT, run: Trajectory | None) -> None:
+    def __init__(self, plan: PlanT) -> None:
         self.plan: PlanT = plan
-        self.run = run
 
     @abstractmethod
     def figures(self) -> dict[str, Figure]:
@@ -126,7 +122,7 @@ class PlanReport(ABC, Generic[PlanT]):
             names |= {"motion": "motion.csv", "plan": f"{self.name}.toml"}
             self.plan.to_csv(folder / names["motion"], rate=rate)
             self.plan.to_toml(folder / names["plan"])
-        if self.run is not None:
+        if self.plan.run is not None:
             names |= {"run": f"{self.name}.nc", "film": f"{self.name}.gif"}
             self.plan.to_netcdf(folder / names["run"])
             progress("drawing")
@@ -134,7 +130,7 @@ class PlanReport(ABC, Generic[PlanT]):
                 names[name] = f"{name}.png"
                 save_png(figure, folder / names[name])
             film = {"frame_rate": _FILM_RATE, "width": _FILM_WIDTH, **self.film()}
-            animate(self.run, folder / names["film"], progress=film_progress(progress), **film)
+            animate(self.plan.run, folder / names["film"], progress=film_progress(progress), **film)
         return names
 
     def pictures(self, folder: Path, names: Mapping[str, str]) -> dict[str, Picture]:
@@ -149,14 +145,14 @@ class PlanReport(ABC, Generic[PlanT]):
         ]
         sections += self.without_run
         if self.story:
-            sections.append(Section("The plan" if self.run is None else "What happens", text=self.story))
+            sections.append(Section("The plan" if self.plan.run is None else "What happens", text=self.story))
         for title, kinds in self.layout.items():
             if own := tuple(shown[kind] for kind in kinds if kind in shown):
                 sections.append(Section(title, pictures=own))
         if plan.motion is not None:
             sections.append(Section("Check with a finer rope", table=self.checks, notes=self.checks_note))
-            sections.append(Section("Motor", table=_motor_table(plan.thrower.limits, plan.motion, self.run)))
-        return [*sections, Section("Set-up", text=(f"{_rope_and_arm(plan.thrower)} Target: {self.target}.",))]
+            sections.append(Section("Motor", table=_motor_table(plan.cast_setup.limits, plan.motion, self.plan.run)))
+        return [*sections, Section("Set-up", text=(f"{_rope_and_arm(plan.cast_setup)} Target: {self.target}.",))]
 
 
 def film_progress(progress: Progress) -> Callable[[int, int], None]:
@@ -178,7 +174,7 @@ def _motor_table(limits: MotorLimits, motion: Motion, run: Trajectory | None) ->
     return TextTable(("motor", "needed", "limit"), tuple(rows))
 
 
-def _rope_and_arm(setup: Thrower) -> str:
+def _rope_and_arm(setup: CastSetup) -> str:
     """Return rope and arm in words, each with a full stop."""
     rope = setup.rope
     name = f" ({rope.name})" if rope.name else ""

@@ -78,12 +78,10 @@ class _Posture:
         n = rope.n_links
         q = checks.array("state q", state.q, (n,), unit="rad")[None]
         angle = state.arm_angle or 0.0
-        sin, cos = np.sin(angle), np.cos(angle)
-        pivot = np.array([arm.pivot]) + arm.length * np.array([[sin, -cos]])
         dq, dpivot = np.zeros((1, n, 2 * n + 2)), np.zeros((1, 2, 2 * n + 2))
         dq[0, :, 1 : n + 1] = np.eye(n)
-        dpivot[0, :, 0] = arm.length * cos, arm.length * sin
-        y = self.predict(rope, q, pivot)[0]
+        dpivot[0, :, 0] = arm.length * np.array([np.cos(angle), np.sin(angle)])
+        y = self.predict(rope, q, arm.tip(np.array([angle])))[0]
         slopes = self.jacobian(rope, q, dq, dpivot, np.zeros((n, 2 * n + 2)))[0]
         return Measurement(y, slopes, np.zeros((y.size, 1)))
 
@@ -152,11 +150,9 @@ class Markers(_Posture):
     def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
         """Return what is seen (m, C)."""
         link, beyond = self._on(rope)
-        along = np.stack([np.sin(q), -np.cos(q)], axis=2)  # (m, n, 2)
-        joints = np.cumsum(rope.length[:, None] * along, axis=1) - rope.length[:, None] * along
-        places = self.values[:2] + pivot[:, None] + joints[:, link] + beyond[:, None] * along[:, link]
-        result: Array = places.reshape(q.shape[0], -1)
-        return result
+        along = np.stack([np.sin(q[:, link]), -np.cos(q[:, link])], axis=2)  # (m, K, 2)
+        places = self.values[:2] + rope.joints(q, pivot)[:, link] + beyond[:, None] * along
+        return np.asarray(places.reshape(q.shape[0], -1))
 
     def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
         """Return its derivatives (m, C, D)."""

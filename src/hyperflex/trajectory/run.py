@@ -199,10 +199,7 @@ class Trajectory:
     @cached_property
     def joints(self) -> Array:
         """Joint positions (T, n+1, 2), m; the last one is the tip."""
-        lengths = self.setup.rope.length[:, None]
-        spans = lengths * np.stack([np.sin(self.q), -np.cos(self.q)], axis=-1)
-        result = np.concatenate([self.base[:, None, :], spans], axis=1)
-        return _read_only(np.cumsum(result, axis=1))
+        return _read_only(self.setup.rope.joints(self.q, self.base))
 
     @property
     def tip(self) -> Array:

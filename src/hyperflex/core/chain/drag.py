@@ -7,12 +7,12 @@ needs to know whether v changes its sign on the way, and none cancels where the 
 
 from __future__ import annotations
 
-from hyperflex.core.jit import inlined, kernel
+from hyperflex.core.jit import inlined, kernel, shared
 
 TINY = 1e-140  # m/s, beside which any speed counts; its square is still a number
 
 
-@inlined
+@shared
 def link_drag(drag, length, across, turn):  # type: ignore[no-untyped-def]
     """Resistance of one link, (M.30).
 

@@ -6,8 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperflex.core.chain.articulated_body import Array, energies, sines
+from hyperflex.core import joint_law
+from hyperflex.core.chain.articulated_body import Array, energies, joint_of, sines
 from hyperflex.core.chain.drive import base_state
+from hyperflex.core.contact.air import Air, blow, new_air, take
 from hyperflex.core.contact.arrays import IMPULSE, OPEN, Impulses, Joints, Motion, new_impulses, new_joints, new_motion
 from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joints, nearest, new_contacts, speeds
 from hyperflex.core.contact.joints import BEYOND, room_to_bend, taken_by_joints, watch_joints
@@ -27,7 +29,7 @@ NEAR = 1e-4  # m, gap below which a link is watched even at rest
 BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
-FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by friction, by contacts and limits, put in; J
+FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints, air, axles; contacts, limits; put in; J
 
 
 class Kept(NamedTuple):
@@ -59,6 +61,7 @@ class Desk(NamedTuple):
     trend: Array  # (n,) rad/s^2, accelerations of the last step: where the next one begins to search
     out: Array  # (2 n,) angles and rates after the step
     base: Array  # (3, 9) motion of the first joint before, in the middle and after
+    air: Air
     account: Array  # (3,)
     touch: Array  # (1,) s, from the beginning of the step until a link that is left free touches, or a joint its limit
     bend: Array  # (2,) rad, smallest gap of a joint to its limit after the step, and what is left of the gaps soon
@@ -87,6 +90,7 @@ def new_desk(chain, pegs, rate, longest):  # type: ignore[no-untyped-def]
         np.zeros(n),
         np.zeros(2 * n),
         np.zeros((3, 9)),
+        new_air(n),
         np.zeros(3),
         np.zeros(1),
         np.zeros(2),
@@ -117,9 +121,9 @@ def load_joints(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped
     for i in range(w.size):
         rate = w[i] - (w[i - 1] if i > 0 else base[0, 3])
         angle = q[i] - (q[i - 1] if i > 0 else base[1, 4])
-        k = chain.stiffness[i]
-        joint[i, 0] = -h * (chain.viscous[i] * rate + k * (angle - chain.rest[i]))
-        joint[i, 1] = h * chain.viscous[i] + 0.25 * h * h * k
+        law = joint_of(chain, i)
+        joint[i, 0] = h * (joint_law.friction(law, rate, 0.0) + joint_law.spring(law, angle))
+        joint[i, 1], _ = joint_law.slopes(law, 1.0, h, 0.25 * h * h)
     joint[0, 0] += h * torque
 
 
@@ -257,6 +261,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, s
     joints(chain, motion.trig, base[1, 7], base[1, 8], desk.xy)
     speeds(chain, motion.trig, motion.w, base[0, 5], base[0, 6], motion.speed)
     load_joints(chain, desk.q, motion.w, base, h, torque, motion.joint)
+    blow(chain, desk.air, motion, base[1], h)
     motion.base[0] = base[2, 5] - base[0, 5] - h * chain.gx
     motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
     motion.base[2] = base[2, 3] - base[0, 3]
@@ -277,14 +282,15 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, s
 
 @lean
 def settle_account(chain, desk, torque, h):  # type: ignore[no-untyped-def]
-    """Energy that joints, axles and contacts took in a step, and work put in: impulses times mean velocities."""
+    """Energy that joints, air, axles and contacts took in a step, and work put in: impulses times mean velocities."""
     motion, base, found, impulses, spin = desk.motion, desk.base, desk.found, desk.impulses, desk.spin
     n = motion.w.size
     taken = 0.0
     for i in range(n):
         before = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
         after = desk.out[n + i] - (desk.out[n + i - 1] if i > 0 else base[2, 3])
-        taken += h * chain.viscous[i] * after * 0.5 * (before + after)
+        taken -= h * joint_law.friction(joint_of(chain, i), after, 0.0) * 0.5 * (before + after)
+    taken += take(desk.air, motion, desk.out[n:], base[0], base[2], h)
     rubbed, limited = taken_by_joints(desk.held)
     desk.account[FRICTION] = taken + rubbed + lost_in_bearings(spin)
     taken = limited

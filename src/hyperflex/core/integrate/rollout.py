@@ -11,6 +11,7 @@ from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import can_stick, sines
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.integrate.dense_output import interpolate
+from hyperflex.core.integrate.drag_reversal import air_size
 from hyperflex.core.integrate.end_conditions import NOTHING
 from hyperflex.core.integrate.event_location import locate, settle
 from hyperflex.core.integrate.progress import (
@@ -200,6 +201,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
     room = scratch(chain)
     fixed = limits.fixed
     sticks = can_stick(chain)
+    airy = fixed == 0.0 and chain.drag.any()
     awaiting = limits.until.kind != NOTHING
     watching = sticks or awaiting or chain.max_bend.min() < np.inf
     if sticks:
@@ -228,6 +230,8 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
         advance(chain, drive, part, table, fixed, t, step, y, grip, room.out, room)
         clock[TAKEN] += 1
         size, lower_size = error_sizes(chain, limits, table, step, cut, room)
+        if airy and size <= 1.0:
+            size = max(size, air_size(chain, drive, part, limits, table, t, step, y, room))
         if not (size <= 1.0):
             clock[REJECTED] += 1
             clock[STEP] = shorter(step, size, table.order)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import joint_law
+from hyperflex.core.chain.drag import link_drag
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.model import Rope
@@ -231,21 +232,11 @@ def _joints(rope: Rope, q: Array, qd: Array, angle: Array, rate: Array) -> tuple
 
 
 def _drag(rope: Rope, q: Array, qd: Array, pivot: Array) -> Array:
-    """Return the torques (T, n, n) of a unit of air drag on each link, whose first joint moves at `pivot` (T, 2), m/s.
-
-    Across a link the velocity v = u + s w is linear in the way s along it, so v |v| is a parabola on either side of
-    where v is 0, and two points of Gauss on each are exact for it and for its moment.
-    """
+    """Return the torques (T, n, n) of a unit of air drag on each link; the first joint moves at `pivot` (T, 2), m/s."""
     length, normal = rope.length, np.stack([np.cos(q), np.sin(q)], axis=2)
     turn = (length * qd)[:, :, None] * normal
-    u = ((pivot[:, None] + np.cumsum(turn, axis=1) - turn) * normal).sum(axis=2)
-    still = np.clip(np.divide(-u, qd, out=np.zeros_like(u), where=qd != 0.0), 0.0, length)
-    force, moment = np.zeros_like(u), np.zeros_like(u)
-    for low, high in ((0.0, still), (still, length)):
-        for side in (-1.0, 1.0):
-            s = 0.5 * (low + high) + side * (high - low) / np.sqrt(12.0)
-            part = 0.5 * (high - low) * (u + s * qd) * np.abs(u + s * qd)
-            force, moment = force + part, moment + s * part
+    across = ((pivot[:, None] + np.cumsum(turn, axis=1) - turn) * normal).sum(axis=2)
+    force, moment = link_drag(1.0, length, across, length * qd)
     carried = length[:, None] * np.cos(q[:, :, None] - q[:, None, :]) * force[:, None, :]
     return np.asarray(np.triu(carried, 1) + np.eye(rope.n_links) * moment[:, None, :])
 

@@ -96,10 +96,11 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
     for each in beside:  # started from 0 it may stay there: a joint that never sticks tells little of dry friction
         if each.least and not getattr(guess, each.name).any():
             guess = guess.replace(**{each.name: SLIGHT * scales(guess, each.name)})
-    chosen = [(viscous, *more) for count in range(MOST_BESIDE + 1) for more in combinations(beside, count)]
+    sets = [more for count in range(MOST_BESIDE + 1) for more in combinations(beside, count)]
+    chosen = [(viscous, *more) for more in sets]
     varied = [*beside, viscous] if viscous.name in own else beside
     if viscous in varied:
-        chosen += [(each,) for each in beside if each.name in DAMPING]
+        chosen += [those for those in sets if those and all(each.name in DAMPING for each in those)]
     plain = tuple(word for name, words in own.items() for word in words if name not in [each.name for each in varied])
     result = []
     for those in chosen:

@@ -46,8 +46,8 @@ def compare_models(
         not free.
     models : mapping, optional
         Names to what is free (words as in ``identify``), or to a pair of a guess and what is free. By default the
-        viscous rope, alone and with one or two of dry friction, stiffness and air drag beside; and dry friction or air
-        drag in place of the viscous one.
+        viscous rope, alone and with one or two of dry friction, stiffness and air drag beside; and dry friction, air
+        drag or both in place of the viscous one.
     free : sequence of str
         What is free in the viscous rope; used where `models` is not given.
     links : sequence of int

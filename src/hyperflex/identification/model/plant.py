@@ -222,6 +222,4 @@ def pivot_places(motion: Motion | None, arm: Arm | None, t: Array) -> Array:
     place: Array = motion.point(t)
     if arm is None:
         return place
-    angle = motion.angle(t)
-    reached: Array = place + np.asarray(arm.pivot) + arm.length * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
-    return reached
+    return place + arm.tip(motion.angle(t))

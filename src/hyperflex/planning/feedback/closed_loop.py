@@ -1,4 +1,4 @@
-"""A planned throw in closed loop: at each rest the rope is looked at and what is left of the throw planned anew."""
+"""A planned throw in closed loop: at each rest of the arm, what is left is planned again from the observed state."""
 
 from __future__ import annotations
 
@@ -10,48 +10,48 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.control import hanging_state
 from hyperflex.interfaces import Motor, RopeState, StateSource
-from hyperflex.model import Peg
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.feedback.belief import Belief
-from hyperflex.planning.feedback.matching import Goal, match
-from hyperflex.planning.robust import scenarios as flights
-from hyperflex.planning.robust.refinement import worth
-from hyperflex.planning.robust.uncertainty import Draw, Uncertainty
-from hyperflex.planning.search.batch_rollout import Flights
-from hyperflex.planning.wind.outcome import WOUND
-from hyperflex.planning.wind.throw import SLOWEST, Throw
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.feedback.matching import Goal, features, match
+from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.robust.refinement import robust_values
+from hyperflex.planning.robust.scenario_rollouts import free_flight, winding_scores
+from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
+from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.search.strikes import arm_tip
+from hyperflex.planning.throw import MIN_SPEED, Throw
+from hyperflex.planning.wind.cast_plan import CastPlan
 
-DRAWN, WORLDS = 48, 4  # worlds that may be the true one, and those that agree best, in which what is left is tried
-SHY = 0.15  # s before the expected strike within which the rope is no longer looked at
-THINKING = 0.1  # s, that a decision may take: nothing changes sooner after a look
-LIKELY = 0.2  # part of the worlds; with fewer wins before the last stroke or move, a throw is given up
-BETTER = 0.05  # worth by which another way must beat the planned one
-ASTRAY = 0.2  # rad by which the arm may be away from where it should rest; more, and a throw is given up
-LATEST = 1  # before the last of the moves that start before the strike, a throw may be given up, and later
+SAMPLES, LIKELY_SCENARIOS = 48, 4  # scenarios that may be the true one; of these, those in which throws are tried
+BLIND_TIME = 0.15  # s before the expected strike within which the rope is no longer observed
+DECISION_TIME = 0.1  # s that a decision may take
+MIN_PROBABILITY = 0.2  # of success, below which a throw is aborted before the last stroke or move
+MIN_GAIN = 0.05  # value by which a changed throw must be better
+MAX_ARM_ERROR = 0.2  # rad between arm and command at a rest; above, a throw is aborted
+LATEST = 1  # a throw may be aborted from so many moves before the last one that starts before the strike
 
 
 @dataclass(frozen=True)
-class Look:
-    """What was seen and decided at one rest.
+class Decision:
+    """Observation and decision at one rest.
 
     Attributes
     ----------
     move : int
-        Which move comes next.
+        Number of the next move.
     t : float
-        When the rope was looked at, s.
+        Time of the observation, s.
     left : float
         Time until that move, as planned until then, s.
     before, after : float
-        Part of the tried worlds in which the throw would win, as planned until then and as decided.
-    decided : str
-        "kept", "changed" or "aborted".
+        Fraction of the likely scenarios in which the throw succeeds, as planned until then and as decided.
+    action : {"kept", "changed", "aborted"}
     seconds : float
         Time that the decision took, s; it may be more than `left`.
-    astray : float
-        Angle that the motor's encoder shows less that which was asked for, rad; NaN without a motor.
+    arm_error : float
+        Angle of the motor's encoder less the commanded one, rad; NaN without a motor.
     """
 
     move: int
@@ -59,169 +59,232 @@ class Look:
     left: float
     before: float
     after: float
-    decided: str
+    action: str
     seconds: float
-    astray: float = float("nan")
+    arm_error: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
-    """What a closed loop made of a plan.
+class FollowResult:
+    """A plan as it was executed in closed loop.
 
     Attributes
     ----------
     throw : Throw
-        What was asked of the motor in the end.
+        The throw that was commanded in the end.
     motion : Motion
-        The same as a motion.
-    looks : tuple of Look
-    aborted : bool
-        The throw was given up, and the arm went slowly to hanging.
+        Its motion.
+    decisions : tuple of Decision
     """
 
     throw: Throw
     motion: Motion
-    looks: tuple[Look, ...]
-    aborted: bool
+    decisions: tuple[Decision, ...]
+
+    @property
+    def success(self) -> bool:
+        """Whether the throw was made to its end, not aborted."""
+        return not (self.decisions and self.decisions[-1].action == "aborted")
+
+    @property
+    def status(self) -> int:
+        """0: made to its end. 1: aborted; the arm went slowly to hanging."""
+        return int(not self.success)
+
+    @property
+    def message(self) -> str:
+        """Why the throw was aborted; empty if it was not."""
+        if self.success:
+            return ""
+        last = self.decisions[-1]
+        if abs(last.arm_error) > MAX_ARM_ERROR:
+            return f"aborted at {last.t:.2f} s: the arm is {abs(last.arm_error):.2g} rad from its command"
+        return f"aborted at {last.t:.2f} s: it succeeds in {100 * last.after:.0f} % of the likely scenarios"
 
 
-def follow(
-    thrower: Thrower,
-    peg: Peg,
-    throw: Throw,
+def follow_plan(
+    plan: CastPlan,
     source: StateSource,
     *,
     motor: Motor | None = None,
     uncertainty: Uncertainty | None = None,
-    thinking: float = THINKING,
-    likely: float = LIKELY,
+    decision_time: float = DECISION_TIME,
+    min_probability: float = MIN_PROBABILITY,
     seed: int = 0,
     threads: int | None = None,
-) -> Followed:
-    """Follow a planned throw; at each rest before the strike, plan what is left anew from the state that is seen.
+) -> FollowResult:
+    """Follow a planned throw; at each rest before the strike, plan the rest of it again from the observed state.
 
     Parameters
     ----------
-    thrower : Thrower
-    peg : Peg
-    throw : Throw
-        The plan.
+    plan : CastPlan
+        With a throw.
     source : StateSource
-        Tells the rope's state; with as many links as the thrower's rope.
+        Source of the rope's state, with as many links as the plan's rope.
     motor : Motor, optional
-        Is asked for the plan at t = 0 and for what it is changed to at each look; its angle is read there, and a throw
-        is given up if the arm is astray. Without one, `source` alone learns what is asked for.
+        Gets the plan at t = 0 and each change at a rest; its angle is read there, and a throw is aborted if the arm is
+        more than MAX_ARM_ERROR from its command. Without a motor only `source` gets the commands.
     uncertainty : Uncertainty, optional
-        From which the worlds are drawn that may be the true one; by default realistic.
-    thinking : float
-        Time that a decision may take, s: moves that are due sooner are made as they were planned.
-    likely : float
-        Part of the tried worlds that must be won before the last stroke and the last move; else the throw is given up.
+        Prior of the scenarios that may be the true one; by default realistic.
+    decision_time : float
+        Time that a decision may take, s: moves that are due sooner are made as planned.
+    min_probability : float
+        Fraction of the likely scenarios in which a throw must succeed before the last stroke and the last move; else it
+        is aborted.
     seed : int
     threads : int, optional
 
     Returns
     -------
-    Followed
-        The decisions are made from the states seen alone; contact before the last look is not noticed.
+    FollowResult
+
+    Raises
+    ------
+    InvalidInput
+        If the plan holds no throw, or a number is out of range.
 
     Notes
     -----
-    Of many drawn worlds those are tried that agree best with what has been seen (:class:`belief.Belief`). A plan that
-    wins in all of them is kept. Else another way on is sought in free flights of the best one, for the state in which
-    the plan was to strike (:func:`matching.match`), and taken if it wins more often beside the peg. Simulated
-    time stands still while a decision is made: `thinking` is kept by what may change, and :attr:`Look.seconds` says
-    what it really took.
+    Sampled scenarios are ranked by how well they predict the observed states. In the best ones the rest of the throw is
+    tried as it is, and changed so that the rope strikes in the planned state (see :func:`matching.match`). Contact
+    before the last observation is not noticed.
     """
-    pause = checks.number("thinking", thinking, sign="nonnegative", unit="s")
+    cast_setup, throw = plan.cast_setup, plan.required(plan.throw, "throw")
+    pause = checks.number("decision_time", decision_time, sign="nonnegative", unit="s")
     known = uncertainty or Uncertainty()
-    belief = Belief(thrower, known.draws(DRAWN, thrower, peg, seed=[checks.count("seed", seed, least=0), 1]))
-    goal = Goal.of(thrower, peg, throw)
-    loop = _Loop(thrower, throw, belief, threads)
+    samples = known.sample(SAMPLES, cast_setup, plan.target, seed=[checks.count("seed", seed, least=0), 1])
+    goal = Goal.of(cast_setup, plan.target, throw)
+    loop = _Loop(cast_setup, throw, ScenarioRanking(cast_setup, samples), threads)
     if motor is not None:
         motor.set_motion(loop.motion(), 0.0)
-    looks: list[Look] = []
+    decisions: list[Decision] = []
     while goal is not None and loop.move <= loop.throw.count:
-        now = loop.rested()
-        if now > goal.t + loop.late - SHY:
+        now = loop.rest_start()
+        if now > goal.t + loop.delay - BLIND_TIME:
             break
         begin = time.monotonic()
-        left = float(loop.throw.starts(thrower.limits)[loop.move]) - now
+        left = float(loop.throw.starts(cast_setup.limits)[loop.move]) - now
         state = source.state(now, loop.motion())
-        astray = float("nan") if motor is None else motor.angle(now) - float(loop.motion().angle(now))
+        arm_error = float("nan") if motor is None else motor.angle(now) - float(loop.motion().angle(now))
         loop.first = loop.move if left >= pause else loop.move + 1
-        if abs(astray) > ASTRAY:
-            before, after, decided = 0.0, 0.0, loop.give_up(pause)
+        if abs(arm_error) > MAX_ARM_ERROR:
+            before, after, action = 0.0, 0.0, loop.abort(pause)
         else:
-            before, after, decided = loop.decide(goal, state, pause, likely)
-        looks.append(Look(loop.move, now, left, before, after, decided, time.monotonic() - begin, astray))
-        if motor is not None and decided != "kept":
+            before, after, action = loop.decide(goal, state, pause, min_probability)
+        seconds = time.monotonic() - begin
+        decisions.append(Decision(loop.move, now, left, before, after, action, seconds, arm_error))
+        if motor is not None and action != "kept":
             motor.set_motion(loop.motion(), now)
-        if decided == "aborted":
+        if action == "aborted":
             break
         loop.move += 1
-    aborted = bool(looks) and looks[-1].decided == "aborted"
-    return Followed(loop.throw, loop.motion(), tuple(looks), aborted)
+    return FollowResult(loop.throw, loop.motion(), tuple(decisions))
 
 
 def swing_down(throw: Throw, made: int, rest: float = 0.0) -> Throw:
     """Return a throw that makes `made` moves and, after a rest, s, takes the arm slowly to hanging."""
-    return replace(throw, count=made, end=0.0, rest=rest, speed=SLOWEST)
+    return replace(throw, count=made, end=0.0, rest=rest, speed=MIN_SPEED)
+
+
+class ScenarioRanking:
+    """Sampled scenarios, ranked by their errors in predicting the observed states.
+
+    Parameters
+    ----------
+    cast_setup : CastSetup
+        The rope hangs at rest at t = 0.
+    scenarios : sequence of Scenario
+
+    Notes
+    -----
+    Each scenario predicts every observed state from the one before. Squared errors of the joints' positions and
+    velocities (:func:`matching.features`) add up. Delays of moves are not part of the prediction.
+    """
+
+    def __init__(self, cast_setup: CastSetup, scenarios: Sequence[Scenario]) -> None:
+        self.cast_setup, self.scenarios = cast_setup, list(scenarios)
+        self.errors = np.zeros(len(self.scenarios))
+        self._last = hanging_state(cast_setup.rope)
+
+    def observe(self, state: RopeState, motion: Motion, *, threads: int | None = None) -> None:
+        """Add the errors in predicting an observed state, under a commanded motion of moves until then."""
+        last, count = self._last, len(self.scenarios)
+        if state.t <= last.t:
+            return
+        motions = [scenario.without_delays().executed_motion(motion) for scenario in self.scenarios]
+        q, qd = (np.broadcast_to(part, (count, part.size)) for part in (last.q, last.qd))
+        ropes = [scenario.rope for scenario in self.scenarios]
+        batch = RolloutBatch(ropes, [], [m.shifted(-last.t) for m in motions], q, qd, last.t)
+        _, q, qd = free_flight(batch, self.cast_setup.arm, state.t - last.t, at_end=True, threads=threads)
+        for m, (rope, executed) in enumerate(zip(ropes, motions, strict=True)):
+            base = arm_tip(self.cast_setup.arm, executed, np.array([state.t]))
+            observed = features(rope, state.q[None], state.qd[None], *base)
+            predicted = features(rope, q[m, -1:], qd[m, -1:], *base)
+            self.errors[m] += float(np.nan_to_num(((predicted - observed) ** 2).sum(), nan=np.inf))
+        self._last = state
+
+    def best(self, count: int) -> list[Scenario]:
+        """Return the scenarios with the least errors, best first."""
+        return [self.scenarios[m] for m in np.argsort(self.errors, kind="stable")[:count]]
 
 
 class _Loop:
-    """The throw as it is planned by now, the next move, and the first one that may still be changed."""
+    """The throw as planned so far, the next move, the first move that may still be changed, and the delay so far, s."""
 
-    def __init__(self, thrower: Thrower, throw: Throw, belief: Belief, threads: int | None) -> None:
-        self.thrower, self.throw, self.belief, self.threads = thrower, throw, belief, threads
-        self.move, self.first, self.late = 1, 1, 0.0
+    def __init__(self, cast_setup: CastSetup, throw: Throw, ranking: ScenarioRanking, threads: int | None) -> None:
+        self.cast_setup, self.throw, self.ranking, self.threads = cast_setup, throw, ranking, threads
+        self.move, self.first, self.delay = 1, 1, 0.0
 
     def motion(self) -> Motion:
-        """Return what is asked of the motor."""
-        return self.throw.motion(self.thrower.limits)
+        """Return the commanded motion."""
+        return self.throw.motion(self.cast_setup.limits)
 
-    def rested(self) -> float:
-        """When the arm comes to rest before the next move, s."""
+    def rest_start(self) -> float:
+        """Time at which the arm comes to rest before the next move, s."""
         rests = np.append(self.throw.rests[: self.throw.count], self.throw.rest)
-        return float(self.throw.starts(self.thrower.limits)[self.move] - abs(rests[self.move]))
+        return float(self.throw.starts(self.cast_setup.limits)[self.move] - abs(rests[self.move]))
 
-    def decide(self, goal: Goal, state: RopeState, pause: float, likely: float) -> tuple[float, float, str]:
-        """Decide what is left; returns chances before and after, and the decision in a word."""
-        self.belief.see(state, self.motion(), threads=self.threads)
-        worlds = self.belief.worlds(WORLDS)
-        ways = [self.throw]
-        chance, value = self.chances(ways, state, worlds)
-        if self.first < self.throw.count and chance[0] < 1.0:
-            known = worlds[0].punctual()
-            others = match(self.thrower, known, goal, self.throw, self.first, state, pause, threads=self.threads)
+    def decide(self, goal: Goal, state: RopeState, pause: float, min_probability: float) -> tuple[float, float, str]:
+        """Plan the rest of the throw; return the success probabilities before and after, and the action."""
+        self.ranking.observe(state, self.motion(), threads=self.threads)
+        scenarios = self.ranking.best(LIKELY_SCENARIOS)
+        throws = [self.throw]
+        probability, value = self.probabilities(throws, state, scenarios)
+        if self.first < self.throw.count and probability[0] < 1.0:
+            best = scenarios[0].without_delays()
+            others = match(self.cast_setup, best, goal, self.throw, self.first, state, pause, threads=self.threads)
             if others:
-                first = self.chances(others, state, worlds[:1])[1]
-                ways.append(others[int(np.argmax(first))])
-                more = self.chances(ways[1:], state, worlds)
-                chance, value = np.append(chance, more[0]), np.append(value, more[1])
-        best = int(np.argmax(value))
-        best = best if value[best] > value[0] + BETTER else 0
-        begun = int((self.throw.starts(self.thrower.limits) < goal.t + self.late).sum())
-        if chance[best] < likely and self.move >= begun - LATEST and self.first <= self.throw.count:
-            return float(chance[0]), float(chance[best]), self.give_up(pause)
-        changed = ways[best] is not self.throw
-        old = self.throw.starts(self.thrower.limits)[-1]
-        self.throw = ways[best]
-        self.late += float(self.throw.starts(self.thrower.limits)[-1] - old)
-        return float(chance[0]), float(chance[best]), "changed" if changed else "kept"
+                first = self.probabilities(others, state, scenarios[:1])[1]
+                throws.append(others[int(np.argmax(first))])
+                more = self.probabilities(throws[1:], state, scenarios)
+                probability, value = np.append(probability, more[0]), np.append(value, more[1])
+        chosen = int(np.argmax(value))
+        chosen = chosen if value[chosen] > value[0] + MIN_GAIN else 0
+        begun = int((self.throw.starts(self.cast_setup.limits) < goal.t + self.delay).sum())
+        before, after = float(probability[0]), float(probability[chosen])
+        if after < min_probability and self.move >= begun - LATEST and self.first <= self.throw.count:
+            return before, after, self.abort(pause)
+        changed = throws[chosen] is not self.throw
+        old = self.throw.starts(self.cast_setup.limits)[-1]
+        self.throw = throws[chosen]
+        self.delay += float(self.throw.starts(self.cast_setup.limits)[-1] - old)
+        return before, after, "changed" if changed else "kept"
 
-    def give_up(self, pause: float) -> str:
-        """Let the arm go slowly to hanging as soon as it can; returns the decision."""
+    def abort(self, pause: float) -> str:
+        """Let the arm go slowly to hanging as soon as it can; return the action."""
         self.throw = swing_down(self.throw, min(self.first, self.throw.count), pause)
         return "aborted"
 
-    def chances(self, ways: Sequence[Throw], state: RopeState, worlds: Sequence[Draw]) -> tuple[Array, Array]:
-        """Return the part of the worlds in which each way wins, and its mean worth (W,)."""
-        pairs = [(way, world) for way in ways for world in worlds]
-        motions = [world.motion(way, self.thrower).shifted(-state.t) for way, world in pairs]
+    def probabilities(
+        self, throws: Sequence[Throw], state: RopeState, scenarios: Sequence[Scenario]
+    ) -> tuple[Array, Array]:
+        """Return the fraction of the scenarios in which each throw succeeds, and its mean value (W,)."""
+        pairs = [(throw, scenario) for throw in throws for scenario in scenarios]
+        motions = [scenario.motion(throw, self.cast_setup).shifted(-state.t) for throw, scenario in pairs]
         q, qd = (np.broadcast_to(part, (len(pairs), part.size)) for part in (state.q, state.qd))
-        ropes, pegs = [world.rope for _, world in pairs], [world.peg for _, world in pairs]
-        batch = Flights(ropes, pegs, motions, q, qd, state.t)
-        found = flights.ends(batch, self.thrower.arm, self.thrower.time, threads=self.threads)
-        shape = (len(ways), len(worlds))
-        return (found.turns >= WOUND).reshape(shape).mean(axis=1), worth(found).reshape(shape).mean(axis=1)
+        ropes, pegs = [scenario.rope for _, scenario in pairs], [scenario.peg for _, scenario in pairs]
+        batch = RolloutBatch(ropes, pegs, motions, q, qd, state.t)
+        found = winding_scores(batch, self.cast_setup.arm, self.cast_setup.time, threads=self.threads)
+        shape = (len(throws), len(scenarios))
+        won = (found.turns >= MIN_TURNS).reshape(shape)
+        return won.mean(axis=1), robust_values(found).reshape(shape).mean(axis=1)

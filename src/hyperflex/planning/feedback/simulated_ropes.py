@@ -1,4 +1,4 @@
-"""Simulated worlds in which a plan is followed: where the true state of a rope comes from."""
+"""State sources that simulate the true rope: in a sampled scenario, or on a simulated motor."""
 
 from __future__ import annotations
 
@@ -8,41 +8,41 @@ from hyperflex.hardware.motor import SAMPLE_TIME
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
-from hyperflex.planning.robust.uncertainty import Draw
+from hyperflex.planning.robust.uncertainty import Scenario
 
 
-class DrawnWorld:
-    """A drawn world as a StateSource: the true state of its rope under what its motor makes of the asked motion.
+class ScenarioStateSource:
+    """True state of the rope of a scenario, under what the scenario's motor makes of the commanded motion.
 
     Parameters
     ----------
-    draw : Draw
+    scenario : Scenario
     arm : Arm
     """
 
-    def __init__(self, draw: Draw, arm: Arm) -> None:
-        self.draw, self._true = draw, TrueState(draw.rope, arm)
+    def __init__(self, scenario: Scenario, arm: Arm) -> None:
+        self.scenario, self._true = scenario, TrueState(scenario.rope, arm)
 
     def state(self, t: float, motion: Motion) -> RopeState:
-        """Return the simulated state at `t`, s, when `motion`, made of moves, is asked for."""
-        return self._true.state(t, self.draw.executed(motion))
+        """Return the simulated state at `t`, s, under the command `motion`, made of moves."""
+        return self._true.state(t, self.scenario.executed_motion(motion))
 
 
-class DrivenWorld:
-    """A rope on a simulated motor as a StateSource: its true state under what the motor has really done.
+class MotorStateSource:
+    """True state of a rope on a simulated motor, under the motion that the motor has made.
 
     Parameters
     ----------
     rope : Rope
     arm : Arm
     motor : SimulatedMotor
-        The same that is asked for motions; it stands where the arm is at t = 0.
+        The motor that is commanded; it stands where the arm is at t = 0.
     """
 
     def __init__(self, rope: Rope, arm: Arm, motor: SimulatedMotor) -> None:
         self.motor, self._true = motor, TrueState(rope, arm)
 
     def state(self, t: float, motion: Motion) -> RopeState:
-        """Return the simulated state at `t`, s; what the motor was asked for counts, and not `motion`."""
+        """Return the simulated state at `t`, s, under the motor's motion; `motion` is not used."""
         self.motor.true_angle(t)
         return self._true.state(t, motion if t < 2.0 * SAMPLE_TIME else self.motor.motion())

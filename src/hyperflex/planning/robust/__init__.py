@@ -1,1 +1,1 @@
-"""Casts planned for what is not known exactly: scenarios and probabilities of success."""
+"""Uncertainty: sampled scenarios, robust refinement of throws, and their success probability."""

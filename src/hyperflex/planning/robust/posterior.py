@@ -1,4 +1,4 @@
-"""A rope as an identification left it, with the covariance of what was fitted; ropes drawn from it."""
+"""A rope with the covariance of its identified parameters, and ropes sampled from that posterior."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
-    """What an identification says of a rope.
+class RopePosterior:
+    """An identified rope with the covariance of its parameters.
 
     Attributes
     ----------
     rope : Rope
     parameters : tuple of str
-        Names of the P numbers that were fitted, as :class:`hyperflex.identification.Identification` has them.
+        Names of the P fitted parameters, as in :class:`hyperflex.identification.Identification`.
     covariance : (P, P) float64
-        Of these, SI units; 0 for what could not be known.
+        Of the parameters, SI units; 0 for a parameter that could not be determined.
     factors : dict of str to float
-        Fitted values of those of `parameters` that are a factor on all links.
-    unknown : tuple of str
-        Those of `parameters` that the fit could not tell: their standard deviation is not finite, or their row of the
-        covariance is 0. Draws move them by what the covariance holds alone, so their spread must come from elsewhere.
+        Fitted values of the `parameters` that are a factor on all links.
+    undetermined : tuple of str
+        Those of `parameters` whose standard deviation is not finite, or whose row of the covariance is 0. Their spread
+        in samples must come from elsewhere.
     """
 
     rope: Rope
     parameters: tuple[str, ...]
     covariance: Array
     factors: dict[str, float]
-    unknown: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         count = len(self.parameters)
@@ -52,47 +52,47 @@ class Fitted:
             )
 
     @classmethod
-    def of(cls, fit: Identification) -> Fitted:
-        """Take it from what identify gave back."""
+    def from_identification(cls, fit: Identification) -> RopePosterior:
+        """Return the posterior of a fit."""
         factors = {name: float(fit.values[name]) for name in fit.parameters if name.endswith(":factor")}
-        covariance = np.asarray(fit.covariance)
-        return cls(fit.rope, tuple(fit.parameters), covariance, factors, _unknown(fit.parameters, covariance, fit.sd))
+        covariance, labels = np.asarray(fit.covariance), tuple(fit.parameters)
+        return cls(fit.rope, labels, covariance, factors, _undetermined(labels, covariance, fit.sd))
 
     @classmethod
-    def from_toml(cls, path: str | Path) -> Fitted | None:
-        """Read it from a rope file that identify wrote; None where the file holds no covariance.
+    def from_toml(cls, path: str | Path) -> RopePosterior | None:
+        """Read it from a rope file that identify wrote; None if the file holds no covariance.
 
         Raises
         ------
         FileProblem, InvalidInput
-            If the file cannot be read, or what it says of its identification does not fit together.
+            If the file cannot be read, or its table of the identification is not complete.
         """
-        told: Any = files.read_toml(path).get("identification")
-        if not isinstance(told, dict) or not {"parameters", "covariance"} <= told.keys():
+        table: Any = files.read_toml(path).get("identification")
+        if not isinstance(table, dict) or not {"parameters", "covariance"} <= table.keys():
             return None
         try:
-            names = tuple(str(name) for name in told["parameters"])
-            covariance = np.array(told["covariance"], dtype=np.float64)
-            factors = {name: float(told["values"][name]) for name in names if name.endswith(":factor")}
-            unknown = _unknown(names, covariance, told.get("sd", {}))
+            names = tuple(str(name) for name in table["parameters"])
+            covariance = np.array(table["covariance"], dtype=np.float64)
+            factors = {name: float(table["values"][name]) for name in names if name.endswith(":factor")}
+            undetermined = _undetermined(names, covariance, table.get("sd", {}))
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
             raise InvalidInput(
                 f"the identification in {path} is not whole", got=str(error), fix="Write it again with identify"
             ) from None
-        return cls(Rope.from_toml(path), names, covariance, factors, unknown)
+        return cls(Rope.from_toml(path), names, covariance, factors, undetermined)
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def fitted_properties(self) -> tuple[str, ...]:
         """Properties of the rope that were fitted."""
         return _properties(self.parameters)
 
     @property
-    def untold(self) -> tuple[str, ...]:
-        """Those of `names` of which a number could not be told."""
-        return _properties(self.unknown)
+    def undetermined_properties(self) -> tuple[str, ...]:
+        """Those of `fitted_properties` with an undetermined parameter."""
+        return _properties(self.undetermined)
 
-    def draw(self, rng: np.random.Generator) -> Rope:
-        """Draw a rope; numbers that cannot be below 0 are kept there."""
+    def sample(self, rng: np.random.Generator) -> Rope:
+        """Sample a rope; parameters that cannot be negative are clipped at 0."""
         sizes, directions = np.linalg.eigh(self.covariance)
         off = directions @ (np.sqrt(np.maximum(sizes, 0.0)) * rng.standard_normal(sizes.size))
         off /= [self.factors.get(label, 1.0) for label in self.parameters]
@@ -100,19 +100,19 @@ class Fitted:
 
 
 def _properties(labels: Sequence[str]) -> tuple[str, ...]:
-    """Return the properties of a rope among fitted numbers."""
+    """Return the properties of a rope among labels of parameters."""
     found = dict.fromkeys(each.name for label in labels if (each := parsed(label)))
     return tuple(name for name in found if PROPERTIES[name].owner in ("link", "rope"))
 
 
-def _unknown(labels: Sequence[str], covariance: Array, sds: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the labels whose deviation is not a finite number, or whose row of the covariance (P, P) is 0."""
+def _undetermined(labels: Sequence[str], covariance: Array, sds: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the labels whose standard deviation is not finite, or whose row of the covariance (P, P) is 0."""
     rows = np.abs(np.atleast_2d(covariance)).max(axis=1)
-    return tuple(label for label, row in zip(labels, rows, strict=True) if not (row > 0.0 and _told(label, sds)))
+    return tuple(label for label, row in zip(labels, rows, strict=True) if not (row > 0.0 and _finite(label, sds)))
 
 
-def _told(label: str, sds: Mapping[str, Any]) -> bool:
-    """Whether a deviation is a number; what the table does not hold is left to the covariance."""
+def _finite(label: str, sds: Mapping[str, Any]) -> bool:
+    """Whether a standard deviation is finite, or not in the table."""
     parts = parsed(label)
     sd = sds.get(label, sds.get(parts.name) if parts else None)
     if sd is None:

@@ -1,1 +1,1 @@
-"""The search for a cast: free swings, beam search, CMA-ES, and the run beside the peg."""
+"""The search for a throw: free swings, beam search, CMA-ES, and the contact phase."""

@@ -1,4 +1,4 @@
-"""CMA-ES (Hansen 2016, arXiv:1604.00772) as each search here runs it: quiet, with random numbers of its own."""
+"""CMA-ES (Hansen 2016, arXiv:1604.00772) without output, with random numbers of its own."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from hyperflex.checks import Array
 
 
-def evolution(centre: Array, size: float, spreads: Array, members: int, random: np.random.Generator) -> Any:
-    """Return a search by CMA-ES, with ``ask`` and ``tell``; numpy's global generator is left alone.
+def cma_es(centre: Array, size: float, spreads: Array, members: int, random: np.random.Generator) -> Any:
+    """Return a CMA-ES optimizer with ``ask`` and ``tell``; numpy's global generator is left alone.
 
     Parameters
     ----------
     centre : (k,) float64
-        Where it begins.
+        Initial point.
     size : float
-        Of its first spread, in parts of `spreads`.
+        Initial step size, in units of `spreads`.
     spreads : (k,) float64
-        Standard deviations of the coordinates beside each other.
+        Standard deviations of the coordinates relative to each other.
     members : int
         Points of a generation.
     random : Generator
-        Where its random numbers come from.
+        Source of its random numbers.
     """
     import cma
 

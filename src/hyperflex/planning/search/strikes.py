@@ -1,8 +1,8 @@
-"""Free swings in batch: where the rope first strikes the peg, and what its tail could do from there.
+"""Free swings in batch: the first strike of the rope on the peg, and the energy of its tail there.
 
-Nothing here knows of contact, so a swing costs some milliseconds. What it tells is no more than a promise: at the
-strike the rope's tail is taken as a body that turns about the peg, and its energy of turning is set against what lifts
-its centre of mass over the top.
+No contact is simulated, so a swing costs some milliseconds. The score is a heuristic: at the strike the tail is taken
+as a rigid body that turns about the peg, and its energy of turning is compared with the energy that lifts its centre of
+mass over the top.
 """
 
 from __future__ import annotations
@@ -16,83 +16,69 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.search.batch_rollout import finished
-from hyperflex.planning.wind.throw import Throw
-from hyperflex.simulation import simulate_batch
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.search.rollouts import simulate_swings
 
-SAMPLE_TIME = 0.02  # s, between looks at a swing
+SAMPLE_TIME = 0.02  # s
 COARSE_TOL = 1e-4  # m, of swings in a search; with 1e-3, no more than a quarter faster, the best were often errors
-NEAR = 0.02  # m, gap from which on the rope is said to strike
-ENOUGH, TURNS_ENOUGH = 2.0, 2.0  # energy ratio, and turns of tail, beyond which more does not count
-USED = 0.7  # turns' worth of tail that hangs from the peg in the end, and does not wind
-NEVER = -1.0  # score of a swing that strikes nothing, less its distance in metres
+NEAR = 0.02  # m, gap below which the rope counts as striking
+MAX_RATIO, MAX_TAIL = 2.0, 2.0  # energy ratio, and turns of tail, above which more does not count
+HANGING_TAIL = 0.7  # turns of tail that hang from the peg in the end and do not wind
+NEVER = -1.0  # score of a swing without a strike, less its distance in metres
 
 
 @dataclass(frozen=True, eq=False)
 class Strikes:
-    """First strikes of several swings (M,).
+    """First strikes of M swings.
 
     Attributes
     ----------
     score : (M,) float64
-        The more, the better; below 0 where nothing is struck.
-    ratio : (M,) float64
-        Energy of turning about the peg over what lifts the tail's centre over the top.
-    turns : (M,) float64
+        Greater is better; below 0 without a strike.
+    energy_ratio : (M,) float64
+        Energy of turning about the peg over the energy that lifts the tail's centre of mass over the top.
+    tail_turns : (M,) float64
         Length of the tail in turns about the peg.
     t : (M,) float64
-        Last sample before the strike, s; NaN where there is none.
+        Last sample before the strike, s; NaN without a strike.
     q, qd : (M, n) float64
-        State there.
+        State there, rad and rad/s.
     """
 
     score: Array
-    ratio: Array
-    turns: Array
+    energy_ratio: Array
+    tail_turns: Array
     t: Array
     q: Array
     qd: Array
 
-    def part(self, rows: Sequence[int]) -> Strikes:
-        """Some of them, each as often as it is asked for."""
+    def select(self, rows: Sequence[int]) -> Strikes:
+        """Return the strikes of some rows, each as often as it is named."""
         return Strikes(*(getattr(self, one.name)[list(rows)] for one in fields(self)))
 
 
-def fly(thrower: Thrower, peg: Peg, throws: Sequence[Throw], *, threads: int | None = None) -> Strikes:
-    """Let the rope swing freely under each throw and look for its first strike on a peg."""
-    return look(thrower, peg, [throw.motion(thrower.limits) for throw in throws], threads=threads)
-
-
-def look(thrower: Thrower, peg: Peg, motions: Sequence[Motion], *, threads: int | None = None) -> Strikes:
-    """Find the first strikes on a peg of a rope that swings freely under each motion, from rest at t = 0."""
-    rope = thrower.rope
-    count = round(thrower.time / SAMPLE_TIME)
+def simulate_strikes(
+    cast_setup: CastSetup, peg: Peg, motions: Sequence[Motion], *, threads: int | None = None
+) -> Strikes:
+    """Simulate free swings from rest at t = 0 under each motion (M,), and find their first strikes on a peg."""
+    count = round(cast_setup.time / SAMPLE_TIME)
     t: Array = SAMPLE_TIME * np.arange(1.0, count + 1.0)
-    batch = simulate_batch(
-        rope,
-        list(motions),
-        arm=thrower.arm,
-        duration=float(t[-1]),
-        t_eval=t,
-        tol=COARSE_TOL,
-        keep=("q", "qd"),
-        threads=threads,
-    )
-    finished(batch)
-    return found(thrower, peg, motions, t, batch.q, batch.qd)
+    batch = simulate_swings(cast_setup, motions, t, tol=COARSE_TOL, keep=("q", "qd"), threads=threads)
+    return find_strikes(cast_setup, peg, motions, t, batch.q, batch.qd)
 
 
-def found(thrower: Thrower, peg: Peg, motions: Sequence[Motion], t: Array, q: Array, qd: Array) -> Strikes:
+def find_strikes(cast_setup: CastSetup, peg: Peg, motions: Sequence[Motion], t: Array, q: Array, qd: Array) -> Strikes:
     """Find the first strikes in samples q, qd (M, T, n) at times t (T,) of free swings under motions (M,)."""
-    base = np.stack([arm_tip(thrower.arm, motion, t) for motion in motions])
-    base_velocity = np.stack([arm_tip_velocity(thrower.arm, motion, t) for motion in motions])
-    at, link, least = first(np.nan_to_num(q), base, thrower.rope.length, peg, thrower.rope.radius)
+    base, base_velocity = (
+        np.stack(each) for each in zip(*(arm_tip(cast_setup.arm, motion, t) for motion in motions), strict=True)
+    )
+    at, link, least = first_contact(np.nan_to_num(q), base, cast_setup.rope.length, peg, cast_setup.rope.radius)
     struck = (at > 0) & np.isfinite(q).all(axis=(1, 2))
     rows, at = np.arange(len(motions)), np.where(struck, at, 1)
-    ratio, left = promise(thrower, peg, (q[rows, at], qd[rows, at]), (base[rows, at], base_velocity[rows, at]), link)
-    tail = np.clip(left - USED, 0.0, TURNS_ENOUGH)
-    score = np.where(struck, np.minimum(ratio, ENOUGH) * tail, NEVER - least)
+    state, joint = (q[rows, at], qd[rows, at]), (base[rows, at], base_velocity[rows, at])
+    ratio, left = tail_energy(cast_setup, peg, state, joint, link)
+    tail = np.clip(left - HANGING_TAIL, 0.0, MAX_TAIL)
+    score = np.where(struck, np.minimum(ratio, MAX_RATIO) * tail, NEVER - least)
     return Strikes(
         np.nan_to_num(score, nan=2.0 * NEVER),
         np.where(struck, ratio, 0.0),
@@ -103,35 +89,30 @@ def found(thrower: Thrower, peg: Peg, motions: Sequence[Motion], t: Array, q: Ar
     )
 
 
-def arm_tip(arm: Arm, motion: Motion, t: Array) -> Array:
-    """Place of the rope's first joint (T, 2) at times t (T,), m."""
-    angle = motion.angle(t)
-    return np.asarray(np.stack([np.sin(angle), -np.cos(angle)], axis=-1) * arm.length + np.array(arm.pivot))
-
-
-def arm_tip_velocity(arm: Arm, motion: Motion, t: Array) -> Array:
-    """Velocity of the rope's first joint (T, 2) at times t (T,), m/s."""
+def arm_tip(arm: Arm, motion: Motion, t: Array) -> tuple[Array, Array]:
+    """Position, m, and velocity, m/s, of the rope's first joint (T, 2) at times t (T,), s."""
     angle, rate = motion.angle(t), motion.rate(t)
-    return np.asarray(np.stack([np.cos(angle), np.sin(angle)], axis=-1) * (arm.length * rate)[:, None])
+    position = np.stack([np.sin(angle), -np.cos(angle)], axis=-1) * arm.length + np.array(arm.pivot)
+    return position, np.stack([np.cos(angle), np.sin(angle)], axis=-1) * (arm.length * rate)[:, None]
 
 
-def first(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) -> tuple[Array, Array, Array]:
-    """Return the sample and the link of the first strike on a peg, and the smallest distance.
+def first_contact(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) -> tuple[Array, Array, Array]:
+    """Return the sample and the link of the first strike on a peg, and the smallest gap.
 
     Parameters
     ----------
     q : (M, T, n) rad
-    base : (M, T, 2) m, the rope's first joint
-    length : (n,) m, or (M, 1, n), each member's own
+    base : (M, T, 2) m, position of the rope's first joint
+    length : (n,) or (M, 1, n) m, of the links
     peg : Peg
     rope_radius : float, m
 
     Returns
     -------
     at : (M,) int64
-        Sample; 0 where nothing is struck.
+        Sample; 0 without a strike.
     link : (M,) int64
-    least : (M,) float64
+    gap : (M,) float64
         Smallest gap, m.
     """
     links = np.moveaxis(q, 2, 0)
@@ -155,8 +136,8 @@ def first(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) ->
     return at, link, np.maximum(gap.min(axis=(0, 2)), 0.0)
 
 
-def bodies(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
-    """Places and velocities of the links' centres of mass and of the tip (M, n + 1, 2), m, m/s.
+def mass_points(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
+    """Positions, m, and velocities, m/s, of the links' centres of mass and of the tip (M, n + 1, 2).
 
     Parameters
     ----------
@@ -175,21 +156,23 @@ def bodies(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tup
     )
 
 
-def promise(
-    thrower: Thrower, peg: Peg, state: tuple[Array, Array], base: tuple[Array, Array], link: Array
+def tail_energy(
+    cast_setup: CastSetup, peg: Peg, state: tuple[Array, Array], base: tuple[Array, Array], link: Array
 ) -> tuple[Array, Array]:
-    """Return the energy ratio and the turns of tail (M,) of strikes with link `link` (M,) in given states.
+    """Return the energy ratio and the turns of tail (M,) of strikes with link `link` (M,); see :class:`Strikes`.
 
     Parameters
     ----------
-    thrower : Thrower
+    cast_setup : CastSetup
     peg : Peg
-    state : q, qd, (M, n) each
-    base : place and velocity of the first joint, (M, 2) each
+    state : (q, qd), (M, n) each
+        rad, rad/s.
+    base : (position, velocity) of the first joint, (M, 2) each
+        m, m/s.
     link : (M,) int64
     """
-    rope = thrower.rope
-    places, speeds = bodies(rope, *state, *base)
+    rope = cast_setup.rope
+    places, speeds = mass_points(rope, *state, *base)
     places -= np.array([peg.x, peg.y])
     mass = np.append(rope.mass, rope.tip_mass) * (np.arange(rope.n_links + 1) >= link[:, None])
     momentum = (mass * (places[..., 0] * speeds[..., 1] - places[..., 1] * speeds[..., 0])).sum(axis=1)

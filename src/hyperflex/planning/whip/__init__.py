@@ -1,1 +1,1 @@
-"""Whips: the tip passes a point fast, in a wanted direction."""
+"""Whips: the tip passes a point fast, in a given direction."""

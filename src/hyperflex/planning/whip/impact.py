@@ -1,4 +1,4 @@
-"""The blow of a whip on something small that stands at its target: impulse and energy from a run with contact."""
+"""The impact of a whip on a small peg at its target: impulse and energy from a run with contact."""
 
 from __future__ import annotations
 
@@ -10,57 +10,67 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.model import DEFAULT_CONTACT_STEP, Peg
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.whip.tip_target import Mark
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 
-RADIUS, BLOW, WINDOW = 0.01, 0.05, 0.15  # m, s, s: a peg to strike; how long a blow is watched; when it is expected
-SUDDEN = 0.01  # part of the energy lost in a blow from which on a sample's loss is that of an impact
+IMPACT_RADIUS, IMPACT_TIME, WINDOW = (
+    0.01,
+    0.05,
+    0.15,
+)  # m, s, s: radius of the peg; duration of an impact; before and after it
+SUDDEN = 0.01  # fraction of the lost energy above which a sample's loss is that of a collision
 
 
 @dataclass(frozen=True)
 class Impact:
-    """A whip's blow on a small fixed peg whose surface is at the target.
+    """Impact of a whip on a small fixed peg whose surface is at the target.
 
     Attributes
     ----------
     t : float
-        When the rope first touches it, s; NaN if it does not, and then the rest is 0.
+        Time of the first touch, s; NaN if the rope does not touch the peg, and then the rest is 0.
     impulse : float
-        What the peg takes up in BLOW seconds, N s.
-    along : float
-        Its part in the asked direction, N s.
+        Impulse on the peg in IMPACT_TIME seconds, N s.
+    impulse_along : float
+        Its component in the asked direction, N s.
     energy : float
-        Energy that is lost to the blow, J.
+        Energy lost in the impact, J.
     link : int
-        That strikes first, counted from the motor; -1 if none does.
+        First link in contact, counted from the motor; -1 if none is.
     """
 
     t: float
     impulse: float
-    along: float
+    impulse_along: float
     energy: float
     link: int
 
 
-def impact(
-    thrower: Thrower, mark: Mark, motion: Motion, near: float, *, radius: float = RADIUS, mu: float = 0.3
+def simulate_impact(
+    cast_setup: CastSetup,
+    target: TipTarget,
+    motion: Motion,
+    near: float,
+    *,
+    radius: float = IMPACT_RADIUS,
+    mu: float = 0.3,
 ) -> Impact:
-    """Run a motion beside a small fixed peg at the target and measure the blow.
+    """Simulate a motion beside a small fixed peg at the target and measure the impact.
 
     Parameters
     ----------
-    thrower : Thrower
-    mark : Mark
+    cast_setup : CastSetup
+    target : TipTarget
         The peg lies behind it in the asked direction, so that the tip touches the peg where it passes the target.
     motion : Motion
     near : float
-        When the blow is expected, s.
+        Expected time of the impact, s.
     radius : float
         Of the peg, m.
     mu : float
-        Friction on it.
+        Friction coefficient of the peg.
 
     Raises
     ------
@@ -68,13 +78,15 @@ def impact(
         If the run fails.
     """
     radius = checks.number("radius", radius, sign="positive", unit="m")
-    way = np.array([np.cos(mark.direction), np.sin(mark.direction)])
-    x, y = mark.point + (radius + thrower.rope.radius) * way
+    way = np.array([np.cos(target.direction), np.sin(target.direction)])
+    x, y = target.point + (radius + cast_setup.rope.radius) * way
     step = 0.5 * DEFAULT_CONTACT_STEP
     begin = max(step, near - WINDOW)
-    t = np.append(0.0, begin + step * np.arange(np.ceil((near - begin + WINDOW + BLOW) / step)))
+    t = np.append(0.0, begin + step * np.arange(np.ceil((near - begin + WINDOW + IMPACT_TIME) / step)))
     peg = Peg(float(x), float(y), radius, mu)
-    run = simulate(thrower.rope, motion, arm=thrower.arm, duration=float(t[-1]), t_eval=t, pegs=[peg], refine=False)
+    run = simulate(
+        cast_setup.rope, motion, arm=cast_setup.arm, duration=float(t[-1]), t_eval=t, pegs=[peg], refine=False
+    )
     loss = np.asarray(run.contact_loss)
     force = -np.asarray(run.contact_force)  # on the peg
     touched = (loss > loss[1]) | (np.abs(force).sum(axis=(1, 2)) > 0.0)
@@ -82,22 +94,22 @@ def impact(
     if not touched.any():
         return Impact(float("nan"), 0.0, 0.0, 0.0, -1)
     first = int(touched.argmax())
-    last = min(first + round(BLOW / step), t.size - 1)
+    last = min(first + round(IMPACT_TIME / step), t.size - 1)
     energy = float(loss[last] - loss[first - 1])
     total = step * force[first : last + 1].sum(axis=(0, 1))
     for k in range(first, last + 1):
         if loss[k] - loss[k - 1] > SUDDEN * energy:
-            total = total - struck(run, peg, k)
+            total = total - collision_impulse(run, peg, k)
     link = _touching(run, peg, first)[0]
     return Impact(float(run.t[first]), float(np.hypot(*total)), float(total @ way), energy, link)
 
 
-def struck(run: Trajectory, peg: Peg, k: int) -> Array:
-    """Impulse (2,) of an impact on the rope between samples k - 1 and k, N s.
+def collision_impulse(run: Trajectory, peg: Peg, k: int) -> Array:
+    """Impulse (2,), N s, of a collision on the rope between samples k - 1 and k.
 
     From the jump of the generalised momenta: an impulse P at distance s along link c changes that of link i by
-    l_i t_i P before c, by s t_c P at c and not beyond, with t_i across link i. Forces of the same short time are left
-    out.
+    l_i t_i P before c, by s t_c P at c and not beyond, with t_i across link i. Finite
+    forces are neglected.
     """
     length = run.setup.rope.length
     link, along = _touching(run, peg, k)
@@ -109,7 +121,7 @@ def struck(run: Trajectory, peg: Peg, k: int) -> Array:
 
 
 def momenta(run: Trajectory, k: int) -> Array:
-    """Generalised momentum of each link's angle at sample k (n,), N m s."""
+    """Generalised momenta (n,) of the links' angles at sample k, N m s."""
     rope = run.setup.rope
     across = np.stack([np.cos(run.q[k]), np.sin(run.q[k])], axis=-1)
     spin = run.qd[k][:, None] * across

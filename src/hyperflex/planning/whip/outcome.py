@@ -1,4 +1,4 @@
-"""What a whip does at its target in a verified run."""
+"""The outcome of a whip in a simulated run: the peak of the tip's speed at the target."""
 
 from __future__ import annotations
 
@@ -9,86 +9,92 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.whip.tip_target import Mark, peaks
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.whip.tip_target import TipTarget, find_peaks
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 
 TOL = 1e-7  # m
-SAMPLE_TIME, WINDOW = 2e-3, 0.15  # s: between samples; how far from the time that is expected a peak is looked for
+SAMPLE_TIME, WINDOW = 2e-3, 0.15  # s: of the run; greatest distance of the peak from the expected time
 
 
 @dataclass(frozen=True, eq=False)
-class Lash:
-    """The greatest peak of the tip's speed about the expected time, in a simulated run.
+class TipStrike:
+    """The highest peak of the tip's speed about the expected time, in a simulated run.
 
     Attributes
     ----------
     t : float
-        When, s.
+        Time of the peak, s.
     place, velocity : (2,) float64
         Of the tip, m, m/s.
     miss : float
         Distance from the target, m.
-    off : float
-        Angle between velocity and the asked direction, rad.
-    before : float
-        Greatest speed of the tip before, m/s.
-    reason : str
-        Why it is not what was asked, the miss aside; empty if it is.
-    run : Trajectory
+    angle_error : float
+        Angle between velocity and the asked direction, rad, >= 0.
+    earlier_speed : float
+        Greatest speed of the tip at a peak before, m/s.
+    torque : float
+        Greatest motor torque, N m.
+    message : str
+        What fails besides the miss: speed or direction; empty if they are as asked.
+    n_links : int
+        Links of the simulated rope.
+    run : Trajectory or None
+        The run; None if the outcome was read from a file.
     """
 
     t: float
     place: Array
     velocity: Array
     miss: float
-    off: float
-    before: float
-    reason: str
-    run: Trajectory
+    angle_error: float
+    earlier_speed: float
+    torque: float
+    message: str
+    n_links: int
+    run: Trajectory | None = None
 
     @property
     def speed(self) -> float:
         """Speed of the tip, m/s."""
         return float(np.hypot(*self.velocity))
 
-    @property
-    def torque(self) -> float:
-        """Greatest torque that the arm's motion asks of the motor for the rope, N m."""
-        return float(np.abs(self.run.motor_torque).max())
 
+def verify_whip(
+    cast_setup: CastSetup, target: TipTarget, motion: Motion, near: float, *, tol: float = TOL
+) -> TipStrike | None:
+    """Simulate a motion from rest and find the highest peak of the tip's speed about time `near`, s.
 
-def lash(thrower: Thrower, mark: Mark, motion: Motion, near: float, *, tol: float = TOL) -> Lash | None:
-    """Run a motion from rest and find the greatest peak of the tip's speed about time `near`, s.
-
-    None where the run fails or has no peak there.
+    Returns None if the run fails or has no peak there.
     """
     t = SAMPLE_TIME * np.arange(np.ceil((near + WINDOW) / SAMPLE_TIME) + 1.0)
     try:
-        run = simulate(thrower.rope, motion, arm=thrower.arm, duration=float(t[-1]), t_eval=t, tol=tol)
+        run = simulate(cast_setup.rope, motion, arm=cast_setup.arm, duration=float(t[-1]), t_eval=t, tol=tol)
     except SimulationError:
         return None
-    found = peaks(run.t, run.tip[None], run.tip_velocity[None])
+    found = find_peaks(run.t, run.tip[None], run.tip_velocity[None])
     about = np.abs(found.t - near) < WINDOW
     if not about.any():
         return None
     k = int(np.where(about, found.speed, 0.0).argmax())
     earlier = found.speed[found.t < found.t[k]]
-    place, velocity = found.place[k], found.velocity[k]
-    off, speed = abs(float(mark.off(velocity))), float(found.speed[k])
-    reason = ""
-    if speed < mark.speed:
-        reason = f"the tip's speed is {speed:.2f} m/s, and {mark.speed:g} is asked"
-    elif off > mark.within:
-        reason = f"the tip's direction is {np.degrees(off):.0f} degrees off, {np.degrees(mark.within):.0f} allowed"
-    return Lash(
-        float(found.t[k]),
-        place,
-        velocity,
-        float(np.hypot(*(place - mark.point))),
-        off,
-        float(earlier.max(initial=0.0)),
-        reason,
-        run,
+    error, speed = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k])
+    message = ""
+    if speed < target.speed:
+        message = f"the tip's speed is {speed:.2f} m/s, and {target.speed:g} is asked"
+    elif error > target.angle_tolerance:
+        allowed = np.degrees(target.angle_tolerance)
+        message = f"the tip's direction is {np.degrees(error):.0f} degrees off, {allowed:.0f} allowed"
+    return TipStrike(
+        t=float(found.t[k]),
+        place=found.place[k],
+        velocity=found.velocity[k],
+        miss=float(np.hypot(*(found.place[k] - target.point))),
+        angle_error=error,
+        earlier_speed=float(earlier.max(initial=0.0)),
+        torque=float(np.abs(run.motor_torque).max()),
+        message=message,
+        n_links=run.q.shape[1],
+        run=run,
     )

@@ -1,136 +1,273 @@
-"""The course of a whip's plan: one swing of the map after the other is aimed, and the best ones are verified."""
+"""Plan a whip: swings of a map are aimed at the target one after the other, and the best ones are verified."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from hyperflex.model import divided
-from hyperflex.planning.cast_setup import Thrower
+from hyperflex import checks
+from hyperflex.control import swing_period
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, Rope, divided
+from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.time_budget import Clock
-from hyperflex.planning.whip.aim import Aim, aimed
-from hyperflex.planning.whip.outcome import Lash, lash
-from hyperflex.planning.whip.search import WhipMap, WhipSearch
-from hyperflex.planning.whip.tip_target import Mark
+from hyperflex.planning.whip.aim import AimedPeak, aim_peak
+from hyperflex.planning.whip.outcome import TipStrike, verify_whip
+from hyperflex.planning.whip.search import (
+    WhipFeasibility,
+    WhipMap,
+    WhipSearch,
+    build_whip_map,
+    check_whip_feasibility,
+    pivot_distance,
+)
+from hyperflex.planning.whip.tip_target import TipTarget
+from hyperflex.planning.whip.whip_plan import WhipPlan
+from hyperflex.simulation.rollouts import progress_bar
 
-TRIED = 8  # peaks of the map that are aimed as they are
-READY, GENERATIONS = 0.06, 16  # m, cost from which on a swing is aimed; of a search before it
-PLANS = 3  # whips that meet the target, of which the least uncertain one that stands is taken
-MEETS = 1e-3  # m, from the target
-# m. Finer links are another model of the same rope, and no plan can meet both within MEETS. What they move the peak by
-# counts where it is more than a few times that, and more than what the plan says of its own doubt (one sd).
-FINER_MEETS = 3.0 * MEETS
+TIME_BUDGET, PERIODS = 30.0, 3.0  # s; swing periods within which the tip strikes by default
+DIRECT = 8  # peaks of the map that are aimed as they are
+READY, GENERATIONS = 0.06, 16  # m, cost below which a swing is aimed; generations of a search before
+PLANS = 3  # whips that meet the target, of which the least uncertain one that succeeds is taken
+MAX_MISS = 1e-3  # m
+# m. A rope with finer links is another model of the same rope, and no plan can meet both within MAX_MISS. Its miss
+# counts if it is more than a few times that, and more than the standard deviation of the place.
+MAX_FINER_MISS = 3.0 * MAX_MISS
 FINER = 2  # pieces of each link in the second verification
 
 
 class Verified(NamedTuple):
-    """A whip with what the tip does in simulated runs with the links as planned, and half as long; why it fails."""
+    """A whip with its outcomes, with the links as planned and half as long; the message tells why it fails."""
 
-    aim: Aim
-    lash: Lash | None
-    finer: Lash | None
-    reason: str
+    aim: AimedPeak
+    outcome: TipStrike | None
+    finer_outcome: TipStrike | None
+    message: str
 
 
-class WhipCourse:
-    """From one swing of the map after the other, until enough of them meet the target or patience ends.
+class WhipPlanner:
+    """Aims swings of a map until enough of them meet the target or the time is over.
 
     Parameters
     ----------
-    known : WhipMap
-    mark : Mark
-    patience : float
-        s, what compiling kernels takes aside.
+    whip_map : WhipMap
+    target : TipTarget
+    time_budget : float
+        Without compiling, s.
     seed : int
     threads : int, optional
     """
 
-    def __init__(self, known: WhipMap, mark: Mark, patience: float, seed: int, threads: int | None) -> None:
-        self.known, self.mark, self.patience, self.seed, self.threads = known, mark, patience, seed, threads
-        self.finer = replace(known.thrower, rope=divided(known.thrower.rope, FINER))
+    def __init__(
+        self, whip_map: WhipMap, target: TipTarget, time_budget: float, seed: int, threads: int | None
+    ) -> None:
+        self.whip_map, self.target, self.time_budget = whip_map, target, time_budget
+        self.seed, self.threads = seed, threads
+        self.cast_setup = whip_map.cast_setup
+        self.finer = replace(self.cast_setup, rope=divided(self.cast_setup.rope, FINER))
         self.clock, self.runs = Clock(), 0
-        self.aims: list[Aim] = []
+        self.aims: list[AimedPeak] = []
 
-    def go(self, report: Callable[[float], None] | None) -> None:
-        """Aim until there are enough whips, or no time is left."""
-        nearest = self.known.nearest(self.mark)
-        for found in nearest[:TRIED]:
-            if self.add(aimed(self.known.thrower, self.mark, found), report):
+    def run(self, report: Callable[[float], None] | None) -> None:
+        """Aim until there are enough whips, or no time is left; `report` gets the time spent, s."""
+        candidates = self.whip_map.candidates(self.target)
+        for found in candidates[:DIRECT]:
+            if self.add(aim_peak(self.cast_setup, self.target, found), report):
                 return
-        for number, found in enumerate(nearest):
-            search = WhipSearch(self.known.thrower, self.mark, found, self.seed + number, self.threads)
+        for number, found in enumerate(candidates):
+            search = WhipSearch(self.cast_setup, self.target, found, self.seed + number, self.threads)
             for _ in range(GENERATIONS):
-                if search.found.cost < READY or self.clock.spent > self.patience:
+                if search.best.cost < READY or self.clock.spent > self.time_budget:
                     break
                 search.step()
             self.runs += search.runs
-            if self.add(aimed(self.known.thrower, self.mark, search.found), report):
+            if self.add(aim_peak(self.cast_setup, self.target, search.best), report):
                 return
 
-    def add(self, aim: Aim | None, report: Callable[[float], None] | None) -> bool:
-        """Keep a whip; tells whether there are enough, or no time is left."""
+    def add(self, aim: AimedPeak | None, report: Callable[[float], None] | None) -> bool:
+        """Keep a whip; return whether there are enough, or no time is left."""
         if aim is not None:
             self.aims.append(aim)
             self.aims.sort(key=self.rank)
         if report is not None:
-            report(min(self.clock.spent, self.patience))
-        return self.clock.spent > self.patience or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
+            report(min(self.clock.spent, self.time_budget))
+        return self.clock.spent > self.time_budget or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
 
-    def rank(self, aim: Aim) -> tuple[float, float]:
-        """The less, the better: by how much a whip fails, then how uncertain it is."""
-        miss = float(np.hypot(*(aim.place - self.mark.point)))
-        beyond = max(0.0, abs(float(self.mark.off(aim.velocity))) - self.mark.within)
-        slow = max(0.0, 1.0 - aim.speed / self.mark.speed)
-        return max(0.0, miss - MEETS) + beyond + slow, aim.doubt
+    def rank(self, aim: AimedPeak) -> tuple[float, float]:
+        """By how much a whip fails, then how uncertain it is; less is better."""
+        miss = float(np.hypot(*(aim.place - self.target.point)))
+        beyond = max(0.0, abs(float(self.target.angle_error(aim.velocity))) - self.target.angle_tolerance)
+        slow = max(0.0, 1.0 - aim.speed / self.target.speed)
+        return max(0.0, miss - MAX_MISS) + beyond + slow, aim.position_std
 
     def verified(self) -> tuple[Verified | None, bool]:
-        """Verify the best whip, and while none stands those after it that meet the target as the search sees it.
+        """Verify the best whip, and while none succeeds those after it that meet the target by the search.
 
         Returns
         -------
         best : Verified or None
-            The first that stands; if none does, the first. None where no whip was found.
+            The first that succeeds, else the first. None if no whip was found.
         interrupted : bool
-            Ctrl-C came.
+            Whether Ctrl-C came.
         """
         best = Verified(self.aims[0], None, None, "interrupted before it was verified") if self.aims else None
         try:
             for number, aim in enumerate(self.aims[:PLANS]):
                 if number and self.rank(aim)[0] > 0.0:
                     break
-                seen = verify(self.known.thrower, self.finer, self.mark, aim)
-                if number == 0 or not seen.reason:
+                seen = verify_both(self.cast_setup, self.finer, self.target, aim)
+                if number == 0 or not seen.message:
                     best = seen
-                if not seen.reason:
+                if not seen.message:
                     break
         except KeyboardInterrupt:
             return best, True
         return best, False
 
 
-def verify(thrower: Thrower, finer: Thrower, mark: Mark, aim: Aim) -> Verified:
-    """Simulate a whip as exactly as the library can, and with the links of a finer thrower."""
-    motion = aim.strokes.motion(thrower.limits)
-    seen, again = (lash(each, mark, motion, aim.t) for each in (thrower, finer))
-    return Verified(aim, seen, again, why_not(thrower, seen, again, aim.doubt))
+def verify_both(cast_setup: CastSetup, finer: CastSetup, target: TipTarget, aim: AimedPeak) -> Verified:
+    """Simulate a whip at a tight tolerance, with the links as planned and with those of a finer set-up."""
+    motion = aim.strokes.motion(cast_setup.limits)
+    outcome, again = (verify_whip(each, target, motion, aim.t) for each in (cast_setup, finer))
+    return Verified(aim, outcome, again, failure(cast_setup, outcome, again, aim.position_std))
 
 
-def why_not(thrower: Thrower, seen: Lash | None, finer: Lash | None, doubt: float) -> str:
-    """Say why a whip fails, "" if it does not; `doubt` is its peak's standard deviation, m."""
-    if seen is None:
+def failure(cast_setup: CastSetup, outcome: TipStrike | None, finer: TipStrike | None, position_std: float) -> str:
+    """Return why a whip fails, empty if it succeeds; `position_std` is the standard deviation of its place, m."""
+    if outcome is None:
         return "in the verified run the tip's speed has no peak there"
-    if seen.reason:
-        return seen.reason
-    if seen.miss > MEETS:
-        return f"the tip misses the target by {1e3 * seen.miss:.1f} mm"
-    if seen.torque > thrower.limits.torque:
-        return f"it asks {seen.torque:.3g} N m of a motor that gives {thrower.limits.torque:.3g}"
+    if outcome.message:
+        return outcome.message
+    if outcome.miss > MAX_MISS:
+        return f"the tip misses the target by {1e3 * outcome.miss:.1f} mm"
+    if outcome.torque > cast_setup.limits.torque:
+        return f"it asks {outcome.torque:.3g} N m of a motor that gives {cast_setup.limits.torque:.3g}"
     if finer is None:
         return "with links of half the length the tip's speed has no peak there"
-    allowed = max(FINER_MEETS, doubt)
+    allowed = max(MAX_FINER_MISS, position_std)
     if finer.miss > allowed:
         return f"with links of half the length it misses by {1e3 * finer.miss:.1f} mm, {1e3 * allowed:.1f} allowed"
     return ""
+
+
+def plan_whip(
+    rope: Rope,
+    arm: Arm,
+    point: npt.ArrayLike,
+    direction: npt.ArrayLike | None = None,
+    limits: MotorLimits | None = None,
+    *,
+    least_speed: float = 5.0,
+    angle_tolerance: float = math.radians(20.0),
+    time_limit: float | None = None,
+    time_budget: float = TIME_BUDGET,
+    skip_feasibility: bool = False,
+    whip_map: WhipMap | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: bool = False,
+) -> WhipPlan:
+    """Plan how an arm whips its rope so that the tip passes a point at a peak of its speed.
+
+    Parameters
+    ----------
+    rope, arm : Rope, Arm
+        The rope hangs at rest from the arm, which points to one side.
+    point : (2,) array_like
+        Place of the tip at the peak, m.
+    direction : (2,) array_like, optional
+        Direction of the tip's velocity there: a vector of any length but 0. By default any direction.
+    limits : MotorLimits, optional
+        Of the motor; by default the paper's.
+    least_speed : float
+        Of the tip, m/s.
+    angle_tolerance : float
+        Greatest angle between the tip's velocity and the direction, rad; not used without a direction.
+    time_limit : float, optional
+        Time within which the tip must be there, s; by default that of the map if one is given, else three periods of
+        the rope's swing.
+    time_budget : float
+        Time to search, s, without the map, verifications and compiling.
+    skip_feasibility : bool
+        Search even for a target that the feasibility check calls out of reach.
+    whip_map : WhipMap, optional
+        Of the same rope, arm, limits and time, from :func:`build_whip_map`; by default it is built, which takes some
+        seconds.
+    seed : int
+        Of the search.
+    threads : int, optional
+        One a processor by default.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    WhipPlan
+        Ctrl-C ends map, search and verification; the plan is the best until then.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument is out of range or of another class, or a link's centre of mass is not in its middle: the second
+        verification cuts it in two.
+    """
+    clock = Clock()
+    target = TipTarget.at(point, direction, least_speed, angle_tolerance)
+    time_budget = checks.number("time_budget", time_budget, sign="positive", unit="s")
+    seed = checks.count("seed", seed, least=0)
+    if time_limit is not None:
+        time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
+    cast_setup = _cast_setup(rope, arm, limits, time_limit, whip_map)
+
+    def plan(
+        known: WhipFeasibility, message: str, runs: int = 0, interrupted: bool = False, **found: object
+    ) -> WhipPlan:
+        told = {"message": message, "runs": runs, "seconds": clock.elapsed, "interrupted": interrupted}
+        return WhipPlan(cast_setup, target, known, **told | found)  # type: ignore[arg-type]
+
+    if whip_map is None:
+        try:
+            whip_map = build_whip_map(cast_setup, threads=threads)
+        except KeyboardInterrupt:
+            distance = pivot_distance(cast_setup, target)
+            known = WhipFeasibility(distance, math.inf, "interrupted before that was known")
+            return plan(known, "interrupted before the map of swings was made", interrupted=True)
+    known = check_whip_feasibility(whip_map, target)
+    if not math.isfinite(known.cost) or not (known.feasible or skip_feasibility):
+        return plan(known, known.message)
+    planner = WhipPlanner(whip_map, target, time_budget, seed, threads)
+    interrupted = False
+    with progress_bar(0.0, time_budget, progress, "planning") as report:
+        try:
+            planner.run(report)
+        except KeyboardInterrupt:
+            interrupted = True
+    best, again = planner.verified()
+    interrupted = interrupted or again
+    if best is None:
+        message = "interrupted before any whip was found" if interrupted else "no peak of the tip's speed comes near it"
+        return plan(known, message, planner.runs, interrupted)
+    aim, outcome, finer, message = best
+    found = {"strokes": aim.strokes, "position_std": aim.position_std}
+    return plan(known, message, planner.runs, interrupted, outcome=outcome, finer_outcome=finer, **found)
+
+
+def _cast_setup(
+    rope: Rope, arm: Arm, limits: MotorLimits | None, time_limit: float | None, whip_map: WhipMap | None
+) -> CastSetup:
+    """Return the set-up of the map, if there is one, which must be the one that is asked for."""
+    if whip_map is None:
+        usual = PERIODS * swing_period(rope)
+        return CastSetup(rope, arm, limits or MotorLimits(), usual if time_limit is None else time_limit)
+    made = whip_map.cast_setup
+    if made.rope != rope or made.arm != arm or limits not in (None, made.limits) or time_limit not in (None, made.time):
+        raise InvalidInput(
+            "map was made for another rope, arm, motor or time",
+            fix="Make one: build_whip_map(CastSetup(rope, arm, limits, time_limit))",
+        )
+    return made

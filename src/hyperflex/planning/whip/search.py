@@ -1,7 +1,8 @@
-"""The search for a whip: a coarse map of where free swings peak, and CMA-ES from its nearest peaks."""
+"""The search for a whip: a map of the peaks of random swings, the feasibility check by it, and CMA-ES from a peak."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,22 +11,32 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.search.evolution import evolution
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.search.evolution import cma_es
 from hyperflex.planning.whip.strokes import Strokes
-from hyperflex.planning.whip.tip_target import NEVER, SAMPLE_TIME, Mark, Peaks, cheapest, costs, peaks, swung
+from hyperflex.planning.whip.tip_target import (
+    NEVER,
+    SAMPLE_TIME,
+    Peaks,
+    TipTarget,
+    cheapest_peaks,
+    find_peaks,
+    peak_costs,
+    simulate_tips,
+)
 
 SWINGS, SEED = 512, 1  # of a map
-STROKES, STEPS = (0.3, 1.1), (0.35, 0.65)  # half turns; periods from stroke to stroke: what a map's swings begin with
-SPREAD_ENDS, SPREAD_RESTS = 0.15, 0.06  # half turns, periods: how its strokes differ from each other
+STROKES, STEPS = (0.3, 1.1), (0.35, 0.65)  # half turns; periods from stroke to stroke: means of a map's swings
+SPREAD_ENDS, SPREAD_RESTS = 0.15, 0.06  # half turns, periods: standard deviations in a swing of the map
 MEMBERS = 16  # of a generation
-LEAST_TIME = 2.0 * SAMPLE_TIME  # s; a peak is seen between three looks
-NARROW = 0.3  # spread of a search about a peak of the map, in parts of that of the map's swings
-APART = 0.1  # half turns or periods by which swings differ if a search shall start from both
+MIN_TIME = 2.0 * SAMPLE_TIME  # s; a peak needs three samples
+NARROW = 0.3  # step size of CMA-ES about a peak, relative to the map's standard deviations
+MAX_COST = 0.12  # m, cost of the cheapest peak of the map up to which a target is feasible
+AROUND = 0.25  # m, within which the highest speed is reported
 
 
-class Found(NamedTuple):
-    """A whip that was found, its cost, m, and when its peak is, s."""
+class WhipCandidate(NamedTuple):
+    """Strokes with their cost, m, and the time of their peak, s."""
 
     cost: float
     t: float
@@ -34,102 +45,179 @@ class Found(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WhipMap:
-    """Peaks of the tip's speed in random swings of a thrower: what is reachable, roughly.
+    """Peaks of the tip's speed in random swings: roughly what is feasible.
 
     Attributes
     ----------
-    thrower : Thrower
+    cast_setup : CastSetup
     strokes : tuple of Strokes
-        Its swings.
+        Of each swing.
     peaks : Peaks
     """
 
-    thrower: Thrower
+    cast_setup: CastSetup
     strokes: tuple[Strokes, ...]
     peaks: Peaks
 
-    def nearest(self, mark: Mark) -> list[Found]:
-        """Return the best peak of each swing for a target, the cheapest first."""
-        cost = costs(mark, self.peaks)
-        best = cheapest(cost, self.peaks.row, len(self.strokes))
-        found = [Found(float(cost[k]), float(self.peaks.t[k]), self.strokes[self.peaks.row[k]]) for k in best if k >= 0]
+    def candidates(self, target: TipTarget) -> list[WhipCandidate]:
+        """Return the cheapest peak of each swing for a target, the cheapest first.
+
+        Parameters
+        ----------
+        target : TipTarget
+        """
+        cost, t = peak_costs(target, self.peaks), self.peaks.t
+        best = cheapest_peaks(cost, self.peaks.row, len(self.strokes))
+        found = [WhipCandidate(float(cost[k]), float(t[k]), self.strokes[self.peaks.row[k]]) for k in best if k >= 0]
         return sorted(found, key=lambda one: one.cost)
 
 
-def times(thrower: Thrower) -> Array:
-    """When a search looks at a swing (T,), s."""
-    return np.asarray(SAMPLE_TIME * np.arange(round(thrower.time / SAMPLE_TIME) + 1.0))
+@dataclass(frozen=True)
+class WhipFeasibility:
+    """Result of the feasibility check of a target.
+
+    Attributes
+    ----------
+    distance : float
+        From the arm's pivot, m.
+    cost : float
+        Of the cheapest peak of the map, m: its distance from the target, and more if its speed or direction are not as
+        asked.
+    message : str
+        Why the target is not feasible; empty if it is.
+    """
+
+    distance: float
+    cost: float
+    message: str
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the target is feasible."""
+        return not self.message
 
 
-def whip_map(thrower: Thrower, swings: int = SWINGS, threads: int | None = None) -> WhipMap:
-    """Swing a rope `swings` times, at random but always in the same way, and note the peaks of its tip's speed.
+def pivot_distance(cast_setup: CastSetup, target: TipTarget) -> float:
+    """Distance of a target from the arm's pivot, m."""
+    return math.hypot(target.x - cast_setup.arm.pivot[0], target.y - cast_setup.arm.pivot[1])
+
+
+def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibility:
+    """Check whether a target is close enough to a peak of a map."""
+    cast_setup = whip_map.cast_setup
+    distance = pivot_distance(cast_setup, target)
+    short = distance - cast_setup.rope.total_length - cast_setup.arm.length
+    if short > 0.0:
+        return WhipFeasibility(distance, math.inf, f"out of reach: the rope ends {short:.2f} m short of the target")
+    near = whip_map.candidates(target)
+    cost = near[0].cost if near else math.inf
+    if cost <= MAX_COST:
+        return WhipFeasibility(distance, cost, "")
+    fast = whip_map.peaks.speed[np.hypot(*(whip_map.peaks.place - target.point).T) < AROUND]
+    message = (
+        f"out of reach: the tip is not that fast so near to it, {fast.max():.1f} m/s at most, or not in that direction"
+        if fast.size
+        else "out of reach: the tip's speed has no peak so near to it"
+    )
+    return WhipFeasibility(distance, cost, message)
+
+
+def sample_times(cast_setup: CastSetup) -> Array:
+    """Times (T,), s, at which a search samples a swing."""
+    return np.asarray(SAMPLE_TIME * np.arange(round(cast_setup.time / SAMPLE_TIME) + 1.0))
+
+
+def simulate_peaks(cast_setup: CastSetup, strokes: list[Strokes], threads: int | None = None) -> Peaks:
+    """Simulate free swings and find the peaks of the tip's speed."""
+    t, motions = sample_times(cast_setup), [each.motion(cast_setup.limits) for each in strokes]
+    return find_peaks(t, *simulate_tips(cast_setup, motions, t, threads=threads))
+
+
+def build_whip_map(cast_setup: CastSetup, swings: int = SWINGS, threads: int | None = None) -> WhipMap:
+    """Simulate random swings, the same ones each time, and find the peaks of the tip's speed.
+
+    Parameters
+    ----------
+    cast_setup : CastSetup
+    swings : int
+    threads : int, optional
+        One a processor by default.
 
     Raises
     ------
     InvalidInput
-        If the time within which the tip must be there is too short to look at any swing.
+        If the time of the set-up is too short for a peak.
     KeyboardInterrupt
-        If Ctrl-C comes meanwhile; part of a map is of no use.
+        If Ctrl-C ended the batch; a part of a map is of no use.
     """
-    if thrower.time < LEAST_TIME:
+    if cast_setup.time < MIN_TIME:
         raise InvalidInput(
             "time_limit is too short for any whip",
-            got=thrower.time,
-            allowed=f"at least {LEAST_TIME:g} s; three periods of the rope's swing are usual",
+            got=cast_setup.time,
+            allowed=f"at least {MIN_TIME:g} s; three periods of the rope's swing are usual",
         )
-    rng, limits, period = np.random.default_rng(SEED), thrower.limits, swing_period(thrower.rope)
+    rng, limits, period = np.random.default_rng(SEED), cast_setup.limits, swing_period(cast_setup.rope)
     strokes = []
     for number in range(swings):
         side = 1 if number % 2 else -1
         stroke, step = np.pi * rng.uniform(*STROKES), period * rng.uniform(*STEPS)
-        rest = max(0.0, step - float(limits.fastest([stroke])[0][0]))
-        count = max(1, int(np.ceil(thrower.time / step)))
+        rest = max(0.0, step - float(limits.fastest_moves([stroke])[0][0]))
+        count = max(1, int(np.ceil(cast_setup.time / step)))
         ends = 0.5 * side * np.pi - side * stroke * (np.arange(count) % 2 == 0)
         ends = ends + np.pi * SPREAD_ENDS * rng.standard_normal(count)
         rests = np.abs(rest + period * SPREAD_RESTS * rng.standard_normal(count))
         strokes.append(Strokes(side, ends, rests))
-    t = times(thrower)
-    runs = swung(thrower, [each.motion(limits) for each in strokes], t, threads=threads)
-    return WhipMap(thrower, tuple(strokes), peaks(t, *runs))
+    return WhipMap(cast_setup, tuple(strokes), simulate_peaks(cast_setup, strokes, threads))
 
 
 class WhipSearch:
-    """CMA-ES on the strokes of a swing, about one that nearly meets a target.
+    """CMA-ES over strokes, about a swing that nearly meets a target.
 
     Parameters
     ----------
-    thrower : Thrower
-    mark : Mark
-    begin : Found
-        Where to start.
+    cast_setup : CastSetup
+    target : TipTarget
+    begin : WhipCandidate
+        Initial strokes.
     seed : int
     threads : int, optional
+
+    Attributes
+    ----------
+    best : WhipCandidate
+    runs : int
     """
 
-    def __init__(self, thrower: Thrower, mark: Mark, begin: Found, seed: int = 0, threads: int | None = None) -> None:
-        self.thrower, self.mark, self.threads = thrower, mark, threads
-        self.found, self.runs, self._side = begin, 0, begin.strokes.side
+    def __init__(
+        self,
+        cast_setup: CastSetup,
+        target: TipTarget,
+        begin: WhipCandidate,
+        seed: int = 0,
+        threads: int | None = None,
+    ) -> None:
+        self.cast_setup, self.target, self.threads = cast_setup, target, threads
+        self.best, self.runs, self._side = begin, 0, begin.strokes.side
         k = begin.strokes.ends.size
-        self._scale = np.repeat([np.pi, swing_period(thrower.rope)], k)
+        self._scale = np.repeat([np.pi, swing_period(cast_setup.rope)], k)
         spread = np.repeat([SPREAD_ENDS, SPREAD_RESTS], k)
         random = np.random.default_rng([SEED, seed])
-        self._evolution = evolution(begin.strokes.numbers / self._scale, NARROW, spread, MEMBERS, random)
+        self._optimizer = cma_es(begin.strokes.parameters / self._scale, NARROW, spread, MEMBERS, random)
 
     def step(self) -> float:
-        """One generation; returns the least cost so far, m."""
-        points = self._evolution.ask()
-        t, limits = times(self.thrower), self.thrower.limits
+        """Simulate one generation; return the least cost so far, m."""
+        points = self._optimizer.ask()
         strokes = [self._strokes(x) for x in points]
-        seen = peaks(t, *swung(self.thrower, [each.motion(limits) for each in strokes], t, threads=self.threads))
-        each = costs(self.mark, seen)
-        best = cheapest(each, seen.row, len(points))
+        peaks = simulate_peaks(self.cast_setup, strokes, self.threads)
+        each = peak_costs(self.target, peaks)
+        best = cheapest_peaks(each, peaks.row, len(points))
         cost = np.where(best >= 0, each[best], NEVER)
-        self._evolution.tell(points, list(cost))
+        self._optimizer.tell(points, list(cost))
         self.runs += len(points)
         k = int(cost.argmin())
-        if cost[k] < self.found.cost:
-            self.found = Found(float(cost[k]), float(seen.t[best[k]]), strokes[k])
-        return self.found.cost
+        if cost[k] < self.best.cost:
+            self.best = WhipCandidate(float(cost[k]), float(peaks.t[best[k]]), strokes[k])
+        return self.best.cost
 
     def _strokes(self, x: Array) -> Strokes:
         ends, rests = np.split(np.asarray(x, dtype=np.float64) * self._scale, 2)

@@ -1,4 +1,4 @@
-"""What is asked of a whip, and how well peaks of a tip's speed meet it."""
+"""The target of a whip's tip, and the cost of peaks of the tip's speed."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.search.batch_rollout import finished
-from hyperflex.simulation import simulate_batch
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.search.rollouts import simulate_swings
 
-SAMPLE_TIME, COARSE_TOL = 0.02, 1e-3  # s, m: looks at a swing in a search, and its tolerance
-SPARE_ANGLE, SPARE_SPEED = 0.6, 1.05  # parts of what is allowed and asked that a search aims at
-ANGLE_COST, SPEED_COST, EARLIER_COST = 0.3, 1.0, 0.5  # m/rad; m per part of the speed that is missing, and too much
+SAMPLE_TIME, COARSE_TOL = 0.02, 1e-3  # s, m: of swings in a search
+ANGLE_MARGIN, SPEED_MARGIN = 0.6, 1.05  # of the allowed angle and the asked speed, at which a search aims
+ANGLE_COST, SPEED_COST, EARLIER_COST = (
+    0.3,
+    1.0,
+    0.5,
+)  # m/rad; m per missing fraction of the speed, and of an earlier peak
 TIME_COST = 0.004  # m/s: of equal whips the sooner one is less uncertain
 NEVER = 10.0  # m, cost of a swing without a peak
 
 
 @dataclass(frozen=True)
-class Mark:
+class TipTarget:
     """A point that the tip shall pass at a peak of its speed.
 
     Parameters
@@ -36,8 +39,8 @@ class Mark:
         Direction of the tip's velocity there, rad, counterclockwise from the x axis.
     speed : float
         Least speed, m/s, > 0.
-    within : float
-        Greatest angle between velocity and direction, rad, > 0 and at most pi; pi: any direction will do.
+    angle_tolerance : float
+        Greatest angle between velocity and direction, rad, > 0 and at most pi; pi: any direction.
 
     Raises
     ------
@@ -49,66 +52,87 @@ class Mark:
     y: float
     direction: float
     speed: float = 5.0
-    within: float = float(np.radians(20.0))
+    angle_tolerance: float = float(np.radians(20.0))
 
     def __post_init__(self) -> None:
         for name, unit in (("x", "m"), ("y", "m"), ("direction", "rad")):
             object.__setattr__(self, name, checks.number(f"target {name}", getattr(self, name), unit=unit))
-        for name, unit in (("speed", "m/s"), ("within", "rad")):
+        for name, unit in (("speed", "m/s"), ("angle_tolerance", "rad")):
             value = checks.number(f"target {name}", getattr(self, name), sign="positive", unit=unit)
             object.__setattr__(self, name, value)
-        if self.within > np.pi:
-            raise InvalidInput("target within is too large", got=self.within, allowed="at most pi")
+        if self.angle_tolerance > np.pi:
+            raise InvalidInput("target angle_tolerance is too large", got=self.angle_tolerance, allowed="at most pi")
 
     @classmethod
-    def at(cls, point: npt.ArrayLike, direction: npt.ArrayLike, speed: float, within: float) -> Mark:
-        """Return a mark at a point (2,), m, with a direction (2,), a vector of any length but 0."""
+    def at(
+        cls, point: npt.ArrayLike, direction: npt.ArrayLike | None, speed: float, angle_tolerance: float = np.pi
+    ) -> TipTarget:
+        """Return a target with a direction given as a vector.
+
+        Parameters
+        ----------
+        point : (2,) array_like
+            m.
+        direction : (2,) array_like or None
+            Vector of any length but 0; None: any direction.
+        speed, angle_tolerance : float
+            As of the class, m/s and rad.
+        """
         x, y = checks.array("point", point, (2,), unit="m")
-        way = checks.array("direction", direction, (2,))
-        if not np.hypot(*way) > 0.0:
-            raise InvalidInput("direction is zero", got=way.tolist(), allowed="a vector with a length")
-        return cls(float(x), float(y), float(np.arctan2(way[1], way[0])), speed, within)
-
-    @classmethod
-    def anyway(cls, point: npt.ArrayLike, speed: float) -> Mark:
-        """Return a mark at a point (2,), m, that may be passed in any direction."""
-        return cls.at(point, (1.0, 0.0), speed, float(np.pi))
+        if direction is None:
+            direction, angle_tolerance = (1.0, 0.0), float(np.pi)
+        vector = checks.array("direction", direction, (2,))
+        if not np.hypot(*vector) > 0.0:
+            raise InvalidInput("direction is zero", got=vector.tolist(), allowed="a vector with a length")
+        return cls(float(x), float(y), float(np.arctan2(vector[1], vector[0])), speed, angle_tolerance)
 
     @property
-    def anyhow(self) -> bool:
-        """Whether any direction will do."""
-        return self.within == np.pi
+    def any_direction(self) -> bool:
+        """Whether any direction is allowed."""
+        return self.angle_tolerance == np.pi
 
-    def allowed(self, part: float) -> float:
-        """Return `part` of the angle that is allowed, rad; all of it where any direction will do."""
-        return self.within if self.anyhow else part * self.within
+    def allowed_angle(self, fraction: float) -> float:
+        """Return a fraction of the angle tolerance, rad; all of it if any direction is allowed.
+
+        Parameters
+        ----------
+        fraction : float
+            0 to 1.
+        """
+        return self.angle_tolerance if self.any_direction else fraction * self.angle_tolerance
 
     @property
     def point(self) -> Array:
         """The point (2,), m."""
         return np.array([self.x, self.y])
 
-    def off(self, velocity: Array) -> Array:
-        """Signed angle from the direction to velocities (..., 2), rad."""
+    def angle_error(self, velocity: Array) -> Array:
+        """Return the signed angle from the direction to a velocity, rad.
+
+        Parameters
+        ----------
+        velocity : (..., 2) float64
+            m/s.
+        """
         turn = np.arctan2(velocity[..., 1], velocity[..., 0]) - self.direction
         return np.asarray((turn + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 class Peaks(NamedTuple):
-    """Peaks of the tip's speed in several swings (P,), each refined between samples.
+    """Peaks of the tip's speed in several swings (P,), interpolated between samples.
 
     Attributes
     ----------
     row : (P,) int64
-        Swing.
+        Number of the swing.
     t : (P,) float64
         s.
     place, velocity : (P, 2) float64
-        m, m/s.
+        Of the tip, m, m/s.
     speed : (P,) float64
         m/s.
-    before : (P,) float64
-        Speed of the greatest peak of the swing until then, this one too, m/s.
+    highest : (P,) float64
+        Speed of the highest peak of the swing until then, this one included, m/s.
     """
 
     row: npt.NDArray[np.int64]
@@ -116,17 +140,17 @@ class Peaks(NamedTuple):
     place: Array
     velocity: Array
     speed: Array
-    before: Array
+    highest: Array
 
 
-def swung(
-    thrower: Thrower, motions: Sequence[Motion], t: Array, *, tol: float = COARSE_TOL, threads: int | None = None
+def simulate_tips(
+    cast_setup: CastSetup, motions: Sequence[Motion], t: Array, *, tol: float = COARSE_TOL, threads: int | None = None
 ) -> tuple[Array, Array]:
-    """Tip (M, T, 2), m, and its velocity (M, T, 2), m/s, of ropes that swing freely from rest at t = 0.
+    """Simulate free swings from rest at t = 0; return the tip's position, m, and velocity, m/s, (M, T, 2).
 
     Parameters
     ----------
-    thrower : Thrower
+    cast_setup : CastSetup
     motions : (M,) sequence of Motion
     t : (T,) float64
         s.
@@ -137,28 +161,29 @@ def swung(
     Raises
     ------
     KeyboardInterrupt
-        If Ctrl-C cut the batch short.
+        If Ctrl-C ended the batch.
     """
-    runs = simulate_batch(
-        thrower.rope,
-        list(motions),
-        arm=thrower.arm,
-        duration=float(t[-1]),
-        t_eval=t,
-        tol=tol,
-        keep=("tip", "q", "qd"),
-        threads=threads,
-    )
-    batch = finished(runs)
-    q, spin = batch.q, thrower.rope.length * batch.qd
+    batch = simulate_swings(cast_setup, motions, t, tol=tol, keep=("tip", "q", "qd"), threads=threads)
     angle, rate = (np.stack([f(t) for f in fs]) for fs in zip(*((m.angle, m.rate) for m in motions), strict=True))
-    swing = thrower.arm.length * rate
-    vx = (spin * np.cos(q)).sum(axis=2) + swing * np.cos(angle)
-    vy = (spin * np.sin(q)).sum(axis=2) + swing * np.sin(angle)
-    return batch.tip, np.stack([vx, vy], axis=-1)
+    return batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate)
 
 
-def peaks(t: Array, tip: Array, velocity: Array) -> Peaks:
+def tip_velocity(cast_setup: CastSetup, q: Array, qd: Array, angle: Array, rate: Array) -> Array:
+    """Velocity of the tip (..., 2), m/s.
+
+    Parameters
+    ----------
+    cast_setup : CastSetup
+    q, qd : (..., n) rad, rad/s
+    angle, rate : (...) rad, rad/s, of the arm
+    """
+    spin, arm = cast_setup.rope.length * qd, cast_setup.arm.length * rate
+    vx = (spin * np.cos(q)).sum(axis=-1) + arm * np.cos(angle)
+    vy = (spin * np.sin(q)).sum(axis=-1) + arm * np.sin(angle)
+    return np.stack([vx, vy], axis=-1)
+
+
+def find_peaks(t: Array, tip: Array, velocity: Array) -> Peaks:
     """Find the peaks of the tip's speed.
 
     Parameters
@@ -166,7 +191,7 @@ def peaks(t: Array, tip: Array, velocity: Array) -> Peaks:
     t : (T,) float64
         Evenly spaced, s.
     tip, velocity : (M, T, 2) float64
-        m, m/s; NaN where a run failed.
+        m, m/s; NaN if a run failed.
     """
     step = float(t[1] - t[0])
     square = np.nan_to_num((velocity**2).sum(axis=2))
@@ -180,27 +205,27 @@ def peaks(t: Array, tip: Array, velocity: Array) -> Peaks:
     speed = np.sqrt(np.maximum(mid - 0.25 * (low - high) * part, 0.0))
     tops = np.zeros_like(square[:, 1:-1])
     tops[row, at] = speed
-    before = np.maximum.accumulate(tops, axis=1)[row, at]
+    highest = np.maximum.accumulate(tops, axis=1)[row, at]
     whole = np.isfinite(place).all(axis=1) & np.isfinite(v).all(axis=1)
-    return Peaks(*(each[whole] for each in (row, t[at + 1] + step * part, place, v, speed, before)))
+    return Peaks(*(each[whole] for each in (row, t[at + 1] + step * part, place, v, speed, highest)))
 
 
-def costs(mark: Mark, found: Peaks) -> Array:
-    """What peaks cost (P,), m: distance from the target, and more where direction or speed are not what is asked.
+def peak_costs(target: TipTarget, peaks: Peaks) -> Array:
+    """Cost of peaks (P,), m: distance from the target, and more if direction or speed are not as asked.
 
-    A peak that comes after a greater one costs more, and so does a late one.
+    A peak after a higher one costs more, and so does a late one.
     """
     return np.asarray(
-        np.hypot(*(found.place - mark.point).T)
-        + ANGLE_COST * np.maximum(np.abs(mark.off(found.velocity)) - mark.allowed(SPARE_ANGLE), 0.0)
-        + SPEED_COST * np.maximum(1.0 - found.speed / (SPARE_SPEED * mark.speed), 0.0)
-        + EARLIER_COST * (1.0 - found.speed / np.maximum(found.before, 1e-9))
-        + TIME_COST * found.t
+        np.hypot(*(peaks.place - target.point).T)
+        + ANGLE_COST * np.maximum(np.abs(target.angle_error(peaks.velocity)) - target.allowed_angle(ANGLE_MARGIN), 0.0)
+        + SPEED_COST * np.maximum(1.0 - peaks.speed / (SPEED_MARGIN * target.speed), 0.0)
+        + EARLIER_COST * (1.0 - peaks.speed / np.maximum(peaks.highest, 1e-9))
+        + TIME_COST * peaks.t
     )
 
 
-def cheapest(cost: Array, row: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.int64]:
-    """Number of the cheapest peak of each of `count` swings (count,); -1 where there is none."""
+def cheapest_peaks(cost: Array, row: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.int64]:
+    """Number of the cheapest peak of each of `count` swings (count,); -1 for a swing without a peak."""
     result = np.full(count, -1, dtype=np.int64)
     for k in np.argsort(-cost):
         result[row[k]] = k

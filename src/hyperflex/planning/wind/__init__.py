@@ -1,1 +1,1 @@
-"""Winding: the throw, whether a target can be wound, what became of it, and what would help."""
+"""Casts: feasibility check, planner, plan, fallback targets and remedies."""

@@ -1,104 +1,198 @@
-"""Where a plan fails: the nearest place for which one stands, or for which one is expected to."""
+"""Fallback targets for a plan that fails: the nearest one with a plan that succeeds, or expected to be feasible."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import numpy as np
+
+from hyperflex.checks import Array
 from hyperflex.model import Peg
-from hyperflex.planning.cast_plan import CastPlan, come_to
-from hyperflex.planning.planner import Course
-from hyperflex.planning.search.search import Search
-from hyperflex.planning.wind.nearest_target import Nearest, around, nearest, spare
-from hyperflex.planning.wind.outcome import WOUND
-from hyperflex.planning.wind.reachability import reach
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget
+from hyperflex.planning.wind.feasibility import check_feasibility
+from hyperflex.planning.wind.planner import CastPlanner
 
-# What places that are planned for, one after another, have to spare, beyond what the target has if it is in reach.
-# The last one is no longer planned for.
-SPARE = (0.0, 0.25, 0.75, 1.5)
-AT_HAND = 0.5  # part of the patience in which throws at hand are tried on pegs near by
+# Margins of the targets that are planned for, one after another, beyond the margin of the one asked for if it is
+# feasible. The last one is not planned for.
+MARGINS = (0.0, 0.25, 0.75, 1.5)
+EXISTING = 0.5  # fraction of the time budget for trying existing throws on targets near by
+RINGS, RAYS = 40, 60  # of the first grid about the shaft, on the target's side
+ZOOM, LEVELS, ACROSS = 4.0, 4, 9  # each finer grid has cells so much smaller, and so many points a side
+RADII = (0.01, 0.02, 0.035, 0.05, 0.075, 0.1)  # of the rings of targets near by, in rope lengths
+PER_RING, THROWS = 8, 6  # targets of a ring, and throws tried on each
 
 
-def expected(plan: CastPlan, hold: float) -> Nearest | None:
-    """Return the nearest place that should be in reach, by the criterion alone.
+def expected_fallback(plan: CastPlan, holding_force: float) -> FallbackTarget | None:
+    """Return the nearest target that is expected to be feasible, by the feasibility check alone.
 
     Parameters
     ----------
     plan : CastPlan
         That fails.
-    hold : float
-        Pull that the wound rope should bear, N.
+    holding_force : float
+        Pull that the wound rope must bear, N.
 
     Returns
     -------
-    Nearest or None
-        None if there is no such place, and where the target is not to blame (:attr:`CastPlan.unfinished`).
+    FallbackTarget or None
+        None if there is none, or if the plan is unfinished (:attr:`CastPlan.unfinished`).
     """
-    return None if plan.unfinished else _place(plan, hold)
+    return None if plan.unfinished else _expected(plan, holding_force)
 
 
-def _place(plan: CastPlan, hold: float, number: int = 0) -> Nearest | None:
-    """Return the nearest place that should be in reach; the higher the number, the more surely.
-
-    `number` is that of what it has to spare, in SPARE; a target in reach for which a search failed begins with the
-    second.
-    """
-    more = SPARE[number]
-    if plan.reach.within:
-        more = spare(plan.reach, hold) + SPARE[min(number + 1, len(SPARE) - 1)]
-    return nearest(plan.thrower, plan.peg, hold=hold, more=more)
+def _expected(plan: CastPlan, holding_force: float, number: int = 0) -> FallbackTarget | None:
+    """Return the nearest target with margin number `number`; a feasible target begins with the second."""
+    margin = MARGINS[number]
+    if plan.feasibility.feasible:
+        margin = plan.feasibility.margin(holding_force) + MARGINS[min(number + 1, len(MARGINS) - 1)]
+    return nearest_feasible(plan.cast_setup, plan.target, holding_force=holding_force, margin=margin)
 
 
-def found(plan: CastPlan, search: Search, hold: float, patience: float, again: Callable[[Peg], CastPlan]) -> CastPlan:
-    """Plan for the nearest places until one stands; return the plan that failed with what was found.
+def plan_fallback(
+    plan: CastPlan, search: ThrowSearch, time_budget: float, plan_for: Callable[[Peg], CastPlan]
+) -> CastPlan:
+    """Plan for the nearest targets until a plan succeeds; return the failed plan with its fallback.
 
     Parameters
     ----------
     plan : CastPlan
         That fails.
-    search : Search
+    search : ThrowSearch
         That it came from.
-    hold : float
-        Pull that the wound rope should bear, N.
-    patience : float
+    time_budget : float
         Of the search, s.
-    again : callable
+    plan_for : callable
         Plans for another peg.
     """
+    force = search.holding_force
     try:
-        near = _at_hand(plan, search, patience)
+        near = _with_existing_throws(plan, search, time_budget)
     except KeyboardInterrupt:
-        return replace(plan, nearest=expected(plan, hold), interrupted=True)
+        return replace(plan, fallback=expected_fallback(plan, force), interrupted=True)
     if near is not None:
-        return replace(plan, nearest=near)
+        return replace(plan, fallback=near)
     tried: list[Peg] = []
-    for number in range(len(SPARE)):
-        near = _place(plan, hold, number)
-        if near is None or near.peg in tried:
+    for number in range(len(MARGINS)):
+        near = _expected(plan, force, number)
+        if near is None or near.target in tried:
             continue
-        near = replace(near, tried=len(tried))
-        if number == len(SPARE) - 1:
-            return replace(plan, nearest=near)
-        other = again(near.peg)
+        near = replace(near, failed_plans=len(tried))
+        if number == len(MARGINS) - 1:
+            return replace(plan, fallback=near)
+        other = plan_for(near.target)
         if other.success or other.interrupted:
             near = replace(near, plan=other if other.success else None)
-            return replace(plan, nearest=near, interrupted=other.interrupted)
-        tried.append(near.peg)
+            return replace(plan, fallback=near, interrupted=other.interrupted)
+        tried.append(near.target)
     return plan
 
 
-def _at_hand(plan: CastPlan, search: Search, patience: float) -> Nearest | None:
-    """Return the nearest place round which a throw of the search winds and holds when it is verified."""
-    until = time.monotonic() + AT_HAND * patience
-    for beside in around(search):
+def _with_existing_throws(plan: CastPlan, search: ThrowSearch, time_budget: float) -> FallbackTarget | None:
+    """Return the nearest target round which a throw of the search winds and holds when it is verified."""
+    until = time.monotonic() + EXISTING * time_budget
+    for beside in searches_near_by(search):
         if time.monotonic() > until:
             return None
-        if beside.landings and beside.landings[0].turns >= WOUND:
-            work = Course(beside, patience)
-            work.look()
-            other = come_to(work, reach(beside.thrower, beside.peg))
+        if beside.candidates and beside.candidates[0].turns >= MIN_TURNS:
+            planner, peg = CastPlanner(beside, time_budget), beside.peg
+            planner.verify_new()
+            other = planner.plan(check_feasibility(beside.cast_setup, peg))
             if other.success:
-                return Nearest(beside.peg, math.dist((plan.peg.x, plan.peg.y), (beside.peg.x, beside.peg.y)), other)
+                distance = math.dist((plan.target.x, plan.target.y), (peg.x, peg.y))
+                return FallbackTarget(peg, distance, other)
     return None
+
+
+def searches_near_by(search: ThrowSearch) -> Iterator[ThrowSearch]:
+    """Try the best throws of a search on pegs about its own, nearest first.
+
+    Yields
+    ------
+    ThrowSearch
+        For each peg, with the throws that strike it as candidates.
+    """
+    best, cast_setup = search.candidates[:THROWS], search.cast_setup
+    for radius in RADII:
+        for angle in 2.0 * np.pi * np.arange(PER_RING) / PER_RING:
+            way = radius * cast_setup.rope.total_length * np.array([np.cos(angle), np.sin(angle)])
+            peg = _at(search.peg, np.array([search.peg.x, search.peg.y]) + way)
+            if check_feasibility(cast_setup, peg).impossible:
+                continue
+            beside = ThrowSearch(cast_setup, peg, search.seed, search.threads, search.holding_force)
+            for side in beside.parametrizations:
+                points = [one.x for one in best if one.side == side]
+                if points:
+                    beside.evaluate(side, points)
+            yield beside
+
+
+def nearest_feasible(
+    cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0, margin: float = 0.0
+) -> FallbackTarget | None:
+    """Find the nearest place at which a peg passes the feasibility check.
+
+    Parameters
+    ----------
+    cast_setup : CastSetup
+    peg : Peg
+    holding_force : float
+        Pull that the wound rope must bear, N.
+    margin : float
+        Least :meth:`Feasibility.margin`.
+
+    Returns
+    -------
+    FallbackTarget or None
+        None if there is no such place.
+
+    Notes
+    -----
+    A polar grid about the shaft, on the target's side, and finer ones about the nearest place found. The result is
+    within a thousandth of the rope's length of the nearest place, unless that lies between points of the first grid.
+    """
+
+    def good(place: Array) -> bool:
+        known = check_feasibility(cast_setup, _at(peg, place))
+        return known.feasible and known.margin(holding_force) >= margin
+
+    unit = 10.0 ** math.floor(math.log10(1e-3 * cast_setup.rope.total_length))
+    asked: Array = np.array([peg.x, peg.y])
+    found = _nearest(_polar_grid(cast_setup, asked), asked, unit, good)
+    cell = cast_setup.rope.total_length / RINGS
+    for _ in range(LEVELS):
+        if found is None:
+            return None
+        side: Array = np.linspace(-cell, cell, ACROSS)
+        around = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+        found = _nearest(np.concatenate([found + around, found[None]]), asked, unit, good)
+        cell /= ZOOM
+    return None if found is None else FallbackTarget(_at(peg, found), float(np.hypot(*(found - asked))))
+
+
+def _polar_grid(cast_setup: CastSetup, asked: Array) -> Array:
+    """Places (k, 2), m, that the rope might reach, on the target's side of the vertical through the shaft."""
+    arm, gravity = cast_setup.arm, cast_setup.rope.gravity
+    down = np.array(gravity) / math.hypot(*gravity)
+    right = np.array([-down[1], down[0]])
+    side = math.copysign(1.0, float((asked - arm.pivot) @ right))
+    far = arm.length + cast_setup.rope.total_length * (np.arange(RINGS) + 0.5) / RINGS
+    angle: Array = np.linspace(0.0, np.pi, RAYS)
+    rays = np.cos(angle)[:, None] * down + side * np.sin(angle)[:, None] * right
+    return np.asarray((far[:, None, None] * rays + np.array(arm.pivot)).reshape(-1, 2))
+
+
+def _nearest(places: Array, asked: Array, unit: float, good: Callable[[Array], bool]) -> Array | None:
+    """Return the good place nearest to the one asked for, in multiples of `unit`; None if there is none."""
+    places = unit * np.round(places / unit)
+    order = np.argsort(np.hypot(*(places - asked).T), kind="stable")
+    return next((places[k] for k in order if good(places[k])), None)
+
+
+def _at(peg: Peg, place: Array) -> Peg:
+    return replace(peg, x=round(float(place[0]), 9) + 0.0, y=round(float(place[1]), 9) + 0.0)

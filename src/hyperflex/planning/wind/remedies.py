@@ -1,4 +1,4 @@
-"""What would bring a target in reach where it is: a faster motor, a longer arm or rope, more time, a thinner peg."""
+"""Remedies for an infeasible target: a faster motor, a longer arm or rope, more time, a thinner peg."""
 
 from __future__ import annotations
 
@@ -10,44 +10,43 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.model import Peg, Rope
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.motor_limits import MotorLimits
-from hyperflex.planning.wind.reachability import reach
+from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.wind.feasibility import check_feasibility
 
-MOST, FASTEST = 3.0, 10.0  # greatest factor that is told, and that of the motor's speed
-CLOSE = 0.01  # to which a factor is found
+MAX_FACTOR, MAX_SPEED_FACTOR = 3.0, 10.0  # greatest factor of a remedy; of the motor
+TOLERANCE = 0.01  # relative, of a factor
 
 
-def remedies(thrower: Thrower, peg: Peg, *, hold: float = 0.0) -> tuple[str, ...]:
-    """Return in words what would bring a target in reach by the criterion, each for itself; none if it is in reach.
+def find_remedies(cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0) -> tuple[str, ...]:
+    """Return in words the changes that would each make a target feasible; none if it is feasible.
 
     Parameters
     ----------
-    thrower : Thrower
+    cast_setup : CastSetup
     peg : Peg
-    hold : float
-        Pull that the wound rope should bear, N.
+    holding_force : float
+        Pull that the wound rope must bear, N.
 
     Notes
     -----
-    A factor on each is looked for from 1 up, in steps of 5 % or less, and then closer.
+    The factor of each change is searched from 1 up in steps of 5 % or less, then by bisection.
     """
-    rope, arm, limits = thrower.rope, thrower.arm, thrower.limits
+    rope, arm, limits = cast_setup.rope, cast_setup.arm, cast_setup.limits
 
-    def least(changed: Callable[[float], tuple[Thrower, Peg]], most: float = MOST) -> float:
-        return _least(lambda factor: reach(*changed(factor), hold=hold).within, most)
+    def least(changed: Callable[[float], tuple[CastSetup, Peg]], most: float = MAX_FACTOR) -> float:
+        return _least(lambda factor: check_feasibility(*changed(factor), holding_force=holding_force).feasible, most)
 
     factors = {
-        "speed": least(lambda f: (replace(thrower, limits=_faster(limits, f, 1.0)), peg), FASTEST),
-        "acceleration": least(lambda f: (replace(thrower, limits=_faster(limits, 1.0, f)), peg), FASTEST),
-        "motor": least(lambda f: (replace(thrower, limits=_faster(limits, f, f**2)), peg), FASTEST),
-        "arm": least(lambda f: (replace(thrower, arm=replace(arm, length=f * arm.length)), peg)),
-        "rope": least(lambda f: (replace(thrower, rope=_longer(rope, f)), peg)),
-        "time": least(lambda f: (replace(thrower, time=f * thrower.time), peg)),
-        "peg": least(lambda f: (thrower, replace(peg, radius=peg.radius / f))),
+        "speed": least(lambda f: (replace(cast_setup, limits=_faster(limits, f, 1.0)), peg), MAX_SPEED_FACTOR),
+        "acceleration": least(lambda f: (replace(cast_setup, limits=_faster(limits, 1.0, f)), peg), MAX_SPEED_FACTOR),
+        "motor": least(lambda f: (replace(cast_setup, limits=_faster(limits, f, f**2)), peg), MAX_SPEED_FACTOR),
+        "arm": least(lambda f: (replace(cast_setup, arm=replace(arm, length=f * arm.length)), peg)),
+        "rope": least(lambda f: (replace(cast_setup, rope=_longer(rope, f)), peg)),
+        "time": least(lambda f: (replace(cast_setup, time=f * cast_setup.time), peg)),
+        "peg": least(lambda f: (cast_setup, replace(peg, radius=peg.radius / f))),
     }
     if min(factors["speed"], factors["acceleration"]) < np.inf:
-        factors["motor"] = np.inf  # the other is enough as it is
+        factors["motor"] = np.inf  # one limit alone is enough
     faster, acceleration = factors["motor"] * limits.speed, factors["motor"] ** 2 * limits.acceleration
     words = {
         "speed": f"a motor of {_up(factors['speed'] * limits.speed)} rad/s",
@@ -55,14 +54,14 @@ def remedies(thrower: Thrower, peg: Peg, *, hold: float = 0.0) -> tuple[str, ...
         "motor": f"a motor of {_up(faster)} rad/s and {_up(acceleration)} rad/s^2",
         "arm": f"an arm of {_up(1e3 * factors['arm'] * arm.length)} mm",
         "rope": f"a rope of {_up(factors['rope'] * rope.total_length)} m",
-        "time": f"{_up(factors['time'] * thrower.time)} s to strike",
+        "time": f"{_up(factors['time'] * cast_setup.time)} s to strike",
         "peg": f"a peg of {_up(1e3 * peg.radius / factors['peg'], -1)} mm radius",
     }
     return tuple(words[name] for name, factor in factors.items() if 1.0 < factor < np.inf)
 
 
 def _up(value: float, sense: int = 1) -> str:
-    """Write a value with three digits, rounded up (-1: down), so that what is told is enough."""
+    """Write a value with three digits, rounded up (-1: down), so that the written value is enough."""
     if not 0.0 < value < np.inf:
         return str(value)
     unit = 10.0 ** (math.floor(math.log10(value)) - 2)
@@ -70,24 +69,24 @@ def _up(value: float, sense: int = 1) -> str:
 
 
 def _faster(limits: MotorLimits, speed: float, acceleration: float) -> MotorLimits:
-    """Limits of a motor with so many times the speed and acceleration."""
+    """Return limits with speed and acceleration multiplied by factors."""
     return replace(limits, speed=speed * limits.speed, acceleration=acceleration * limits.acceleration)
 
 
 def _longer(rope: Rope, factor: float) -> Rope:
-    """Return a rope of the same kind with longer links."""
+    """Return the same rope with links longer by a factor."""
     changes = {"length": rope.length, "mass": rope.mass, "com": rope.com, "inertia": factor**2 * rope.inertia}
     return rope.replace(**{name: factor * value for name, value in changes.items()})
 
 
 def _least(good: Callable[[float], bool], most: float) -> float:
-    """Return the least factor from 1 on that is good, rounded up to CLOSE; inf if there is none."""
+    """Return the least good factor from 1 up, found from above to TOLERANCE; inf if there is none."""
     tried: Array = np.geomspace(1.0, most, math.ceil(math.log(most) / math.log(1.05)) + 1)
     first = next((k for k, factor in enumerate(tried) if good(float(factor))), None)
     if first is None:
         return float("inf")
     low, high = float(tried[max(first - 1, 0)]), float(tried[first])
-    while high - low > CLOSE * low:
+    while high - low > TOLERANCE * low:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if good(middle) else (middle, high)
     return high

@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperflex import winding
-from hyperflex.planning import CastPlan, Holding
-from hyperflex.planning.files import run_of
-from hyperflex.planning.wind.outcome import SETTLING, WOUND
+from hyperflex.planning import MIN_TURNS, SETTLING_TIME, CastPlan, HoldingForce
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure, note
 from hyperflex.report.time_course import ArmMoves, time_course
@@ -23,7 +21,7 @@ _ALLOWED = 5.0  # mm, slip up to which a tug is held
 
 def strike_figure(plan: CastPlan) -> Figure:
     """Draw the rope at many instants about the strike; before the arm stops, where there is none."""
-    run = run_of(plan)
+    run = plan.required(plan.run, "run")
     middle = _strike(plan) if np.isfinite(_strike(plan)) else _stop(plan) - _AFTER
     start, end = max(middle - _BEFORE, run.t[0]), min(middle + _AFTER, run.t[-1])
     title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); red: the target"
@@ -32,13 +30,13 @@ def strike_figure(plan: CastPlan) -> Figure:
 
 def course_figure(plan: CastPlan) -> Figure:
     """Draw arm angle, turns, tension and the motor's torque over time."""
-    run, strike, watched = run_of(plan), _strike(plan), _stop(plan) + SETTLING
-    wound = winding.wound(run, plan.peg)
+    run, strike, watched = plan.required(plan.run, "run"), _strike(plan), _stop(plan) + SETTLING_TIME
+    wound = winding.wound(run, plan.target)
 
     def draw(turns: Any, pull: Any) -> None:
         turns.plot(run.t, sense(plan) * wound.turns, color=GREEN)
-        turns.axhline(WOUND, color=GREY, ls="--", lw=1.0)
-        note(turns, run.t[0], WOUND, f" {WOUND:g} turns are needed")
+        turns.axhline(MIN_TURNS, color=GREY, ls="--", lw=1.0)
+        note(turns, run.t[0], MIN_TURNS, f" {MIN_TURNS:g} turns are needed")
         turns.set(ylabel="turns", title=f"Turns about the target, {way(plan)} counted positive")
         low, high = turns.get_ylim()
         turns.set_ylim(low, high + 0.15 * (high - low))
@@ -56,7 +54,7 @@ def course_figure(plan: CastPlan) -> Figure:
     return time_course(run, "the cast", _moves(plan), strike, draw)
 
 
-def tug_figure(held: Holding) -> Figure:
+def tug_figure(held: HoldingForce) -> Figure:
     """Draw the pull at the wound rope and its slip over the way of the pull."""
     run = held.tug.run
     pulled_way = 1e3 * np.hypot(*(run.joints[:, 0] - run.joints[0, 0]).T)
@@ -66,8 +64,14 @@ def tug_figure(held: Holding) -> Figure:
         pull.plot(pulled_way, pulled, color=BLUE, lw=1.0, label="pull at the rope's first joint")
         least = "" if held.tug.slipped else "at least "
         pull.axhline(held.force, color=GREEN, ls="--", lw=1.2, label=f"hold force {least}{held.force:.2f} N")
-        pull.axhline(held.rule, color=GREY, ls=":", lw=1.4, label=f"tail weight x e^(mu angle) {held.rule:.2f} N")
-        pull.set(ylabel="pull, N", ylim=(0.0, 1.05 * max(held.force, held.rule, float(pulled.max()))))
+        pull.axhline(
+            held.capstan_force,
+            color=GREY,
+            ls=":",
+            lw=1.4,
+            label=f"tail weight x e^(mu angle) {held.capstan_force:.2f} N",
+        )
+        pull.set(ylabel="pull, N", ylim=(0.0, 1.05 * max(held.force, held.capstan_force, float(pulled.max()))))
         pull.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8.0)
         slip.plot(pulled_way, 1e3 * np.abs(held.tug.slip), color=RED)
         slip.axhline(_ALLOWED, color=GREY, ls="--", lw=1.0)
@@ -78,7 +82,7 @@ def tug_figure(held: Holding) -> Figure:
 
 def sense(plan: CastPlan) -> float:
     """Return 1 where the rope winds counterclockwise in the end, else -1."""
-    return -1.0 if plan.cast is not None and plan.cast.turns < 0.0 else 1.0
+    return -1.0 if plan.outcome is not None and plan.outcome.turns < 0.0 else 1.0
 
 
 def way(plan: CastPlan) -> str:
@@ -87,7 +91,7 @@ def way(plan: CastPlan) -> str:
 
 
 def _strike(plan: CastPlan) -> float:
-    return float("nan") if plan.cast is None else plan.cast.strike
+    return float("nan") if plan.outcome is None else plan.outcome.strike_time
 
 
 def _stop(plan: CastPlan) -> float:
@@ -98,7 +102,7 @@ def _moves(plan: CastPlan) -> ArmMoves | None:
     """Return the swings and the last move."""
     if plan.throw is None:
         return None
-    limits = plan.thrower.limits
+    limits = plan.cast_setup.limits
     starts, angles = plan.throw.starts(limits), plan.throw.angles(limits)
     names = (*(str(k + 1) for k in range(plan.throw.count)), "last")
-    return ArmMoves(starts, starts + limits.fastest(np.diff(angles), 1.0)[0], angles, names)
+    return ArmMoves(starts, starts + limits.fastest_moves(np.diff(angles), 1.0)[0], angles, names)

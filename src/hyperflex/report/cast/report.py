@@ -11,9 +11,16 @@ import numpy as np
 
 from hyperflex import winding
 from hyperflex.model import Peg
-from hyperflex.planning import Cast, CastPlan, Holding, Nearest
-from hyperflex.planning.files import run_of
-from hyperflex.planning.wind.outcome import BOUNCE, SLIP, WATCH, WOUND
+from hyperflex.planning import (
+    BOUNCE_TIME,
+    MAX_SLIP,
+    MIN_TURNS,
+    WATCH_TIME,
+    CastOutcome,
+    CastPlan,
+    FallbackTarget,
+    HoldingForce,
+)
 from hyperflex.report.cast.figures import course_figure, sense, strike_figure, tug_figure, way
 from hyperflex.report.cast.target_map import target_map, target_map_caption
 from hyperflex.report.page import Picture, Section, TextTable
@@ -36,7 +43,7 @@ class CastReport(PlanReport[CastPlan]):
     ----------
     plan : CastPlan
         One without a throw leaves no more than a page with the reason and where the target is.
-    held : Holding or None
+    held : HoldingForce or None
         Result of a tug at the wound rope, if there was one.
     name : str
         Stem of the file names.
@@ -50,37 +57,39 @@ class CastReport(PlanReport[CastPlan]):
     }
     layout: ClassVar = {"The cast": ("film", "strike"), "Time course": ("course",), "Hold": ("tug",)}
 
-    def __init__(self, plan: CastPlan, held: Holding | None, name: str = "cast") -> None:
-        super().__init__(plan, None if plan.cast is None else plan.cast.run)
+    def __init__(self, plan: CastPlan, held: HoldingForce | None, name: str = "cast") -> None:
+        super().__init__(plan)
         self.held, self.name = held, name
         thrown, found = ("is", "A planned cast") if plan.success else ("is to be", "No cast found")
-        self.title = (
-            f"{found} round a target at x\u00a0=\u00a0{plan.peg.x:.3g}\u00a0m, y\u00a0=\u00a0{plan.peg.y:.3g}\u00a0m"
-        )
+        where = f"x = {plan.target.x:.3g} m, y = {plan.target.y:.3g} m".replace(" ", "\u00a0").replace(",\u00a0", ", ")
+        self.title = f"{found} round a target at {where}"
         self.task = f"A rope on a motor-driven arm {thrown} thrown round a peg, so that it winds round it and holds."
-        self.target = f"a round peg at {_place(plan.peg)}, friction mu = {plan.peg.mu:g}"
+        self.target = f"a round peg at {_place(plan.target)}, friction mu = {plan.target.mu:g}"
         self.verdict = f"No cast that winds and holds was found: {_failure(plan)}."
-        if plan.success and plan.cast is not None:
-            self.verdict = f"The rope winds {abs(plan.cast.turns):.2f} turns round the target and holds, in simulation."
+        if plan.success and plan.outcome is not None:
+            self.verdict = (
+                f"The rope winds {abs(plan.outcome.turns):.2f} turns round the target and holds, in simulation."
+            )
         self.warning, self.advice = _warning(plan), _advice(plan)
         self.tiles, self.story, self.checks = self._tiles(), self._story(), _checks(plan)
-        self.others = {"nearest": None if plan.nearest is None else plan.nearest.plan}
-        if self.run is None:
+        self.others = {"nearest": None if plan.fallback is None else plan.fallback.plan}
+        if plan.run is None:
             place = Picture(png(target_map(plan)), target_map_caption(plan))
             self.without_run = (Section("Where the target is", pictures=(place,)),)
 
     def _tiles(self) -> tuple[tuple[str, str], ...]:
-        plan, peg, cast = self.plan, self.plan.peg, self.plan.cast
+        plan, peg, cast = self.plan, self.plan.target, self.plan.outcome
         place = f"target, a round peg: radius; centre at x = {peg.x:.3g} m, y = {peg.y:.3g} m from the motor's shaft"
         shown = [(f"{1e3 * peg.radius:.3g} mm", place)]
         if plan.throw is not None:
             shown.append((_swings(plan), "of the arm to and fro, then one last move"))
-        if cast is not None and cast.run is not None:
-            if math.isfinite(cast.strike):
-                shown.append((f"{cast.strike:.2f} s", "after the start the rope strikes the target"))
+        if cast is not None and cast.completed:
+            if math.isfinite(cast.strike_time):
+                shown.append((f"{cast.strike_time:.2f} s", "after the start the rope strikes the target"))
+                contact = f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}"
                 counted_from = (
-                    f"in the end, {way(plan)}, from the arm's tip to the rope's end, "
-                    f"{math.degrees(cast.contact):.0f}\N{DEGREE SIGN} of it on the target; {WOUND:g} are needed"
+                    f"in the end, {way(plan)}, from the arm's tip to the rope's end, {contact} of it on the target; "
+                    f"{MIN_TURNS:g} are needed"
                 )
                 shown.append((f"{abs(cast.turns):.2f} turns", counted_from))
             else:
@@ -98,21 +107,21 @@ class CastReport(PlanReport[CastPlan]):
         return tuple(shown)
 
     def _story(self) -> tuple[str, ...]:
-        plan, cast, limits = self.plan, self.plan.cast, self.plan.thrower.limits
+        plan, cast, limits = self.plan, self.plan.outcome, self.plan.cast_setup.limits
         if plan.throw is None:
             return ()
         starts, stop = plan.throw.starts(limits), plan.throw.stops(limits)
         times = ", ".join(f"{start:.2f}" for start in starts[:-1])
         begin = np.degrees(plan.throw.angles(limits)[0])
         lines = [
-            f"Target: a round peg, {_place(plan.peg)}.",
+            f"Target: a round peg, {_place(plan.target)}.",
             (
                 f"The rope hangs at rest from the arm at {begin:.0f} degrees (0 hangs down). The arm makes "
                 f"{_swings(plan)}, begun at {times} s, and a last move at {starts[-1]:.2f} s; it stands still from "
                 f"{stop:.2f} s on."
             ),
         ]
-        if cast is not None and cast.run is not None:
+        if cast is not None and cast.completed:
             lines.append(_outcome(plan, cast))
         else:
             lines.append("What the rope then does is not known: the throw was not verified to its end.")
@@ -120,10 +129,10 @@ class CastReport(PlanReport[CastPlan]):
             lines.append(self.warning)
         if self.held is not None:
             lines.append(_hold(self.held))
-        if plan.stated is not None:
+        if plan.success_probability is not None:
             lines.append(
                 f"Success probability: in simulated scenarios with rope, friction and motor drawn anew from the given "
-                f"uncertainty, the throw succeeds {plan.stated}."
+                f"uncertainty, the throw succeeds {plan.success_probability}."
             )
         return tuple(lines)
 
@@ -138,12 +147,12 @@ class CastReport(PlanReport[CastPlan]):
 
     def film_note(self) -> Callable[[float], str]:
         """Return what the film says at a time, s: target, arm, turns, and at the end the hold."""
-        run, cast = run_of(self.plan), self.plan.cast
-        turns = sense(self.plan) * winding.turns(run, self.plan.peg)
-        strike = np.inf if cast is None or not np.isfinite(cast.strike) else cast.strike
+        run, cast = self.plan.required(self.plan.run, "run"), self.plan.outcome
+        turns = sense(self.plan) * winding.turns(run, self.plan.target)
+        strike = np.inf if cast is None or not np.isfinite(cast.strike_time) else cast.strike_time
 
         def note(t: float) -> str:
-            lines = [f"target: {_place(self.plan.peg)}", f"arm: {self._arm_words(t)}"]
+            lines = [f"target: {_place(self.plan.target)}", f"arm: {self._arm_words(t)}"]
             if t < strike:
                 lines.append("rope: in the air")
             else:
@@ -157,7 +166,7 @@ class CastReport(PlanReport[CastPlan]):
     def _arm_words(self, t: float) -> str:
         if self.plan.throw is None:
             return ""
-        limits, count = self.plan.thrower.limits, self.plan.throw.count
+        limits, count = self.plan.cast_setup.limits, self.plan.throw.count
         begun = int((self.plan.throw.starts(limits) <= t).sum())
         if begun == 0:
             return f"at rest, {_swings(self.plan)} to come"
@@ -189,9 +198,9 @@ def _swings(plan: CastPlan) -> str:
 
 def _failure(plan: CastPlan) -> str:
     """Return why a plan fails, without a full stop; a heuristic criterion is called one."""
-    if plan.reason == plan.reach.reason and not plan.reach.impossible:
-        return plan.reason.replace("out of reach", "out of reach by a rule of thumb", 1)
-    return plain(plan.reason)
+    if plan.message == plan.feasibility.message and not plan.feasibility.impossible:
+        return plan.message.replace("out of reach", "out of reach by a rule of thumb", 1)
+    return plain(plan.message)
 
 
 def plain(reason: str) -> str:
@@ -205,8 +214,8 @@ def _advice(plan: CastPlan) -> tuple[str, ...]:
     if plan.success:
         return ()
     lines = []
-    if plan.nearest is not None:
-        lines.append(_nearest(plan, plan.nearest))
+    if plan.fallback is not None:
+        lines.append(_nearest(plan, plan.fallback))
     elif not plan.unfinished:
         lines.append(f"No place was found where a target like this {_expected(plan)}.")
     if plan.unfinished:
@@ -214,67 +223,71 @@ def _advice(plan: CastPlan) -> tuple[str, ...]:
         lines.append(f"By a rule of thumb the target itself is in reach. What may help: {on}, another --seed.")
     elif lacking := _lacks(plan):
         lines.append(lacking)
-    elif plan.reach.within:
+    elif plan.feasibility.feasible:
         lines.append(
             "By the same rule this target is in reach, too: a longer --time-budget or another --seed may help."
         )
     if plan.remedies:
         lines.append(f"By the same rule this target would be in reach with {' or '.join(plan.remedies)}.")
-    if not (searched(plan) or plan.reach.impossible):
+    if not (searched(plan) or plan.feasibility.impossible):
         lines.append("Near its edge the rule may be wrong: --skip-feasibility searches all the same.")
     return tuple(lines)
 
 
 def _expected(plan: CastPlan) -> str:
-    return "should be easier" if plan.reach.within else "should be in reach"
+    return "should be easier" if plan.feasibility.feasible else "should be in reach"
 
 
-def _nearest(plan: CastPlan, near: Nearest) -> str:
-    where = f"x = {near.peg.x:.4g} m, y = {near.peg.y:.4g} m, {1e2 * near.away:.3g} cm away"
+def _nearest(plan: CastPlan, near: FallbackTarget) -> str:
+    where = f"x = {near.target.x:.4g} m, y = {near.target.y:.4g} m, {1e2 * near.distance:.3g} cm away"
     if near.plan is not None:
         return f"Nearest target that works: {where}. A throw was planned for it that winds and holds, simulated."
-    tried = f"nearer places planned for in vain: {near.tried}; this one not" if near.tried else "not planned for"
+    tried = (
+        f"nearer places planned for in vain: {near.failed_plans}; this one not"
+        if near.failed_plans
+        else "not planned for"
+    )
     return f"Nearest target that {_expected(plan)}: {where}; expected by a rule of thumb, {tried}."
 
 
 def _lacks(plan: CastPlan) -> str:
     """Return what a throw that winds lacks, where more searching is not what helps; else nothing."""
-    cast, given = plan.cast, plan.thrower.limits.torque
+    cast, given = plan.outcome, plan.cast_setup.limits.torque
     if cast is None or not cast.wound:
         return ""
     if cast.torque > given:
         return f"For this throw a motor of {cast.torque:.3g} N m is needed; {given:.3g} N m are given."
-    if SLIP <= cast.slipped < math.inf:
+    if MAX_SLIP <= cast.slip < math.inf:
         return (
             "The rope winds but slips: with more friction on the target, or a weight at the rope's end, it would hold."
         )
     return ""
 
 
-def _outcome(plan: CastPlan, cast: Cast) -> str:
-    if not math.isfinite(cast.strike):
+def _outcome(plan: CastPlan, cast: CastOutcome) -> str:
+    if not math.isfinite(cast.strike_time):
         return "The rope does not touch the target."
-    struck = f"{_grazes(cast)}The rope strikes the target at {cast.strike:.2f} s"
-    if not math.isfinite(cast.slipped):
-        return f"{struck} and does not stay wound on it: {plain(cast.reason)}."
+    struck = f"{_grazes(cast)}The rope strikes the target at {cast.strike_time:.2f} s"
+    if not math.isfinite(cast.slip):
+        return f"{struck} and does not stay wound on it: {plain(cast.message)}."
     return (
         f"{struck}, winds {way(plan)}, and lies round it with "
         f"{abs(cast.turns):.2f} turns: the angle swept about the target's centre from the arm's tip along the rope to "
         f"its end, so straight parts and the hanging tail count beside what lies on the target "
-        f"({math.degrees(cast.contact):.0f} degrees), and a tail that swings "
-        f"changes it. In the last {WATCH:g} s the rope slips on the target by {1e3 * cast.slipped:.2g} mm; "
-        f"{1e3 * SLIP:g} mm are allowed."
+        f"({math.degrees(cast.contact_angle):.0f} degrees), and a tail that swings "
+        f"changes it. In the last {WATCH_TIME:g} s the rope slips on the target by {1e3 * cast.slip:.2g} mm; "
+        f"{1e3 * MAX_SLIP:g} mm are allowed."
     )
 
 
-def _grazes(cast: Cast) -> str:
+def _grazes(cast: CastOutcome) -> str:
     """Return a sentence about a touch that does not last, which comes before the strike."""
-    if cast.strike - cast.touch <= BOUNCE:
+    if cast.strike_time - cast.touch_time <= BOUNCE_TIME:
         return ""
-    return f"The rope grazes the target at {cast.touch:.2f} s and comes off again. "
+    return f"The rope grazes the target at {cast.touch_time:.2f} s and comes off again. "
 
 
-def _hold(held: Holding) -> str:
+def _hold(held: HoldingForce) -> str:
     bore = (
         f"the rope bore {held.force:.2f} N and then slipped"
         if held.tug.slipped
@@ -282,33 +295,33 @@ def _hold(held: Holding) -> str:
     )
     return (
         f"Hold force (mean over 0.1 s): pulled away from the target at 20 mm/s, {bore}. For comparison, the tail that "
-        f"hangs beyond the target weighs {held.tail:.3f} N; times e^(mu angle), with mu = {held.mu:g} and "
-        f"{held.angle:.1f} rad of contact, that is {held.rule:.2f} N (Capstan equation). It leaves out the weight of "
-        "the rope on the target and of the rope between target and arm, which the pull bears as well."
+        f"hangs beyond the target weighs {held.tail_weight:.3f} N; times e^(mu angle), with mu = {held.mu:g} and "
+        f"{held.contact_angle:.1f} rad of contact, that is {held.capstan_force:.2f} N (Capstan equation). It leaves "
+        "out the weight of the rope on the target and of the rope between target and arm, which the pull bears as well."
     )
 
 
 def _checks(plan: CastPlan) -> TextTable:
     rows = []
-    for name, cast in (("as planned", plan.cast), ("shorter links", plan.finer)):
+    for name, cast in (("as planned", plan.outcome), ("shorter links", plan.finer_outcome)):
         if cast is None:
             rows.append((name, "not run", "", "", "", ""))
-        elif cast.run is None:
+        elif not cast.completed:
             rows.append((name, "not finished", *4 * (NOT_KNOWN,)))
         else:
-            struck = math.isfinite(cast.strike)
-            strike, turns = (f"{cast.strike:.2f} s", f"{abs(cast.turns):.2f}") if struck else ("never", "none")
-            slip = f"{1e3 * cast.slipped:.2g} mm" if math.isfinite(cast.slipped) else "does not stay"
-            rows.append((name, str(cast.run.q.shape[1]), strike, turns, slip, "yes" if cast.success else "no"))
+            struck = math.isfinite(cast.strike_time)
+            strike, turns = (f"{cast.strike_time:.2f} s", f"{abs(cast.turns):.2f}") if struck else ("never", "none")
+            slip = f"{1e3 * cast.slip:.2g} mm" if math.isfinite(cast.slip) else "does not stay"
+            rows.append((name, str(cast.n_links), strike, turns, slip, "yes" if cast.success else "no"))
     return TextTable(("run", "links", "strikes", "turns", "slips", "winds and holds"), tuple(rows))
 
 
 def _warning(plan: CastPlan) -> str:
     """Return a warning of a rope that folds through itself on the way, else nothing."""
-    folded = [cast for cast in (plan.cast, plan.finer) if cast is not None and cast.folded]
+    folded = [cast for cast in (plan.outcome, plan.finer_outcome) if cast is not None and cast.folded]
     if not folded:
         return ""
-    bend = math.degrees(max(cast.bend for cast in folded))
+    bend = math.degrees(max(cast.max_bend for cast in folded))
     return (
         f"On the way the simulated rope folds by {bend:.0f} degrees from one link to the next, through itself: its "
         "contact with itself is not simulated. A real rope makes a loop or a kink there, so what comes after is less "

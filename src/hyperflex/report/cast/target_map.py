@@ -21,9 +21,9 @@ _MARGIN = 1.08
 
 def target_map(plan: CastPlan) -> Figure:
     """Draw the target, the arm with its rope at rest, and the circle beyond which the rope does not come."""
-    arm, far = plan.thrower.arm, plan.thrower.arm.length + plan.thrower.rope.total_length
+    arm, far = plan.cast_setup.arm, plan.cast_setup.arm.length + plan.cast_setup.rope.total_length
     pivot: Array = np.array(arm.pivot, dtype=np.float64)
-    pegs = [plan.peg] if plan.nearest is None else [plan.peg, plan.nearest.peg]
+    pegs = [plan.target] if plan.fallback is None else [plan.target, plan.fallback.target]
     corners = [pivot - far, pivot + far]
     corners += [np.array([peg.x, peg.y]) + side * peg.radius for peg in pegs for side in (-1.0, 1.0)]
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
@@ -36,9 +36,15 @@ def target_map(plan: CastPlan) -> Figure:
         axis.plot(*np.stack([tip, end], axis=1), color="#d99a1c", lw=2.0, label="rope, hanging at rest")
         axis.plot(*np.stack([pivot, tip], axis=1), color=INK, lw=3.0, label="arm", solid_capstyle="round")
         axis.plot(*pivot, "o", color=INK, ms=5.0, label="motor's shaft")
-        _peg(axis, plan.peg, 2.0 * half[0], RED, "target")
-        if plan.nearest is not None:
-            _peg(axis, plan.nearest.peg, 2.0 * half[0], GREEN, f"{_kind(plan)}, {1e2 * plan.nearest.away:.3g} cm away")
+        _peg(axis, plan.target, 2.0 * half[0], RED, "target")
+        if plan.fallback is not None:
+            _peg(
+                axis,
+                plan.fallback.target,
+                2.0 * half[0],
+                GREEN,
+                f"{_kind(plan)}, {1e2 * plan.fallback.distance:.3g} cm away",
+            )
         axis.set(xlim=(middle - half)[0] + np.array([0.0, 2.0 * half[0]]), aspect="equal")
         axis.set(ylim=(middle - half)[1] + np.array([0.0, 2.0 * half[1]]))
         axis.set(xlabel="x, m", ylabel="y, m (up)")
@@ -48,23 +54,23 @@ def target_map(plan: CastPlan) -> Figure:
 
 def target_map_caption(plan: CastPlan) -> str:
     """Return the caption of :func:`target_map`."""
-    near = "" if plan.nearest is None else f" Green: {_kind(plan)}."
+    near = "" if plan.fallback is None else f" Green: {_kind(plan)}."
     return f"Arm and rope as they begin, and the target (red), to scale; a drawing, nothing of it was simulated.{near}"
 
 
 def _kind(plan: CastPlan) -> str:
     """Return what the place that is named instead of the target is."""
-    if plan.nearest is not None and plan.nearest.plan is not None:
+    if plan.fallback is not None and plan.fallback.plan is not None:
         return "nearest target that works"
-    return f"nearest target that should be {'easier' if plan.reach.within else 'in reach'}"
+    return f"nearest target that should be {'easier' if plan.feasibility.feasible else 'in reach'}"
 
 
 def _at_rest(plan: CastPlan) -> tuple[Array, Array]:
     """Places (2,) of the arm's tip and the rope's end at the start, m; the arm to the left where there is no throw."""
-    arm, limits, gravity = plan.thrower.arm, plan.thrower.limits, np.array(plan.thrower.rope.gravity)
+    arm, limits, gravity = plan.cast_setup.arm, plan.cast_setup.limits, np.array(plan.cast_setup.rope.gravity)
     angle = float(np.clip(-0.5 * np.pi, *limits.angles) if plan.throw is None else plan.throw.angles(limits)[0])
     tip: Array = np.array(arm.pivot) + arm.length * np.array([math.sin(angle), -math.cos(angle)])
-    return tip, tip + plan.thrower.rope.total_length * gravity / np.hypot(*gravity)
+    return tip, tip + plan.cast_setup.rope.total_length * gravity / np.hypot(*gravity)
 
 
 def _circle(axis: Any, centre: Array, radius: float, colour: str, label: str) -> None:

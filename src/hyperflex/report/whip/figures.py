@@ -8,7 +8,6 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.planning import WhipPlan
-from hyperflex.planning.whip.files import lash_of, motion_of
 from hyperflex.report.shapes import shapes
 from hyperflex.report.strobe import strobe
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure, note
@@ -24,30 +23,30 @@ _WAY_POINTS = 400
 
 def peak_figure(plan: WhipPlan) -> Figure:
     """Draw the rope at many instants up to just after the peak."""
-    seen = lash_of(plan)
-    run = seen.run
+    seen = plan.required(plan.outcome, "outcome")
+    run = plan.required(plan.run, "run")
     start, end = max(seen.t - _BEFORE, run.t[0]), min(seen.t + _AFTER, run.t[-1])
     title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); ring: the target"
-    return strobe(run, start=float(start), end=float(end), count=48, title=title, targets=plan.mark.point[None])
+    return strobe(run, start=float(start), end=float(end), count=48, title=title, targets=plan.target.point[None])
 
 
 def passing_figure(plan: WhipPlan) -> Figure:
     """Draw how the tip passes the target: its way, in the colour of its speed, and the direction asked."""
-    seen, mark = lash_of(plan), plan.mark
-    run = seen.run
+    seen, target = plan.required(plan.outcome, "outcome"), plan.target
+    run = plan.required(plan.run, "run")
     half = max(_AROUND, 1.3 * seen.miss)
     span = 2.0 * half / max(seen.speed, 1e-3)
     times = np.linspace(max(seen.t - span, run.t[0]), min(seen.t + span, run.t[-1]), _WAY_POINTS)
-    way = 1e3 * (shapes(run, times).joints[:, -1] - mark.point)
+    way = 1e3 * (shapes(run, times).joints[:, -1] - target.point)
     speed = np.interp(times, run.t, np.hypot(*run.tip_velocity.T))
     with new_figure(8.6, 5.6) as figure:
         axis: Any = figure.subplots()
         _draw_way(figure, axis, way, speed)
         size = 0.55e3 * half
-        if not mark.anyhow:
-            _arrow(axis, np.zeros(2), size * _along(mark.direction), RED)
+        if not target.any_direction:
+            _arrow(axis, np.zeros(2), size * _along(target.direction), RED)
             axis.plot([], [], color=RED, lw=2.0, label="direction asked")
-        place = 1e3 * (seen.place - mark.point)
+        place = 1e3 * (seen.place - target.point)
         _arrow(axis, place, size * seen.velocity / max(seen.speed, 1e-9), INK)
         axis.plot([], [], color=INK, lw=2.0, label=f"velocity at the peak, {seen.speed:.1f} m/s")
         axis.plot(0.0, 0.0, "o", ms=13.0, mfc="none", mec=RED, mew=1.8, label="target")
@@ -61,17 +60,17 @@ def passing_figure(plan: WhipPlan) -> Figure:
 
 def course_figure(plan: WhipPlan) -> Figure:
     """Draw arm angle, the tip's speed, its distance from the target and the motor's torque over time."""
-    seen, mark = lash_of(plan), plan.mark
-    run = seen.run
+    seen, target = plan.required(plan.outcome, "outcome"), plan.target
+    run = plan.required(plan.run, "run")
 
     def draw(speed: Any, away: Any) -> None:
         speed.plot(run.t, np.hypot(*run.tip_velocity.T), color=GREEN)
-        speed.axhline(mark.speed, color=GREY, ls="--", lw=1.0)
-        note(speed, run.t[0], mark.speed, f" {mark.speed:.3g} m/s are needed")
+        speed.axhline(target.speed, color=GREY, ls="--", lw=1.0)
+        note(speed, run.t[0], target.speed, f" {target.speed:.3g} m/s are needed")
         speed.set(ylabel="speed, m/s", title="Speed of the tip")
         peak = f"peak at {seen.t:.2f} s: {seen.speed:.1f} m/s "
         note(speed, seen.t, 0.97, peak, RED, transform=speed.get_xaxis_transform(), ha="right", va="top")
-        away.plot(run.t, np.hypot(*(run.tip - mark.point).T), color=BLUE)
+        away.plot(run.t, np.hypot(*(run.tip - target.point).T), color=BLUE)
         away.set(ylabel="distance, m", title="Distance of the tip from the target")
         away.set_ylim(bottom=0.0)
 
@@ -82,10 +81,12 @@ def _moves(plan: WhipPlan) -> ArmMoves | None:
     """Return the strokes that begin within the run."""
     if plan.strokes is None:
         return None
-    limits = plan.thrower.limits
+    limits = plan.cast_setup.limits
     starts, angles = plan.strokes.starts(limits), plan.strokes.angles(limits)
-    ends = np.minimum(starts + limits.fastest(np.diff(angles))[0], motion_of(plan).breaks[-1])
-    count = int((starts < lash_of(plan).run.t[-1]).sum())
+    ends = np.minimum(
+        starts + limits.fastest_moves(np.diff(angles))[0], plan.required(plan.motion, "motion").breaks[-1]
+    )
+    count = int((starts < plan.required(plan.run, "run").t[-1]).sum())
     return ArmMoves(starts[:count], ends[:count], angles[: count + 1], tuple(str(k + 1) for k in range(count)))
 
 

@@ -8,10 +8,17 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from hyperflex.planning import Impact, Lash, Mark, WhipPlan
-from hyperflex.planning.whip.aim import FRICTION, LENGTH, TIMING
-from hyperflex.planning.whip.files import lash_of
-from hyperflex.planning.whip.impact import BLOW, RADIUS
+from hyperflex.planning import (
+    FRICTION_STD,
+    IMPACT_RADIUS,
+    IMPACT_TIME,
+    LENGTH_STD,
+    TIMING_STD,
+    Impact,
+    TipStrike,
+    TipTarget,
+    WhipPlan,
+)
 from hyperflex.report.page import TextTable
 from hyperflex.report.plan import PlanReport, counted
 from hyperflex.report.whip.figures import course_figure, passing_figure, peak_figure
@@ -49,38 +56,42 @@ class WhipReport(PlanReport[WhipPlan]):
     checks_note: ClassVar = (_FINER_NOTE,)
 
     def __init__(self, plan: WhipPlan, impact: Impact | None) -> None:
-        super().__init__(plan, None if plan.lash is None else plan.lash.run)
-        self.impact, mark = impact, plan.mark
+        super().__init__(plan)
+        self.impact, target = impact, plan.target
         self.title = "A planned whip" if plan.success else "No whip found that meets its target"
         whipped = "is" if plan.success else "is to be"
         self.task = (
             f"A rope on a motor-driven arm {whipped} whipped, so that its tip passes a point at a peak of its speed."
         )
-        self.verdict = f"No whip that meets the target was found: {plan.reason}."
-        if plan.success and (seen := plan.lash) is not None:
+        self.verdict = f"No whip that meets the target was found: {plan.message}."
+        if plan.success and (seen := plan.outcome) is not None:
             self.verdict = (
                 f"The tip passes the target at {seen.speed:.1f} m/s, {1e3 * seen.miss:.2g} mm off, in simulation."
             )
-        self.target = f"x = {mark.x:.3g} m, y = {mark.y:.3g} m, {_direction(mark)}, at {mark.speed:.3g} m/s or more"
+        self.target = (
+            f"x = {target.x:.3g} m, y = {target.y:.3g} m, {_direction(target)}, at {target.speed:.3g} m/s or more"
+        )
         self.tiles, self.story, self.checks = self._tiles(), self._story(), _checks(plan)
 
     def _tiles(self) -> tuple[tuple[str, str], ...]:
-        plan, mark, seen, impact = self.plan, self.plan.mark, self.plan.lash, self.impact
-        shown = [(f"{mark.x:.3g}, {mark.y:.3g} m", "target: x and y (up) from the motor's shaft")]
+        plan, target, seen, impact = self.plan, self.plan.target, self.plan.outcome, self.impact
+        shown = [(f"{target.x:.3g}, {target.y:.3g} m", "target: x and y (up) from the motor's shaft")]
         if plan.strokes is not None:
             shown.append((_strokes(plan), "of the arm to and fro"))
         if seen is not None:
-            shown.append((f"{seen.speed:.1f} m/s", f"speed of the tip at its peak; {mark.speed:.3g} are needed"))
+            shown.append((f"{seen.speed:.1f} m/s", f"speed of the tip at its peak; {target.speed:.3g} are needed"))
             shown.append((f"{1e3 * seen.miss:.2g} mm", "miss: from the target to the tip at its peak"))
-            if not mark.anyhow:
-                allowed = f"{np.degrees(mark.within):.3g}"
-                shown.append((f"{np.degrees(seen.off):.1f} degrees", f"off the direction needed; {allowed} allowed"))
+            if not target.any_direction:
+                allowed = f"{np.degrees(target.angle_tolerance):.3g}"
+                shown.append(
+                    (f"{np.degrees(seen.angle_error):.1f} degrees", f"off the direction needed; {allowed} allowed")
+                )
             shown.append((f"{seen.t:.2f} s", "after the start the tip's speed peaks"))
         if impact is not None and math.isfinite(impact.t):
             shown.append(
                 (
                     f"{1e3 * impact.impulse:.1f} mN s",
-                    f"impulse of the impact on a small peg of {1e3 * RADIUS:g} mm at the target",
+                    f"impulse of the impact on a small peg of {1e3 * IMPACT_RADIUS:g} mm at the target",
                 )
             )
         return tuple(shown)
@@ -89,7 +100,7 @@ class WhipReport(PlanReport[WhipPlan]):
         plan, impact, lines = self.plan, self.impact, [f"Target: {self.target}."]
         if plan.strokes is None:
             return tuple(lines)
-        limits = plan.thrower.limits
+        limits = plan.cast_setup.limits
         starts, angles = plan.strokes.starts(limits), np.degrees(plan.strokes.angles(limits))
         to = ", ".join(
             f"{end:.0f} degrees from {start:.2f} s on" for start, end in zip(starts, angles[1:], strict=True)
@@ -98,15 +109,15 @@ class WhipReport(PlanReport[WhipPlan]):
             f"The rope hangs at rest from the arm at {angles[0]:.0f} degrees (0 hangs down). The arm makes "
             f"{_strokes(plan)}: to {to}."
         )
-        if plan.lash is not None:
-            lines.append(_peak(plan.lash))
+        if plan.outcome is not None:
+            lines.append(_peak(plan.outcome))
         if impact is not None:
             lines.append(_impact(impact))
-        if math.isfinite(plan.doubt):
+        if math.isfinite(plan.position_std):
             lines.append(
-                f"Uncertainty: the place of the peak has a standard deviation of {1e3 * plan.doubt:.0f} mm if friction "
-                f"is known to {100 * FRICTION:g} %, length to {100 * LENGTH:g} % and each rest of the arm to "
-                f"{1e3 * TIMING:g} ms."
+                f"Uncertainty: the place of the peak has a standard deviation of {1e3 * plan.position_std:.0f} mm if "
+                f"friction is known to {100 * FRICTION_STD:g} %, length to {100 * LENGTH_STD:g} % and each rest of "
+                f"the arm to {1e3 * TIMING_STD:g} ms."
             )
         return tuple(lines)
 
@@ -116,33 +127,33 @@ class WhipReport(PlanReport[WhipPlan]):
         return {"peak": peak_figure(plan), "passing": passing_figure(plan), "course": course_figure(plan)}
 
     def film(self) -> dict[str, Any]:
-        """Return title, notes and speed of the film, and the target to mark."""
+        """Return title, notes and speed of the film, and the target to target."""
         title = "planned whip, simulated, at half speed"
-        return {"title": title, "note": self.film_note(), "speed": _SLOW, "targets": self.plan.mark.point[None]}
+        return {"title": title, "note": self.film_note(), "speed": _SLOW, "targets": self.plan.target.point[None]}
 
     def film_note(self) -> Callable[[float], str]:
         """Return what the film says at a time, s: target, arm, and from the peak on speed and miss."""
-        seen, mark = lash_of(self.plan), self.plan.mark
-        starts = None if self.plan.strokes is None else self.plan.strokes.starts(self.plan.thrower.limits)
+        seen, target = self.plan.required(self.plan.outcome, "outcome"), self.plan.target
+        starts = None if self.plan.strokes is None else self.plan.strokes.starts(self.plan.cast_setup.limits)
 
         def note(t: float) -> str:
             begun = 0 if starts is None else int((starts <= t).sum())
             arm = f"stroke {begun} of {_strokes(self.plan)}" if begun else f"{_strokes(self.plan)} to come"
             end = f"met at {seen.t:.2f} s: {seen.speed:.1f} m/s, {1e3 * seen.miss:.2g} mm off"
             if not self.plan.success:
-                end = f"FAILS: {self.plan.reason}"
-            target = f"target: x = {mark.x:.3g} m, y = {mark.y:.3g} m, {mark.speed:.3g} m/s or more"
-            return "\n".join((target, f"arm: {arm}", end if t >= seen.t else ""))
+                end = f"FAILS: {self.plan.message}"
+            place = f"target: x = {target.x:.3g} m, y = {target.y:.3g} m, {target.speed:.3g} m/s or more"
+            return "\n".join((place, f"arm: {arm}", end if t >= seen.t else ""))
 
         return note
 
 
-def _direction(mark: Mark) -> str:
+def _direction(target: TipTarget) -> str:
     """Return in which direction the tip must pass."""
-    if mark.anyhow:
+    if target.any_direction:
         return "in any direction"
-    asked = np.degrees(mark.direction)
-    return f"within {np.degrees(mark.within):.3g} degrees of the direction {asked:.3g} degrees (0 is +x, 90 up)"
+    asked = np.degrees(target.direction)
+    return f"within {np.degrees(target.angle_tolerance):.3g} degrees of the direction {asked:.3g} (0 is +x, 90 up)"
 
 
 def _strokes(plan: WhipPlan) -> str:
@@ -150,10 +161,12 @@ def _strokes(plan: WhipPlan) -> str:
     return counted(0 if plan.strokes is None else plan.strokes.ends.size, "stroke")
 
 
-def _peak(seen: Lash) -> str:
+def _peak(seen: TipStrike) -> str:
     way = np.degrees(np.arctan2(*seen.velocity[::-1]))
     before = (
-        "it was slower at all times before" if seen.before <= seen.speed else f"it reached {seen.before:.1f} before"
+        "it was slower at all times before"
+        if seen.earlier_speed <= seen.speed
+        else f"it reached {seen.earlier_speed:.1f} before"
     )
     return (
         f"At {seen.t:.2f} s the tip's speed peaks at {seen.speed:.2f} m/s ({before}), {1e3 * seen.miss:.2g} mm from "
@@ -165,19 +178,20 @@ def _impact(impact: Impact) -> str:
     if not math.isfinite(impact.t):
         return "A small peg behind the target is not touched by the rope."
     return (
-        f"Impact: a fixed peg of {1e3 * RADIUS:g} mm radius just behind the target, struck by the rope's link "
-        f"{impact.link + 1}, takes up {1e3 * impact.impulse:.1f} mN s in {1e3 * BLOW:g} ms "
-        f"({1e3 * impact.along:.1f} mN s in the tip's direction), and the rope loses {1e3 * impact.energy:.0f} mJ."
+        f"Impact: a fixed peg of {1e3 * IMPACT_RADIUS:g} mm radius just behind the target, struck by the rope's "
+        f"link {impact.link + 1}, takes up {1e3 * impact.impulse:.1f} mN s in {1e3 * IMPACT_TIME:g} ms "
+        f"({1e3 * impact.impulse_along:.1f} mN s in the tip's direction), and the rope loses "
+        f"{1e3 * impact.energy:.0f} mJ."
     )
 
 
 def _checks(plan: WhipPlan) -> TextTable:
     rows = []
-    for name, seen in (("as planned", plan.lash), ("links of half the length", plan.finer)):
+    for name, seen in (("as planned", plan.outcome), ("links of half the length", plan.finer_outcome)):
         if seen is None:
             rows.append((name, "no peak there", "", "", "", ""))
             continue
-        off = "any" if plan.mark.anyhow else f"{np.degrees(seen.off):.1f} degrees"
-        links = str(seen.run.q.shape[1])
+        off = "any" if plan.target.any_direction else f"{np.degrees(seen.angle_error):.1f} degrees"
+        links = str(seen.n_links)
         rows.append((name, links, f"{seen.t:.3f} s", f"{seen.speed:.2f} m/s", f"{1e3 * seen.miss:.2g} mm", off))
     return TextTable(("run", "links", "peak", "speed", "misses by", "off the direction"), tuple(rows))

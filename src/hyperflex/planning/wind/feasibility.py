@@ -1,13 +1,13 @@
-"""Whether a target can be wound at all: length left, energy and hold, told before any search.
+"""Feasibility check of a target before any search: length of rope left, energy at the strike, and holding force.
 
 A rope that swings as far as the target lets it is taken as a rigid rod, and its tail beyond the target as another; a
-wound rope as one that runs straight to the target, round it and down. MARGIN, HANGING, GAIN, WIDEST and ENERGY were
-chosen by hand: searches of two minutes of one processor found plans that stand for all targets of
-``benchmarks/reach.py`` in reach, up to 127 degrees from hanging, and for none higher; for 4 of 16 with too little
+wound rope as one that runs straight to the target, round it and down. MARGIN, HANGING, GAIN, WIDEST and MIN_ENERGY were
+chosen by hand: searches of two minutes of one processor found plans that succeed for all feasible targets of
+``benchmarks/reach.py``, up to 127 degrees from hanging, and for none higher; for 4 of 16 with too little
 energy, all of them more than 15 degrees aside, and for 2 of 16 with too little rope. With 20 g at the tip of the same
 rope they found some for two of nine between 92 and 108 degrees: its swings beyond level differ from those of shorter
 links, or gain less. ``benchmarks/results`` has the counts, and the part of the targets that a search winds though they
-are called out of reach.
+are called infeasible.
 """
 
 from __future__ import annotations
@@ -20,60 +20,68 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.control import swing_period
 from hyperflex.model import Peg, Rope
-from hyperflex.planning.cast_setup import Thrower
-from hyperflex.planning.wind.outcome import WOUND
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.outcome import MIN_TURNS
 
-MARGIN = 0.05  # turns beyond WOUND that a plan aims at, since the tail still swings
+MARGIN = 0.05  # turns beyond MIN_TURNS that a plan aims at, since the tail still swings
 HANGING = 2.0  # radii of the target that the rope's end hangs from it, at least
 GAIN = 2.2  # by which one stroke widens a swing, in units of the arm tip's way over the length of an equal pendulum
 # How far out a rope's weight is (length of an equal pendulum over its own: 2/3 of a uniform rope, 1 of a bob), and to
 # which angle it can be swung then, rad. Beyond level it goes slack: a weight at its end jerks it when it is taut again
 OUTWARD, WIDEST = (2.0 / 3.0, 0.74), (2.3, 1.7)
-ENERGY = 0.2  # of what lifts the tail over the target, at the strike
+MIN_ENERGY = 0.2  # energy ratio at the strike
 
 
 @dataclass(frozen=True)
-class Reach:
-    """What can be said of a target before a search.
+class Feasibility:
+    """Result of the feasibility check of a target.
 
     Attributes
     ----------
-    room : float
+    available_turns : float
         Length of the rope beyond the target, in turns about it.
-    needed : float
-        The same length for a rope that is wound, and its hanging end: `room` must be more.
-    energy : float
-        Energy of the tail at the strike, over what lifts its centre of mass over the target; at least ENERGY.
-    hold : float
+    needed_turns : float
+        The same length for a wound rope and its hanging end; `available_turns` must be more.
+    energy_ratio : float
+        Energy of the tail at the strike, over the energy that lifts its centre of mass over the target; at least
+        MIN_ENERGY.
+    holding_force : float
         Greatest pull that the wound rope can bear, N: weight of the hanging end times e^(mu angle of contact).
     impossible : bool
-        Whether geometry alone forbids it; a search would find nothing.
-    reason : str
-        Why the target is out of reach; empty if it is in reach.
+        Whether geometry or the motor's torque rule the target out; then a search is never made.
+    message : str
+        Why the target is not feasible; empty if it is.
     """
 
-    room: float
-    needed: float
-    energy: float
-    hold: float
+    available_turns: float
+    needed_turns: float
+    energy_ratio: float
+    holding_force: float
     impossible: bool
-    reason: str
+    message: str
 
     @property
-    def within(self) -> bool:
-        """Whether the target is in reach."""
-        return not self.reason
+    def feasible(self) -> bool:
+        """Whether the target is feasible."""
+        return not self.message
+
+    def margin(self, holding_force: float = 0.0) -> float:
+        """Return the least relative margin of all requirements, those of a force, N, included; below 0: infeasible."""
+        parts = [self.available_turns / self.needed_turns, self.energy_ratio / MIN_ENERGY]
+        if holding_force > 0.0:
+            parts.append(self.holding_force / holding_force)
+        return -1.0 if self.impossible else min(parts) - 1.0
 
 
-def reach(thrower: Thrower, peg: Peg, *, hold: float = 0.0) -> Reach:
-    """Tell whether a target is in reach of a thrower.
+def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0) -> Feasibility:
+    """Check whether a target is feasible.
 
     Parameters
     ----------
-    thrower : Thrower
+    cast_setup : CastSetup
     peg : Peg
-    hold : float
-        Pull that the wound rope should bear, N.
+    holding_force : float
+        Pull that the wound rope must bear, N.
 
     Notes
     -----
@@ -82,8 +90,8 @@ def reach(thrower: Thrower, peg: Peg, *, hold: float = 0.0) -> Reach:
     below the target's centre, a short one beside it and makes up to a quarter turn less. The swing is limited on the
     target's side by the target itself, on the other side by that and what one stroke adds.
     """
-    asked = checks.number("hold", hold, sign="nonnegative", unit="N")
-    rope, arm = thrower.rope, thrower.arm
+    asked = checks.number("holding_force", holding_force, sign="nonnegative", unit="N")
+    rope, arm = cast_setup.rope, cast_setup.arm
     x, y = peg.x - arm.pivot[0], peg.y - arm.pivot[1]
     down = np.array(rope.gravity) / math.hypot(*rope.gravity)
     far = math.hypot(x, y)
@@ -91,55 +99,54 @@ def reach(thrower: Thrower, peg: Peg, *, hold: float = 0.0) -> Reach:
     axis = peg.radius + rope.radius
     room = (rope.total_length - far + axis) / (2.0 * math.pi * axis)
     needed = _needed(far, aside, axis)
-    energy = _energy(thrower, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
-    bears = _hold(thrower, peg, room, _contact(far, aside, axis), _straight(far, axis))
-    impossible, reason = _verdict(thrower, far, axis, room, needed)
-    if (torque := _holding(thrower)) > thrower.limits.torque:
+    energy = _energy(cast_setup, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
+    bears = _hold(cast_setup, peg, room, _contact(far, aside, axis), _straight(far, axis))
+    impossible, message = _geometry(cast_setup, far, axis, room, needed)
+    if (torque := _start_torque(cast_setup)) > cast_setup.limits.torque:
         impossible = True
-        reason = f"the motor is too weak: the rope that hangs from the arm asks {torque:.3g} N m of it at the start"
-    if not reason and energy < ENERGY:
-        slow = _gain(thrower) < 0.5 * _gain(thrower, fast=True)
+        message = f"the motor is too weak: the rope that hangs from the arm asks {torque:.3g} N m of it at the start"
+    if not message and energy < MIN_ENERGY:
+        slow = _gain(cast_setup) < 0.5 * _gain(cast_setup, fast=True)
         why = "the motor is too slow to swing the rope up" if slow else "too little energy"
         high = f"it is higher than the rope swings, {math.degrees(_widest(rope)):.0f} degrees from hanging"
-        told = f"at the strike {energy:.2f} of what lifts the tail over it, {ENERGY:g} needed"
-        reason = f"out of reach: {why}: {high if energy < 0.0 else told}"
-    if not reason and bears < asked:
-        reason = f"out of reach: wound it bears {bears:.3g} N at most, {asked:g} N asked"
-    return Reach(room, needed, energy, bears, impossible, reason)
+        ratio = f"at the strike {energy:.2f} of what lifts the tail over it, {MIN_ENERGY:g} needed"
+        message = f"out of reach: {why}: {high if energy < 0.0 else ratio}"
+    if not message and bears < asked:
+        message = f"out of reach: wound it bears {bears:.3g} N at most, {asked:g} N asked"
+    return Feasibility(room, needed, energy, bears, impossible, message)
 
 
-def _verdict(thrower: Thrower, far: float, axis: float, room: float, needed: float) -> tuple[bool, str]:
-    """Whether geometry alone forbids the target, and what is wrong with it."""
-    short = far - axis - thrower.rope.total_length - thrower.arm.length
+def _geometry(cast_setup: CastSetup, far: float, axis: float, room: float, needed: float) -> tuple[bool, str]:
+    """Return whether geometry alone rules the target out, and a message; empty if nothing is wrong."""
+    short = far - axis - cast_setup.rope.total_length - cast_setup.arm.length
     if short > 0.0:
         return True, f"out of reach: the rope ends {short:.2f} m short of the target"
-    if far - axis <= thrower.arm.length:
+    if far - axis <= cast_setup.arm.length:
         return True, "inside the arm's circle: the arm would strike the target"
-    most = _most(thrower, far, axis)
-    if most < WOUND:
-        return True, f"out of reach: with all of the rope round the target it makes {most:.2f} turns, {WOUND:g} asked"
+    most = _most(cast_setup, far, axis)
+    if most < MIN_TURNS:
+        reason = f"with all of the rope round the target it makes {most:.2f} turns, {MIN_TURNS:g} asked"
+        return True, f"out of reach: {reason}"
     if room < needed:
-        return (
-            False,
-            f"out of reach: rope for {max(room, 0.0):.2f} turns is left beyond the target, {needed:.2f} needed",
-        )
+        left = f"rope for {max(room, 0.0):.2f} turns is left beyond the target"
+        return False, f"out of reach: {left}, {needed:.2f} needed"
     return False, ""
 
 
-def _holding(thrower: Thrower) -> float:
+def _start_torque(cast_setup: CastSetup) -> float:
     """Torque that holds the hanging rope before the cast, N m: the lesser of the two sides."""
-    rope = thrower.rope
+    rope = cast_setup.rope
     gx, gy = rope.gravity
-    starts = [thrower.limits.start(side) for side in (-1, 1)]
-    lever = thrower.arm.length * min(abs(math.cos(angle) * gx + math.sin(angle) * gy) for angle in starts)
+    starts = [cast_setup.limits.start_angle(side) for side in (-1, 1)]
+    lever = cast_setup.arm.length * min(abs(math.cos(angle) * gx + math.sin(angle) * gy) for angle in starts)
     return float(rope.total_mass * lever)
 
 
-def _most(thrower: Thrower, far: float, axis: float) -> float:
+def _most(cast_setup: CastSetup, far: float, axis: float) -> float:
     """Turns that no rope of this length can exceed: the arm points to the target, all that is left lies on it."""
-    near = far - thrower.arm.length
+    near = far - cast_setup.arm.length
     straight = math.sqrt(near**2 - axis**2)
-    return (math.acos(axis / near) + (thrower.rope.total_length - straight) / axis) / (2.0 * math.pi)
+    return (math.acos(axis / near) + (cast_setup.rope.total_length - straight) / axis) / (2.0 * math.pi)
 
 
 def _contact(far: float, aside: float, axis: float) -> float:
@@ -153,11 +160,11 @@ def _straight(far: float, axis: float) -> float:
 
 
 def _needed(far: float, aside: float, axis: float) -> float:
-    """Least room of a rope that is wound WOUND and MARGIN turns with a hanging end, in turns."""
+    """Least room of a rope that is wound MIN_TURNS and MARGIN turns with a hanging end, in turns."""
     angle = _contact(far, aside, axis)
     rooms = []
     for _ in range(3):
-        end = 2.0 * math.pi * (WOUND + MARGIN) - math.acos(min(1.0, axis / far)) - angle if far > 0.0 else 0.0
+        end = 2.0 * math.pi * (MIN_TURNS + MARGIN) - math.acos(min(1.0, axis / far)) - angle if far > 0.0 else 0.0
         if angle > 0.0 and end < 0.5 * math.pi:  # else even a long end makes too few turns
             hanging = max(HANGING, math.tan(max(end, 0.0)))
             rooms.append((_straight(far, axis) + angle + hanging) / (2.0 * math.pi))
@@ -165,13 +172,13 @@ def _needed(far: float, aside: float, axis: float) -> float:
     return min(rooms)
 
 
-def _gain(thrower: Thrower, *, fast: bool = False) -> float:
-    """Angle by which one stroke widens a swing, rad; `fast`: if the motor were as fast as one likes."""
-    least, greatest = thrower.limits.angles
+def _gain(cast_setup: CastSetup, *, fast: bool = False) -> float:
+    """Angle by which one stroke widens a swing, rad; `fast`: with a motor without limits."""
+    least, greatest = cast_setup.limits.angles
     stroke = min(math.pi, greatest - least)
-    gain = GAIN * 2.0 * thrower.arm.length * math.sin(0.5 * stroke) / _pendulum(thrower.rope)
-    time = float(thrower.limits.fastest([stroke])[0][0])
-    return gain if fast else gain * min(1.0, 0.5 * swing_period(thrower.rope) / time)
+    gain = GAIN * 2.0 * cast_setup.arm.length * math.sin(0.5 * stroke) / _pendulum(cast_setup.rope)
+    time = float(cast_setup.limits.fastest_moves([stroke])[0][0])
+    return gain if fast else gain * min(1.0, 0.5 * swing_period(cast_setup.rope) / time)
 
 
 def _widest(rope: Rope) -> float:
@@ -184,11 +191,11 @@ def _pendulum(rope: Rope) -> float:
     return math.hypot(*rope.gravity) * (swing_period(rope) / (2.0 * math.pi)) ** 2
 
 
-def _energy(thrower: Thrower, far: float, aside: float, axis: float) -> float:
-    """Energy of the tail at the strike over what lifts it, for rods; below 0 where the swing does not get there."""
-    rope, gain = thrower.rope, _gain(thrower)
+def _energy(cast_setup: CastSetup, far: float, aside: float, axis: float) -> float:
+    """Energy ratio of the tail at the strike, for rods; below 0 if the swing does not get there."""
+    rope, gain = cast_setup.rope, _gain(cast_setup)
     near = aside - math.asin(min(1.0, axis / far))
-    strokes = thrower.time / (0.5 * swing_period(rope))
+    strokes = cast_setup.time / (0.5 * swing_period(rope))
     wide = min(near + gain, gain * strokes, _widest(rope))
     mass = np.append(rope.mass, rope.tip_mass)
     along = np.append(np.cumsum(rope.length) - rope.length + rope.com, rope.total_length)
@@ -199,9 +206,9 @@ def _energy(thrower: Thrower, far: float, aside: float, axis: float) -> float:
     return float(share * drop / max(lift, 1e-12))
 
 
-def _hold(thrower: Thrower, peg: Peg, room: float, contact: float, straight: float) -> float:
+def _hold(cast_setup: CastSetup, peg: Peg, room: float, contact: float, straight: float) -> float:
     """Greatest pull that a wound rope bears, N, of all the turns that it has room for."""
-    rope, axis = thrower.rope, peg.radius + thrower.rope.radius
+    rope, axis = cast_setup.rope, peg.radius + cast_setup.rope.radius
     weight = math.hypot(*rope.gravity)
     # Mass beyond each joint over the length of rope there, from the tip on
     beyond = np.cumsum(np.append(0.0, rope.length[::-1])), np.cumsum(np.append(rope.tip_mass, rope.mass[::-1]))

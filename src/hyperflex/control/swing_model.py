@@ -1,4 +1,4 @@
-"""Rope, arm and half turns as a controller knows them, and what it can foresee with them."""
+"""The controller's model of rope, arm and half turns, and its predictions."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ from hyperflex.motion import Motion, Profile, strokes
 from hyperflex.simulation import simulate, simulate_batch, tip_crosses
 from hyperflex.trajectory import State
 
-SAMPLE_TIME = 0.02  # s, between looks at the tip in a foreseen swing
+SAMPLE_TIME = 0.02  # s, of predictions
 PLANNING_TOL = 1e-4  # m; docs/how-to/accuracy.md
-SOON = 1e-6  # s, within which a crossing that has just been is not found again
+SOON = 1e-6  # s after now within which a crossing is not looked for: it may be the last one
+SHORTFALL_COST = 3.0  # s/m
 
 
 def swing_period(rope: Rope) -> float:
-    """Return the period of a small swing of a whole rope as if it were a rigid rod, s; a rope's own is 2 % longer.
+    """Return the period of a small swing of the rope as a rigid rod, s; that of the rope itself is 2 % longer.
 
     Parameters
     ----------
@@ -46,17 +47,16 @@ def swing_period(rope: Rope) -> float:
 
 
 @dataclass(frozen=True)
-class Caster:
-    """A rope on an arm that makes half turns, as its controller knows it; the true one may differ.
+class SwingModel:
+    """A controller's model of a rope on an arm that makes half turns; the true rope may differ.
 
     Parameters
     ----------
     rope, arm : Rope, Arm
-        The model.
     t_move : float
-        Time of a half turn, s.
+        Duration of a half turn, s.
     profile : {"bang-bang", "ramp", "minimum-jerk"}
-        How the arm moves in it.
+        Of the half turn.
     path : {"under", "over"}
         Through the bottom or over the top.
     """
@@ -78,33 +78,18 @@ class Caster:
 
     @property
     def usual_rest(self) -> float:
-        """Rest with which half turns keep step with a swing that has grown a little, s."""
+        """Rest that keeps half turns in step with a swing of moderate amplitude, s."""
         return max(0.0, 0.54 * self.period - self.t_move)
 
-    def next_crossing(self, now: RopeState, made: int, *, within: float | None = None) -> float:
-        """Return when the tip next passes below or above the shaft if the arm rests, s; inf if it does not.
-
-        Parameters
-        ----------
-        now : RopeState
-            Where the rope is; the arm rests.
-        made : int
-            Half turns made so far: they tell where.
-        within : float, optional
-            How far to look ahead, s; one period if not given.
-        """
-        ahead = self.period if within is None else within
-        return self.crossing(now, self.motion([], made), after=now.t + SOON, until=now.t + ahead)
-
     def crossing(self, now: RopeState, motion: Motion, *, after: float, until: float) -> float:
-        """Return when the tip first passes below or above the shaft in a span of time, s; inf if it does not.
+        """Return the time at which the tip first passes below or above the shaft in a span, s; inf if it does not.
 
         Parameters
         ----------
         now : RopeState
-            Where the rope is.
+            State of the rope.
         motion : Motion
-            What the arm does from then on; times as those of `now`.
+            Of the arm, on the clock of `now`.
         after, until : float
             The span, s; it ends after `now`.
         """
@@ -119,27 +104,27 @@ class Caster:
         )
         return math.inf if run.event is None else run.event[1]
 
-    def foresee(self, now: RopeState, made: int, rests: npt.ArrayLike, horizon: float) -> tuple[Array, Array]:
-        """Return how far out the tip will be, with each of several sequences of rests before the next half turns.
+    def predict(self, now: RopeState, made: int, rests: npt.ArrayLike, horizon: float) -> tuple[Array, Array]:
+        """Predict the tip's distance |x| from the shaft for several sequences of rests before the next half turns.
 
         Parameters
         ----------
         now : RopeState
-            Where the rope is; the arm rests.
+            State of the rope; the arm rests.
         made : int
             Half turns made so far.
         rests : (m, k) array_like
-            Rests, s, before each of the next k half turns. More follow after usual rests; those that would start after
-            the horizon do not count.
+            Rests, s, before each of the next k half turns. More half turns follow after usual rests, as far as they
+            start before the horizon.
         horizon : float
-            How far to look ahead, s.
+            Time to look ahead, s.
 
         Returns
         -------
         t : (T,) float64
             Time from now on, s.
-        reach : (m, T) float64
-            ``|x|`` of the tip from the shaft, m; 0 where the prediction failed.
+        amplitude : (m, T) float64
+            ``|x|`` of the tip from the shaft, m; 0 if the simulation failed.
         """
         ahead = checks.array("rests", rests, (-1, -1), sign="nonnegative", unit="s")
         more = max(0, math.ceil(horizon / self.t_move) - ahead.shape[1])
@@ -158,3 +143,40 @@ class Caster:
             tol=PLANNING_TOL,
         )
         return t, np.nan_to_num(np.abs(batch.tip[:, :, 0] - self.arm.pivot[0]))
+
+
+def arrival_time(t: Array, amplitude: Array, target: float) -> Array:
+    """Return the time at which an amplitude is first reached.
+
+    Parameters
+    ----------
+    t : (T,) float64
+        Time, s.
+    amplitude : (m, T) float64
+        ``|x|`` of the tip in m runs, m.
+    target : float
+        m.
+
+    Returns
+    -------
+    (m,) float64
+        Time, s, linear between samples; inf if the amplitude is never reached.
+
+    Examples
+    --------
+    >>> arrival_time(np.array([0.0, 1.0, 2.0]), np.array([[0.0, 0.5, 1.5], [0.0, 0.1, 0.2]]), 1.0)
+    array([1.5, inf])
+    """
+    beyond = amplitude >= target
+    k = beyond.argmax(axis=1)
+    rows = np.arange(len(amplitude))
+    before = np.maximum(k - 1, 0)
+    rise = amplitude[rows, k] - amplitude[rows, before]
+    part = np.where((k > 0) & (rise > 0.0), (target - amplitude[rows, before]) / np.where(rise > 0.0, rise, 1.0), 1.0)
+    return np.where(beyond.any(axis=1), t[before] + part * (t[k] - t[before]), np.inf)
+
+
+def arrival_cost(t: Array, amplitude: Array, target: float) -> Array:
+    """Return the arrival time (m,), s; without arrival the end and SHORTFALL_COST times the shortfall."""
+    first = arrival_time(t, amplitude, target)
+    return np.where(np.isfinite(first), first, t[-1] + SHORTFALL_COST * (target - amplitude.max(axis=1)))

@@ -1,0 +1,276 @@
+"""The outcome of a throw in a simulated run: wound or not, held or not, why not, and the force that it holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks, winding
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
+from hyperflex.motion import Motion
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.simulation import simulate
+from hyperflex.trajectory import Trajectory
+from hyperflex.winding import Tug, Winding
+
+MIN_TURNS = 1.25  # turns of a wound rope, from the arm's tip to the rope's end
+SETTLING_TIME = 1.0  # s from the arm's stop to the watch
+WATCH_TIME = 2.0  # s for which the rope must hold
+MAX_SLIP = 5e-3  # m, in the watch
+SAMPLE_TIME = 0.01  # s
+BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
+MEAN_TIME = 0.1  # s over which forces are averaged: those of single steps jump
+
+
+@dataclass(frozen=True, eq=False)
+class CastOutcome:
+    """Outcome of a throw in a simulated run.
+
+    Attributes
+    ----------
+    wound : bool
+        Whether the rope turns MIN_TURNS times or more about the peg all through the watch: WATCH_TIME seconds from
+        SETTLING_TIME after the arm's stop.
+    held : bool
+        Whether it slips by less than MAX_SLIP in the watch, and bears the pull that was asked for.
+    turns : float
+        Signed turns from the arm's tip to the rope's end at the end of the run, positive counterclockwise.
+    slip : float
+        Greatest slip of the rope on the peg in the watch, m; NaN or infinite if the rope is not on the peg.
+    load_ratio : float
+        Greatest pull of the arm's side in the watch over the greatest that Capstan's rule allows; NaN if the rope is
+        not on the peg. Below 1 there is a margin.
+    strike_time : float
+        Start of the longest stay on the peg, s, breaks of BOUNCE_TIME included; NaN if the rope never touches it.
+    touch_time : float
+        First touch of the peg, s: before `strike_time` if the rope grazes the peg and comes off.
+    contact_angle : float
+        Angle about the peg from the first to the last link in contact at the end of the run, rad, >= 0.
+    max_bend : float
+        Greatest angle between neighbouring links, rad. Above pi the rope has folded through itself: its contact with
+        itself is not simulated.
+    torque : float
+        Greatest motor torque, N m.
+    message : str
+        Why the throw fails; empty if it succeeds.
+    n_links : int
+        Links of the simulated rope; 0 if the simulation failed.
+    run : Trajectory or None
+        The run; None if the simulation failed, or if the outcome was read from a file.
+    """
+
+    wound: bool
+    held: bool
+    turns: float
+    slip: float
+    load_ratio: float
+    strike_time: float
+    touch_time: float
+    contact_angle: float
+    max_bend: float
+    torque: float
+    message: str
+    n_links: int
+    run: Trajectory | None = None
+
+    @property
+    def success(self) -> bool:
+        """Wound and held."""
+        return self.wound and self.held and not self.message
+
+    @property
+    def completed(self) -> bool:
+        """Whether the simulation came to its end."""
+        return self.n_links > 0
+
+    @property
+    def folded(self) -> bool:
+        """Whether the rope folds through itself at any time."""
+        return self.max_bend > np.pi
+
+
+def verify_cast(
+    cast_setup: CastSetup,
+    peg: Peg,
+    motion: Motion,
+    *,
+    tol: float = DEFAULT_TOL,
+    contact_step: float = DEFAULT_CONTACT_STEP,
+    watch_time: float = WATCH_TIME,
+    time_budget: float | None = None,
+) -> CastOutcome:
+    """Simulate a motion from rest beside a peg, with links refined near the peg, and evaluate the outcome.
+
+    Parameters
+    ----------
+    cast_setup : CastSetup
+    peg : Peg
+    motion : Motion
+        With an end, after which the arm stands still.
+    tol, contact_step : float
+        As for :func:`hyperflex.simulate`, m and s.
+    watch_time : float
+        Time for which the rope must hold, s, from SETTLING_TIME after the arm's stop.
+    time_budget : float, optional
+        Processor time of the run, s; a run that takes more has failed.
+    """
+    watch_time = checks.number("watch_time", watch_time, sign="positive", unit="s")
+    stop = float(motion.breaks[-1])
+    duration = stop + SETTLING_TIME + watch_time
+    t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)
+    t[-1] = min(t[-1], duration)
+    try:
+        run = simulate(
+            cast_setup.rope,
+            motion,
+            arm=cast_setup.arm,
+            duration=duration,
+            pegs=[peg],
+            tol=tol,
+            contact_step=contact_step,
+            t_eval=t,
+            patience=time_budget,
+        )
+    except SimulationError as error:
+        nan, message = float("nan"), f"the simulation failed ({error.status})"
+        return CastOutcome(False, False, 0.0, nan, nan, nan, nan, nan, nan, nan, message, 0)
+    return evaluate_cast(cast_setup, peg, run, stop)
+
+
+def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float) -> CastOutcome:
+    """Evaluate a run whose arm stopped at `stop`, s."""
+    wound = winding.wound(run, peg)
+    watched = run.t >= stop + SETTLING_TIME
+    turns = wound.turns[watched]
+    sense = np.sign(turns[-1])
+    slips = winding.slip(run, peg, since=stop + SETTLING_TIME)[watched]
+    on = bool(np.isfinite(slips).all())
+    slip = float(np.abs(slips).max())
+    enough = bool((sense * turns >= MIN_TURNS).all())
+    held = on and slip < MAX_SLIP
+    touched = np.isfinite(wound.before)
+    torque = float(np.abs(run.motor_torque).max())
+    message = ""
+    if not touched.any():
+        message = "the rope does not touch the peg"
+    elif not enough:
+        least, most = max(0.0, float((sense * turns).min())), float(np.abs(wound.turns).max())
+        message = f"it winds {least:.2f} turns ({most:.2f} at most), and {MIN_TURNS:g} are asked"
+    elif not held:
+        message = (
+            "the rope leaves the peg" if not on else f"it slips by {1e3 * slip:.1f} mm, {1e3 * MAX_SLIP:g} allowed"
+        )
+    elif torque > cast_setup.limits.torque:
+        message = f"it asks {torque:.3g} N m of a motor that gives {cast_setup.limits.torque:.3g}"
+    return CastOutcome(
+        wound=enough,
+        held=held,
+        turns=float(turns[-1]),
+        slip=slip,
+        load_ratio=_load_ratio(wound, watched, peg) if on else float("nan"),
+        strike_time=_longest_stay(run.t, touched),
+        touch_time=float(run.t[touched.argmax()]) if touched.any() else float("nan"),
+        contact_angle=abs(float(wound.arc[-1])),
+        max_bend=float(np.abs(np.diff(run.q, axis=1)).max(initial=0.0)),
+        torque=torque,
+        message=message,
+        n_links=run.q.shape[1],
+        run=run,
+    )
+
+
+def _longest_stay(t: Array, touched: npt.NDArray[np.bool_]) -> float:
+    """Start of the longest stay on the peg, s; NaN if there is none. Breaks of BOUNCE_TIME do not end it."""
+    there = t[touched]
+    if not there.size:
+        return float("nan")
+    apart = np.flatnonzero(np.diff(there) > BOUNCE_TIME)
+    begins, ends = there[np.append(0, apart + 1)], there[np.append(apart, there.size - 1)]
+    return float(begins[(ends - begins).argmax()])
+
+
+def _load_ratio(wound: Winding, watched: npt.NDArray[np.bool_], peg: Peg) -> float:
+    """Return the greatest ratio of the pull to what Capstan's rule allows, both averaged over MEAN_TIME."""
+    count = max(1, round(MEAN_TIME / SAMPLE_TIME))
+    before, after = (
+        np.convolve(force[watched], np.full(count, 1.0 / count), mode="valid") for force in (wound.before, wound.after)
+    )
+    arc = np.abs(wound.arc[watched]).min()
+    return float((before / np.maximum(after * np.exp(peg.mu * arc), 1e-12)).max())
+
+
+@dataclass(frozen=True, eq=False)
+class HoldingForce:
+    """Force that a wound rope bears, by a simulated tug and by Capstan's rule.
+
+    Attributes
+    ----------
+    tug : Tug
+        The tug, from the end of the run.
+    tail_weight : float
+        Weight of the rope that hangs beyond the peg, N.
+    contact_angle : float
+        Angle about the peg from the first to the last link in contact, rad, >= 0.
+    mu : float
+        Friction coefficient between rope and peg.
+    """
+
+    tug: Tug
+    tail_weight: float
+    contact_angle: float
+    mu: float
+
+    @property
+    def force(self) -> float:
+        """Pull before the rope slipped, N; a lower bound if it did not slip."""
+        return self.tug.hold
+
+    @property
+    def capstan_force(self) -> float:
+        """Capstan's rule for a rope without weight on the peg: the tail's weight times e^(mu angle), N."""
+        return float(self.tail_weight * np.exp(self.mu * self.contact_angle))
+
+
+def measure_holding_force(run: Trajectory, peg: Peg) -> HoldingForce | None:
+    """Tug at the rope from the end of a run.
+
+    Parameters
+    ----------
+    run : Trajectory
+        Simulated with this peg.
+    peg : Peg
+
+    Returns
+    -------
+    HoldingForce or None
+        None if the rope is not on the peg or the tug cannot be simulated.
+    """
+    wound = winding.wound(run, peg)
+    if not np.isfinite(wound.tail[-1]):
+        return None
+    try:
+        tug = winding.tug(run, peg)
+    except (InvalidInput, SimulationError):
+        return None
+    return HoldingForce(tug, float(wound.tail[-1]), abs(float(wound.arc[-1])), peg.mu)
+
+
+def require_holding_force(outcome: CastOutcome, peg: Peg, force: float) -> CastOutcome:
+    """Return the outcome, as a failure if a simulated tug shows that the rope bears less than `force`, N.
+
+    A force of 0 asks for nothing.
+    """
+    if force <= 0.0 or not outcome.success or outcome.run is None:
+        return outcome
+    measured = measure_holding_force(outcome.run, peg)
+    if measured is None:
+        return replace(outcome, held=False, message="what it bears could not be simulated")
+    if measured.tug.holds(force):
+        return outcome
+    slipped = measured.tug.slipped
+    bears = f"it bears {measured.force:.3g} N" if slipped else f"it was pulled with {measured.force:.3g} N at most"
+    return replace(outcome, held=False, message=f"{bears}, and {force:.3g} N are asked")

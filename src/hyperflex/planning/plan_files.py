@@ -1,0 +1,41 @@
+"""Plans read back from the files that they were written to."""
+
+from __future__ import annotations
+
+from hyperflex import files
+from hyperflex.errors import InvalidInput
+from hyperflex.model import PLAN
+from hyperflex.planning.plan import from_table
+from hyperflex.planning.whip.whip_plan import WhipPlan
+from hyperflex.planning.wind.cast_plan import CastPlan
+
+KINDS: dict[str, type[CastPlan] | type[WhipPlan]] = {kind.kind: kind for kind in (CastPlan, WhipPlan)}
+
+
+def read_plan(path: files.PathLike) -> CastPlan | WhipPlan:
+    """Read a plan from a file of :meth:`CastPlan.to_toml` or :meth:`WhipPlan.to_toml`.
+
+    Parameters
+    ----------
+    path : path-like
+        TOML file.
+
+    Returns
+    -------
+    CastPlan or WhipPlan
+        Equal to the plan that was written, but without the runs of its outcomes. ``hyperflex.simulate`` repeats the
+        verified run from the set-up in the same file.
+
+    Raises
+    ------
+    FileProblem, InvalidInput
+        If the file cannot be read or holds no plan.
+    """
+    content = files.read_toml(path)
+    table = dict(content.get(PLAN) or {})
+    if table.pop("source", None) != "simulated" or (kind := KINDS.get(table.pop("kind", ""))) is None:
+        raise InvalidInput(f"{path} holds no plan", got=sorted(content), allowed="a file that a plan's to_toml wrote")
+    try:
+        return from_table(kind, table)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InvalidInput(f"the plan in {path} is not complete", got=str(error), fix="Write it again") from None

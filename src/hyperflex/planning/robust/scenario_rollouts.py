@@ -1,0 +1,190 @@
+"""Throws in sampled scenarios: batch rollouts, and the success probability that they estimate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, Peg
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
+from hyperflex.planning.search import strikes
+from hyperflex.planning.search.contact_phase import WindingScores, simulate_contact
+from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.throw import Throw
+
+AFTER_STOP = 0.5  # s after the arm's stop within which a strike still counts
+TOGETHER = 128  # rollouts at once; more would fill the memory
+MIN_FLIGHT = 0.5  # s of free flight, at least
+Z_95 = 1.959963984540054  # standard deviations on either side that hold 95 %
+SAMPLES = 40
+STREAM = 7001  # random stream of an estimate, apart from those of a search
+
+
+def scenario_scores(
+    cast_setup: CastSetup, pairs: Sequence[tuple[Throw, Scenario]], *, threads: int | None = None
+) -> WindingScores:
+    """Simulate throws in scenarios (M), each rope from rest; see :func:`winding_scores`."""
+    motions = [scenario.motion(throw, cast_setup) for throw, scenario in pairs]
+    batch = RolloutBatch.from_rest([each.rope for _, each in pairs], [each.peg for _, each in pairs], motions)
+    return winding_scores(batch, cast_setup.arm, cast_setup.time, threads=threads)
+
+
+def winding_scores(batch: RolloutBatch, arm: Arm, time: float, *, threads: int | None = None) -> WindingScores:
+    """Simulate throws in free flight until they strike, and in contact from there.
+
+    Parameters
+    ----------
+    batch : RolloutBatch
+    arm : Arm
+    time : float
+        Time within which they must strike, s, on the clock of `batch.since`; a strike until AFTER_STOP after the arm's
+        stop counts in any case.
+    threads : int, optional
+
+    Returns
+    -------
+    WindingScores
+        (M,); 0 turns without a strike or if a run fails.
+    """
+    score, turns = np.full(len(batch), strikes.NEVER), np.zeros(len(batch))
+    for low in range(0, len(batch), TOGETHER):
+        rows = range(low, min(low + TOGETHER, len(batch)))
+        part = batch.select(rows)
+        t, q, qd, gap = first_strikes(part, arm, time, threads=threads)
+        score[low : rows.stop] -= gap
+        hit = np.flatnonzero(np.isfinite(t))
+        if hit.size:
+            some = part.select(hit.tolist())
+            motions = [motion.shifted(-at) for motion, at in zip(some.motions, t[hit], strict=True)]
+            struck = replace(some, motions=motions, q=q[hit], qd=qd[hit])
+            found = simulate_contact(struck, t[hit] + batch.since, arm=arm, threads=threads)
+            score[low + hit], turns[low + hit] = found.score, found.turns
+    return WindingScores(score, turns)
+
+
+def first_strikes(
+    batch: RolloutBatch, arm: Arm, time: float, *, threads: int | None = None
+) -> tuple[Array, Array, Array, Array]:
+    """Simulate free flight until the first strikes.
+
+    Returns
+    -------
+    t : (M,) float64
+        Last sample before the strike, s from the start of the rollout; NaN without a strike.
+    q, qd : (M, n) float64
+        State there, rad and rad/s.
+    gap : (M,) float64
+        Smallest gap, m.
+    """
+    stop = max(float(motion.breaks[-1]) for motion in batch.motions)
+    span = max(time - batch.since, stop + AFTER_STOP, MIN_FLIGHT)
+    t, q, qd = free_flight(batch, arm, span, threads=threads)
+    base = np.stack([strikes.arm_tip(arm, motion, t)[0] for motion in batch.motions])
+    lengths = np.stack([rope.length for rope in batch.ropes])[:, None]
+    good = np.isfinite(q).all(axis=(1, 2))
+    at, gap = np.zeros(len(batch), dtype=np.int64), np.zeros(len(batch))
+    for peg in dict.fromkeys((peg.x, peg.y, peg.radius) for peg in batch.pegs):
+        same = [m for m, one in enumerate(batch.pegs) if (one.x, one.y, one.radius) == peg]
+        at[same], _, gap[same] = strikes.first_contact(
+            np.nan_to_num(q[same]), base[same], lengths[same], Peg(*peg), batch.ropes[0].radius
+        )
+    rows, hit = np.arange(len(batch)), (at > 0) & good
+    before = np.maximum(at - 1, 0)
+    return np.where(hit, t[before], np.nan), q[rows, before], qd[rows, before], gap
+
+
+def free_flight(
+    batch: RolloutBatch, arm: Arm, span: float, *, at_end: bool = False, threads: int | None = None
+) -> tuple[Array, Array, Array]:
+    """Simulate free flight for a span, s; return samples t (T,), q and qd (M, T, n). `at_end`: of the end alone."""
+    t: Array = strikes.SAMPLE_TIME * np.arange(1.0, np.ceil(span / strikes.SAMPLE_TIME - 1e-9) + 1.0)
+    t = np.array([span]) if at_end else t
+    run = batch.run(arm, t, tol=strikes.COARSE_TOL, keep=("q", "qd"), threads=threads)
+    return t, run.q, run.qd
+
+
+def nominal_strike_times(
+    cast_setup: CastSetup, peg: Peg, throws: Sequence[Throw], *, threads: int | None = None
+) -> Array:
+    """Return the times (M,), s, at which throws strike in the nominal scenario; NaN without a strike."""
+    motions = [throw.motion(cast_setup.limits) for throw in throws]
+    batch = RolloutBatch.from_rest([cast_setup.rope] * len(throws), [peg] * len(throws), motions)
+    return first_strikes(batch, cast_setup.arm, cast_setup.time, threads=threads)[0]
+
+
+@dataclass(frozen=True)
+class SuccessProbability:
+    """Number of sampled scenarios in which a throw succeeds.
+
+    Attributes
+    ----------
+    successes, samples : int
+    """
+
+    successes: int
+    samples: int
+
+    def __post_init__(self) -> None:
+        checks.count("samples", self.samples)
+        if not 0 <= self.successes <= self.samples:
+            raise InvalidInput(
+                "there are more successes than samples", got=self.successes, allowed=f"0 to {self.samples}"
+            )
+
+    @property
+    def estimate(self) -> float:
+        """Successes over samples."""
+        return self.successes / self.samples
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % confidence interval of the probability (Wilson, 1927)."""
+        n, p, z = self.samples, self.estimate, Z_95
+        centre = (p + z**2 / (2.0 * n)) / (1.0 + z**2 / n)
+        half = z / (1.0 + z**2 / n) * math.sqrt(p * (1.0 - p) / n + z**2 / (4.0 * n**2))
+        low, high = max(0.0, centre - half), min(1.0, centre + half)
+        return (0.0 if self.successes == 0 else low), (1.0 if self.successes == n else high)
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        counts = f"{self.successes} of {self.samples}"
+        return f"{100 * self.estimate:.0f} % ({100 * low:.0f} to {100 * high:.0f} %, {counts})"
+
+
+def estimate_success_probability(
+    cast_setup: CastSetup,
+    peg: Peg,
+    throw: Throw,
+    uncertainty: Uncertainty | None = None,
+    *,
+    samples: int = SAMPLES,
+    seed: int = 0,
+    threads: int | None = None,
+) -> SuccessProbability:
+    """Estimate how often a throw winds and stays wound, by simulation in sampled scenarios.
+
+    Parameters
+    ----------
+    cast_setup : CastSetup
+    peg : Peg
+    throw : Throw
+        Made in open loop: its moves start when planned, apart from the timing noise of each scenario.
+    uncertainty : Uncertainty, optional
+        By default that of a realistic identification.
+    samples : int
+    seed : int
+        Of the scenarios; those of a search are others in any case.
+    threads : int, optional
+    """
+    known = uncertainty or Uncertainty()
+    scenarios = known.sample(samples, cast_setup, peg, seed=[STREAM, checks.count("seed", seed, least=0)])
+    found = scenario_scores(cast_setup, [(throw, scenario) for scenario in scenarios], threads=threads)
+    return SuccessProbability(int((found.turns >= MIN_TURNS).sum()), samples)

@@ -1,0 +1,276 @@
+"""The search for a throw: first over free swings with promising strikes, then over the last moves in contact."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Peg, Setup, divided
+from hyperflex.motion import hold
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.search import strikes
+from hyperflex.planning.search.beam import FINER, BeamSearch, Strike
+from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, unconfirmed
+from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, simulate_contact
+from hyperflex.planning.search.evolution import cma_es
+from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.throw import LAST, Throw, ThrowParametrization
+from hyperflex.simulation.contact.start import check_outside
+
+MEMBERS, CONTACT_MEMBERS = 32, 16  # of a generation of free swings, and of one in contact
+KEPT = 4  # swings of a generation that may be tried in contact
+TRIED = 4  # swings of a round that are tried in contact
+# Tried after a strike: strokes still made; then the last move's end, in half turns, and the rest before it, periods
+MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
+SLOW_RUNS, MIN_BUDGET = 10.0, 0.5  # one run in so many takes very long; processor time of each in any case, s
+UNTIL = 2.0 * strikes.SAMPLE_TIME  # s after a strike, until which the arm rests that rested before it
+LATE = 0.5  # fraction of the time allowed
+CONFIRMED = 32  # swings at once that are simulated with shorter links too, and then kept
+NARROW = 0.25  # step size of CMA-ES in contact, relative to that of free swings
+
+
+@dataclass(eq=False)
+class ThrowSearch:
+    """A search for throws: over free swings by beam search and by CMA-ES, then by CMA-ES in contact with the peg.
+
+    Parameters
+    ----------
+    cast_setup : CastSetup
+    peg : Peg
+    seed : int
+    threads : int, optional
+        One a processor by default.
+    holding_force : float
+        Pull that the wound rope must bear, N; used where the candidates are verified.
+
+    Attributes
+    ----------
+    swings : list of Swing
+        Best first.
+    candidates : list of Candidate
+        Best first.
+    runs : int
+        Simulated runs.
+    left : callable or None
+        Returns the time that is left for the search, s; None for no limit.
+    """
+
+    cast_setup: CastSetup
+    peg: Peg
+    seed: int = 0
+    threads: int | None = None
+    holding_force: float = 0.0
+    swings: list[Swing] = field(default_factory=list, init=False)
+    candidates: list[Candidate] = field(default_factory=list, init=False)
+    runs: int = field(default=0, init=False)
+    left: Callable[[], float] | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+        self._beam: BeamSearch | None = None
+        self._begin()
+
+    def lengthen(self, factor: float) -> None:
+        """Begin anew with the time until the strike multiplied by `factor`; drops all swings and candidates."""
+        self.cast_setup = replace(self.cast_setup, time=factor * self.cast_setup.time)
+        self._begin()
+
+    def _begin(self) -> None:
+        sides = [side for side in (-1, 1) if _clear(self.cast_setup, self.peg, side)]
+        self.parametrizations = {side: ThrowParametrization(self.cast_setup, side) for side in sides}
+        self._free = {side: self._cma_es(g.centre(), 1.0, MEMBERS, side) for side, g in self.parametrizations.items()}
+        self.swings.clear()
+        self.candidates.clear()
+        self._tried: list[Swing] = []
+        self._contact: tuple[int, Any] | None = None
+
+    def _cma_es(self, centre: Array, size: float, members: int, side: int) -> Any:
+        return cma_es(centre, size, self.parametrizations[side].spreads(), members, self._random)
+
+    @property
+    def _finer(self) -> CastSetup:
+        """The same with shorter links."""
+        return replace(self.cast_setup, rope=divided(self.cast_setup.rope, FINER))
+
+    @property
+    def workers(self) -> int:
+        """Number of threads."""
+        return self.threads or os.cpu_count() or 1
+
+    def beam_search(self) -> float:
+        """Search free swings stroke by stroke; continues the last beam search if time was added, else begins one.
+
+        Returns the best score so far.
+        """
+        self._check()
+        time, most = self.cast_setup.time, max(each.strokes for each in self.parametrizations.values())
+        if self._beam is None or not self._beam.ready(time, most):
+            sides = list(self.parametrizations)
+            self._beam = BeamSearch(self.cast_setup, self.peg, sides, self._random, self.threads)
+        before = self._beam.runs
+        found = self._beam.extend(time, most, self.left)
+        self.runs += self._beam.runs - before
+
+        def swing(one: Strike) -> Swing:
+            throws = self.parametrizations[one.side]
+            rest = max(throws.rest, one.after + UNTIL)
+            return Swing(one.score, one.side, throws.point(one.strokes, one.rests, rest), one.t)
+
+        return self._keep(list(map(swing, found)))
+
+    def _keep(self, found: list[Swing]) -> float:
+        """Keep the best distinct swings, with the lower of their scores with these and with shorter links.
+
+        Returns the best score so far.
+        """
+        some = distinct(sorted(found, key=lambda one: -one.score), (), CONFIRMED)
+        if some:
+            throws = [self._throw(one.side, one.x).cut(self.cast_setup.time, self.cast_setup.limits) for one in some]
+            again = self._strikes(self._finer, throws).score
+            self.runs += len(some)
+            for one, score in zip(some, again, strict=True):
+                self.swings.append(one._replace(score=min(one.score, float(score))))
+            self.swings.sort(key=lambda one: -one.score)
+        return self.swings[0].score if self.swings else strikes.NEVER
+
+    def _check(self) -> None:
+        if not self.parametrizations:
+            raise InvalidInput("the rope starts inside the target on either side of the arm", got=self.peg)
+
+    def _throw(self, side: int, x: Array) -> Throw:
+        return self.parametrizations[side].throw(x)
+
+    def _strikes(self, cast_setup: CastSetup, throws: list[Throw], threads: int | None = None) -> strikes.Strikes:
+        motions = [throw.motion(cast_setup.limits) for throw in throws]
+        return strikes.simulate_strikes(cast_setup, self.peg, motions, threads=threads or self.threads)
+
+    def evolve_swings(self) -> float:
+        """Simulate one generation of free swings from each side; return the best score so far."""
+        self._check()
+        asked = {side: optimizer.ask() for side, optimizer in self._free.items()}
+        each = max(1, self.workers // len(asked))
+
+        def simulated(side: int) -> strikes.Strikes:
+            return self._strikes(self.cast_setup, [self._throw(side, x) for x in asked[side]], each)
+
+        with ThreadPoolExecutor(len(asked)) as pool:
+            found = dict(zip(asked, pool.map(simulated, asked), strict=True))
+        kept: list[Swing] = []
+        for side, struck in found.items():
+            points = asked[side]
+            self._free[side].tell(points, list(-struck.score))
+            self.runs += len(points)
+            best = [k for k in np.argsort(-struck.score)[:KEPT] if struck.score[k] > 0.0]
+            kept += [Swing(float(struck.score[k]), side, np.asarray(points[k]), float(struck.t[k])) for k in best]
+        return self._keep(kept)
+
+    @property
+    def late(self) -> bool:
+        """Whether the best swings strike late in the time allowed, or none strikes."""
+        times = [one.t for one in self.swings[:KEPT]]
+        return not times or float(np.median(times)) > LATE * self.cast_setup.time
+
+    def try_last_moves(self) -> None:
+        """Simulate the best swings that were not tried yet in contact, with several last moves each."""
+        fresh = distinct(self.swings, self._tried, TRIED)
+        self._tried += fresh
+        for side in self.parametrizations:
+            points = [
+                np.append(one.x[:-LAST], [more, end, rest, 1.0])
+                for one in fresh
+                if one.side == side
+                for more in MORE
+                for end in ENDS
+                for rest in (RESTS if more < 1.0 else RESTS[:1])
+            ]
+            if points:
+                self.evaluate(side, points)
+
+    def evolve_throws(self) -> None:
+        """Simulate one generation of throws in contact, about the best candidate."""
+        if self._contact is None:
+            best = self.candidates[0]
+            self._contact = best.side, self._cma_es(best.x, NARROW, CONTACT_MEMBERS, best.side)
+        side, optimizer = self._contact
+        points = optimizer.ask()
+        optimizer.tell(points, list(-self.evaluate(side, points)))
+
+    def restart(self) -> None:
+        """Let the next :meth:`evolve_throws` begin from the best candidate at that time."""
+        self._contact = None
+
+    def confirm(self) -> None:
+        """Simulate the best throws that wind with shorter links, until the best one winds with these too."""
+        while (self.left is None or self.left() > 0.0) and (some := unconfirmed(self.candidates)):
+            throws = [one.throw for one in some]
+            found = self._strikes(self._finer, throws)
+            self.runs += 2 * len(some)
+            score, turns = np.full(len(some), strikes.NEVER), np.zeros(len(some))
+            struck = np.flatnonzero(np.isfinite(found.t))
+            if struck.size:
+                again = self._wind(self._finer, [throws[k] for k in struck], found.select(struck.tolist()))
+                score[struck], turns[struck] = again.score, again.turns
+            for one, value, left in zip(some, score, turns, strict=True):
+                self.correct(one, float(left), float(value))
+
+    def correct(self, one: Candidate, turns: float, score: float) -> None:
+        """Correct a candidate by a better run; if it does not wind then, restart from another one."""
+        self.candidates = corrected(self.candidates, one, turns, score)
+        if turns < MIN_TURNS:
+            self.restart()
+
+    def run_budget(self, members: int) -> float:
+        """Processor time for each of so many runs, s: one in SLOW_RUNS may take all of it."""
+        if self.left is None:
+            return TIME_BUDGET
+        each = SLOW_RUNS * max(self.left(), 0.0) * self.workers / members
+        return float(np.clip(each, MIN_BUDGET, TIME_BUDGET))
+
+    def evaluate(self, side: int, points: list[Array]) -> Array:
+        """Simulate points (M) in contact, keep those that strike as candidates, and return their scores (M,)."""
+        throws = [self._throw(side, x) for x in points]
+        found = self._first_strikes(points, throws)
+        score = found.score.copy()
+        struck = np.flatnonzero(np.isfinite(found.t))
+        self.runs += len(points)
+        if struck.size:
+            cut = [throws[k].cut(float(found.t[k]), self.cast_setup.limits) for k in struck]
+            ended = self._wind(self.cast_setup, cut, found.select(struck.tolist()))
+            score[struck] = ended.score
+            for k, throw, value, turns in zip(struck, cut, ended.score, ended.turns, strict=True):
+                self.candidates.append(Candidate(float(value), float(turns), side, np.asarray(points[k]), throw))
+            self.candidates.sort(key=lambda one: -one.score)
+        score[~np.isfinite(found.t)] = np.minimum(score[~np.isfinite(found.t)], 0.0)
+        return score
+
+    def _wind(self, cast_setup: CastSetup, throws: list[Throw], struck: strikes.Strikes) -> WindingScores:
+        """Simulate throws (M), which are already cut, in contact from their strikes."""
+        motions = [throw.motion(cast_setup.limits).shifted(-t) for throw, t in zip(throws, struck.t, strict=True)]
+        count, budget = len(motions), self.run_budget(len(motions))
+        batch = RolloutBatch([cast_setup.rope] * count, [self.peg] * count, motions, struck.q, struck.qd)
+        return simulate_contact(batch, struck.t, arm=cast_setup.arm, time_budget=budget, threads=self.threads)
+
+    def _first_strikes(self, points: list[Array], throws: list[Throw]) -> strikes.Strikes:
+        """Strikes of throws before their last moves; throws that differ in these alone are simulated once."""
+        keys = [x[:-LAST].tobytes() for x in points]
+        order = list(dict.fromkeys(keys))
+        self.runs += len(order)
+        some = [throws[keys.index(key)].cut(self.cast_setup.time, self.cast_setup.limits) for key in order]
+        return self._strikes(self.cast_setup, some).select([order.index(key) for key in keys])
+
+
+def _clear(cast_setup: CastSetup, peg: Peg, side: int) -> bool:
+    """Whether a rope that hangs from the arm on one side keeps clear of the peg."""
+    try:
+        check_outside(Setup(cast_setup.rope, hold(cast_setup.limits.start_angle(side)), cast_setup.arm, pegs=(peg,)))
+    except InvalidInput:
+        return False
+    return True

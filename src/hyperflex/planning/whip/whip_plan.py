@@ -1,0 +1,105 @@
+"""A planned whip: the strokes, their outcome in simulation, or why there are none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hyperflex.model import Setup
+from hyperflex.motion import Motion
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.plan import Plan
+from hyperflex.planning.whip.impact import IMPACT_RADIUS, Impact, simulate_impact
+from hyperflex.planning.whip.outcome import WINDOW, TipStrike
+from hyperflex.planning.whip.search import WhipFeasibility
+from hyperflex.planning.whip.strokes import Strokes
+from hyperflex.planning.whip.tip_target import TipTarget
+from hyperflex.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class WhipPlan(Plan):
+    """A planned whip, or why there is none.
+
+    Attributes
+    ----------
+    cast_setup, message, runs, seconds, interrupted
+        As of :class:`Plan`.
+    target : TipTarget
+    feasibility : WhipFeasibility
+        Result of the check before the search.
+    strokes : Strokes or None
+        The best found.
+    outcome : TipStrike or None
+        Their outcome in a simulated run.
+    finer_outcome : TipStrike or None
+        The same with links of half the length.
+    position_std : float
+        Standard deviation of the place of the peak, m, for a rope known as :mod:`hyperflex.planning.whip.aim` assumes;
+        NaN without strokes.
+    """
+
+    kind: ClassVar[str] = "whip"
+    cast_setup: CastSetup
+    target: TipTarget
+    feasibility: WhipFeasibility
+    strokes: Strokes | None = None
+    outcome: TipStrike | None = None
+    finer_outcome: TipStrike | None = None
+    position_std: float = math.nan
+    message: str = ""
+    runs: int = 0
+    seconds: float = 0.0
+    interrupted: bool = False
+
+    @property
+    def motion(self) -> Motion | None:
+        """Motion of the arm, from rest at t = 0; None if there are no strokes."""
+        return None if self.strokes is None else self.strokes.motion(self.cast_setup.limits)
+
+    @property
+    def run(self) -> Trajectory | None:
+        """The verified run; None if there is none, or if the plan was read from a file."""
+        return None if self.outcome is None else self.outcome.run
+
+    @property
+    def refuted(self) -> bool:
+        """Whether a simulated run shows that the plan fails."""
+        return self.outcome is not None and not self.success
+
+    def setup(self) -> Setup:
+        """Return the set-up of a run until after the peak, or until the arm stops if nothing was verified."""
+        motion = self.required(self.motion, "motion")
+        end = float(motion.breaks[-1]) if self.outcome is None else self.outcome.t + WINDOW
+        return Setup(self.cast_setup.rope, motion, self.cast_setup.arm, duration=end)
+
+    def impact(self, *, radius: float = IMPACT_RADIUS, mu: float = 0.3) -> Impact:
+        """Simulate the impact on a small fixed peg whose surface is at the target; see :class:`Impact`.
+
+        Parameters
+        ----------
+        radius : float
+            Of the peg, m.
+        mu : float
+            Its friction coefficient.
+
+        Raises
+        ------
+        InvalidInput
+            If the plan holds no outcome.
+        """
+        outcome, target = self.required(self.outcome, "outcome"), self.target
+        if target.any_direction:
+            target = replace(target, direction=float(np.arctan2(*outcome.velocity[::-1])))
+        motion = self.required(self.motion, "motion")
+        return simulate_impact(self.cast_setup, target, motion, outcome.t, radius=radius, mu=mu)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the plan in figures, for JSON: its fields, and each stroke's start, s, and the arm's angles, rad."""
+        if self.strokes is None:
+            return super().summary()
+        limits = self.cast_setup.limits
+        return super().summary() | {"starts": self.strokes.starts(limits), "angles": self.strokes.angles(limits)}

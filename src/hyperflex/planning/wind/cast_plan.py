@@ -1,0 +1,144 @@
+"""A planned cast: the throw, its outcome in simulation, or why there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from hyperflex.model import Peg, Setup, refined
+from hyperflex.motion import Motion
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.outcome import (
+    MAX_SLIP,
+    SETTLING_TIME,
+    WATCH_TIME,
+    CastOutcome,
+    HoldingForce,
+    measure_holding_force,
+)
+from hyperflex.planning.plan import Plan
+from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
+from hyperflex.planning.throw import Throw
+from hyperflex.planning.wind.feasibility import Feasibility
+from hyperflex.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class CastPlan(Plan):
+    """A planned cast, or why there is none.
+
+    Attributes
+    ----------
+    cast_setup, message, runs, seconds, interrupted
+        As of :class:`Plan`.
+    target : Peg
+    feasibility : Feasibility
+        Result of the check before the search.
+    throw : Throw or None
+        The best throw found; None if none strikes the target.
+    outcome : CastOutcome or None
+        Its outcome in a simulated run; None if Ctrl-C came before.
+    finer_outcome : CastOutcome or None
+        Its outcome with links of a half or a third of the length: of both runs the one that fails or differs more.
+    success_probability : SuccessProbability or None
+        In scenarios that the search has not seen; only with an uncertainty.
+    fallback : FallbackTarget or None
+        For a plan that fails: the nearest target with a plan that succeeds, or that is expected to be feasible.
+    remedies : tuple of str
+        For an infeasible target: changes of rope, arm, motor, time or peg that would each make it feasible.
+    """
+
+    kind: ClassVar[str] = "cast"
+    cast_setup: CastSetup
+    target: Peg
+    feasibility: Feasibility
+    throw: Throw | None = None
+    outcome: CastOutcome | None = None
+    finer_outcome: CastOutcome | None = None
+    message: str = ""
+    runs: int = 0
+    seconds: float = 0.0
+    interrupted: bool = False
+    success_probability: SuccessProbability | None = None
+    fallback: FallbackTarget | None = None
+    remedies: tuple[str, ...] = ()
+
+    @property
+    def motion(self) -> Motion | None:
+        """Motion of the arm, from rest at t = 0; None without a throw."""
+        return None if self.throw is None else self.throw.motion(self.cast_setup.limits)
+
+    @property
+    def run(self) -> Trajectory | None:
+        """The verified run; None if there is none, or if the plan was read from a file."""
+        return None if self.outcome is None else self.outcome.run
+
+    @property
+    def refuted(self) -> bool:
+        """Whether a simulated run to the end shows that the plan fails."""
+        return any(each.completed and not each.success for each in self._outcomes())
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether the plan fails although its target is feasible: by Ctrl-C, or a run that was not completed."""
+        if self.success or not self.feasibility.feasible:
+            return False
+        return self.interrupted or any(not each.completed for each in self._outcomes())
+
+    def _outcomes(self) -> list[CastOutcome]:
+        return [each for each in (self.outcome, self.finer_outcome) if each is not None]
+
+    def setup(self) -> Setup:
+        """Return the set-up of the verified run, with links refined near the target."""
+        motion, arm, pegs = self.required(self.motion, "throw"), self.cast_setup.arm, (self.target,)
+        end = float(motion.breaks[-1]) + SETTLING_TIME + WATCH_TIME
+        return Setup(refined(self.cast_setup.rope, pegs, arm=arm), motion, arm, duration=end, pegs=pegs)
+
+    def measure_holding_force(self) -> HoldingForce | None:
+        """Tug at the rope from the end of the verified run; None unless it is wound and does not slip by itself."""
+        if self.outcome is None or self.run is None or not (self.outcome.wound and self.outcome.slip < MAX_SLIP):
+            return None
+        return measure_holding_force(self.run, self.target)
+
+    def notes(self) -> dict[str, str]:
+        """Return notes for the head of the motor's file."""
+        peg, rope, motion = self.target, self.cast_setup.rope, self.required(self.motion, "throw")
+        return super().notes() | {
+            "target": f"x {peg.x:g} m, y {peg.y:g} m, radius {peg.radius:g} m, mu {peg.mu:g}",
+            "rope": f"{rope.total_length:.4g} m, {rope.total_mass:.4g} kg",
+            "arm": f"{self.cast_setup.arm.length:g} m, begins at {motion.angle(0.0):.4f} rad",
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Return the plan in figures, for JSON: its fields, and the start of each move and the arm's stop, s."""
+        table = super().summary()
+        if self.throw is not None:
+            limits = self.cast_setup.limits
+            table |= {"starts": self.throw.starts(limits), "stop": self.throw.stops(limits)}
+        if self.fallback is not None and self.fallback.plan is not None:
+            table["fallback"]["plan"] = self.fallback.plan.summary()
+        if self.success_probability is not None:
+            table["success_probability"]["interval"] = self.success_probability.interval
+        return table
+
+
+@dataclass(frozen=True, eq=False)
+class FallbackTarget:
+    """The nearest target with a plan that succeeds, or that is expected to be feasible.
+
+    Attributes
+    ----------
+    target : Peg
+        Like the one asked for, at another place.
+    distance : float
+        From the one asked for, m.
+    plan : CastPlan or None
+        A plan for it that succeeds; None if it is only expected to be feasible.
+    failed_plans : int
+        Nearer targets for which planning failed.
+    """
+
+    target: Peg
+    distance: float
+    plan: CastPlan | None = None
+    failed_plans: int = 0

@@ -1,0 +1,165 @@
+"""Plan a cast: check the target, search for a throw that winds and holds, verify it, and look for fallbacks."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+
+from hyperflex import checks
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, Peg, Rope, Setup
+from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
+from hyperflex.planning.robust.uncertainty import Uncertainty
+from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.wind.cast_plan import CastPlan
+from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fallback
+from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
+from hyperflex.planning.wind.planner import NOMINAL, CastPlanner
+from hyperflex.planning.wind.remedies import find_remedies
+from hyperflex.simulation.rollouts import progress_bar
+
+TIME_BUDGET = 60.0  # s
+
+
+def plan_cast(
+    rope: Rope,
+    arm: Arm,
+    target: Peg,
+    limits: MotorLimits | None = None,
+    *,
+    time_limit: float | None = None,
+    holding_force: float = 0.0,
+    uncertainty: Uncertainty | None = None,
+    time_budget: float = TIME_BUDGET,
+    skip_feasibility: bool = False,
+    fallback: bool = False,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: bool = False,
+) -> CastPlan:
+    """Plan how an arm casts its rope round a target so that the rope winds and holds.
+
+    Parameters
+    ----------
+    rope, arm : Rope, Arm
+        The rope hangs at rest from the arm, which points to one side.
+    target : Peg
+        To be wound by MIN_TURNS turns or more.
+    limits : MotorLimits, optional
+        Of the motor; by default the paper's.
+    time_limit : float, optional
+        Time within which the rope must strike, s; by default five periods of its swing, and half as many again if
+        these do not seem to give it energy enough.
+    holding_force : float
+        Pull that the wound rope must bear, N: by a rule in the feasibility check, and by a simulated tug when a throw
+        is verified. The success probability does not include it.
+    uncertainty : Uncertainty, optional
+        Of rope, target and motor. With it the plan is the throw that succeeds in most of the sampled scenarios, and its
+        success probability is estimated from others.
+    time_budget : float
+        Time to search, s. A plan that succeeds ends the search; with an uncertainty one that succeeds in all samples.
+    skip_feasibility : bool
+        Search even for a target that the feasibility check calls out of reach.
+    fallback : bool
+        If the plan fails, plan for the nearest targets until a plan succeeds: with the throws found so far, then three
+        times at most, each with the same time budget. Without, the fallback is only expected to be feasible.
+    seed : int
+        Of the search: with the same seed, and time enough, the same plan.
+    threads : int, optional
+        One a processor by default.
+    progress : bool
+        Show a progress bar.
+
+    Returns
+    -------
+    CastPlan
+        Ctrl-C ends the search; the plan is the best until then.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument is out of range or of another class.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> far = hf.plan_cast(cable, hf.Arm(length=0.105), hf.Peg(2.5, 0.0, 0.03))
+    >>> far.success, far.message
+    (False, 'out of reach: the rope ends 0.36 m short of the target')
+    >>> near = far.fallback  # expected to be feasible: nothing was planned for it
+    >>> round(near.target.x, 1), round(near.distance, 1), near.plan
+    (1.6, 0.9, None)
+    >>> far.remedies
+    ('a rope of 2.94 m',)
+    """
+    if not isinstance(target, Peg):
+        raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
+    if target.turns:
+        raise InvalidInput("casts are planned for fixed targets", got=target, fix="Leave out inertia and bearing")
+    time_budget = checks.number("time_budget", time_budget, sign="positive", unit="s")
+    cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, time_limit or 0.0)
+    Setup(cast_setup.rope, arm=cast_setup.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
+    if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
+        raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
+    known = check_feasibility(cast_setup, target, holding_force=holding_force)
+    search = ThrowSearch(cast_setup, target, checks.count("seed", seed, least=0), threads, holding_force)
+    if known.impossible or not (known.feasible or skip_feasibility):
+        plan = CastPlan(cast_setup, target, known, message=known.message)
+    else:
+        plan = _search(search, known, uncertainty, time_budget, progress, longer=time_limit is None)
+    if plan.success:
+        return plan
+    plan = replace(plan, remedies=find_remedies(cast_setup, target, holding_force=holding_force))
+    if not fallback or plan.interrupted:
+        return replace(plan, fallback=expected_fallback(plan, holding_force))
+    plan_for = partial(
+        plan_cast,
+        rope,
+        arm,
+        limits=limits,
+        time_limit=time_limit,
+        holding_force=holding_force,
+        uncertainty=uncertainty,
+        time_budget=time_budget,
+        seed=seed,
+        threads=threads,
+        progress=progress,
+    )
+    return plan_fallback(plan, search, time_budget, plan_for)
+
+
+def _search(
+    search: ThrowSearch,
+    known: Feasibility,
+    uncertainty: Uncertainty | None,
+    time_budget: float,
+    progress: bool,
+    *,
+    longer: bool,
+) -> CastPlan:
+    """Search for a throw, verify it, and estimate its success probability."""
+    planner = CastPlanner(search, time_budget if uncertainty is None else NOMINAL * time_budget, longer=longer)
+    interrupted = False
+    with progress_bar(0.0, time_budget, progress, "planning") as report:
+        try:
+            planner.run(report)
+        except KeyboardInterrupt:
+            interrupted = True
+            with suppress(KeyboardInterrupt):
+                planner.verify_best()
+        if uncertainty is not None and not interrupted:
+            try:
+                planner.refine_robustly(uncertainty, report)
+            except KeyboardInterrupt:
+                interrupted = True
+    throw, often = planner.best[0], None
+    if uncertainty is not None and throw is not None and not interrupted:
+        given = (search.cast_setup, search.peg, throw, uncertainty)
+        try:
+            often = estimate_success_probability(*given, seed=search.seed, threads=search.threads)
+        except KeyboardInterrupt:
+            interrupted = True
+    return replace(planner.plan(known, interrupted), success_probability=often)
