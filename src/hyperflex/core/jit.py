@@ -1,17 +1,13 @@
-"""The one place with numba's options, and where compiled code is kept.
+"""How kernels are compiled: the one place with numba's options.
 
-Numba's own cache does not notice an edit in *another* file, so compiled code is kept in a folder whose name is a hash
-of all of core's sources: an edit anywhere in core starts a fresh folder. Only hyperflex's kernels go there; the cache
-of other packages stays where it is. ``HYPERFLEX_CACHE_DIR`` moves it.
+Where the machine code is kept is in :mod:`hyperflex.core.cache`.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
-import os
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +15,8 @@ from typing import Any, TypeVar
 
 import numba
 from numba.core import event
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+
+from hyperflex.core.cache import KernelCache, folder
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -30,62 +27,19 @@ _FASTMATH = {"contract", "arcp", "nsz"}
 
 def _source_hash() -> str:
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
-def _cache_folder() -> str:
-    if chosen := os.environ.get("HYPERFLEX_CACHE_DIR"):
-        root = Path(chosen)
-    else:
-        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyperflex"
-    folder = root / f"kernels-{SOURCE_HASH}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return str(folder)
-    except OSError:
-        return tempfile.mkdtemp(prefix="hyperflex-kernels-")
-
-
-SOURCE_HASH = _source_hash()
-CACHE_FOLDER = _cache_folder()
-
-
-class _Locator(_CacheLocator):  # type: ignore[misc]
-    """Tells numba to keep a kernel in :data:`CACHE_FOLDER`, valid for as long as core's sources are the same."""
-
-    def __init__(self, py_func: Callable[..., Any]) -> None:
-        self._line = py_func.__code__.co_firstlineno
-
-    def get_cache_path(self) -> str:
-        return CACHE_FOLDER
-
-    def get_source_stamp(self) -> str:
-        return SOURCE_HASH
-
-    def get_disambiguator(self) -> str:
-        return str(self._line)
-
-    @classmethod
-    def from_function(cls, py_func: Callable[..., Any], _file: str) -> _Locator:
-        return cls(py_func)
-
-
-class _CacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = (_Locator,)
-
-
-class _Cache(FunctionCache):  # type: ignore[misc]
-    _impl_class = _CacheImpl
+SOURCE_HASH = _source_hash()  # of all kernels, to tell apart what was measured with them
 
 
 def kernel(function: _F) -> _F:
     """Compile a kernel on its first call and keep the machine code for later processes (GIL released)."""
     compiled = numba.njit(error_model="numpy", fastmath=_FASTMATH, nogil=True)(function)
     if not numba.config.DISABLE_JIT:
-        compiled._cache = _Cache(function)
+        compiled._cache = KernelCache(function)
     return compiled  # type: ignore[no-any-return]
 
 
@@ -123,6 +77,6 @@ def compiling() -> float:
 @functools.cache
 def announce_compilation() -> None:
     """Say on standard error, once a process, that kernels are about to be compiled (nothing if they are cached)."""
-    if not numba.config.DISABLE_JIT and not any(Path(CACHE_FOLDER).glob("*.nbi")):
+    if not numba.config.DISABLE_JIT and not any(folder().glob("*/*.nbc")):
         sys.stderr.write("hyperflex: compiling the rope kernels for this machine (once, about half a minute) ...\n")
         sys.stderr.flush()
