@@ -15,12 +15,9 @@ import ast
 import functools
 import hashlib
 import os
-import pickle
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numba
 import numpy as np
@@ -87,56 +84,37 @@ def _path(module: str, root: Path) -> Path | None:
     return next((path for path in (place / "__init__.py", place.with_name(f"{place.name}.py")) if path.is_file()), None)
 
 
-class KernelCache:
-    """What numba asks for the machine code of one kernel, and gives it to after it has compiled it.
-
-    Parameters
-    ----------
-    function : callable
-        The kernel as written, a function of a module (not within another function).
-    """
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._module, self._name = function.__module__, function.__qualname__
-
-    @functools.cached_property
-    def cache_path(self) -> Path:
-        """Where this kernel's files are, each for other types of arguments."""
-        return folder() / f"{self._module.removeprefix(f'{_PACKAGE}.')}-{source_hash(self._module)}"
-
-    def _file(self, types: Any, codegen: Any) -> tuple[Path, str]:
-        key = repr((types, codegen.magic_tuple()))
-        return self.cache_path / f"{self._name}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.nbc", key
-
-    def load_overload(self, types: Any, context: Any) -> Any:
-        """Return the compiled kernel for such types of arguments, None if there is none that can be used."""
-        from numba.core.compiler import CompileResult
-
-        context.refresh()
-        path, key = self._file(types, context.codegen())
-        try:
-            content = path.read_bytes()
-        except OSError:
-            return None
-        payload = content[_CHECKSUM:]
-        if hashlib.sha256(payload).digest() != content[:_CHECKSUM]:
-            return None
-        written, parts = pickle.loads(payload)
-        return CompileResult._rebuild(context, *parts) if written == key else None
-
-    def save_overload(self, types: Any, compiled: Any) -> None:
-        """Keep a compiled kernel; where that fails it is compiled again by the next process."""
-        from numba.core.serialize import dumps
-
-        path, key = self._file(types, compiled.codegen)
-        payload = dumps((key, compiled._reduce()))
-        try:
-            write(path, hashlib.sha256(payload).digest() + payload)
-        except OSError as error:
-            _complain(str(error))
+def module_folder(module: str) -> Path:
+    """Return the folder of the kernels of a module, as its sources are now."""
+    return folder() / f"{module.removeprefix(f'{_PACKAGE}.')}-{source_hash(module)}"
 
 
-def write(path: Path, content: bytes) -> None:
+def load(place: Path, name: str, key: str) -> bytes | None:
+    """Return what was kept of a kernel under a key, None if there is nothing, or nothing that is whole."""
+    try:
+        content = _file(place, name, key).read_bytes()
+    except OSError:
+        return None
+    start = _CHECKSUM + len(key.encode())
+    if content[:_CHECKSUM] != hashlib.sha256(content[_CHECKSUM:]).digest() or content[_CHECKSUM:start] != key.encode():
+        return None
+    return content[start:]
+
+
+def save(place: Path, name: str, key: str, content: bytes) -> None:
+    """Keep what was made of a kernel under a key, or say once on standard error that nothing can be kept."""
+    content = key.encode() + content
+    try:
+        _write(_file(place, name, key), hashlib.sha256(content).digest() + content)
+    except OSError as error:
+        _complain(str(error))
+
+
+def _file(place: Path, name: str, key: str) -> Path:
+    return place / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.nbc"
+
+
+def _write(path: Path, content: bytes) -> None:
     """Write a file whole or not at all, and make its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")

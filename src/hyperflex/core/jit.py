@@ -1,7 +1,4 @@
-"""How kernels are compiled: the one place with numba's options.
-
-Where the machine code is kept is in :mod:`hyperflex.core.cache`.
-"""
+"""The decorators of kernels: the one place with numba's options."""
 
 from __future__ import annotations
 
@@ -16,13 +13,22 @@ from typing import Any, TypeVar
 import numba
 from numba.core import event
 
-from hyperflex.core.cache import KernelCache, folder
+from hyperflex.core.cache import folder
+
+try:
+    from hyperflex.core import compiler
+except (ImportError, AttributeError):
+    compiler = None  # type: ignore[assignment]
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 # contract: fused multiply-add; arcp: x / c as x * (1 / c); nsz: the sign of zero may change.
 # Not "reassoc" (the argument reduction of sincos relies on the order of its operations) and not "nnan" (isnan works).
 _FASTMATH = {"contract", "arcp", "nsz"}
+
+
+# numba's minor versions with the insides that `compiler` uses; pyproject.toml ends there too
+_KNOWN = range(66, 69)
 
 
 def _source_hash() -> str:
@@ -35,11 +41,24 @@ def _source_hash() -> str:
 SOURCE_HASH = _source_hash()  # of all kernels, to tell apart what was measured with them
 
 
+@functools.cache
+def _is_known() -> bool:
+    """Whether this is a numba that :mod:`hyperflex.core.compiler` knows; if not, say so."""
+    if compiler is not None and tuple(map(int, numba.__version__.split(".")[:2])) in {(0, minor) for minor in _KNOWN}:
+        return True
+    sys.stderr.write(
+        f"hyperflex: compiled kernels are not kept with numba {numba.__version__}, and each process takes minutes to "
+        f"compile its own. Install numba 0.{_KNOWN[-1]}.\n"
+    )
+    return False
+
+
 def kernel(function: _F) -> _F:
     """Compile a kernel on its first call and keep the machine code for later processes (GIL released)."""
-    compiled = numba.njit(error_model="numpy", fastmath=_FASTMATH, nogil=True)(function)
-    if not numba.config.DISABLE_JIT:
-        compiled._cache = KernelCache(function)
+    options = {"error_model": "numpy", "fastmath": _FASTMATH, "nogil": True}
+    if numba.config.DISABLE_JIT:
+        return function
+    compiled = compiler.door(function, options) if _is_known() else numba.njit(**options)(function)
     return compiled  # type: ignore[no-any-return]
 
 
