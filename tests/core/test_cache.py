@@ -6,12 +6,13 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numba
 import pytest
 
-from hyperflex.core import cache, jit
+from hyperflex.core import cache, compiler, jit
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 
@@ -38,7 +39,7 @@ def package(tmp_path: Path) -> Path:
     (core / "part").mkdir(parents=True)
     for folder in (core.parent, core, core / "part"):
         (folder / "__init__.py").write_text("")
-    for module in (cache, jit):
+    for module in (cache, compiler, jit):
         shutil.copy(str(module.__file__), core)
     (core / "caller.py").write_text(CALLER)
     (core / "apart.py").write_text(APART)
@@ -46,15 +47,27 @@ def package(tmp_path: Path) -> Path:
     return core
 
 
-def run(package: Path, root: Path) -> tuple[list[float], set[str]]:
-    """Return the results, and which kernels were compiled, of a fresh process with the cache at `root`."""
+def start(package: Path, root: Path, code: str = ASK) -> subprocess.Popen[str]:
+    """Start a fresh process with the cache at `root`."""
     found = {"PYTHONPATH": str(package.parents[1]), "HYPERFLEX_CACHE_DIR": str(root), "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", ASK], check=False, env=os.environ | found, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    counts = [line.split() for line in done.stderr.splitlines() if len(line.split()) == 2]
-    return [float(x) for x in done.stdout.split()], {name for name, misses in counts if int(misses)}
+    pipe = subprocess.PIPE
+    return subprocess.Popen([sys.executable, "-c", code], env=os.environ | found, stdout=pipe, stderr=pipe, text=True)
+
+
+def end(process: subprocess.Popen[str]) -> tuple[list[float], set[str], list[str]]:
+    """Return the results of a process, which kernels it compiled, and what else it said."""
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    counts = [line.split() for line in err.splitlines() if len(line.split()) == 2]
+    said = [line for line in err.splitlines() if line.startswith("hyperflex: ") and "compiling" not in line]
+    return [float(x) for x in out.split()], {name for name, misses in counts if int(misses)}, said
+
+
+def run(package: Path, root: Path, code: str = ASK) -> tuple[list[float], set[str]]:
+    """Return the results, and which kernels were compiled, of a process that says nothing else."""
+    numbers, compiled, said = end(start(package, root, code))
+    assert said == []
+    return numbers, compiled
 
 
 def test_an_edit_recompiles_what_depends_on_it_and_nothing_else(package: Path, tmp_path: Path) -> None:
@@ -90,3 +103,78 @@ def test_every_way_to_import_a_module_is_followed(package: Path, line: str) -> N
         hashes.append([cache.source_hash(f"hyperflex.core.{name}", package.parents[1]) for name in ("caller", "apart")])
     assert hashes[0][0] != hashes[1][0]
     assert hashes[0][1] == hashes[1][1]
+
+
+ALL = ([7.0, 9.0, 6.0], {"shifted", "squared", "scaled"})
+NONE = (ALL[0], set())
+FULL = """
+import errno, os
+from pathlib import Path
+def full(*_): raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+Path.replace = full
+"""
+
+
+@pytest.mark.parametrize("spoil", [lambda b: b[:-100], lambda b: b[:10], lambda _: b"", lambda b: b[:-1] + b"\0\0"])
+def test_damaged_files_are_compiled_again(package: Path, tmp_path: Path, spoil: Callable[[bytes], bytes]) -> None:
+    root = tmp_path / "cache"
+    assert run(package, root) == ALL
+    for file in root.rglob("*.nbc"):
+        file.write_bytes(spoil(file.read_bytes()))
+    assert run(package, root) == ALL
+    assert run(package, root) == NONE
+
+
+def test_a_file_of_another_kernel_is_not_taken(package: Path, tmp_path: Path) -> None:
+    root = tmp_path / "cache"
+    run(package, root)
+    wrong, right = (next(root.rglob(f"{name}-door*.nbc")) for name in ("squared", "scaled"))
+    shutil.copy(wrong, right)
+    assert run(package, root) == (ALL[0], {"scaled"})
+
+
+def test_a_cache_that_is_removed_at_work_is_made_again(package: Path, tmp_path: Path) -> None:
+    root = tmp_path / "cache"
+    remove = f"import shutil; shutil.rmtree({str(root)!r})"
+    lines = ASK.replace("\nprint", f"\ncaller.shifted(3.0); {remove}\nprint", 1)
+    assert run(package, root, lines) == ALL
+    assert run(package, root)[1] == {"shifted"}
+
+
+@pytest.mark.parametrize("what", ["a file where a folder should be", "full"])
+def test_where_nothing_can_be_kept_it_is_said_once(package: Path, tmp_path: Path, what: str) -> None:
+    root = tmp_path / "cache"
+    if what == "full":
+        root.mkdir()
+    else:
+        root.write_text("not a folder")
+    numbers, compiled, said = end(start(package, root, FULL + ASK if what == "full" else ASK))
+    assert (numbers, compiled) == ALL
+    assert len(said) == 1
+    assert "HYPERFLEX_CACHE_DIR" in said[0]
+    assert list(tmp_path.rglob("*.part")) == []
+
+
+def test_several_processes_may_fill_one_cache(package: Path, tmp_path: Path) -> None:
+    root = tmp_path / "cache"
+    for process in [start(package, root) for _ in range(4)]:
+        assert end(process)[0] == ALL[0]
+    assert run(package, root) == NONE
+
+
+@pytest.mark.parametrize(
+    "lacks", ["import numba; numba.__version__ = '0.99.0'", "import numba.core.codegen as c; del c.JITCodeLibrary"]
+)
+def test_with_a_numba_that_is_not_known_each_process_compiles(package: Path, tmp_path: Path, lacks: str) -> None:
+    numbers, _, said = end(start(package, tmp_path / "cache", lacks + ASK))
+    assert numbers == ALL[0]
+    assert len(said) == 1
+    assert "numba" in said[0]
+    assert not (tmp_path / "cache").exists()
+
+
+def test_importing_makes_no_folder(tmp_path: Path) -> None:
+    code = "import hyperflex, hyperflex.simulation, hyperflex.planning, hyperflex.identification"
+    found = {"HYPERFLEX_CACHE_DIR": str(tmp_path / "cache")}
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | found)
+    assert list(tmp_path.iterdir()) == []

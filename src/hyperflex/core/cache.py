@@ -91,27 +91,28 @@ def module_folder(module: str) -> Path:
 
 def load(place: Path, name: str, key: str) -> bytes | None:
     """Return what was kept of a kernel under a key, None if there is nothing, or nothing that is whole."""
+    path, head = _place(place, name, key)
     try:
-        content = _file(place, name, key).read_bytes()
+        content = path.read_bytes()
     except OSError:
         return None
-    start = _CHECKSUM + len(key.encode())
-    if content[:_CHECKSUM] != hashlib.sha256(content[_CHECKSUM:]).digest() or content[_CHECKSUM:start] != key.encode():
-        return None
-    return content[start:]
+    whole = content[:_CHECKSUM] == hashlib.sha256(content[_CHECKSUM:]).digest()
+    return content[_CHECKSUM + len(head) :] if whole and content.startswith(head, _CHECKSUM) else None
 
 
 def save(place: Path, name: str, key: str, content: bytes) -> None:
     """Keep what was made of a kernel under a key, or say once on standard error that nothing can be kept."""
-    content = key.encode() + content
+    path, head = _place(place, name, key)
     try:
-        _write(_file(place, name, key), hashlib.sha256(content).digest() + content)
+        _write(path, hashlib.sha256(head + content).digest() + head + content)
     except OSError as error:
-        _complain(str(error))
+        _complain(f"{folder()}: {error.strerror}")
 
 
-def _file(place: Path, name: str, key: str) -> Path:
-    return place / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.nbc"
+def _place(place: Path, name: str, key: str) -> tuple[Path, bytes]:
+    """Return the file of a kernel, and how its content begins after the checksum."""
+    head = f"{place.name} {name} {key}\n".encode()
+    return place / f"{name}-{hashlib.sha256(head).hexdigest()[:16]}.nbc", head
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -130,6 +131,6 @@ def _write(path: Path, content: bytes) -> None:
 @functools.cache
 def _complain(reason: str) -> None:
     sys.stderr.write(
-        f"hyperflex: cannot keep compiled kernels ({reason}), so each process compiles its own. "
+        f"hyperflex: cannot keep compiled kernels in {reason}. Each process compiles its own. "
         "HYPERFLEX_CACHE_DIR names another folder.\n"
     )
