@@ -121,7 +121,7 @@ def test_importing_hyperflex_loads_nothing_heavy() -> None:
 
 
 def test_building_a_rope_and_a_motion_loads_nothing_heavy() -> None:
-    code = "import hyperflex as hf; hf.Rope.uniform(length=2.0, mass=0.1, n_links=5); hf.swings(); hf.simulate"
+    code = "import hyperflex as hf; hf.Rope.uniform(length=2.0, mass=0.1, n_links=5); hf.arm_swings(); hf.simulate"
     assert loaded_by(code) == set()
 
 

@@ -33,7 +33,7 @@ def strike_figure(plan: CastPlan) -> Figure:
 def course_figure(plan: CastPlan) -> Figure:
     """Draw arm angle, turns, tension and the motor's torque over time."""
     run = plan.required(plan.run, "run")
-    wound = winding.wound(run, plan.target)
+    wound = winding.measure_winding(run, plan.target)
     sense = sense_of(plan)
     with look():
         figure = new_figure(8.6, 8.4)
@@ -65,7 +65,7 @@ def tug_figure(held: HoldingForce) -> Figure:
     with look():
         figure = new_figure(8.6, 4.0)
         pull, slip = figure.subplots(2, 1, sharex=True)
-        pulled = winding.tension(run)[:, 0]
+        pulled = winding.rope_tension(run)[:, 0]
         pull.plot(way, pulled, color=BLUE, lw=1.0, label="pull at the rope's first joint")
         least, rule = "" if held.tug.slipped else "at least ", held.capstan_force
         pull.axhline(held.force, color=GREEN, ls="--", lw=1.2, label=f"hold force {least}{held.force:.2f} N")
