@@ -132,7 +132,7 @@ def recut(rope: Rope, n_links: int) -> Rope:
 
 
 def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> npt.NDArray[np.int64]:
-    """Return the number of pieces (n,) of each link in :func:`refine_rope`; ``np.repeat(q0, cuts(...))``: its angles."""
+    """Return the number of pieces (n,) of each link in :func:`refine_rope`; ``np.repeat(q0, cuts(...))``: angles."""
     ratio = checks.number("ratio", ratio, sign="positive")
     reach, (x, y) = (0.0, (0.0, 0.0)) if arm is None else (arm.length, arm.pivot)
     far = reach + np.cumsum(rope.length)  # of each link's far joint at most
