@@ -64,7 +64,7 @@ def test_a_level_rope_falls_at_its_terminal_velocity() -> None:
     np.testing.assert_allclose(run.dissipated_energy, fell * t, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(run.motor_work, 0.0, rtol=0.0, atol=1e-11)
     ends = hf.simulate(rope, falling(0.9 * speed), duration=1.0, q0=np.full(8, np.pi / 2), t_eval=[0.05], tol=1e-9).q[0]
-    assert (ends < np.pi / 2 - 1e-3).all()  # too slow for the air to bear it, it falls ahead of its end
+    assert ends[0] < np.pi / 2 - 1e-2  # too slow for the air to bear it, it falls ahead of its end
 
 
 @pytest.mark.parametrize("friction_model", ["relative", "printed"])
