@@ -1,4 +1,4 @@
-"""Joints of the contact stepper in one step or impact, against dense matrices and projections of one joint at a time."""
+"""Joints of the contact stepper in one step or impact, against dense matrices and one joint at a time projected."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def test_limits_that_are_not_reached_change_nothing() -> None:
 
 
 def test_mujoco_agrees_with_two_links_on_their_limits() -> None:
-    """Its limits are springs and dampers: as stiff as they can be made, they bounce a little and let some way through."""
+    """Its limits are springs and dampers: as stiff as they can be made, they bounce a little and give way a little."""
     mujoco = pytest.importorskip("mujoco")
     rope = hf.Rope(length=[0.4, 0.4], mass=[0.1, 0.1], friction=2e-3, max_bend=[0.9, 0.3])
     run = hf.simulate(rope, duration=0.8, q0=[0.8, 1.0], t_eval=np.linspace(0.0, 0.8, 81))
