@@ -7,8 +7,8 @@ import pytest
 
 from hyperflex.identification import revise
 from hyperflex.paper import FINER, SMALL, SWINGS, WIDE, methods, record, revised
+from hyperflex.paper.fit_claims import few_samples_do, finds_the_truth, in_order, settles
 from hyperflex.paper.identification import FRICTION, INERTIA, POINTS, guess, per_sample, whole_error
-from hyperflex.paper.identification_claims import few_samples_do, finds_the_truth, in_order, settles
 
 pytestmark = pytest.mark.claims
 

@@ -13,7 +13,7 @@ from hyperflex.demo.figures import casts_figure, parameters_figure, prediction_f
 from hyperflex.demo.run import INTERVAL, Demo, run_demo
 from hyperflex.demo.winding import WindingPart, write_winding
 from hyperflex.paper.casting import T_MOVE, T_REST, casting_arm
-from hyperflex.paper.claims import WINDOW
+from hyperflex.paper.casting_claims import WINDOW
 from hyperflex.report.animation import animate
 from hyperflex.report.folder import whole_folder
 from hyperflex.report.page import Picture, Section, write_page

@@ -15,7 +15,7 @@ from hyperflex.paper.casting import (
     casting_arm,
     run,
 )
-from hyperflex.paper.claims import (
+from hyperflex.paper.casting_claims import (
     Claim,
     claims,
     concentration,
@@ -27,8 +27,8 @@ from hyperflex.paper.claims import (
     success_over_failure,
 )
 from hyperflex.paper.figures import Table, casts, fig9, fig10, fig11, fig12
+from hyperflex.paper.fit_claims import identification_claims
 from hyperflex.paper.identification import FINER, SMALL, SWINGS, WIDE, Swing, methods, record, revised
-from hyperflex.paper.identification_claims import identification_claims
 from hyperflex.paper.identification_figures import fig3, fig5, fig6, table1, table2
 from hyperflex.paper.timing import LEADS, TimedCast, fig13, largest_in_the_end, timed, timing_claims
 

@@ -11,7 +11,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.control import CrossingRule, Spiral, SwingModel, TrueState, run_closed_loop, spiral
 from hyperflex.paper.casting import READINGS, T_MOVE, TIME_CONSTANT, Reading, cable, casting_arm
-from hyperflex.paper.claims import Claim
+from hyperflex.paper.casting_claims import Claim
 from hyperflex.paper.figures import TABLE_RATE, Table
 from hyperflex.simulation import simulate
 

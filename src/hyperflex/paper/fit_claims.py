@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hyperflex.paper.claims import Claim
+from hyperflex.paper.casting_claims import Claim
 from hyperflex.paper.identification import FEW, FRICTION, INERTIA, SEED, SWINGS, Swing, methods, revised, whole_error
 
 SETTLED = 3  # revisions: "two or three rounds"
