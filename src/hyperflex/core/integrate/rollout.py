@@ -10,8 +10,8 @@ from hyperflex.core import status
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import can_stick, sines
 from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.integrate.air import air_size
 from hyperflex.core.integrate.dense_output import interpolate
-from hyperflex.core.integrate.drag_reversal import air_size
 from hyperflex.core.integrate.end_conditions import NOTHING
 from hyperflex.core.integrate.event_location import locate, settle
 from hyperflex.core.integrate.progress import (
