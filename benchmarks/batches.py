@@ -73,7 +73,7 @@ def fleet(links: int, members: int) -> Fleet:
                 length=LENGTH * long, mass=MASS * heavy, n_links=links, radius=RADIUS * thick, friction=friction
             )
         )
-        motions.append(hf.swings(t_move=0.73 * move, t_rest=0.53 * rest))
+        motions.append(hf.arm_swings(t_move=0.73 * move, t_rest=0.53 * rest))
     alone = [
         hf.simulate(rope, motion, arm=ARM, duration=DURATION, t_eval=[DURATION], tol=TIGHT).tip[-1]
         for rope, motion in zip(ropes, motions, strict=True)

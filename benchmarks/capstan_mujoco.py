@@ -59,7 +59,7 @@ def rope(turns: float, mu: float, ratio: float) -> tuple[hf.Rope, hf.Peg]:
     """The paper's cable, as long as it must be, with links of `ratio` radii where it may wind."""
     peg, length = hf.Peg(0.0, 0.0, RADIUS, mu), 0.25 + 2.0 * math.pi * turns * AXIS
     coarse = hf.Rope.uniform(length, DENSITY * length, math.ceil(length / 0.04), ROPE, friction=5e-4, gravity=(0, 0))
-    return hf.refined(coarse, [peg], arm=hf.Arm(length=0.3, pivot=(-AXIS - 0.3, 0.1)), ratio=ratio), peg
+    return hf.refine_rope(coarse, [peg], arm=hf.Arm(length=0.3, pivot=(-AXIS - 0.3, 0.1)), ratio=ratio), peg
 
 
 def model(cable: hf.Rope, mu: float, swept: float, cone: str, impratio: float, step: float, armature: float) -> Any:

@@ -103,7 +103,7 @@ def paper_cast(
     n_links: int = PAPER_LINKS, times: tuple[float, ...] = (2.0, 5.0, 10.0), *, scaled: bool = False
 ) -> Cast:
     """Return the cast of Fig. 9 with t_a = 0.73 s and t_c = 0.53 s."""
-    motion = hf.swings(t_move=0.73, t_rest=0.53)
+    motion = hf.arm_swings(t_move=0.73, t_rest=0.53)
     return Cast(cable(n_links, scaled=scaled), hf.Arm(length=0.105), motion, np.array(times))
 
 

@@ -211,7 +211,7 @@ def bears(peg: hf.Peg, cast: CastOutcome) -> dict[str, Any]:
 
 def swinging() -> Motion:
     """The paper's casting motion."""
-    return hf.swings(t_move=HALF_TURN, t_rest=T_REST["success"])
+    return hf.arm_swings(t_move=HALF_TURN, t_rest=T_REST["success"])
 
 
 def timed(rope: str) -> Motion:
@@ -232,7 +232,7 @@ def until_strike(rope: str, peg: hf.Peg, motion: Motion) -> Motion | None:
     begins = [t for t in motion.switches(0.0, struck) if abs(float(motion.rate([t])[0])) < 1e-9]
     begin = begins[-1] if begins else 0.0
     stop = begin + HALF_TURN if abs(float(motion.rate([struck])[0])) > 1e-9 else struck
-    return motion.then(hf.hold(float(motion.angle([stop])[0])), stop)
+    return motion.then(hf.hold_arm(float(motion.angle([stop])[0])), stop)
 
 
 def short(value: float) -> float | None:

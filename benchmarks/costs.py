@@ -44,7 +44,7 @@ def entries(quick: bool) -> list[Entry]:
     every += changed(cast, "stiffness of a joint", "N m/rad", stiffness=(0.0, 0.01, 0.1, 1.0, 10.0))
     every += changed(cast, "dry friction of a joint", "N m", dry_friction=(0.0, 1e-4, 1e-3, 1e-2))
     for profile in ("bang-bang", "ramp", "minimum-jerk"):
-        motion = hf.swings(t_move=0.73, t_rest=0.53, profile=profile)
+        motion = hf.arm_swings(t_move=0.73, t_rest=0.53, profile=profile)
         every.append(Entry("the arm's way", profile, replace(cast, motion=motion)))
     for rate in OUTPUTS:
         times = np.arange(1, round(rate * cast.duration) + 1) / rate

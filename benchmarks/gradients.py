@@ -25,7 +25,7 @@ SPACING, AGREEMENT = 1e-6, 1e-3  # a check against one-sided differences of runs
 
 def measure(quick: bool, repeats: int, _peers: dict[str, ModuleType]) -> list[dict[str, Any]]:
     """Rows of {outputs, what, directions, milliseconds: {...}, ratio}; a derivative that is wrong is an error."""
-    rope, motion, arm = cable(LINKS), hf.swings(), hf.Arm()
+    rope, motion, arm = cable(LINKS), hf.arm_swings(), hf.Arm()
     setup = hf.Setup(rope, motion, arm, duration=DURATION, tol=TOL)
     q0, qd0 = setup.start()
     check(rope, motion, arm, q0, qd0)  # compiles as well

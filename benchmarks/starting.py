@@ -26,7 +26,7 @@ begin = time.perf_counter()
 import hyperflex as hf
 imported = time.perf_counter()
 rope = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-motion, arm = hf.swings(t_move=0.73, t_rest=0.53), hf.Arm(length=0.105)
+motion, arm = hf.arm_swings(t_move=0.73, t_rest=0.53), hf.Arm(length=0.105)
 hf.simulate(rope, motion, arm=arm, duration=10.0)
 first = time.perf_counter()
 hf.simulate(rope, motion, arm=arm, duration=10.0)

@@ -25,14 +25,14 @@ DPI = 100
 def cast() -> hf.Trajectory:
     """Swing the paper's cable up for 14 s."""
     cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    return hf.simulate(cable, hf.swings(), arm=hf.Arm(length=0.105), duration=14.0)
+    return hf.simulate(cable, hf.arm_swings(), arm=hf.Arm(length=0.105), duration=14.0)
 
 
 def whip() -> hf.Trajectory:
     """Crack a tapered whip with one stroke of a longer arm."""
     taper = np.linspace(1.0, 0.15, 60)
     rope = hf.Rope(length=0.025, mass=5e-3 * taper**2, friction=1.2e-3 * taper**3)
-    motion = hf.move(-np.pi / 2, 3 * np.pi / 4, 0.4)
+    motion = hf.move_arm(-np.pi / 2, 3 * np.pi / 4, 0.4)
     return hf.simulate(rope, motion, arm=hf.Arm(length=0.25), duration=0.48, t_eval=np.linspace(0.0, 0.48, 121))
 
 
@@ -44,7 +44,7 @@ def growth() -> Figure:
         axes.axhspan(100.0, 1e12, color="#f3f4f6", lw=0)
         axes.text(4.6, 160.0, "0.01 mm has become more than 1 mm", color=GREY, size=8.5)
         for friction, colour, name in ((5e-4, BLUE, "with the cable's friction"), (0.0, RED, "without friction")):
-            found = hf.predictability(cable.replace(friction=friction), hf.swings(), arm=hf.Arm(), duration=10.0)
+            found = hf.predictability(cable.replace(friction=friction), hf.arm_swings(), arm=hf.Arm(), duration=10.0)
             axes.semilogy(found.t, found.amplification, color=colour, label=name)
             print(f"friction {friction:g}: horizon {found.horizon(1e-3):.2g} s, {found.amplification.max():.2g}-fold")
         axes.set(xlim=(0.0, 10.0), ylim=(0.7, 1e5), xlabel="time, s", ylabel="growth of the worst error")

@@ -37,7 +37,7 @@ def family(count: int, n: int = 8, seed: int = 0, **others: object) -> tuple[lis
                 **others,  # type: ignore[arg-type]
             )
         )
-        motions.append(hf.swings(0.6 * u[5], 0.4 * u[0]))
+        motions.append(hf.arm_swings(0.6 * u[5], 0.4 * u[0]))
     return ropes, motions
 
 
@@ -112,7 +112,7 @@ def test_one_rope_from_many_starts() -> None:
 
 def test_start_states_and_sampled_motions() -> None:
     rope = family(1)[0][0]
-    motion = hf.sampled([0.0, 0.2, 0.5, 0.8], [0.0, 0.3, -0.2, 0.1])
+    motion = hf.sampled_motion([0.0, 0.2, 0.5, 0.8], [0.0, 0.3, -0.2, 0.1])
     q0 = np.random.default_rng(1).normal(size=(3, 8))
     batch = hf.simulate_batch(rope, [motion] * 3, arm=ARM, duration=1.0, q0=q0, qd0=np.ones(8), tol=1e-7)
     for m in range(3):

@@ -18,7 +18,7 @@ HOW = {"arm": ARM, "duration": DURATION, "tol": 1e-3, "contact_step": 1e-3}
 def family() -> tuple[list[hf.Rope], list[hf.Motion]]:
     """Ropes of different lengths and motions of different rests, for three members."""
     ropes = [hf.Rope.uniform(size, 0.05, 10, 0.0025, friction=1e-3) for size in (0.7, 0.72, 0.66)]
-    return ropes, [hf.swings(0.5, rest) for rest in (0.1, 0.2, 0.3)]
+    return ropes, [hf.arm_swings(0.5, rest) for rest in (0.1, 0.2, 0.3)]
 
 
 def test_members_are_runs_of_their_own() -> None:

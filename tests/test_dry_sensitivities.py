@@ -40,7 +40,7 @@ def setup(n: int, **changes: Any) -> hf.Setup:
     rng = np.random.default_rng(10 + n)
     start = {"q0": rng.normal(0.0, 0.3, n), "qd0": rng.normal(0.0, 1.0, n)}
     duration = BEFORE_A_GRAZE.get(n, DURATION)
-    return replace(hf.Setup(rope(n), hf.move(**MOVE), hf.Arm(), duration=duration, tol=1e-4, **start), **changes)
+    return replace(hf.Setup(rope(n), hf.move_arm(**MOVE), hf.Arm(), duration=duration, tol=1e-4, **start), **changes)
 
 
 def changed(n: int, name: str, link: int) -> tuple[Callable[[float], hf.Setup], float]:
@@ -81,7 +81,7 @@ WHOLE: dict[str, tuple[Callable[[float], hf.Setup], float]] = {
     "tip_mass": (lambda x: setup(3, rope=rope(3, tip_mass=0.005 + x)), 1e-5),
     "gravity[0]": (lambda x: setup(3, rope=rope(3, gravity=(x, -9.81))), 2e-3),
     "arm.length": (lambda x: setup(3, arm=hf.Arm(length=0.105 + x)), 1e-4),
-    "motion.delay": (lambda x: setup(3, motion=hf.move(**MOVE).shifted(0.05 + x)), 1e-4),
+    "motion.delay": (lambda x: setup(3, motion=hf.move_arm(**MOVE).shifted(0.05 + x)), 1e-4),
 }
 
 
@@ -92,7 +92,7 @@ def test_what_belongs_to_no_link(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["start", "end", "duration"])
 def test_motion(name: str) -> None:
-    check(lambda x: setup(3, motion=hf.move(**{**MOVE, name: MOVE[name] + x})), f"motion.{name}", 2e-4)
+    check(lambda x: setup(3, motion=hf.move_arm(**{**MOVE, name: MOVE[name] + x})), f"motion.{name}", 2e-4)
 
 
 def differences(make: Callable[[float], hf.Setup], times: Array, size: float) -> tuple[Array, Array]:
@@ -127,7 +127,7 @@ def test_a_stuck_joint_takes_a_little_rate_as_a_blow() -> None:
 def test_a_stuck_first_joint_turns_with_the_arm() -> None:
     """Where the motion's parameter changes the arm's rate, that of a stuck link changes by as much."""
     base = rope(2, dry_friction=0.5)
-    motion = hf.move(start=0.0, end=0.3, duration=1.0, profile="minimum-jerk")
+    motion = hf.move_arm(start=0.0, end=0.3, duration=1.0, profile="minimum-jerk")
     times = np.array([0.3, 0.55, 0.8])
     got = hf.sensitivities(base, motion, arm=hf.Arm(), duration=0.8, t_eval=times, wrt=["motion.end", "qd0[0]"])
     swing = motion.angle(times) / 0.3

@@ -125,7 +125,7 @@ def test_the_arm_obeys_the_input(seed: int, friction_model: str) -> None:
 
 def test_the_torque_of_a_led_arm_is_that_of_equation_3() -> None:
     """`motor_torque` of a run counts all of the arm: inertia, weight, viscous and dry friction."""
-    motion = hf.swings(0.4, 0.3)
+    motion = hf.arm_swings(0.4, 0.3)
     t = np.array([0.05, 0.15, 0.3, 0.55])
     run = hf.simulate(rope(), motion, arm=ARM, duration=0.6, t_eval=t)
     for k in range(t.size):
@@ -194,7 +194,7 @@ def test_linearization_over_an_interval_is_the_steppers_and_tends_to_the_continu
 
 def test_joints_are_those_of_a_trajectory() -> None:
     arm = hf.Arm(length=0.1, pivot=(0.2, -0.3))
-    run = hf.simulate(rope(), hf.swings(), arm=arm, duration=0.5)
+    run = hf.simulate(rope(), hf.arm_swings(), arm=arm, duration=0.5)
     places = hf.forward_kinematics(rope(), run.q, arm=arm, arm_angle=run.arm_angle)
     np.testing.assert_allclose(places, run.joints, rtol=0, atol=1e-14)
     np.testing.assert_allclose(hf.forward_kinematics(rope(), run.q[3]), run.joints[3] - run.joints[3, 0], atol=1e-14)

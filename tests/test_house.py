@@ -8,6 +8,8 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections import Counter
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -111,18 +113,12 @@ def test_unknown_names_are_refused() -> None:
         _ = hyperflex.no_such_name
 
 
-def test_public_functions_are_not_hidden_by_modules_of_their_name() -> None:
-    """Importing a submodule binds its name in the package: a function of the same name would then be gone."""
-    folders = {p.relative_to(ROOT / "src" / "hyperflex").parts[0].removesuffix(".py") for p in SOURCES}
-    assert folders & set(hyperflex.__all__) == set()
-
-
 def test_importing_hyperflex_loads_nothing_heavy() -> None:
     assert loaded_by("import hyperflex") == set()
 
 
 def test_building_a_rope_and_a_motion_loads_nothing_heavy() -> None:
-    code = "import hyperflex as hf; hf.Rope.uniform(length=2.0, mass=0.1, n_links=5); hf.swings(); hf.simulate"
+    code = "import hyperflex as hf; hf.Rope.uniform(length=2.0, mass=0.1, n_links=5); hf.arm_swings(); hf.simulate"
     assert loaded_by(code) == set()
 
 
@@ -160,10 +156,56 @@ def test_pattern_for_private_names_sees(text: str) -> None:
 
 
 def test_map_names_every_module() -> None:
+    """The tree in ARCHITECTURE.md, read by its indentation, is the tree of the sources: none missing, none too many."""
     text = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
-    top = {p.relative_to(ROOT / "src" / "hyperflex").parts[0] for p in SOURCES} - {"__init__.py"}
-    missing = [name for name in sorted(top) if not re.search(rf"\b{name.removesuffix('.py')}(\.py|/)", text)]
-    assert missing == []
+    block = re.search(r"```\nsrc/hyperflex/\n(.*?)```", text, re.S)
+    assert block
+    folders: list[str] = []
+    mapped = set()
+    for line in block[1].splitlines():
+        entry = re.match(r"( +)(\S+?)(/?)(?:\s{2,}\S.*)?$", line)
+        assert entry, f"not an entry of the tree: {line!r}"
+        depth = len(entry[1]) // 2
+        folders[depth - 1 :] = [entry[2]] if entry[3] else []
+        mapped.add("/".join([*folders, "__init__.py"] if entry[3] else [*folders, entry[2]]))
+    assert mapped == {p.relative_to(ROOT / "src" / "hyperflex").as_posix() for p in SOURCES}
+
+
+def test_no_folder_is_a_hall() -> None:
+    sizes = Counter(p.parent for p in SOURCES if p.name != "__init__.py")
+    assert {str(folder): size for folder, size in sizes.items() if size > 14} == {}
+
+
+def imports_of(path: Path) -> set[str]:
+    """Return the modules that a module imports, also where only a type checker looks."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return found
+
+
+def test_imports_have_no_circle() -> None:
+    """Packages' own ``__init__`` files, which only offer names, are left out."""
+    modules = {".".join(p.relative_to(ROOT / "src").with_suffix("").parts): p for p in SOURCES if p.stem != "__init__"}
+    graph = {name: imports_of(path) & modules.keys() for name, path in modules.items()}
+    try:
+        tuple(TopologicalSorter(graph).static_order())
+    except CycleError as circle:
+        pytest.fail(f"imports go in a circle: {' -> '.join(circle.args[1])}")
+
+
+def test_no_module_hides_a_function_of_its_package() -> None:
+    """``import package.name`` binds the module to the name under which the package offers something else."""
+    hidden = []
+    for path in SOURCES:
+        if path.name == "__init__.py":
+            offered = set(re.findall(r'^    "(\w+)",$', path.read_text("utf-8"), re.M))
+            inside = {p.stem for p in path.parent.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()}
+            hidden += [f"{path.parent.name}.{name}" for name in offered & inside]
+    assert hidden == []
 
 
 def test_every_dependency_is_pinned_once() -> None:

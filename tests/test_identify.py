@@ -33,7 +33,7 @@ from hyperflex.identification.verdict import (
     verdict,
 )
 from hyperflex.model import Arm, Rope
-from hyperflex.motion import swings
+from hyperflex.motion import arm_swings
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 
@@ -240,7 +240,7 @@ def test_what_is_not_there_goes_to_zero_or_stays_within_its_uncertainty(free_swi
 
 def test_a_led_first_joint() -> None:
     cable = Rope.uniform(0.6, 0.05, 3, friction=2e-4)
-    arm, motion = Arm(0.1), swings(t_move=0.5, t_rest=0.4)
+    arm, motion = Arm(0.1), arm_swings(t_move=0.5, t_rest=0.4)
     t = np.linspace(0.0, 5.0, 301)
     run = simulate(cable, motion, arm=arm, duration=5.0, t_eval=t, tol=1e-9)
     recording = Recording(t, run.q + NOISE * np.random.default_rng(3).standard_normal(run.q.shape))

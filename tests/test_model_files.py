@@ -20,11 +20,11 @@ TABLE = "[rope]\nn_links = 10\ntotal_length = 1.0\ntotal_mass = 0.05\n"
 @pytest.mark.parametrize(
     "motion",
     [
-        hf.hold(0.1),
-        hf.move(0.0, 1.0, 0.5, "minimum-jerk"),
-        hf.swings(0.7, 0.3, "ramp", "over").shifted(0.25),
-        hf.sampled([0.0, 0.1, 0.3], [0.0, 1 / 3, 0.1]),
-        hf.swings().then(hf.hold(float(hf.swings().angle(3.0))), 3.0),
+        hf.hold_arm(0.1),
+        hf.move_arm(0.0, 1.0, 0.5, "minimum-jerk"),
+        hf.arm_swings(0.7, 0.3, "ramp", "over").shifted(0.25),
+        hf.sampled_motion([0.0, 0.1, 0.3], [0.0, 1 / 3, 0.1]),
+        hf.arm_swings().then(hf.hold_arm(float(hf.arm_swings().angle(3.0))), 3.0),
     ],
     ids=["hold", "move", "swings", "sampled", "joined"],
 )
@@ -62,7 +62,7 @@ def test_motion_file_is_found_beside_the_setup(tmp_path: Path) -> None:
         "duration = 1.0\n" + TABLE + '[arm]\nlength = 0.1\n[motion]\nkind = "file"\npath = "arm.csv"\n'
     )
     setup = hf.Setup.from_toml(tmp_path / "setup.toml")
-    assert setup.motion == hf.sampled([0.0, 0.5], [0.0, 1.0])
+    assert setup.motion == hf.sampled_motion([0.0, 0.5], [0.0, 1.0])
     assert hf.Setup.loads(setup.dumps()).motion == setup.motion  # and needs the file no more
 
 
@@ -100,6 +100,6 @@ def test_the_files_of_the_documentation_are_read(tmp_path: Path) -> None:
     blocks = re.findall(r"```toml\n(.*?)```", page, re.S)
     setup = hf.Setup.loads(blocks[0])
     assert setup.rope == hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    assert setup.motion == hf.swings(t_move=0.73, t_rest=0.53)
+    assert setup.motion == hf.arm_swings(t_move=0.73, t_rest=0.53)
     (tmp_path / "guess.toml").write_text(blocks[1])
     assert hf.Rope.from_toml(tmp_path / "guess.toml").n_links == 2

@@ -45,7 +45,7 @@ def rope(**changes: Any) -> hf.Rope:
 def setup(**changes: Any) -> hf.Setup:
     rng = np.random.default_rng(2)
     start = {"q0": rng.normal(0.0, 0.3, N), "qd0": rng.normal(0.0, 1.0, N)}
-    swings = hf.swings(profile="ramp", ramp=0.2)
+    swings = hf.arm_swings(profile="ramp", ramp=0.2)
     return replace(hf.Setup(rope(), swings, hf.Arm(), duration=DURATION, tol=1e-4, **start), **changes)
 
 
@@ -136,10 +136,14 @@ def test_arm_length() -> None:
 
 
 MOTIONS: dict[str, tuple[Callable[..., hf.Motion], dict[str, Any], tuple[str, ...]]] = {
-    "ramp": (hf.swings, {"profile": "ramp", "t_move": 0.73, "t_rest": 0.53, "ramp": 0.2}, ("t_move", "t_rest", "ramp")),
-    "bang-bang": (hf.swings, {"t_move": 0.33, "t_rest": 0.11}, ("t_move", "t_rest")),
+    "ramp": (
+        hf.arm_swings,
+        {"profile": "ramp", "t_move": 0.73, "t_rest": 0.53, "ramp": 0.2},
+        ("t_move", "t_rest", "ramp"),
+    ),
+    "bang-bang": (hf.arm_swings, {"t_move": 0.33, "t_rest": 0.11}, ("t_move", "t_rest")),
     "jerk": (
-        hf.move,
+        hf.move_arm,
         {"start": -0.5, "end": 1.0, "duration": 0.8, "profile": "minimum-jerk"},
         ("start", "end", "duration"),
     ),
@@ -155,14 +159,14 @@ def test_motion_parameter_through_its_switches(kind: str, name: str) -> None:
 
 
 def test_delay() -> None:
-    swings = hf.swings()
+    swings = hf.arm_swings()
     check(lambda x: setup(motion=swings.shifted(0.1 + x)), "motion.delay", 2e-5)
 
 
 def test_sample_of_a_moving_point() -> None:
     t, x = np.linspace(0.0, 1.1, 6), np.array([0.0, 0.1, 0.3, 0.2, 0.0, 0.1])
     unit = np.eye(6)[2]
-    check(lambda s: setup(motion=hf.moving_point(t, x, x + s * unit), arm=None), "motion.y[2]", 1e-3)
+    check(lambda s: setup(motion=hf.moving_pivot(t, x, x + s * unit), arm=None), "motion.y[2]", 1e-3)
 
 
 def test_own_direction() -> None:
@@ -191,7 +195,7 @@ def test_tip(name: str) -> None:
             return setup(arm=hf.Arm(length=0.105 + x))
         if name == "q0[0]":
             return setup(q0=setup().q0 + x * np.eye(N)[0])
-        return setup(motion=hf.swings(t_move=0.73 + x, profile="ramp", ramp=0.2))
+        return setup(motion=hf.arm_swings(t_move=0.73 + x, profile="ramp", ramp=0.2))
 
     tips = [hf.simulate(replace(make(x), tol=1e-11), t_eval=TIMES).tip for x in (1e-4, -1e-4)]
     want = (tips[0] - tips[1]) / 2e-4
@@ -253,8 +257,8 @@ def test_what_cannot_be_used_is_refused_with_what_can(wrt: Any, word: str) -> No
 def test_what_has_no_derivative_is_refused() -> None:
     with pytest.raises(hf.errors.InvalidInput, match="extrapolation"):
         hf.sensitivities(setup(method="rk4", step=1e-5), wrt="q0")
-    joined = hf.swings().then(hf.swings(), at=2.52)
+    joined = hf.arm_swings().then(hf.arm_swings(), at=2.52)
     with pytest.raises(hf.errors.InvalidInput, match="breaks and coef"):
         hf.sensitivities(setup(motion=joined), wrt="motion.t_rest")
     with pytest.raises(hf.errors.InvalidInput, match="without a rest"):
-        hf.sensitivities(setup(motion=hf.swings(t_rest=0.0)), wrt="motion.t_rest")
+        hf.sensitivities(setup(motion=hf.arm_swings(t_rest=0.0)), wrt="motion.t_rest")

@@ -56,7 +56,7 @@ def test_markers_are_where_the_rope_is() -> None:
 
 
 def test_torque_is_the_simulators() -> None:
-    motion = hf.move(0.4, 1.4, 0.5)
+    motion = hf.move_arm(0.4, 1.4, 0.5)
     run = hf.simulate(ROPE, motion, arm=ARM, duration=0.2, q0=X[1:4], qd0=X[5:])
     for k in (0, 7, 15):
         at = hf.State(run.t[k], run.q[k], run.qd[k], arm_angle=run.arm_angle[k], arm_rate=run.arm_rate[k])

@@ -116,6 +116,6 @@ def test_what_a_torque_driven_arm_has_not(name: str) -> None:
 
 
 def test_names_of_a_torque_driven_arm_are_refused_where_a_motion_turns_it() -> None:
-    prescribed = replace(setup(), torque=None, motion=hf.swings())
+    prescribed = replace(setup(), torque=None, motion=hf.arm_swings())
     with pytest.raises(hf.errors.InvalidInput, match=r"arm\.length"):
         hf.sensitivities(prescribed, wrt="arm.inertia")

@@ -10,7 +10,7 @@ import pytest
 
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.model import Arm, Rope, Setup
-from hyperflex.motion import swings
+from hyperflex.motion import arm_swings
 from hyperflex.trajectory import State, Trajectory, read_trajectory
 
 SAMPLES, LINKS = 7, 3
@@ -25,7 +25,7 @@ def made_up(seed: int = 1, **changes) -> Trajectory:
     q, qd, qdd = (f(3.0 * t[:, None] + phase) * 3.0**k for k, f in enumerate((np.sin, np.cos, lambda x: -np.sin(x))))
     base = np.stack([0.1 * t, -0.2 * t**2], axis=1)
     rope = Rope.uniform(length=1.0, mass=0.3, n_links=LINKS, friction=1e-3).replace(length=LENGTH, com=LENGTH / 2)
-    setup = Setup(rope=rope, arm=Arm(length=0.1), motion=swings(), duration=0.6)
+    setup = Setup(rope=rope, arm=Arm(length=0.1), motion=arm_swings(), duration=0.6)
     parts = {
         "t": t,
         "q": q,
@@ -198,11 +198,11 @@ def test_the_file_opens_in_xarray_as_the_dataset_of_the_run(tmp_path):
 
 
 def test_a_long_setup_fits_into_the_file(tmp_path):
-    from hyperflex.motion import sampled
+    from hyperflex.motion import sampled_motion
 
     run = made_up()
     t = np.linspace(0.0, 30.0, 30001)
-    long = dataclasses.replace(run, setup=dataclasses.replace(run.setup, motion=sampled(t, np.sin(t))))
+    long = dataclasses.replace(run, setup=dataclasses.replace(run.setup, motion=sampled_motion(t, np.sin(t))))
     assert len(long.setup.dumps()) > 500_000  # HDF5 keeps at most 64 KiB of an attribute in its header
     long.to_netcdf(tmp_path / "run.nc")
     assert read_trajectory(tmp_path / "run.nc").setup.dumps() == long.setup.dumps()

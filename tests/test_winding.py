@@ -11,7 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.model import cuts
-from hyperflex.winding import slip, turns
+from hyperflex.winding import rope_slip, turns
 from tests.reference import dense
 from tests.reference.arm import links_of
 from tests.reference.wrapping import capstan, laid
@@ -80,7 +80,7 @@ def test_a_run_survives_its_file_and_goes_on(tmp_path) -> None:  # type: ignore[
 
 def test_a_finer_rope_is_the_same_rope() -> None:
     rope = cable(n_links=10, stiffness=1e-3, tip_mass=0.01)
-    fine = hf.refined(rope, [PEG])
+    fine = hf.refine_rope(rope, [PEG])
     pieces = cuts(rope, [PEG])
     far = np.cumsum(rope.length) >= math.hypot(PEG.x, PEG.y) - 0.0325
     assert (fine.length[np.repeat(far, pieces)] <= 0.3 * 0.0325 + 1e-12).all()
@@ -94,7 +94,7 @@ def test_a_finer_rope_is_the_same_rope() -> None:
     fine_energy = dense.energies(links_of(fine.replace(stiffness=np.zeros(fine.n_links))), *many, *still)
     np.testing.assert_allclose(fine_energy, coarse_energy, rtol=1e-12)
     # A bend of the same curvature all along takes as much from the one as from the other.
-    whole = hf.refined(rope, [hf.Peg(0.0, 0.05, 0.03)])
+    whole = hf.refine_rope(rope, [hf.Peg(0.0, 0.05, 0.03)])
     for name in ("friction", "stiffness"):
         powers = []
         for each in (rope, whole):
@@ -106,15 +106,15 @@ def test_a_finer_rope_is_the_same_rope() -> None:
 
 def test_a_fine_rope_is_left_alone_and_an_uneven_link_is_not_cut() -> None:
     rope = cable(n_links=300)
-    assert hf.refined(rope, [PEG]) is rope
+    assert hf.refine_rope(rope, [PEG]) is rope
     uneven = cable(n_links=10).replace(com=np.full(10, 0.05))
     with pytest.raises(InvalidInput, match="not uniform"):
-        hf.refined(uneven, [PEG])
+        hf.refine_rope(uneven, [PEG])
 
 
 def test_a_coarse_rope_is_refined_by_itself() -> None:
     run = hf.simulate(cable(), duration=0.05, q0=np.full(50, 0.3), pegs=[PEG])
-    assert run.setup.rope == hf.refined(cable(), [PEG])
+    assert run.setup.rope == hf.refine_rope(cable(), [PEG])
 
 
 def wound_up(mu: float = 0.3) -> hf.Trajectory:
@@ -128,7 +128,7 @@ def wound_up(mu: float = 0.3) -> hf.Trajectory:
 def test_measures_of_a_wound_rope() -> None:
     run = wound_up()
     peg = run.setup.pegs[0]
-    state = hf.wound(run, peg)
+    state = hf.measure_winding(run, peg)
     # Seen from the centre the straight ends reach from a turn and a half less what they stand off at either side.
     ends = sum(math.atan(0.0225 / np.hypot(*run.joints[-1, k])) for k in (0, -1))
     assert state.turns[-1] == pytest.approx(1.5 + (math.pi - ends) / (2.0 * math.pi) - 0.0, abs=0.02)
@@ -140,24 +140,24 @@ def test_measures_of_a_wound_rope() -> None:
     total = run.contact_force[-1].sum(axis=0)
     np.testing.assert_allclose(total, [0.0, -3.0], rtol=0, atol=3e-3)
     with pytest.raises(InvalidInput, match="not one of the run's"):
-        hf.wound(run, hf.Peg(1.0, 0.0, 0.1))
+        hf.measure_winding(run, hf.Peg(1.0, 0.0, 0.1))
 
 
 def test_tension_of_a_hanging_rope_is_its_weight() -> None:
     rope = cable(n_links=7, tip_mass=0.02)
     run = hf.simulate(rope, duration=0.1, pegs=[hf.Peg(1.0, 1.0, 0.1)], refine=False)
     weight = 9.81 * (0.02 + np.append(np.cumsum(rope.mass[::-1])[::-1], 0.0))
-    np.testing.assert_allclose(hf.tension(run)[-1], weight, rtol=1e-12)
+    np.testing.assert_allclose(hf.rope_tension(run)[-1], weight, rtol=1e-12)
 
 
 def test_a_tug_tells_what_a_wound_rope_holds() -> None:
     """Pulled off, a rope that hangs over a peg half a turn gives way at exp(mu pi) times the weight of its tail."""
     rope = hf.Rope.uniform(1.0, 0.02, 60, 0.0025, friction=1e-3, tip_mass=0.2)
     peg = hf.Peg(0.0, 0.0, 0.03, 0.2)
-    start = hf.moving_point([0.0, 1.0], [-0.0326, -0.0326], [-0.3, -0.3])
+    start = hf.moving_pivot([0.0, 1.0], [-0.0326, -0.0326], [-0.3, -0.3])
     q0 = math.pi - laid(rope.length, (-0.0326, 0.3), 0.0326, math.pi)  # up, over the peg and down
     run = hf.simulate(rope, start, duration=0.5, q0=q0, pegs=[peg])
-    pull = hf.tug(run, peg, speed=0.02, distance=0.03)
+    pull = hf.tug_test(run, peg, speed=0.02, distance=0.03)
     assert pull.slipped
     tail = 9.81 * (0.2 + 0.02 * (1.0 - 0.3 - math.pi * 0.0325))
     up = 9.81 * 0.02 * 0.3  # and the weight of the way up
@@ -176,16 +176,16 @@ def test_a_tug_takes_up_the_slack_before_it_pulls() -> None:
     """As above on a rough peg, with the end 8 cm nearer: the rope there hangs in a bight at first, which holds it."""
     rope = hf.Rope.uniform(1.0, 0.02, 60, 0.0025, friction=1e-4, tip_mass=0.01)
     peg = hf.Peg(0.0, 0.0, 0.03, 1.0)
-    nearer = hf.moving_point([0.0, 0.5], [-0.0326, -0.0326], [-0.3, -0.22])
+    nearer = hf.moving_pivot([0.0, 0.5], [-0.0326, -0.0326], [-0.3, -0.22])
     q0 = math.pi - laid(rope.length, (-0.0326, 0.3), 0.0326, math.pi)
     run = hf.simulate(rope, nearer, duration=0.8, q0=q0, pegs=[peg])
-    weak = hf.tug(run, peg, distance=0.04)
+    weak = hf.tug_test(run, peg, distance=0.04)
     assert not weak.slipped
     assert weak.hold < 0.3
-    pull = hf.tug(run, peg)
+    pull = hf.tug_test(run, peg)
     assert pull.slipped
     # As above; and what resists bending where the rope comes on to the peg counts e^pi times: 1e-4 v / R^2 = 2e-3 N.
-    limit = hf.wound(run, peg).tail[-1] * math.exp(math.pi) - 9.81 * 0.02 * 0.3
+    limit = hf.measure_winding(run, peg).tail[-1] * math.exp(math.pi) - 9.81 * 0.02 * 0.3
     assert pull.hold == pytest.approx(limit, rel=0.06)
 
 
@@ -193,17 +193,17 @@ def test_a_link_that_rolls_does_not_slip() -> None:
     """A rod that rolls over a peg under its own weight: its contact goes along it and round the peg alike."""
     peg, rod = hf.Peg(0.0, 0.0, 0.05, 1.0), hf.Rope(length=[1.0], mass=[0.1], radius=0.0025)
     angle = np.linspace(0.5 * math.pi, 0.7 * math.pi, 50)
-    far = hf.moving_point([0.0, 1.0], [5.0, 5.0], [5.0, 5.0])  # any run of 50 samples, given other places below
+    far = hf.moving_pivot([0.0, 1.0], [5.0, 5.0], [5.0, 5.0])  # any run of 50 samples, given other places below
     run = hf.simulate(hf.Setup(rod, far, pegs=[peg, hf.Peg(9.0, 0.0, 0.05)], duration=0.49))
     axis = 0.0525
     place = 0.5 - axis * (angle - angle[0])
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     along = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
     rolling = replace(run, q=angle[:, None], base=axis * normal - place[:, None] * along)
-    np.testing.assert_allclose(slip(rolling, peg), 0.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rope_slip(rolling, peg), 0.0, rtol=0, atol=1e-12)
     slid = replace(run, q=angle[:, None], base=axis * normal - 0.5 * along)
     # The same place of the rod stays on the peg while the contact goes round it: it slides by as much.
-    np.testing.assert_allclose(np.abs(slip(slid, peg)), axis * (angle - angle[0]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.abs(rope_slip(slid, peg)), axis * (angle - angle[0]), rtol=0, atol=1e-12)
 
 
 def placed(run: hf.Trajectory, q: np.ndarray, base: np.ndarray) -> hf.Trajectory:
@@ -218,18 +218,18 @@ def test_a_rope_is_held_as_long_as_one_of_its_links_is() -> None:
     # A loose tail that falls away and slides is no slip of the rope: the rest of it stays where it is.
     loose = q.copy()
     loose[40:] += np.linspace(0.0, 1.0, 20)
-    np.testing.assert_allclose(slip(placed(run, loose[None], base[None]), peg), 0.0, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(rope_slip(placed(run, loose[None], base[None]), peg), 0.0, rtol=0, atol=1e-15)
     # All of it turned about the peg has slipped by the way round; in the watch as well as from the start.
     angle = 0.4
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     turned = placed(run, np.stack([loose, q + angle]), np.stack([base, turn @ base]))
-    np.testing.assert_allclose(np.abs(slip(turned, peg)[:3]), [0.0, 0.0, 0.0225 * angle], rtol=0, atol=1e-12)
-    late = slip(turned, peg, since=float(turned.t[1]))
+    np.testing.assert_allclose(np.abs(rope_slip(turned, peg)[:3]), [0.0, 0.0, 0.0225 * angle], rtol=0, atol=1e-12)
+    late = rope_slip(turned, peg, since=float(turned.t[1]))
     assert np.isnan(late[0])
     np.testing.assert_allclose(np.abs(late[1:3]), [0.0, 0.0225 * angle], rtol=0, atol=1e-12)
     # A rope that has left the peg holds nothing; one that was not on it cannot slip.
     away = placed(run, q[None], base[None] + 1.0)
-    np.testing.assert_array_equal(slip(away, peg)[:2], [0.0, np.inf])
-    assert np.isnan(slip(replace(away, base=away.base + 1.0), peg)).all()
+    np.testing.assert_array_equal(rope_slip(away, peg)[:2], [0.0, np.inf])
+    assert np.isnan(rope_slip(replace(away, base=away.base + 1.0), peg)).all()
     with pytest.raises(InvalidInput, match="since is after the end"):
-        slip(run, peg, since=99.0)
+        rope_slip(run, peg, since=99.0)

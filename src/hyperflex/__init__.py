@@ -35,17 +35,17 @@ if TYPE_CHECKING:
         revise,
     )
     from hyperflex.interfaces import Motor, RopeState, StateSource
-    from hyperflex.model import Arm, Ground, Peg, Rope, Setup, Wall, refined
+    from hyperflex.model import Arm, Ground, Peg, Rope, Setup, Wall, refine_rope
     from hyperflex.motion import (
         Motion,
-        hold,
-        move,
-        moves,
-        moving_point,
+        arm_moves,
+        arm_strokes,
+        arm_swings,
+        hold_arm,
+        move_arm,
+        moving_pivot,
         read_motion,
-        sampled,
-        strokes,
-        swings,
+        sampled_motion,
         torque_profile,
     )
     from hyperflex.planning import (
@@ -83,7 +83,7 @@ if TYPE_CHECKING:
         tip_speed_peak,
     )
     from hyperflex.trajectory import State, Trajectory, read_trajectory
-    from hyperflex.winding import Tug, Winding, slip, tension, tug, wound
+    from hyperflex.winding import TugTest, Winding, measure_winding, rope_slip, rope_tension, tug_test
 
 __version__ = "0.1.0"
 
@@ -125,7 +125,7 @@ __all__ = [
     "Stepper",
     "TipTarget",
     "Trajectory",
-    "Tug",
+    "TugTest",
     "Uncertainty",
     "Wall",
     "WhipMap",
@@ -133,20 +133,23 @@ __all__ = [
     "Winding",
     "__version__",
     "angle_reached",
+    "arm_moves",
+    "arm_strokes",
+    "arm_swings",
     "bootstrap",
     "build_whip_map",
     "compare_models",
     "design",
     "follow_plan",
     "forward_kinematics",
-    "hold",
+    "hold_arm",
     "identify",
     "initial_state",
     "linearize",
     "mass_matrix",
-    "move",
-    "moves",
-    "moving_point",
+    "measure_winding",
+    "move_arm",
+    "moving_pivot",
     "phase_reached",
     "plan_cast",
     "plan_whip",
@@ -155,22 +158,19 @@ __all__ = [
     "read_plan",
     "read_recording",
     "read_trajectory",
-    "refined",
+    "refine_rope",
     "regression",
     "revise",
-    "sampled",
+    "rope_slip",
+    "rope_tension",
+    "sampled_motion",
     "sensitivities",
     "simulate",
     "simulate_batch",
-    "slip",
-    "strokes",
-    "swings",
-    "tension",
     "tip_crosses",
     "tip_speed_peak",
     "torque_profile",
-    "tug",
-    "wound",
+    "tug_test",
 ]
 
 

@@ -11,7 +11,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Rope
-from hyperflex.motion import moving_point
+from hyperflex.motion import moving_pivot
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import State, Trajectory, swept
 
@@ -45,7 +45,7 @@ class Winding:
 
 
 @dataclass(frozen=True)
-class Tug:
+class TugTest:
     """What a wound rope held against a pull at its motor-side end.
 
     Attributes
@@ -57,7 +57,7 @@ class Tug:
     run : Trajectory
         The simulated pull.
     slip : (T,) float64
-        Way of the rope on the peg, m, as :func:`slip` tells it; round the axle of a peg that turns.
+        Way of the rope on the peg, m, as :func:`rope_slip` tells it; round the axle of a peg that turns.
     """
 
     hold: float
@@ -70,7 +70,7 @@ class Tug:
         return self.hold >= checks.number("force", force, sign="positive", unit="N")
 
 
-def wound(run: Trajectory, peg: Peg) -> Winding:
+def measure_winding(run: Trajectory, peg: Peg) -> Winding:
     """Measure how a rope is wound round a peg.
 
     Parameters
@@ -98,7 +98,7 @@ def wound(run: Trajectory, peg: Peg) -> Winding:
     rows = np.arange(run.t.size)
     through = np.cumsum(np.concatenate([np.zeros((run.t.size, 1)), angles], axis=1), axis=1)
     middle = 0.5 * (through[:, :-1] + through[:, 1:])
-    pull, rope = tension(run), run.setup.rope
+    pull, rope = rope_tension(run), run.setup.rope
     beyond = rope.tip_mass + np.append(np.cumsum(rope.mass[::-1])[::-1], 0.0)
     return Winding(
         turns=angles.sum(axis=1) / (2.0 * np.pi),
@@ -120,7 +120,7 @@ def turns(run: Trajectory, peg: Peg) -> Array:
     return np.asarray(swept(run.joints - np.array([peg.x, peg.y])).sum(axis=1) / (2.0 * np.pi))
 
 
-def tension(run: Trajectory) -> Array:
+def rope_tension(run: Trajectory) -> Array:
     """Return the force through each joint (T, n + 1), N, the tip last; by Newton's law from the tip.
 
     Parameters
@@ -149,7 +149,7 @@ def tension(run: Trajectory) -> Array:
     return np.asarray(np.hypot(force[..., 0], force[..., 1]))
 
 
-def slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array:
+def rope_slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array:
     """Return how far the rope has slipped on a peg since a time (T,), m; positive towards the tip.
 
     Parameters
@@ -182,7 +182,7 @@ def slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array:
 
 
 def slid(rope: Rope, peg: Peg, q: Array, joints: Array, turned: Array | float = 0.0) -> Array:
-    """As :func:`slip`, since the first of samples q (T, n), rad, and joints (T, n + 1, 2), m, of a rope.
+    """As :func:`rope_slip`, since the first of samples q (T, n), rad, and joints (T, n + 1, 2), m, of a rope.
 
     `turned` (T,), rad, is the peg's own angle; without it the way is that of the rope round the axle.
     """
@@ -198,7 +198,9 @@ def slid(rope: Rope, peg: Peg, q: Array, joints: Array, turned: Array | float = 
     return np.where(held[rows, least], way[rows, least], np.inf if held[0].any() else np.nan)
 
 
-def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float | None = None, allowed: float = 5e-3) -> Tug:
+def tug_test(
+    run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float | None = None, allowed: float = 5e-3
+) -> TugTest:
     """Pull the rope's motor-side end slowly away from a peg, from where a run ended, and see what holds.
 
     Parameters
@@ -231,7 +233,7 @@ def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float | Non
     setup = run.setup
     pulled = simulate(
         setup.rope,
-        moving_point(time, path[:, 0], path[:, 1]),
+        moving_pivot(time, path[:, 0], path[:, 1]),
         duration=float(time[-1]),
         state=State(t=0.0, q=run.q[-1], qd=run.qd[-1], peg_rate=None if run.peg_rate is None else run.peg_rate[-1]),
         pegs=setup.pegs,
@@ -243,10 +245,10 @@ def tug(run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float | Non
     way = slid(pulled.setup.rope, peg, pulled.q, pulled.joints)
     gone = np.abs(way) > allowed
     slipped = bool(gone.any())
-    pull = tension(pulled)[: int(np.argmax(gone)) + 1 if slipped else pulled.t.size, 0]
+    pull = rope_tension(pulled)[: int(np.argmax(gone)) + 1 if slipped else pulled.t.size, 0]
     count = min(max(1, round(STEADY / float(pulled.t[1] - pulled.t[0]))), pull.size)
     steady = np.convolve(pull, np.full(count, 1.0 / count), mode="valid")
-    return Tug(hold=float(steady.max()), slipped=slipped, run=pulled, slip=way)
+    return TugTest(hold=float(steady.max()), slipped=slipped, run=pulled, slip=way)
 
 
 def _slack(run: Trajectory, peg: Peg) -> float:

@@ -37,7 +37,7 @@ def smooth_torque(t: np.ndarray, torque: np.ndarray, bend: float) -> hf.Motion:
 @pytest.mark.parametrize("friction_model", ["relative", "printed"])
 def test_replaying_the_recovered_torque_gives_the_same_motion(friction_model: str) -> None:
     rope = cable(friction_model)
-    motion = hf.move(-1.2, 1.3, 0.9, "minimum-jerk")  # no jump of the acceleration, so the torque is smooth
+    motion = hf.move_arm(-1.2, 1.3, 0.9, "minimum-jerk")  # no jump of the acceleration, so the torque is smooth
     t = np.linspace(0.0, END, 3001)
     led = hf.simulate(rope, motion, arm=ARM, duration=END, t_eval=t, tol=1e-9)
     u = motion.acceleration(t)

@@ -77,7 +77,7 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
 
 def test_a_set_up_file_gives_rope_arm_limits_and_target(hyperflex, ready, tmp_path):
     peg, setup = hf.Peg(-0.83, -1.07, 0.04, 0.25), tmp_path / "setup.toml"
-    hf.Setup(CABLE, hf.swings(), hf.Arm(length=0.15), pegs=(peg,)).to_toml(setup)
+    hf.Setup(CABLE, hf.arm_swings(), hf.Arm(length=0.15), pegs=(peg,)).to_toml(setup)
     setup.write_text(setup.read_text() + "\n[limits]\nspeed = 4.0\ntorque = 3.0\n")
     asked = ready("winds")
     assert hyperflex("cast", setup, "-o", tmp_path / "out")[0] == 0

@@ -217,7 +217,7 @@ def test_an_interrupted_fit_leaves_a_whole_folder_marked_as_such(hyperflex, swin
 def led(tmp_path):
     """Four markers on three links that hang from an arm in motion, seen from an origin of the camera's own."""
     rope = hf.Rope.uniform(length=0.3, mass=0.1, n_links=3, friction=2e-4)
-    swings = hf.swings(t_move=0.4, t_rest=0.3)
+    swings = hf.arm_swings(t_move=0.4, t_rest=0.3)
     setup = hf.Setup(rope, swings, hf.Arm(length=0.1), duration=3.0)
     t = np.linspace(0.0, 3.0, 101)
     run = hf.simulate(setup, t_eval=t)

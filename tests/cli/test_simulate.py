@@ -13,7 +13,7 @@ from hyperflex import simulation
 def setup_file(tmp_path):
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=5, friction=1e-3)
     path = tmp_path / "cast.toml"
-    hf.Setup(rope, hf.swings(), hf.Arm(length=0.1), duration=1.0).to_toml(path)
+    hf.Setup(rope, hf.arm_swings(), hf.Arm(length=0.1), duration=1.0).to_toml(path)
     return path
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyperflex.control.pseudo_energy import driving_constant, phase_portrait, pseudo_energy, spiral
+from hyperflex.control.spiral_coordinates import driving_constant, phase_portrait, pseudo_energy, spiral
 from hyperflex.errors import InvalidInput
 
 

@@ -11,7 +11,7 @@ from hyperflex.errors import InvalidInput
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, radius=0.003, friction=1e-3)
 ARM = hf.Arm(length=0.1)
-MOTION = hf.strokes([0.0, 1.0])
+MOTION = hf.arm_strokes([0.0, 1.0])
 
 
 def camera(**changed) -> SimulatedCamera:
@@ -23,7 +23,7 @@ def camera(**changed) -> SimulatedCamera:
 def test_the_truth_is_the_simulation_though_it_is_asked_in_pieces():
     source = TrueState(ROPE, ARM, tol=1e-8)
     # Later half turns are not known when the first states are asked for.
-    states = [source.state(t, MOTION if t > 0.9 else hf.strokes([0.0])) for t in (0.4, 0.8, 1.3, 1.31)]
+    states = [source.state(t, MOTION if t > 0.9 else hf.arm_strokes([0.0])) for t in (0.4, 0.8, 1.3, 1.31)]
     run = hf.simulate(ROPE, MOTION, arm=ARM, duration=1.5, t_eval=[0.4, 0.8, 1.3, 1.31], tol=1e-8)
     # Steps differ; tol of 1e-8 m is 6e-8 rad of a link, a hundred times that for a second of motion.
     np.testing.assert_allclose([s.q for s in states], run.q, atol=6e-6)

@@ -16,16 +16,16 @@ ROPE = hf.Rope(length=[0.3], mass=[0.1])
 ARM = hf.Arm(length=0.2, pivot=(0.5, -0.3))
 GRID = np.linspace(0.0, 2.0, 41)
 MOTIONS = {
-    "hold": hf.hold(0.7),
-    "bang-bang": hf.swings(0.7, 0.4),
-    "over": hf.swings(0.7, 0.4, path="over"),
-    "ramp": hf.swings(0.5, 0.3, "ramp", ramp=0.2),
-    "no-rest": hf.swings(0.6, 0.0, "minimum-jerk"),
-    "move": hf.move(-1.0, 2.0, 0.8, "minimum-jerk"),
-    "late": hf.move(-1.0, 2.0, 0.8).shifted(0.35),
-    "sampled": hf.sampled(GRID, np.sin(2 * GRID) ** 2),
-    "joined": hf.move(0.0, 1.0, 0.8).then(hf.move(1.0, -0.5, 0.5).shifted(1.1), at=0.9),
-    "joined-to-swings": hf.hold(-np.pi / 2).then(hf.swings(0.7, 0.4).shifted(0.4), at=0.2),
+    "hold": hf.hold_arm(0.7),
+    "bang-bang": hf.arm_swings(0.7, 0.4),
+    "over": hf.arm_swings(0.7, 0.4, path="over"),
+    "ramp": hf.arm_swings(0.5, 0.3, "ramp", ramp=0.2),
+    "no-rest": hf.arm_swings(0.6, 0.0, "minimum-jerk"),
+    "move": hf.move_arm(-1.0, 2.0, 0.8, "minimum-jerk"),
+    "late": hf.move_arm(-1.0, 2.0, 0.8).shifted(0.35),
+    "sampled": hf.sampled_motion(GRID, np.sin(2 * GRID) ** 2),
+    "joined": hf.move_arm(0.0, 1.0, 0.8).then(hf.move_arm(1.0, -0.5, 0.5).shifted(1.1), at=0.9),
+    "joined-to-swings": hf.hold_arm(-np.pi / 2).then(hf.arm_swings(0.7, 0.4).shifted(0.4), at=0.2),
 }
 each = pytest.mark.parametrize("name", MOTIONS)
 
@@ -72,7 +72,7 @@ def test_rates_and_accelerations_are_derivatives(name: str) -> None:
 
 @pytest.mark.parametrize("over", [False, True], ids=["under", "over"])
 def test_bang_bang_swings_are_those_of_the_reference(over: bool) -> None:
-    motion = hf.swings(0.73, 0.53, path="over" if over else "under")
+    motion = hf.arm_swings(0.73, 0.53, path="over" if over else "under")
     stretches = list(bang_bang_swings(0.73, 0.53, 20.0, over=over))
     for stretch in stretches:
         for part in (0.001, 0.4, 0.999):
@@ -108,7 +108,7 @@ def test_segments_follow_each_other_without_gap_or_overlap(name: str) -> None:
 
 
 def test_a_moving_point_moves_the_joint() -> None:
-    path = hf.moving_point(GRID, 0.1 * np.cos(GRID), 0.2 * GRID**2)
+    path = hf.moving_pivot(GRID, 0.1 * np.cos(GRID), 0.2 * GRID**2)
     drive = hf.Setup(ROPE, path).drive()
     base = np.zeros(9)
     for t in (0.1, 0.777, 1.9):

@@ -12,7 +12,7 @@ from hyperflex.simulation import rollouts
 ROPE = hf.Rope(length=[0.1, 0.2, 0.15], mass=[0.03, 0.02, 0.01], friction=1e-3, stiffness=1e-3, tip_mass=0.01)
 DRY = ROPE.replace(dry_friction=1e-3)
 ARM = hf.Arm(length=0.1)
-MOTION = hf.swings(0.2, 0.05)
+MOTION = hf.arm_swings(0.2, 0.05)
 T = np.array([0.01, 0.1004, 0.15, 0.2, 0.23, 0.3])
 
 
@@ -40,7 +40,7 @@ def test_the_kernels_are_compiled_for_one_kind_of_arrays() -> None:
     rope, arm = hf.Rope.uniform(length=1.0, mass=0.1, n_links=3), hf.Arm(0.1, 1e-3, pivot=(0.1, 0.0))
     torque = hf.torque_profile([0.0, 1.0], [1.0, 0.0])
     kinds = set()
-    for setup in (hf.Setup(rope), hf.Setup(rope, hf.swings(), arm), hf.Setup(rope, arm=arm, torque=torque)):
+    for setup in (hf.Setup(rope), hf.Setup(rope, hf.arm_swings(), arm), hf.Setup(rope, arm=arm, torque=torque)):
         for t in (np.array([0.0, 0.1]), checks.times("t_eval", [0.0, 0.1])):
             chain = setup.chain()
             run = rollouts.prepare(chain, setup.drive(), setup.start(), t, rollouts.limits(setup, chain, 0.1))

@@ -12,7 +12,7 @@ import pytest
 
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import MUTUAL, PRINTED, Chain
-from hyperflex.core.tangent import drag as dg
+from hyperflex.core.tangent import air as dg
 from hyperflex.core.tangent import step as tg
 from tests.reference import dense
 from tests.reference.cases import State, random_links, random_state

@@ -11,10 +11,10 @@ from scipy.integrate import solve_ivp
 from hyperflex.errors import InvalidInput
 from hyperflex.hardware import SimulatedMotor
 from hyperflex.interfaces import Motor
-from hyperflex.motion import hold, move
+from hyperflex.motion import hold_arm, move_arm
 
 FINE = 10**9  # steps of an encoder that hides nothing
-RAMP = move(0.0, 4.0, duration=2.0, profile="ramp", ramp=0.1)  # 4 / 1.8 rad/s in between
+RAMP = move_arm(0.0, 4.0, duration=2.0, profile="ramp", ramp=0.1)  # 4 / 1.8 rad/s in between
 SPEED = 4.0 / 1.8
 
 
@@ -49,7 +49,7 @@ def test_it_moves_as_its_equation_says():
 
 def test_a_weak_one_falls_behind_by_what_its_torque_allows():
     motor = SimulatedMotor(lag=0.01, counts=FINE, torque=0.05, inertia=0.01)  # 5 rad/s^2 at most
-    motor.set_motion(hold(3.0), 0.0)
+    motor.set_motion(hold_arm(3.0), 0.0)
     assert motor.angle(0.4) == pytest.approx(0.5 * 5.0 * 0.4**2, rel=2e-3)  # a step of 400 and more
 
 
@@ -69,9 +69,9 @@ def test_the_encoder_has_whole_steps():
 
 def test_what_it_did_is_a_motion_and_a_change_comes_through_after_the_latency():
     motor = SimulatedMotor(lag=0.01, latency=0.1, counts=FINE)
-    motor.set_motion(hold(1.0), 0.0)
+    motor.set_motion(hold_arm(1.0), 0.0)
     motor.angle(0.5)
-    motor.set_motion(hold(0.0), 0.5)
+    motor.set_motion(hold_arm(0.0), 0.5)
     angles = read(motor, [0.59, 1.0])
     np.testing.assert_allclose(angles, [1.0, 0.0], atol=1e-4)
     done = motor.motion()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperflex import Arm, Experiment, Recording, Rope, design, identify, simulate, swings
+from hyperflex import Arm, Experiment, Recording, Rope, arm_swings, design, identify, simulate
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.experiment_design import choice as _design
 from hyperflex.identification.experiment_design.experiments import motions, variations
@@ -105,7 +105,7 @@ def test_by_default_motions_are_tried_first_and_the_best_is_varied() -> None:
 
 
 def test_a_common_factor_is_said_to_need_scales_or_a_torque() -> None:
-    swing = Experiment("swing", swings(t_move=0.7, t_rest=0.4), rate=40.0, duration=4.0)
+    swing = Experiment("swing", arm_swings(t_move=0.7, t_rest=0.4), rate=40.0, duration=4.0)
     found = design(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=["inertia", "mass", "friction"])
     assert found.best is None
     assert np.isinf(found.plans[0].score)
@@ -130,7 +130,7 @@ def test_what_does_not_act_is_told_from_a_common_factor() -> None:
 
 
 def test_a_measured_torque_is_foreseen() -> None:
-    move = swings(t_move=0.7, t_rest=0.4, profile="minimum-jerk")
+    move = arm_swings(t_move=0.7, t_rest=0.4, profile="minimum-jerk")
     looks = [Experiment(f"{noise:g}", move, duration=4.0, rate=40.0, torque_noise=noise) for noise in (0.02, 0.08)]
     found = design(DOUBLE, "mass", looks, arm=Arm(length=0.1), free=["mass", "inertia", "friction", "arm_inertia"])
     assert [plan.experiment.name for plan in found.plans] == ["0.02", "0.08"]
@@ -165,7 +165,7 @@ def test_wrong_questions_are_refused() -> None:
     with pytest.raises(InvalidInput, match="no experiments"):
         design(SINGLE, "friction", [])
     with pytest.raises(InvalidInput, match="no experiments"):
-        design(SINGLE, "friction", [swings()])  # type: ignore[list-item]
+        design(SINGLE, "friction", [arm_swings()])  # type: ignore[list-item]
     for wrong in ({"rate": 0.0}, {"duration": -1.0}, {"markers": 1}, {"noise": 0.0}, {"torque_noise": -1.0}):
         with pytest.raises(InvalidInput):
             Experiment("wrong", **wrong)  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import identify
 from hyperflex.model import Arm, Rope
-from hyperflex.motion import swings
+from hyperflex.motion import arm_swings
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 
@@ -83,7 +83,7 @@ def test_gaps_and_gross_outliers_move_nothing_by_three_deviations() -> None:
 
 def test_a_camera_with_its_own_clock() -> None:
     cable = Rope.uniform(0.6, 0.05, 3, friction=2e-4)
-    arm, motion = Arm(0.1), swings(t_move=0.5, t_rest=0.4)
+    arm, motion = Arm(0.1), arm_swings(t_move=0.5, t_rest=0.4)
     t = np.linspace(0.0, 5.0, 301)
     late = 0.018  # s: the motion begins so much later than the camera's clock says
     run = simulate(cable, motion.shifted(late), arm=arm, duration=5.0, t_eval=t, tol=1e-9)

@@ -10,7 +10,7 @@ from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant, pivot_places
 from hyperflex.model import Arm, Rope
-from hyperflex.motion import swings
+from hyperflex.motion import arm_swings
 from hyperflex.sensors import Angles, Markers
 from hyperflex.simulation import simulate
 
@@ -23,7 +23,7 @@ ROPE = Rope(
     tip_mass=0.01,
 )
 ARCS = np.array([0.0, 0.11, 0.31, 0.6])
-ARM, MOTION = Arm(0.1, pivot=(0.3, -0.2)), swings(t_move=0.5, t_rest=0.3)
+ARM, MOTION = Arm(0.1, pivot=(0.3, -0.2)), arm_swings(t_move=0.5, t_rest=0.3)
 T = np.array([0.2, 0.31, 0.4, 0.62, 0.9])
 STATE = np.array([0.3, 0.5, 0.9, 1.0, -2.0, 0.5])
 WORDS = [

@@ -43,7 +43,7 @@ def test_the_papers_recording_with_gaps_and_outliers(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_windows_whose_first_states_outliers_spoilt(seed: int) -> None:
-    arm, motion = hf.Arm(length=0.1), hf.swings(t_move=0.7, t_rest=0.4)
+    arm, motion = hf.Arm(length=0.1), hf.arm_swings(t_move=0.7, t_rest=0.4)
     run = hf.simulate(PAIR, motion, arm=arm, duration=5.0, t_eval=np.arange(251) * 0.02)
     recording = hf.Recording(
         run.t,

@@ -65,7 +65,7 @@ def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back() -> None:
 
 @pytest.mark.parametrize("late", [0.5, -0.4])
 def test_a_delay_far_off_is_found(late: float) -> None:
-    motion, arm = hf.swings(t_move=0.7, t_rest=0.4), hf.Arm(length=0.1)
+    motion, arm = hf.arm_swings(t_move=0.7, t_rest=0.4), hf.Arm(length=0.1)
     run = hf.simulate(PAIR, motion, arm=arm, duration=4.0, t_eval=T)
     data = run.q + 2e-3 * np.random.default_rng(1).standard_normal(run.q.shape)
     found = hf.identify(

@@ -8,7 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyperflex import Arm, Identification, Recording, Rope, Trajectory, compare_models, hold, identify, simulate, swings
+from hyperflex import (
+    Arm,
+    Identification,
+    Recording,
+    Rope,
+    Trajectory,
+    arm_swings,
+    compare_models,
+    hold_arm,
+    identify,
+    simulate,
+)
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.plant import Plant
@@ -27,7 +38,7 @@ ROPE = Rope(
     tip_mass=0.01,
 )
 ARM = Arm(length=0.1, inertia=2e-4, mass=0.05, com=0.04, friction=1e-3)
-MOVE = swings(t_move=0.7, t_rest=0.4, profile="minimum-jerk")
+MOVE = arm_swings(t_move=0.7, t_rest=0.4, profile="minimum-jerk")
 NOISE, TORQUE_NOISE = 2e-3, 5e-3  # rad; N m, some 2 % of its rms
 SCALED = ["mass", "inertia", "friction"]
 
@@ -68,7 +79,7 @@ def test_torque_is_that_of_dense_matrices(model: str) -> None:
     """Rounding of a sweep: some hundred operations on torques of about 1 N m."""
     rope = ROPE.replace(friction_model=model)
     t, y = states(np.random.default_rng(0))
-    drive = _drive(swings(0.7, 0.4))
+    drive = _drive(arm_swings(0.7, 0.4))
     seen = MotorTorque(ARM).predict(rope.chain(), drive, t, y)
     expected = [float(by_matrices(rope, ARM, s, row[:2], row[2:])) for s, row in zip(t, y, strict=True)]
     np.testing.assert_allclose(seen, expected, rtol=1e-10, atol=1e-12)
@@ -86,7 +97,7 @@ def test_torque_of_a_stuck_joint_is_what_it_bears() -> None:
     rate = stretch.at(0.2)[1]
     q, w = np.array([0.3, 0.5]), np.full(2, rate)
     t, y = np.array([0.2]), np.hstack([q, w])[None]
-    drive = _drive(swings(0.7, 0.4), rope)
+    drive = _drive(arm_swings(0.7, 0.4), rope)
     seen = MotorTorque(ARM).predict(rope.chain(), drive, t, y)
     stuck = by_matrices(rope, ARM, 0.2, q, w, grip=np.zeros(2))
     assert float(seen[0]) == pytest.approx(float(stuck), rel=1e-10)
@@ -99,7 +110,7 @@ def test_torque_of_a_stuck_joint_is_what_it_bears() -> None:
 def test_slopes_by_the_state_are_those_of_the_reference() -> None:
     """The reference differenced in long doubles with 1e-7 errs by 1e-11 or less; the kernel by 1e-5 squared."""
     t, y = states(np.random.default_rng(1))
-    chain, drive = ROPE.chain(), _drive(swings(0.7, 0.4))
+    chain, drive = ROPE.chain(), _drive(arm_swings(0.7, 0.4))
     slopes = MotorTorque(ARM).jacobian(chain, drive, (), t, y, np.broadcast_to(np.eye(4), (t.size, 4, 4)))
     exact = np.empty_like(slopes)
     step = np.longdouble(1e-7)
@@ -121,7 +132,7 @@ def test_slopes_by_the_parameters_are_those_of_the_reference() -> None:
     x = parameters.start
     parts = tuple(part for _, part in parameters.parts(x, rope))
     still = np.zeros((t.size, 4, 4 + len(parts)))
-    slopes = MotorTorque(ARM).jacobian(rope.chain(), _drive(swings(0.7, 0.4)), parts, t, y, still)
+    slopes = MotorTorque(ARM).jacobian(rope.chain(), _drive(arm_swings(0.7, 0.4)), parts, t, y, still)
     for k, label in enumerate(parameters.labels):
         ends = [parameters.rope(x + h * np.eye(x.size)[k]) for h in (1e-5, -1e-5)]
         for row, time in enumerate(t):
@@ -289,7 +300,7 @@ def test_an_arm_that_is_held_tells_the_scale_as_well() -> None:
     """A free swing from an arm that the motor holds still: the torque that holds it is a known force."""
     rope = ROPE.replace(stiffness=0.0, tip_mass=0.0)
     t = np.arange(251) / 50
-    motion = hold(1.0)
+    motion = hold_arm(1.0)
     swing = simulate(rope, motion, arm=ARM, duration=5.0, t_eval=t, tol=1e-9, q0=[0.8, 1.2])
     rng = np.random.default_rng(5)
     recording = Recording(t, swing.q + NOISE * rng.standard_normal(swing.q.shape), noise=NOISE)  # type: ignore[arg-type]

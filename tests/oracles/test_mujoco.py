@@ -68,8 +68,8 @@ def test_the_papers_cast_of_fifty_links() -> None:
     stretches = [s._replace(end=2.0) if s.end > 2.0 else s for s in bang_bang_swings(0.73, 0.53, 2.0)]
     times = np.array([s.end for s in stretches])
     arm = hf.Arm(length=ARM_LENGTH)
-    run = hf.simulate(rope, hf.swings(), arm=arm, duration=2.0, t_eval=times, tol=1e-8)
-    plain = hf.simulate(rope, hf.swings(), arm=arm, duration=2.0, t_eval=times)
+    run = hf.simulate(rope, hf.arm_swings(), arm=arm, duration=2.0, t_eval=times, tol=1e-8)
+    plain = hf.simulate(rope, hf.arm_swings(), arm=arm, duration=2.0, t_eval=times)
     y = np.zeros(100)
     for k, stretch in enumerate(stretches):
         y = follow(oracle, stretch, y)

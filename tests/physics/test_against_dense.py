@@ -38,7 +38,9 @@ def test_a_cast_of_a_short_chain(n: int, friction_model: str) -> None:
     q0, w0 = 0.3 * np.ones(n), np.zeros(n)
     want = cast(links_of(rope), 0.105, stretches, q0, w0)
     times = np.array([stretch.end for stretch in stretches])
-    run = hf.simulate(rope, hf.swings(0.4, 0.3), arm=hf.Arm(length=0.105), duration=1.7, q0=q0, t_eval=times, tol=1e-11)
+    run = hf.simulate(
+        rope, hf.arm_swings(0.4, 0.3), arm=hf.Arm(length=0.105), duration=1.7, q0=q0, t_eval=times, tol=1e-11
+    )
     # 1e-11 m a step, a few hundred steps, links of 0.25 m: 1e-8 rad leaves a factor of two or three.
     np.testing.assert_allclose(run.q, want[:, :n], rtol=0, atol=1e-8)
     np.testing.assert_allclose(run.qd, want[:, n:], rtol=0, atol=1e-6)  # rates vary over some 0.01 s
@@ -58,7 +60,7 @@ def test_the_readings_of_friction_differ_where_they_should() -> None:
     ends = []
     for friction_model in ("relative", "printed"):
         rope = tangled(3, friction_model)
-        run = hf.simulate(rope, hf.swings(0.4, 0.3), arm=hf.Arm(length=0.105), duration=1.7, tol=1e-9)
+        run = hf.simulate(rope, hf.arm_swings(0.4, 0.3), arm=hf.Arm(length=0.105), duration=1.7, tol=1e-9)
         ends.append(run.q[-1])
     assert np.abs(ends[0] - ends[1]).max() > 1e-2
 
@@ -76,7 +78,7 @@ def test_a_free_double_pendulum() -> None:
 @pytest.mark.parametrize("over", [False, True], ids=["under", "over"])
 def test_the_arm_goes_its_way(over: bool) -> None:
     """Under the bottom or over the top: place and speed of the arm's tip at the middle of a swing."""
-    motion = hf.swings(0.73, 0.53, path="over" if over else "under")
+    motion = hf.arm_swings(0.73, 0.53, path="over" if over else "under")
     rope = tangled(2, "relative")
     run = hf.simulate(rope, motion, arm=hf.Arm(length=0.105, pivot=(0.3, 0.1)), duration=1.0, t_eval=[0.365, 0.9])
     middle, end = (-np.pi, -1.5 * np.pi) if over else (0.0, 0.5 * np.pi)
@@ -98,7 +100,7 @@ def test_a_moving_point_drags_the_chain() -> None:
     push = np.array([2.0, 1.5])
     # A clamped cubic spline through a parabola from rest is the parabola until shortly before its end.
     path = 0.5 * push * t[:, None] ** 2
-    dragged = hf.simulate(rope, hf.moving_point(t, *path.T), duration=1.0, q0=[0.1, 0.2, 0.3], t_eval=[1.0], tol=1e-11)
+    dragged = hf.simulate(rope, hf.moving_pivot(t, *path.T), duration=1.0, q0=[0.1, 0.2, 0.3], t_eval=[1.0], tol=1e-11)
     tilted = rope.replace(gravity=rope.gravity - push)
     still_run = hf.simulate(tilted, duration=1.0, q0=[0.1, 0.2, 0.3], t_eval=[1.0], tol=1e-11)
     # The spline's error falls off as 0.27 a knot from its clamped end: 1e-50 at 1 s. What is left is 1e-8 as above.

@@ -20,7 +20,7 @@ def on_a_peg(turns: float, mu: float) -> tuple[hf.Rope, hf.Peg]:
     peg = hf.Peg(0.0, 0.0, 0.02, mu)
     length = 0.25 + 2.0 * math.pi * turns * AXIS
     coarse = hf.Rope.uniform(length, 0.0625 * length, math.ceil(length / 0.04), 0.0025, friction=5e-4, gravity=(0, 0))
-    return hf.refined(coarse, [peg], arm=hf.Arm(length=0.3, pivot=(-AXIS - 0.3, 0.1))), peg
+    return hf.refine_rope(coarse, [peg], arm=hf.Arm(length=0.3, pivot=(-AXIS - 0.3, 0.1))), peg
 
 
 @pytest.mark.parametrize("turns", [0.5, 1.0, 2.0])
@@ -58,7 +58,7 @@ def test_a_mass_on_a_string_winds_up_round_a_peg() -> None:
     axis = 0.02 * (1.0 + 1e-6)
     q0 = laid(rope.length, (-axis, 0.1), axis, 0.0)
     qd0 = np.where(np.cumsum(rope.length) > 0.1 + 1e-9, speed / free, 0.0)
-    still = hf.moving_point([0.0, 1.0], [-axis, -axis], [0.1, 0.1])
+    still = hf.moving_pivot([0.0, 1.0], [-axis, -axis], [0.1, 0.1])
     run = hf.simulate(rope, still, duration=1.0, q0=q0, qd0=qd0, pegs=[peg], refine=False)
     left = np.sqrt(free**2 - 2.0 * 0.02 * speed * run.t)
     turned = (free - left) / 0.02
@@ -130,8 +130,8 @@ def test_nothing_passes_a_peg_at_fifty_metres_a_second() -> None:
 def test_a_rope_that_meets_no_peg_moves_as_without() -> None:
     cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=20, radius=0.0025, friction=5e-4)
     how = {"arm": hf.Arm(length=0.105), "duration": 3.0, "tol": 1e-8}
-    alone = hf.simulate(cable, hf.swings(), **how)
-    beside = hf.simulate(cable, hf.swings(), pegs=[hf.Peg(0.0, 3.0, 0.05)], refine=False, **how)
+    alone = hf.simulate(cable, hf.arm_swings(), **how)
+    beside = hf.simulate(cable, hf.arm_swings(), pegs=[hf.Peg(0.0, 3.0, 0.05)], refine=False, **how)
     assert beside.attrs["contact_steps"] == 0
     # Both within ten times the tolerance a step.
     np.testing.assert_allclose(beside.tip, alone.tip, rtol=0, atol=1e-6)

@@ -40,7 +40,7 @@ def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(push: bool) 
     rope = hf.Rope.uniform(length, 0.05, round(length / 0.01), friction=1e-5, gravity=(0.0, 9.81))
     base = np.array([-RADIUS + DEEP, TOP])
     q = laid(rope.length, (base[0], base[1]), RADIUS - DEEP, math.pi)
-    still = hf.moving_point([0.0, 1.0], [base[0]] * 2, [base[1]] * 2)
+    still = hf.moving_pivot([0.0, 1.0], [base[0]] * 2, [base[1]] * 2)
     setup = hf.Setup(rope, still, q0=q, pegs=[hf.Peg(0.0, 0.0, RADIUS, 0.3)])
     deep, change = gaps(rope, RADIUS, base, q)
     inside = deep < -0.5 * DEEP
@@ -76,7 +76,7 @@ def test_a_sample_beside_a_peg_does_not_depend_on_the_others() -> None:
 
 def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> None:
     """What a soft step remembers grows from step to step, also while nothing touches."""
-    rope, still = hf.Rope.uniform(0.5, 0.05, 10, friction=1e-4), hf.moving_point([0.0, 1.0], [0.0] * 2, [0.0] * 2)
+    rope, still = hf.Rope.uniform(0.5, 0.05, 10, friction=1e-4), hf.moving_pivot([0.0, 1.0], [0.0] * 2, [0.0] * 2)
     setup = hf.Setup(rope, still, pegs=[hf.Peg(1.0, 1.0, 0.05)])
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
     pegs, kept = setup.contacts(), new_kept(10, 1)

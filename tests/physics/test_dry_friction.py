@@ -124,7 +124,7 @@ def test_two_joints_stick_and_slip_in_turn(friction_model: str) -> None:
     assert {(0, False), (1, True)} <= kinds  # joints stick, and come loose
     t = np.unique([*(event.time for event in events), first.end])
     run = hf.simulate(
-        rope, hf.swings(1.6, 0.3), arm=hf.Arm(length=0.1), duration=1.0, q0=q0, qd0=w0, t_eval=t, tol=1e-12
+        rope, hf.arm_swings(1.6, 0.3), arm=hf.Arm(length=0.1), duration=1.0, q0=q0, qd0=w0, t_eval=t, tol=1e-12
     )
     np.testing.assert_allclose(np.concatenate([run.q[-1], run.qd[-1]]), want, rtol=0, atol=1e-8)
     slip = np.diff(run.qd, axis=1, prepend=run.arm_rate[:, None])
@@ -140,7 +140,7 @@ def test_nothing_creeps_below_the_limit() -> None:
     assert (held.q == 0.5).all()
     rope = hf.Rope.uniform(length=0.3, mass=0.03, n_links=6, dry_friction=0.3)
     start = -np.pi / 2 + np.linspace(0.1, 0.6, 6)
-    cast = hf.simulate(rope, hf.swings(), arm=hf.Arm(length=0.1), duration=10.0, q0=start)
+    cast = hf.simulate(rope, hf.arm_swings(), arm=hf.Arm(length=0.1), duration=10.0, q0=start)
     bends = np.diff(cast.q, axis=1, prepend=cast.arm_angle[:, None])
     assert np.abs(bends - bends[0]).max() < 1e-12  # the angles' own rounding; 1e-6 is what is asked for
     two = hf.Rope(length=[0.3, 0.3], mass=[0.05, 0.05], dry_friction=[0.6, 0.0])
@@ -155,7 +155,7 @@ def test_nothing_creeps_below_the_limit() -> None:
 def test_a_sampled_arm_carries_what_sticks() -> None:
     """Through the knots of a spline, which the steps do not stop at."""
     grid = np.linspace(0.0, 3.0, 16)
-    motion = hf.sampled(grid, 0.8 * np.sin(2 * grid))
+    motion = hf.sampled_motion(grid, 0.8 * np.sin(2 * grid))
     run = hf.simulate(ROD.replace(dry_friction=0.4), motion, arm=hf.Arm(length=0.1), duration=3.0, q0=[0.3])
     assert np.abs(run.q[:, 0] - run.arm_angle - 0.3).max() < 1e-13  # the angles' own rounding
 
@@ -179,7 +179,7 @@ def test_chains_with_many_dry_joints(seed: int) -> None:
     rope, q0 = messy(n, seed)
     t = np.linspace(0.02, 0.4, 20)
     kept = {"arm": hf.Arm(length=0.1), "duration": 0.4, "q0": q0, "t_eval": t}
-    motion = hf.swings(0.3, 0.2)
+    motion = hf.arm_swings(0.3, 0.2)
     run = hf.simulate(rope, motion, tol=1e-8, **kept)
     fine = hf.simulate(rope, motion, tol=1e-11, **kept)
     # A hundred steps of 1e-8 m in links of 5 to 20 cm; errors grow some tenfold in 0.4 s (they do so without friction).

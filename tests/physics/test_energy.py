@@ -26,7 +26,7 @@ def peak(run: hf.Trajectory) -> float:
 def test_power_balance_of_the_papers_cast(friction_model: str, path: str) -> None:
     run = hf.simulate(
         cable(friction_model=friction_model),
-        hf.swings(0.73, 0.53, path=path),
+        hf.arm_swings(0.73, 0.53, path=path),
         arm=hf.Arm(length=0.105),
         duration=10.0,
         tol=1e-9,
@@ -50,7 +50,7 @@ def test_frictionless_drift() -> None:
 
 def test_energies_of_a_run_are_those_of_the_reference() -> None:
     rope = cable(stiffness=1e-3, tip_mass=0.01, dry_friction=1e-5)
-    run = hf.simulate(rope, hf.swings(), arm=hf.Arm(length=0.105), duration=2.0, t_eval=[0.5, 1.3, 2.0])
+    run = hf.simulate(rope, hf.arm_swings(), arm=hf.Arm(length=0.105), duration=2.0, t_eval=[0.5, 1.3, 2.0])
     links = links_of(rope)
     for k in range(3):
         want = dense.energies(links, run.q[k], run.qd[k], run.joints[k, 0], run.base_velocity[k], run.arm_angle[k])
@@ -62,7 +62,7 @@ def test_energies_of_a_run_are_those_of_the_reference() -> None:
 def test_motor_work_is_the_integral_of_torque_times_rate() -> None:
     """For a prescribed arm of no mass of its own, on a fixed pivot; Simpson's rule between the switches."""
     t = np.linspace(0.0, 0.365, 401)  # one stretch: the acceleration jumps at its end
-    run = hf.simulate(cable(), hf.swings(), arm=hf.Arm(length=0.105), duration=0.5, t_eval=t, tol=1e-10)
+    run = hf.simulate(cable(), hf.arm_swings(), arm=hf.Arm(length=0.105), duration=0.5, t_eval=t, tol=1e-10)
     # At the switch itself the torque is that of the next stretch; leave that sample out.
     power = (run.motor_torque * run.arm_rate)[:-1]
     step = t[1] - t[0]

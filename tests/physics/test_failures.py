@@ -103,7 +103,7 @@ def test_a_step_that_is_not_a_number_is_not_taken() -> None:
 
 
 @pytest.mark.parametrize(
-    "extra", [{"tol": 1e-9}, {"motion": hf.hold()}, {"q0": np.zeros(10)}, {"torque": 1.0}, {"method": "rk4"}]
+    "extra", [{"tol": 1e-9}, {"motion": hf.hold_arm()}, {"q0": np.zeros(10)}, {"torque": 1.0}, {"method": "rk4"}]
 )
 def test_a_setup_is_not_mixed_with_other_arguments(extra: dict[str, object]) -> None:
     with pytest.raises(InvalidInput, match=next(iter(extra))):

@@ -89,7 +89,7 @@ def cable(**changes: object) -> hf.Rope:
 
 
 def cast_with(rope: hf.Rope, **how: object) -> hf.Trajectory:
-    return hf.simulate(rope, hf.swings(), arm=hf.Arm(length=0.105), duration=2.0, t_eval=[2.0], **how)
+    return hf.simulate(rope, hf.arm_swings(), arm=hf.Arm(length=0.105), duration=2.0, t_eval=[2.0], **how)
 
 
 @pytest.mark.parametrize("n", [25, 50])

@@ -14,7 +14,7 @@ T = T[np.append(True, np.diff(T) > 1e-9)]
 
 def cast(n: int, tol: float) -> hf.Trajectory:
     rope = hf.Rope.uniform(length=2.0, mass=0.125, n_links=n, radius=0.0025, friction=5e-4)
-    return hf.simulate(rope, hf.swings(), arm=hf.Arm(length=0.105), duration=1.5, t_eval=T, tol=tol)
+    return hf.simulate(rope, hf.arm_swings(), arm=hf.Arm(length=0.105), duration=1.5, t_eval=T, tol=tol)
 
 
 # A hundredfold margin over the step's 1e-7 m (of which some forty add up) in position; rates and accelerations follow
@@ -31,6 +31,6 @@ def test_every_quantity_between_steps(n: int, qd: float, qdd: float, torque: flo
 
 def test_samples_do_not_change_the_run() -> None:
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, friction=1e-4)
-    many = hf.simulate(rope, hf.swings(), arm=hf.Arm(0.1), duration=1.5, t_eval=T)
-    few = hf.simulate(rope, hf.swings(), arm=hf.Arm(0.1), duration=1.5, t_eval=T[[0, -1]])
+    many = hf.simulate(rope, hf.arm_swings(), arm=hf.Arm(0.1), duration=1.5, t_eval=T)
+    few = hf.simulate(rope, hf.arm_swings(), arm=hf.Arm(0.1), duration=1.5, t_eval=T[[0, -1]])
     np.testing.assert_array_equal(many.state.q, few.state.q)

@@ -84,7 +84,7 @@ def test_an_error_of_tol_stays_within_bounds_up_to_the_horizon(late: float) -> N
 @pytest.mark.parametrize(("friction", "tame"), [(5e-4, True), (0.0, False)])
 def test_friction_makes_the_papers_cast_predictable(friction: float, tame: bool) -> None:
     cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=friction)
-    found = hf.predictability(cable, hf.swings(), arm=hf.Arm(length=0.105), duration=6.0)
+    found = hf.predictability(cable, hf.arm_swings(), arm=hf.Arm(length=0.105), duration=6.0)
     # Measured: 6 with friction, over 15 s; without it more than 1e6 in 5 s. The bounds are far from both.
     assert (found.amplification[-1] < 50.0) == tame
     assert (found.amplification[-1] > 1e5) == (not tame)

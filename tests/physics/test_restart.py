@@ -48,19 +48,19 @@ STOPS = [STOP, 0.73, 0.7301, 2.4999, np.nextafter(0.73, 0.0), np.nextafter(0.73,
 def test_continuing_the_same_motion(tmp_path: Path, stop: float, how: dict[str, Any], dry: float) -> None:
     late = LATE[1:] if stop < 2.0 else np.array([END])
     rope = cable(dry_friction=dry)  # with 2 mN m some joints stick, and others come loose, all the time
-    whole = hf.simulate(rope, hf.swings(), arm=ARM, duration=END, t_eval=late, **how)
-    first = hf.simulate(rope, hf.swings(), arm=ARM, duration=stop, **how)
+    whole = hf.simulate(rope, hf.arm_swings(), arm=ARM, duration=END, t_eval=late, **how)
+    first = hf.simulate(rope, hf.arm_swings(), arm=ARM, duration=stop, **how)
     state = through_a_file(first, tmp_path)
-    second = hf.simulate(rope, hf.swings(), arm=ARM, duration=END - stop, t_eval=late, state=state, **how)
+    second = hf.simulate(rope, hf.arm_swings(), arm=ARM, duration=END - stop, t_eval=late, state=state, **how)
     same(second, whole)
 
 
 def test_stopping_again_and_again() -> None:
-    whole = hf.simulate(cable(), hf.swings(), arm=ARM, duration=END, t_eval=[END])
+    whole = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=END, t_eval=[END])
     state = None
     for stop in (0.3, 0.31, 1.0, 1.7, END):
         begin = 0.0 if state is None else state.t
-        run = hf.simulate(cable(), hf.swings(), arm=ARM, duration=stop - begin, t_eval=[stop], state=state)
+        run = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=stop - begin, t_eval=[stop], state=state)
         state = run.state
     np.testing.assert_array_equal(run.q, whole.q)
     np.testing.assert_array_equal(run.motor_work, whole.motor_work)
@@ -68,9 +68,9 @@ def test_stopping_again_and_again() -> None:
 
 def test_going_on_with_another_motion_is_the_joined_motion(tmp_path: Path) -> None:
     """The second motion begins where the first is left, at a break of its own, so both readings are the same pieces."""
-    first = hf.swings()
+    first = hf.arm_swings()
     angle = float(first.angle(STOP))
-    second = hf.move(angle, -1.0, 0.6).shifted(STOP)
+    second = hf.move_arm(angle, -1.0, 0.6).shifted(STOP)
     whole = hf.simulate(cable(), first.then(second, at=STOP), arm=ARM, duration=END, t_eval=LATE)
     stopped = hf.simulate(cable(), first, arm=ARM, duration=STOP)
     state = through_a_file(stopped, tmp_path)
@@ -80,7 +80,7 @@ def test_going_on_with_another_motion_is_the_joined_motion(tmp_path: Path) -> No
 
 def test_a_joined_motion_in_the_middle_of_a_piece_is_the_same_function_of_time() -> None:
     """Here the pieces are expanded about another instant, so bits differ, and no more than bits."""
-    first, second = hf.hold(-np.pi / 2), hf.swings().shifted(0.4)
+    first, second = hf.hold_arm(-np.pi / 2), hf.arm_swings().shifted(0.4)
     whole = hf.simulate(cable(), first.then(second, at=0.2), arm=ARM, duration=END, t_eval=LATE, tol=1e-8)
     plain = hf.simulate(cable(), second, arm=ARM, duration=END, t_eval=LATE, tol=1e-8)
     # The second motion stands still at the same angle until 0.4 s; the runs differ by the step cut at 0.2 s.
@@ -97,14 +97,16 @@ def test_a_state_made_by_hand_is_where_the_run_starts() -> None:
 
 
 def test_the_same_call_gives_the_same_bits() -> None:
-    runs = [hf.simulate(cable(), hf.swings(), arm=ARM, duration=END) for _ in range(2)]
+    runs = [hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=END) for _ in range(2)]
     same(runs[0], runs[1])
 
 
 def test_output_times_do_not_touch_the_run() -> None:
     """Samples are read off between the steps, so asking for more of them must not move the others."""
-    few = hf.simulate(cable(), hf.swings(), arm=ARM, duration=END, t_eval=[1.234, END])
-    many = hf.simulate(cable(), hf.swings(), arm=ARM, duration=END, t_eval=np.append(np.arange(0.001, 2.0, 0.001), END))
+    few = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=END, t_eval=[1.234, END])
+    many = hf.simulate(
+        cable(), hf.arm_swings(), arm=ARM, duration=END, t_eval=np.append(np.arange(0.001, 2.0, 0.001), END)
+    )
     np.testing.assert_array_equal(few.q[-1], many.q[-1])
     k = int(np.argmin(np.abs(many.t - 1.234)))
     # The same step read at times that differ in the last bit.
@@ -112,10 +114,10 @@ def test_output_times_do_not_touch_the_run() -> None:
 
 
 def test_samples_between_steps_are_as_good_as_the_steps() -> None:
-    tight = hf.simulate(cable(), hf.swings(), arm=ARM, duration=2.0, t_eval=np.arange(0.01, 2.0, 0.01), tol=1e-11)
-    plain = hf.simulate(cable(), hf.swings(), arm=ARM, duration=2.0, t_eval=np.arange(0.01, 2.0, 0.01), tol=1e-6)
-    at_steps = hf.simulate(cable(), hf.swings(), arm=ARM, duration=2.0, t_eval=[2.0], tol=1e-6)
-    end = hf.simulate(cable(), hf.swings(), arm=ARM, duration=2.0, t_eval=[2.0], tol=1e-11)
+    tight = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=2.0, t_eval=np.arange(0.01, 2.0, 0.01), tol=1e-11)
+    plain = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=2.0, t_eval=np.arange(0.01, 2.0, 0.01), tol=1e-6)
+    at_steps = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=2.0, t_eval=[2.0], tol=1e-6)
+    end = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=2.0, t_eval=[2.0], tol=1e-11)
     own = np.abs(at_steps.tip - end.tip).max()
     # Between steps a sample may be worse than the steps' own error by the interpolation: allow ten times, and 1e-6 m.
     assert np.abs(plain.tip - tight.tip).max() < max(10 * own, 10 * 1e-6)
@@ -124,7 +126,7 @@ def test_samples_between_steps_are_as_good_as_the_steps() -> None:
 @pytest.mark.parametrize("dry", [0.0, 2e-3], ids=["viscous", "dry"])
 def test_looking_up_between_steps_leaves_no_trace(dry: float) -> None:
     """A run may be told to return after every step; the mark to go on from must not depend on it."""
-    setup = hf.Setup(cable(dry_friction=dry), hf.swings(), ARM, tol=1e-7)
+    setup = hf.Setup(cable(dry_friction=dry), hf.arm_swings(), ARM, tol=1e-7)
     for stop in np.linspace(0.05, 1.5, 59):  # some of these ends cut a step that is then refused and tried shorter
         marks = []
         for budget in (1, 10_000):
@@ -145,7 +147,7 @@ def test_looking_up_between_steps_leaves_no_trace(dry: float) -> None:
 def test_swings_go_on_for_many_cycles(t_move: float, t_rest: float) -> None:
     """A cycle's end, as a product and as a sum, is not the same number: the run must pass it all the same."""
     rope = hf.Rope(length=[0.5], mass=[0.1], friction=1e-2)
-    motion = hf.swings(t_move, t_rest, "minimum-jerk")
+    motion = hf.arm_swings(t_move, t_rest, "minimum-jerk")
     run = hf.simulate(rope, motion, arm=ARM, duration=100.0, t_eval=[50.0, 100.0], tol=1e-5)
     np.testing.assert_allclose(run.arm_angle, motion.angle([50.0, 100.0]), rtol=0, atol=1e-12)
 
@@ -177,9 +179,9 @@ def test_the_fast_door_gives_the_angles_of_the_whole_run() -> None:
     """`angles` starts at its first time, wherever the motion is then."""
     q, qd = np.linspace(0.1, 0.4, 12), np.linspace(-1.0, 1.0, 12)
     t = np.array([0.9, 1.3, 1.31, 2.2])
-    got_q, got_qd = angles(cable(), t, q, qd, motion=hf.swings(), arm=ARM, tol=1e-7)
+    got_q, got_qd = angles(cable(), t, q, qd, motion=hf.arm_swings(), arm=ARM, tol=1e-7)
     start = hf.State(t=0.9, q=q, qd=qd)
-    run = hf.simulate(cable(), hf.swings(), arm=ARM, duration=1.3 + 1e-12, state=start, t_eval=t, tol=1e-7)
+    run = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=1.3 + 1e-12, state=start, t_eval=t, tol=1e-7)
     np.testing.assert_allclose(got_q, run.q, rtol=0, atol=1e-9)  # the end is 1e-12 s later: steps differ in last bits
     np.testing.assert_allclose(got_qd, run.qd, rtol=0, atol=1e-7)
     np.testing.assert_array_equal(got_q[0], q)

@@ -16,8 +16,8 @@ def noise(size: float) -> np.ndarray:
 
 
 MOTIONS = {
-    "sampled": (hf.sampled(T, np.sin(5.0 * T) + noise(0.02)), hf.Arm(length=0.2)),
-    "moving-point": (hf.moving_point(T, 0.2 * np.sin(5.0 * T) + noise(4e-3), noise(4e-3)), None),
+    "sampled": (hf.sampled_motion(T, np.sin(5.0 * T) + noise(0.02)), hf.Arm(length=0.2)),
+    "moving-point": (hf.moving_pivot(T, 0.2 * np.sin(5.0 * T) + noise(4e-3), noise(4e-3)), None),
 }
 
 

@@ -12,7 +12,7 @@ import hyperflex as hf
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
 from hyperflex.core.contact.step import attempt, new_desk, new_kept
-from hyperflex.winding import slip, wound
+from hyperflex.winding import measure_winding, rope_slip
 from tests.reference.wrapping import ARM, laid
 
 RADIUS, WEIGHT, GRAVITY = 0.05, 0.1, 9.81  # m, kg at the tip, m/s^2
@@ -41,7 +41,7 @@ def test_a_rope_brakes_a_spinning_peg_as_the_capstan_law_says(sense: float, rati
     """The weight keeps its pull T, the other end bears T exp(+-mu pi); their difference stops the peg."""
     rope, peg, q0 = hung(inertia=1e-4)
     spun = hf.State(0.0, q0, np.zeros(rope.n_links), peg_rate=[40.0 * sense])
-    still = hf.moving_point([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])
+    still = hf.moving_pivot([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])
     run = hf.simulate(rope, still, duration=0.2, pegs=[peg], refine=False, state=spun)
     braking = RADIUS * WEIGHT * GRAVITY * (1.0 - ratio) / 1e-4
     # After 30 ms, in which 0.25 mm of slack is taken up. The rope's own weight is a thousandth, its corners are more.
@@ -97,7 +97,7 @@ def test_atwoods_machine() -> None:
     # Nothing slips: the rope's way is that of the peg's surface once its slack is taken up, after 30 ms.
     gone, turned = run.tip[-1, 1] - run.tip[3, 1], run.peg_angle[-1, 0] - run.peg_angle[3, 0]
     assert AXIS * turned == pytest.approx(gone, rel=5e-3)
-    assert np.abs(slip(run, peg, since=0.03)[3:]).max() < 1e-4 < 1e-2 < gone
+    assert np.abs(rope_slip(run, peg, since=0.03)[3:]).max() < 1e-4 < 1e-2 < gone
     assert rise(run.energy_error) < 1e-5
 
 
@@ -105,7 +105,7 @@ def pulled(peg_axle: dict[str, float], speedup: float = 2.0) -> tuple[hf.Traject
     """The weight lifted over a peg of mu = 0.2 by a first joint that moves away with the acceleration `speedup`."""
     rope, peg, q0 = hung(**peg_axle)
     t = np.linspace(0.0, 0.4, 41)  # the motion ends at rest, but after the run
-    away = hf.moving_point(t, np.full(41, -AXIS), TOP + 0.5 * speedup * t**2)
+    away = hf.moving_pivot(t, np.full(41, -AXIS), TOP + 0.5 * speedup * t**2)
     return hf.simulate(rope, away, duration=0.16, q0=q0, pegs=[peg], refine=False), peg
 
 
@@ -121,7 +121,7 @@ def test_tension_on_both_sides_of_a_free_peg(inertia: float) -> None:
     after, pull = WEIGHT * (GRAVITY + 2.0), WEIGHT * (GRAVITY + 2.0) + inertia * 2.0 / RADIUS**2
     # The rope has a thousandth of the mass, and a corner of 0.1 rad bends the lever by as much; capstan: 87 % more.
     assert pull_of(run) == pytest.approx(pull, rel=5e-3)
-    state = wound(run, peg)
+    state = measure_winding(run, peg)
     # Links come round the peg and tremble by up to 4 %; means over 12 samples.
     assert state.after[4:].mean() == pytest.approx(after, rel=0.02)
     assert state.before[4:].mean() == pytest.approx(pull, rel=0.02)
@@ -144,7 +144,7 @@ def test_a_bearing_slows_a_peg_by_the_exponential(where: str) -> None:
     rope, peg, q0 = hung(mu=0.0, inertia=1e-4, bearing=2e-3)
     if where == "far":
         peg = hf.Peg(3.0, 0.0, RADIUS, 0.2, inertia=1e-4, bearing=2e-3)
-    still = hf.moving_point([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])
+    still = hf.moving_pivot([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])
     spun = hf.State(0.0, q0, np.zeros(rope.n_links), peg_rate=[30.0], peg_angle=[1.0])
     run = hf.simulate(rope, still, duration=0.1, pegs=[peg], refine=False, state=spun)
     assert (run.attrs["contact_steps"] > 0) == (where == "touching")
@@ -179,7 +179,7 @@ def writable(values: tuple[object, ...]) -> list[object]:
 def test_a_peg_takes_the_angular_momentum_that_contacts_give_it(h: float) -> None:
     """In one step, to rounding; and what sticks has the velocity of the peg."""
     rope, peg, q0 = hung(mu=0.3, inertia=1e-4)
-    still = hf.moving_point([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])
+    still = hf.moving_pivot([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])
     setup = hf.Setup(rope, still, q0=q0, pegs=[peg, hf.Peg(1.0, 1.0, 0.1)])
     pegs, n = setup.contacts(), rope.n_links
     chain, drive = Chain(*writable(setup.chain())), Drive(*writable(setup.drive()))

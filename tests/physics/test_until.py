@@ -72,7 +72,7 @@ def test_a_phase_on_the_other_side_is_not_reached() -> None:
 def test_a_cast_to_a_phase_and_to_a_peak() -> None:
     """Against a run at a tight tolerance, sampled a microsecond before and after."""
     kept = {"arm": ARM, "duration": 4.0, "tol": 1e-10}
-    motion = hf.swings()
+    motion = hf.arm_swings()
     for until in (
         hf.tip_crosses((0.3, -1.0), (1.0, 0.5), after=1.0),
         hf.tip_speed_peak(after=0.9),

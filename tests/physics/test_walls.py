@@ -22,7 +22,7 @@ def test_a_rope_comes_to_rest_on_the_floor() -> None:
     assert lying.sum() >= 5
     # At rest the floor bears what the pin at the top does not: the weight less the tension there.
     up = run.contact_force[-20:, :, 1].sum(axis=1).mean()
-    assert up + hf.tension(run)[-20:, 0].mean() == pytest.approx(0.06 * 9.81, rel=0.02)
+    assert up + hf.rope_tension(run)[-20:, 0].mean() == pytest.approx(0.06 * 9.81, rel=0.02)
 
 
 @pytest.mark.parametrize("e", [0.0, 0.5, 1.0])

@@ -17,9 +17,9 @@ from tests.planning.known import CABLE, PEG, planned
 
 def test_the_tail_is_what_hangs_below_the_peg():
     run = planned().outcome.run
-    tail = winding.wound(run, PEG).tail
+    tail = winding.measure_winding(run, PEG).tail
     # Quiet at the end: the tension towards the tip is the tail's weight, but for its last slow swinging (1 %).
-    assert winding.wound(run, PEG).after[-1] == pytest.approx(tail[-1], rel=0.01)
+    assert winding.measure_winding(run, PEG).after[-1] == pytest.approx(tail[-1], rel=0.01)
     length = tail[-1] / 9.81 / CABLE.total_mass * CABLE.total_length
     assert np.linalg.norm(run.tip[-1] - [PEG.x, PEG.y]) == pytest.approx(length, abs=0.08)  # peg and a link
     assert np.isnan(tail[0])

@@ -91,7 +91,7 @@ def test_a_motor_that_is_too_weak_is_told() -> None:
 
 
 def test_a_rope_that_misses_is_told() -> None:
-    whole = verify_cast(CAST_SETUP, hf.Peg(1.5, 1.2, 0.03), hf.moves([-1.5, -1.4], [0.0], [0.2]), watch_time=0.2)
+    whole = verify_cast(CAST_SETUP, hf.Peg(1.5, 1.2, 0.03), hf.arm_moves([-1.5, -1.4], [0.0], [0.2]), watch_time=0.2)
     assert whole.message == "the rope does not touch the peg"
     assert np.isnan(whole.strike_time)
 
@@ -135,7 +135,7 @@ def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypa
         return SimpleNamespace(values={"turns": turns[..., None]}, q=still, qd=still)
 
     monkeypatch.setattr(contact_phase, "_run", run)
-    motions = [hf.moves([0.0, 1.0], [0.0], [0.6]), hf.moves([0.0, 1.0], [0.4], [0.69])]
+    motions = [hf.arm_moves([0.0, 1.0], [0.0], [0.6]), hf.arm_moves([0.0, 1.0], [0.4], [0.69])]
     assert motions[1].breaks[-1] - motions[0].breaks[-1] > 0.4
     both = RolloutBatch([CABLE] * 2, [PEG] * 2, motions, np.zeros((2, 1)), np.zeros((2, 1)))
     found = simulate_contact(both, np.zeros(2), arm=CAST_SETUP.arm)

@@ -18,7 +18,7 @@ THROW = Throw(-1, np.array([3.0, 1.0, 3.0]), np.array([0.1, 0.0, 0.4]), end=0.4,
 
 
 def test_moves_go_where_they_are_sent_and_rest_there() -> None:
-    motion = hf.moves([-1.0, 2.0, 0.5], rests=[0.2, 0.3], durations=[0.5, 0.4], ramps=[0.5, 0.2])
+    motion = hf.arm_moves([-1.0, 2.0, 0.5], rests=[0.2, 0.3], durations=[0.5, 0.4], ramps=[0.5, 0.2])
     assert motion.angle([0.0, 0.2, 0.7, 1.0, 1.4, 9.0]) == pytest.approx([-1.0, -1.0, 2.0, 2.0, 0.5, 0.5], abs=1e-14)
     # Half of the way in half of the time, by symmetry; the ramp's speed is way / (time - ramp).
     assert motion.angle([0.45, 1.2]) == pytest.approx([0.5, 1.25], abs=1e-14)
@@ -26,7 +26,7 @@ def test_moves_go_where_they_are_sent_and_rest_there() -> None:
 
 
 def test_moves_come_back_from_a_file_s_table() -> None:
-    motion = hf.moves([-1.0, 2.0, 0.5], rests=[0.0, 0.3], durations=[0.5, 0.4], ramps=[0.5, 0.2])
+    motion = hf.arm_moves([-1.0, 2.0, 0.5], rests=[0.0, 0.3], durations=[0.5, 0.4], ramps=[0.5, 0.2])
     assert from_spec(to_spec(motion)) == motion
 
 
@@ -43,14 +43,14 @@ def test_moves_come_back_from_a_file_s_table() -> None:
 )
 def test_moves_refuse_what_cannot_be(angles, rests, durations, ramps, told) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(InvalidInput, match=told):
-        hf.moves(angles, rests, durations, ramps)
+        hf.arm_moves(angles, rests, durations, ramps)
 
 
 @pytest.mark.parametrize("way", [0.01, 0.5, 1.44, 1.45, 3.0, 6.0])
 @pytest.mark.parametrize("part", [1.0, 0.4])
 def test_the_fastest_move_uses_the_limits_and_keeps_them(way: float, part: float) -> None:
     durations, ramps = LIMITS.fastest_moves([way], part)
-    motion = hf.moves([0.0, way], [0.0], durations, ramps)
+    motion = hf.arm_moves([0.0, way], [0.0], durations, ramps)
     t = np.linspace(0.0, float(durations[0]), 4001)
     speed, rise = np.abs(motion.rate(t)).max(), np.abs(motion.acceleration(t[1:-1])).max()
     assert speed <= part * 6.0 * (1 + 1e-12)

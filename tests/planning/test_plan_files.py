@@ -216,4 +216,4 @@ def test_what_is_read_back_can_be_printed(tmp_path):
     back = hf.read_plan(tmp_path / "plan.toml")
     assert repr(back.motion) == "Motion(moves, 0 to 8.05965 s, 21 pieces)"
     assert repr(back.cast_setup.rope) == "Rope(50 links, 2 m, 0.125 kg)"
-    assert repr(hf.swings(t_move=0.7, t_rest=0.3)).endswith("repeats from 0 s on)")
+    assert repr(hf.arm_swings(t_move=0.7, t_rest=0.3)).endswith("repeats from 0 s on)")

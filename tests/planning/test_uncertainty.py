@@ -12,7 +12,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import InvalidInput
-from hyperflex.motion import moves
+from hyperflex.motion import arm_moves
 from hyperflex.planning import CastSetup, MotorLimits, Throw, Uncertainty
 from hyperflex.planning.robust.uncertainty import MOVES, Scenario, scaled
 
@@ -89,9 +89,9 @@ def test_a_lag_makes_the_arm_late() -> None:
     behind = (asked.angle(t) - done.angle(t)) / asked.rate(t)
     np.testing.assert_allclose(behind, 0.01, rtol=0.15)
     with pytest.raises(InvalidInput, match="not made of moves"):
-        Scenario(ROPE, PEG, 0.0, np.zeros(MOVES)).executed_motion(hf.hold(0.0))
+        Scenario(ROPE, PEG, 0.0, np.zeros(MOVES)).executed_motion(hf.hold_arm(0.0))
     with pytest.raises(InvalidInput, match="not made of moves"):
-        Scenario(ROPE, PEG, 0.0, np.zeros(MOVES)).executed_motion(moves([0.0, 1.0], [0.1], [0.5]).shifted(0.1))
+        Scenario(ROPE, PEG, 0.0, np.zeros(MOVES)).executed_motion(arm_moves([0.0, 1.0], [0.1], [0.5]).shifted(0.1))
 
 
 def test_ropes_are_drawn_from_a_fit_and_the_rest_as_usual() -> None:

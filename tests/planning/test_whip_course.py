@@ -83,7 +83,7 @@ def test_ctrl_c_while_the_map_is_made_is_a_plan(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_batch_that_failed_is_finished_all_the_same() -> None:
-    batch = hf.simulate_batch(ROPE, [hf.hold(0.0)] * 2, arm=ARM, duration=0.01)
+    batch = hf.simulate_batch(ROPE, [hf.hold_arm(0.0)] * 2, arm=ARM, duration=0.01)
     assert not_interrupted(batch) is batch
     failed = replace(batch, status=("ok", "energy"))
     assert not_interrupted(failed) is failed

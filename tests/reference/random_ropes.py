@@ -126,13 +126,13 @@ def random_drive(rng: Random, rope: hf.Rope) -> tuple[dict[str, Any], dict[str, 
     drive: dict[str, Any] = {}
     if kind == "swings":
         path = str(rng.choice(["under", "over"]))
-        drive["motion"] = hf.swings(rng.uniform(0.3, 1.0), rng.uniform(0.0, 0.8), profile, path)
+        drive["motion"] = hf.arm_swings(rng.uniform(0.3, 1.0), rng.uniform(0.0, 0.8), profile, path)
     elif kind == "move":
-        drive["motion"] = hf.move(0.0, rng.uniform(-6.0, 6.0), rng.uniform(0.1, 1.0), profile)
+        drive["motion"] = hf.move_arm(0.0, rng.uniform(-6.0, 6.0), rng.uniform(0.1, 1.0), profile)
     elif kind == "point":
         t = np.linspace(0.0, 5.0, 26)
         size = 0.1 * rope.total_length
-        drive["motion"] = hf.moving_point(t, *(size * rng.uniform(-1.0, 1.0, (2, 26))))
+        drive["motion"] = hf.moving_pivot(t, *(size * rng.uniform(-1.0, 1.0, (2, 26))))
     elif kind == "torque":
         most = log_uniform(rng, 1e-2, 1.0) * 9.81 * rope.total_mass * arm_length
         drive["torque"] = hf.torque_profile(np.linspace(0.0, 5.0, 11), most * rng.uniform(-1.0, 1.0, 11))

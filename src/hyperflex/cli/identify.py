@@ -162,7 +162,7 @@ def _numbers(option: str, given: Sequence[str], example: str) -> list[float]:
 def _drive(path: Path | None) -> dict[str, Any]:
     """Return the motion and the arm of a set-up."""
     from hyperflex.model import Setup
-    from hyperflex.motion import hold
+    from hyperflex.motion import hold_arm
 
     if path is None:
         return {}
@@ -173,7 +173,7 @@ def _drive(path: Path | None) -> dict[str, Any]:
             allowed="a motion",
             fix='Measure the arm\'s angle and give it as motion = {kind = "file", path = "arm.csv"}',
         )
-    return {"motion": setup.motion or hold(0.0), "arm": setup.arm}
+    return {"motion": setup.motion or hold_arm(0.0), "arm": setup.arm}
 
 
 def _write(out: Path, measured: Recording, found: Identification, guess: Rope, as_json: bool) -> dict[str, Path]:

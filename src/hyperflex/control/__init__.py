@@ -8,7 +8,9 @@ from hyperflex.lazy import loader
 
 if TYPE_CHECKING:
     from hyperflex.control.closed_loop import ClosedLoopRun, run_closed_loop
-    from hyperflex.control.pseudo_energy import (
+    from hyperflex.control.pumping import AmplitudeRule, PumpingRule
+    from hyperflex.control.pumping_optimizer import PumpingPlan, optimize_pumping
+    from hyperflex.control.spiral_coordinates import (
         PhasePortrait,
         Spiral,
         driving_constant,
@@ -16,8 +18,6 @@ if TYPE_CHECKING:
         pseudo_energy,
         spiral,
     )
-    from hyperflex.control.pumping import AmplitudeRule, PumpingRule
-    from hyperflex.control.pumping_optimizer import PumpingPlan, optimize_pumping
     from hyperflex.control.state_source import SimulatedCamera, TrueState, hanging_state
     from hyperflex.control.swing_model import SwingModel, arrival_time, swing_period
     from hyperflex.control.timing import CrossingRule, Rule

@@ -14,7 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
-from hyperflex.motion import Motion, Profile, strokes
+from hyperflex.motion import Motion, Profile, arm_strokes
 from hyperflex.simulation import simulate, simulate_batch, tip_crosses
 from hyperflex.trajectory import State
 
@@ -69,7 +69,7 @@ class SwingModel:
 
     def motion(self, starts: npt.ArrayLike, made: int = 0) -> Motion:
         """Return half turns that start at `starts` (k,), s, after `made` earlier ones."""
-        return strokes(starts, self.t_move, self.profile, self.path, made=made)
+        return arm_strokes(starts, self.t_move, self.profile, self.path, made=made)
 
     @property
     def period(self) -> float:

@@ -1,17 +1,10 @@
-"""The one place with numba's options, and where compiled code is kept.
-
-Numba's own cache does not notice an edit in *another* file, so compiled code is kept in a folder whose name is a hash
-of all of core's sources: an edit anywhere in core starts a fresh folder. Only hyperflex's kernels go there; the cache
-of other packages stays where it is. ``HYPERFLEX_CACHE_DIR`` moves it.
-"""
+"""The decorators of kernels: the one place with numba's options."""
 
 from __future__ import annotations
 
 import functools
 import hashlib
-import os
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,14 +12,24 @@ from typing import Any, TypeVar
 
 import numba
 from numba.core import event
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.extending import register_jitable
+
+from hyperflex.core.cache import folder
+
+try:
+    from hyperflex.core import compiler
+except (ImportError, AttributeError):
+    compiler = None  # type: ignore[assignment]
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 # contract: fused multiply-add; arcp: x / c as x * (1 / c); nsz: the sign of zero may change.
 # Not "reassoc" (the argument reduction of sincos relies on the order of its operations) and not "nnan" (isnan works).
 _FASTMATH = {"contract", "arcp", "nsz"}
+
+
+# numba's minor versions with the insides that `compiler` uses; pyproject.toml ends there too
+_KNOWN = range(66, 69)
 
 
 def _source_hash() -> str:
@@ -37,58 +40,24 @@ def _source_hash() -> str:
     return digest.hexdigest()[:16]
 
 
-def _cache_folder() -> str:
-    if chosen := os.environ.get("HYPERFLEX_CACHE_DIR"):
-        root = Path(chosen)
-    else:
-        root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyperflex"
-    folder = root / f"kernels-{SOURCE_HASH}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return str(folder)
-    except OSError:
-        return tempfile.mkdtemp(prefix="hyperflex-kernels-")
+SOURCE_HASH = _source_hash()  # of all kernels, to tell apart what was measured with them
 
 
-SOURCE_HASH = _source_hash()
-CACHE_FOLDER = _cache_folder()
-
-
-class _Locator(_CacheLocator):  # type: ignore[misc]
-    """Tells numba to keep a kernel in :data:`CACHE_FOLDER`, valid for as long as core's sources are the same."""
-
-    def __init__(self, py_func: Callable[..., Any]) -> None:
-        self._line = py_func.__code__.co_firstlineno
-
-    def get_cache_path(self) -> str:
-        return CACHE_FOLDER
-
-    def get_source_stamp(self) -> str:
-        return SOURCE_HASH
-
-    def get_disambiguator(self) -> str:
-        return str(self._line)
-
-    @classmethod
-    def from_function(cls, py_func: Callable[..., Any], _file: str) -> _Locator:
-        return cls(py_func)
-
-
-class _CacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = (_Locator,)
-
-
-class _Cache(FunctionCache):  # type: ignore[misc]
-    _impl_class = _CacheImpl
+@functools.cache
+def _is_known() -> bool:
+    """Whether this is a numba that :mod:`hyperflex.core.compiler` knows; if not, say so."""
+    if compiler is not None and tuple(map(int, numba.__version__.split(".")[:2])) in {(0, minor) for minor in _KNOWN}:
+        return True
+    sys.stderr.write(
+        f"hyperflex: compiled kernels are not kept with numba {numba.__version__}, and each process takes minutes to "
+        f"compile its own. Install numba 0.{_KNOWN[-1]}.\n"
+    )
+    return False
 
 
 def kernel(function: _F) -> _F:
     """Compile a kernel on its first call and keep the machine code for later processes (GIL released)."""
-    compiled = numba.njit(error_model="numpy", fastmath=_FASTMATH, nogil=True)(function)
-    if not numba.config.DISABLE_JIT:
-        compiled._cache = _Cache(function)
-    return compiled  # type: ignore[no-any-return]
+    return _compiled(function)
 
 
 def lean(function: _F) -> _F:
@@ -96,9 +65,14 @@ def lean(function: _F) -> _F:
 
     Its arrays are its callers'. It returns numbers alone, and assigns to slices no more than numbers.
     """
-    compiled = numba.njit(error_model="numpy", fastmath=_FASTMATH, nogil=True, _nrt=False)(function)
-    if not numba.config.DISABLE_JIT:
-        compiled._cache = _Cache(function)
+    return _compiled(function, _nrt=False)
+
+
+def _compiled(function: _F, **more: bool) -> _F:
+    options = {"error_model": "numpy", "fastmath": _FASTMATH, "nogil": True, **more}
+    if numba.config.DISABLE_JIT:
+        return function
+    compiled = compiler.door(function, options) if _is_known() else numba.njit(**options)(function)
     return compiled  # type: ignore[no-any-return]
 
 
@@ -142,6 +116,6 @@ def compiling() -> float:
 @functools.cache
 def announce_compilation() -> None:
     """Say on standard error, once a process, that kernels are about to be compiled (nothing if they are cached)."""
-    if not numba.config.DISABLE_JIT and not any(Path(CACHE_FOLDER).glob("*.nbi")):
+    if not numba.config.DISABLE_JIT and not any(folder().glob("*/*.nbc")):
         sys.stderr.write("hyperflex: compiling the rope kernels for this machine (once, about half a minute) ...\n")
         sys.stderr.flush()

@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.demo import twin
 from hyperflex.identification import Identification, identify
 from hyperflex.model import Peg, Rope
-from hyperflex.motion import swings
+from hyperflex.motion import arm_swings
 from hyperflex.paper import DURATION, T_MOVE, T_REST, casting_arm
 from hyperflex.planning import CastOutcome, CastPlan, CastSetup, HoldingForce, plan_cast, verify_cast
 from hyperflex.recording import Recording
@@ -142,7 +142,7 @@ def run_demo(progress: Progress = silent) -> Demo:
 
 def _cast(rope: Rope) -> Trajectory:
     """Cast a rope by the paper's successful motion through the bottom."""
-    motion = swings(T_MOVE, T_REST["success"])
+    motion = arm_swings(T_MOVE, T_REST["success"])
     t = np.linspace(0.0, DURATION, round(DURATION * SAMPLES_PER_SECOND) + 1)
     return simulate(rope, motion, arm=casting_arm(), duration=DURATION, t_eval=t)
 

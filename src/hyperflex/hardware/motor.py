@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.motion import Motion, sampled
+from hyperflex.motion import Motion, sampled_motion
 
 STEP = 2.5e-4  # s, of the simulated servo
 STEPS_A_LAG = 16.0  # at least, in its lag
@@ -99,7 +99,7 @@ class SimulatedMotor:
         times, angles = np.array(self._seen).T
         if times.size < 2:
             raise InvalidInput("motor has not moved in time yet", got=self._now, allowed="a later time read first")
-        return sampled(times, angles)
+        return sampled_motion(times, angles)
 
     def _later(self, name: str, value: float) -> float:
         time = checks.number(name, value, sign="nonnegative", unit="s")

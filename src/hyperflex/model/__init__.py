@@ -3,7 +3,7 @@
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle, round_places
 from hyperflex.model.peg import Peg
-from hyperflex.model.refine import cuts, divided, refined
+from hyperflex.model.refine import cuts, divided, refine_rope
 from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, Rope
 from hyperflex.model.setup import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, PLAN, Setup
 from hyperflex.model.wall import Ground, Wall
@@ -24,6 +24,6 @@ __all__ = [
     "Wall",
     "cuts",
     "divided",
-    "refined",
+    "refine_rope",
     "round_places",
 ]

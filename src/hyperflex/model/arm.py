@@ -68,7 +68,7 @@ class Arm:
         object.__setattr__(self, "pivot", (float(x), float(y)))
 
     def tip(self, angle: Array) -> Array:
-        """Return the position of the rope's first joint (..., 2), m, at arm angles (...), rad."""
+        """Return the position of the rope's first joint (..., 2), m, at each `angle` (...) of the arm, rad."""
         return np.array(self.pivot) + self.length * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
 
     def table(self) -> dict[str, Any]:

@@ -46,8 +46,8 @@ class Property:
     cut : str
         What becomes of it where a rope is cut into other links: it is ``shared`` out, or ``alike`` in all pieces of a
         link; of a joint it is ``joint``, whatever it joins, resists ``bending``, inverse to the length that the joint
-        stands for, or ``limit`` s it, in proportion to that length; or it ``stays`` where it is. Empty: it follows
-        from the others.
+        stands for, or is a ``limit``, so that the least bend radius stays; or it ``stays`` where it is. Empty: it
+        follows from the others.
     symbol, ratio : str
         Of a resistance to the motion: its symbol, and the unit of its ratio over the first moment p1.
     least : float

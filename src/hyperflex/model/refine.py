@@ -20,7 +20,7 @@ from hyperflex.model.stretch import across, uniform
 FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
 
 
-def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> Rope:
+def refine_rope(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> Rope:
     """Cut the links that may touch a peg, so that a wound rope is round enough to hold what a real one holds.
 
     Parameters
@@ -58,7 +58,7 @@ def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, rat
     --------
     >>> import hyperflex as hf
     >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    >>> fine = hf.refined(cable, [hf.Peg(x=1.0, y=-0.5, radius=0.03)])
+    >>> fine = hf.refine_rope(cable, [hf.Peg(x=1.0, y=-0.5, radius=0.03)])
     >>> fine.n_links, bool(fine.length.min() <= 0.3 * 0.0325)
     (142, True)
     """
@@ -66,7 +66,7 @@ def refined(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, rat
 
 
 def divided(rope: Rope, pieces: npt.ArrayLike) -> Rope:
-    """Cut each link of a rope into pieces, see :func:`refined`.
+    """Cut each link of a rope into pieces, see :func:`refine_rope`.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
 
 
 def recut(rope: Rope, n_links: int) -> Rope:
-    """Cut a rope into `n_links` equal links; its joints become those of :func:`refined`.
+    """Cut a rope into `n_links` equal links; its joints become those of :func:`refine_rope`.
 
     Mass is spread evenly along each old link, so that new links have their part of it, their centre and inertia from
     there.
@@ -132,7 +132,7 @@ def recut(rope: Rope, n_links: int) -> Rope:
 
 
 def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> npt.NDArray[np.int64]:
-    """Return into how many pieces :func:`refined` cuts each link (n,); ``np.repeat(q0, cuts(...))`` are its angles."""
+    """Return the number of pieces (n,) of each link in :func:`refine_rope`; ``np.repeat(q0, cuts(...))``: angles."""
     ratio = checks.number("ratio", ratio, sign="positive")
     reach, (x, y) = (0.0, (0.0, 0.0)) if arm is None else (arm.length, arm.pivot)
     far = reach + np.cumsum(rope.length)  # of each link's far joint at most

@@ -20,7 +20,7 @@ from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle, obstacles_of, packed, tables
 from hyperflex.model.peg import Peg
 from hyperflex.model.rope import Rope
-from hyperflex.motion import Motion, from_spec, hold, to_spec
+from hyperflex.motion import Motion, from_spec, hold_arm, to_spec
 
 METHODS = ("extrapolation", "rk4")
 PLAN = "plan"  # table in which a planner keeps what a run does not need
@@ -167,7 +167,7 @@ class Setup:
 
     def drive(self) -> Drive:
         """Return what moves the chain, as the kernels take it."""
-        source = self.torque or self.motion or hold(0.0)
+        source = self.torque or self.motion or hold_arm(0.0)
         coef = source.coef
         if self.arm is not None and any(self.arm.pivot):
             coef = coef.copy()

@@ -1,20 +1,20 @@
 """Arm motions: piecewise polynomials of time, each with the instants at which its acceleration jumps."""
 
-from hyperflex.motion.half_turns import strokes
+from hyperflex.motion.half_turns import arm_strokes
 from hyperflex.motion.lag import lagged
 from hyperflex.motion.piecewise import Motion
 from hyperflex.motion.profiles import (
     PATHS,
     PROFILES,
     Profile,
-    hold,
-    move,
-    moving_point,
-    sampled,
-    swings,
+    arm_swings,
+    hold_arm,
+    move_arm,
+    moving_pivot,
+    sampled_motion,
     torque_profile,
 )
-from hyperflex.motion.sequence import moves
+from hyperflex.motion.sequence import arm_moves
 from hyperflex.motion.tables import from_spec, read_motion, to_spec
 
 __all__ = [
@@ -22,16 +22,16 @@ __all__ = [
     "PROFILES",
     "Motion",
     "Profile",
+    "arm_moves",
+    "arm_strokes",
+    "arm_swings",
     "from_spec",
-    "hold",
+    "hold_arm",
     "lagged",
-    "move",
-    "moves",
-    "moving_point",
+    "move_arm",
+    "moving_pivot",
     "read_motion",
-    "sampled",
-    "strokes",
-    "swings",
+    "sampled_motion",
     "to_spec",
     "torque_profile",
 ]

@@ -17,7 +17,7 @@ from hyperflex.motion.profiles import PATHS, PROFILES, Profile, move_pieces
 _MEET = 1e-9  # s: a stroke that starts this much before the last one ends follows it at once
 
 
-def strokes(
+def arm_strokes(
     starts: npt.ArrayLike,
     t_move: float = 0.73,
     profile: Profile = "bang-bang",
@@ -35,7 +35,7 @@ def strokes(
     t_move : float
         Time of a half turn (t_a in the paper), s.
     profile, path, ramp
-        As for :func:`hyperflex.swings`, which this is with equal rests.
+        As for :func:`hyperflex.arm_swings`, which this is with equal rests.
     made : int
         Half turns made before; after an even number the arm is at -pi/2, after an odd one at the other end.
 

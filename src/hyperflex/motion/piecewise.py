@@ -24,9 +24,9 @@ _MEET = 1e-9  # rad or m: how far two motions may be apart where one hands over 
 class Motion:
     """What drives the rope: arm angle (rad), pivot position (m) and motor torque (N m) as functions of time.
 
-    Build one with :func:`hold`, :func:`move`, :func:`swings`, :func:`sampled`, :func:`moving_point` or
-    :func:`torque_profile`; join two with :meth:`then`. Before its first break a motion stands still, and so it does
-    after its last one unless it repeats.
+    Build one with :func:`hold_arm`, :func:`move_arm`, :func:`arm_swings`, :func:`sampled_motion`,
+    :func:`moving_pivot` or :func:`torque_profile`; join two with :meth:`then`. Before its first break a motion stands
+    still, and so it does after its last one unless it repeats.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ def move_pieces(
     return [duration], [[start, 0.0, 0.0, 10 * way / duration**3, -15 * way / duration**4, 6 * way / duration**5]]
 
 
-def hold(angle: float = 0.0) -> Motion:
+def hold_arm(angle: float = 0.0) -> Motion:
     """Return a motion that keeps the arm where it is for ever.
 
     Parameters
@@ -64,7 +64,7 @@ def hold(angle: float = 0.0) -> Motion:
     return Motion(np.array([0.0, 1.0]), coef, np.zeros(2, dtype=np.bool_), -1, {"kind": "hold", "angle": angle})
 
 
-def move(start: float, end: float, duration: float, profile: Profile = "bang-bang", *, ramp: float = 0.1) -> Motion:
+def move_arm(start: float, end: float, duration: float, profile: Profile = "bang-bang", *, ramp: float = 0.1) -> Motion:
     """Return one move of the arm, from t = 0, after which it rests.
 
     Parameters
@@ -94,7 +94,7 @@ def _ramp(value: float) -> float:
     return ramp
 
 
-def swings(
+def arm_swings(
     t_move: float = 0.73,
     t_rest: float = 0.53,
     profile: Profile = "bang-bang",
@@ -109,11 +109,11 @@ def swings(
     t_move, t_rest : float
         Time of a move (t_a in the paper) and of the rest after it (t_c), s; the rest may be 0.
     profile : {"bang-bang", "ramp", "minimum-jerk"}
-        See :func:`move`.
+        See :func:`move_arm`.
     path : {"under", "over"}
         The arm starts at -pi/2 at t = 0 and goes to +pi/2 through the bottom, or over the top to -3 pi/2.
     ramp : float
-        See :func:`move`.
+        See :func:`move_arm`.
     """
     t_move = checks.number("t_move", t_move, sign="positive", unit="s")
     t_rest = checks.number("t_rest", t_rest, sign="nonnegative", unit="s")
@@ -127,7 +127,7 @@ def swings(
 def swing_pieces(
     t_move: float, t_rest: float, profile: str, path: str, ramp: float
 ) -> tuple[list[float], list[list[float]]]:
-    """Durations and coefficients of one cycle of :func:`swings`; takes complex numbers too."""
+    """Durations and coefficients of one cycle of :func:`arm_swings`; takes complex numbers too."""
     start, end = -0.5 * math.pi, (0.5 if path == "under" else -1.5) * math.pi
     durations: list[float] = []
     rows: list[list[float]] = []
@@ -138,7 +138,7 @@ def swing_pieces(
     return durations, rows
 
 
-def sampled(t: npt.ArrayLike, angle: npt.ArrayLike) -> Motion:
+def sampled_motion(t: npt.ArrayLike, angle: npt.ArrayLike) -> Motion:
     """Return a motion through measured arm angles: a cubic spline that starts and ends at rest.
 
     Parameters
@@ -151,7 +151,7 @@ def sampled(t: npt.ArrayLike, angle: npt.ArrayLike) -> Motion:
     return _spline(t, {ANGLE: ("angle", angle)}, "sampled")
 
 
-def moving_point(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike) -> Motion:
+def moving_pivot(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike) -> Motion:
     """Return a motion of the pivot itself, as cubic splines that start and end at rest.
 
     Parameters

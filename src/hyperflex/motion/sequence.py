@@ -14,7 +14,9 @@ from hyperflex.motion.profiles import move_pieces
 BANG_BANG = 0.5 - 1e-6  # ramp beyond which no way at full speed is left
 
 
-def moves(angles: npt.ArrayLike, rests: npt.ArrayLike, durations: npt.ArrayLike, ramps: npt.ArrayLike = 0.5) -> Motion:
+def arm_moves(
+    angles: npt.ArrayLike, rests: npt.ArrayLike, durations: npt.ArrayLike, ramps: npt.ArrayLike = 0.5
+) -> Motion:
     """Return moves of the arm through given angles, each after a rest and in a time of its own.
 
     Parameters
@@ -67,7 +69,7 @@ def moves(angles: npt.ArrayLike, rests: npt.ArrayLike, durations: npt.ArrayLike,
 def move_rows(
     angles: list[float], rests: list[float], durations: list[float], ramps: list[float]
 ) -> tuple[list[float], list[list[float]]]:
-    """Durations and coefficients of the pieces of :func:`moves`; takes complex numbers too."""
+    """Durations and coefficients of the pieces of :func:`arm_moves`; takes complex numbers too."""
     parts: list[float] = []
     rows: list[list[float]] = []
     for start, end, rest, time, ramp in zip(angles[:-1], angles[1:], rests, durations, ramps, strict=True):

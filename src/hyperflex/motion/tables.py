@@ -11,9 +11,9 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import profiles
-from hyperflex.motion.half_turns import strokes
+from hyperflex.motion.half_turns import arm_strokes
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
-from hyperflex.motion.sequence import moves
+from hyperflex.motion.sequence import arm_moves
 
 
 def read_motion(path: str | Path) -> Motion:
@@ -31,19 +31,19 @@ def read_motion(path: str | Path) -> Motion:
     names, table = files.read_table(path)
     if list(names) != ["t", "angle"]:
         raise InvalidInput(f"columns of {path} are not those of a motion", got=list(names), allowed="t,angle (s, rad)")
-    return profiles.sampled(table[:, 0], table[:, 1])
+    return profiles.sampled_motion(table[:, 0], table[:, 1])
 
 
 def from_spec(spec: Mapping[str, Any], folder: Path | None = None) -> Motion:
     """Build the motion that a ``[motion]`` table describes; a file that it names lies in `folder` (or where one is)."""
     makers = {
-        "hold": profiles.hold,
-        "move": profiles.move,
-        "swings": profiles.swings,
-        "strokes": strokes,
-        "moves": moves,
-        "sampled": profiles.sampled,
-        "moving point": profiles.moving_point,
+        "hold": profiles.hold_arm,
+        "move": profiles.move_arm,
+        "swings": profiles.arm_swings,
+        "strokes": arm_strokes,
+        "moves": arm_moves,
+        "sampled": profiles.sampled_motion,
+        "moving point": profiles.moving_pivot,
         "torque": profiles.torque_profile,
         "pieces": _from_pieces,
         "file": read_motion,

@@ -11,7 +11,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.drive import ANGLE
 from hyperflex.errors import InvalidInput
 from hyperflex.motion.piecewise import Motion
-from hyperflex.motion.profiles import move_pieces, moving_point, sampled, swing_pieces, torque_profile
+from hyperflex.motion.profiles import move_pieces, moving_pivot, sampled_motion, swing_pieces, torque_profile
 from hyperflex.motion.sequence import BANG_BANG, move_rows
 
 Pieces = tuple[list[complex], list[list[complex]]]
@@ -34,8 +34,8 @@ _LISTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
 }
 # motions that depend linearly on their samples
 _SAMPLES: dict[str, tuple[Callable[..., Motion], tuple[str, ...]]] = {
-    "sampled": (sampled, ("angle",)),
-    "moving point": (moving_point, ("x", "y")),
+    "sampled": (sampled_motion, ("angle",)),
+    "moving point": (moving_pivot, ("x", "y")),
     "torque": (torque_profile, ("torque",)),
 }
 

@@ -11,7 +11,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.control import PhasePortrait, Spiral, phase_portrait, spiral
 from hyperflex.model import Arm, Rope
-from hyperflex.motion import swings
+from hyperflex.motion import arm_swings
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 
@@ -104,7 +104,7 @@ def run(
     -------
     Trajectory
     """
-    motion = swings(t_move=T_MOVE, t_rest=t_rest, profile=profile, path=reading.path)
+    motion = arm_swings(t_move=T_MOVE, t_rest=t_rest, profile=profile, path=reading.path)
     t_eval = np.linspace(0.0, duration, round(duration * rate) + 1)
     return simulate(cable(reading.friction), motion, arm=casting_arm(), duration=duration, t_eval=t_eval, tol=tol)
 

@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.dynamics import bias, input_from_torque, mass_matrix, partial_linearization, torque_from_input
 from hyperflex.model import Arm
-from hyperflex.motion import swings, torque_profile
+from hyperflex.motion import arm_swings, torque_profile
 from hyperflex.paper.casting import T_MOVE, T_REST, TOL, Reading, cable
 from hyperflex.simulation import simulate
 
@@ -37,7 +37,7 @@ def replay(reading: Reading) -> tuple[float, float]:
         Greatest distance between the tips under the prescribed motion and under the torque, open loop, m.
     """
     rope = cable(reading.friction)
-    motion = swings(T_MOVE, T_REST["success"], path=reading.path)
+    motion = arm_swings(T_MOVE, T_REST["success"], path=reading.path)
     t = _sample_times(motion.switches(0.0, SPAN))
     led = simulate(rope, motion, arm=ARM, duration=SPAN, t_eval=t, tol=TOL)
     u = motion.acceleration(t)

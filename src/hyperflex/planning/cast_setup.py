@@ -74,7 +74,7 @@ class MotorLimits:
         return float(np.clip(side * 0.5 * np.pi, *self.angles))
 
     def fastest_moves(self, angles: npt.ArrayLike, speed: npt.ArrayLike = 1.0) -> tuple[Array, Array]:
-        """Return duration and ramp of the fastest moves, as :func:`hyperflex.moves` takes them.
+        """Return duration and ramp of the fastest moves, as :func:`hyperflex.arm_moves` takes them.
 
         Parameters
         ----------

@@ -15,7 +15,7 @@ from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
-from hyperflex.winding import Tug, Winding
+from hyperflex.winding import TugTest, Winding
 
 MIN_TURNS = 1.25  # turns of a wound rope, from the arm's tip to the rope's end
 SETTLING_TIME = 1.0  # s from the arm's stop to the watch
@@ -143,11 +143,11 @@ def verify_cast(
 
 def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float) -> CastOutcome:
     """Evaluate a run whose arm stopped at `stop`, s."""
-    wound = winding.wound(run, peg)
+    wound = winding.measure_winding(run, peg)
     watched = run.t >= stop + SETTLING_TIME
     turns = wound.turns[watched]
     sense = np.sign(turns[-1])
-    slips = winding.slip(run, peg, since=stop + SETTLING_TIME)[watched]
+    slips = winding.rope_slip(run, peg, since=stop + SETTLING_TIME)[watched]
     on = bool(np.isfinite(slips).all())
     slip = float(np.abs(slips).max())
     enough = bool((sense * turns >= MIN_TURNS).all())
@@ -219,7 +219,7 @@ class HoldingForce:
         Friction coefficient between rope and peg.
     """
 
-    tug: Tug
+    tug: TugTest
     tail_weight: float
     contact_angle: float
     mu: float
@@ -249,11 +249,11 @@ def measure_holding_force(run: Trajectory, peg: Peg) -> HoldingForce | None:
     HoldingForce or None
         None if the rope is not on the peg or the tug cannot be simulated.
     """
-    wound = winding.wound(run, peg)
+    wound = winding.measure_winding(run, peg)
     if not np.isfinite(wound.tail[-1]):
         return None
     try:
-        tug = winding.tug(run, peg)
+        tug = winding.tug_test(run, peg)
     except (InvalidInput, SimulationError):
         return None
     return HoldingForce(tug, float(wound.tail[-1]), abs(float(wound.arc[-1])), peg.mu)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
-from hyperflex.motion import Motion, moves
+from hyperflex.motion import Motion, arm_moves
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 
 MIN_STROKE = 0.05  # rad
@@ -76,7 +76,7 @@ class Throw:
     def motion(self, limits: MotorLimits) -> Motion:
         """Return the motion of the arm."""
         angles, rests, durations, ramps = self._moves(limits)
-        return moves(angles, rests, durations, ramps)
+        return arm_moves(angles, rests, durations, ramps)
 
     def starts(self, limits: MotorLimits) -> Array:
         """Start of each move, the last one included (count + 1,), s."""

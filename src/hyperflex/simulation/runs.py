@@ -18,7 +18,7 @@ from hyperflex.core.chain.drive import TORQUE
 from hyperflex.core.integrate.end_conditions import NEVER, Until
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Arm, Obstacle, Rope, Setup
-from hyperflex.motion import Motion, hold
+from hyperflex.motion import Motion, hold_arm
 from hyperflex.simulation.arguments import needed, output_times, whole_setup
 from hyperflex.simulation.contact.runs import beside, finer
 from hyperflex.simulation.events import Event
@@ -117,8 +117,9 @@ def simulate(
     tip_force : (2,) array_like
         Constant force on the tip beside gravity, N; only with pegs.
     refine : bool
-        Cut links that may touch a peg to what a wound rope needs (:func:`hyperflex.refined`; `q0`, `qd0` and `state`
-        may then be those of either rope). The trajectory's rope is the finer one. A whole set-up is taken as it is.
+        Cut links that may touch a peg to what a wound rope needs (:func:`hyperflex.refine_rope`; `q0`, `qd0` and
+        `state` may then be those of either rope). The trajectory's rope is the finer one. A whole set-up is taken as it
+        is.
     throw : bool
         False returns the part that holds, with its ``status`` and ``message``, where True raises. Ctrl-C then ends the
         run with the status "interrupted".
@@ -150,7 +151,7 @@ def simulate(
     --------
     >>> import hyperflex as hf
     >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    >>> cast = hf.simulate(cable, hf.swings(t_move=0.73, t_rest=0.53), arm=hf.Arm(length=0.105), duration=10.0)
+    >>> cast = hf.simulate(cable, hf.arm_swings(t_move=0.73, t_rest=0.53), arm=hf.Arm(length=0.105), duration=10.0)
     >>> bool(abs(cast.tip[:, 0]).max() > 1.5)
     True
     """
@@ -303,7 +304,7 @@ def _torque_motion(torque: Any, control: Control | None, control_rate: float | N
 def _constant_torques(times: Array, torques: Array, end: float) -> Motion:
     """A torque that keeps each value (m,) from its time (m,) to the next one; the last one until `end`."""
     breaks = np.append(times, end if math.isfinite(end) else 1e6)
-    coef = np.zeros((times.size, *hold().coef.shape[1:]))
+    coef = np.zeros((times.size, *hold_arm().coef.shape[1:]))
     coef[:, TORQUE, 0] = torques
     return Motion(breaks, coef, np.ones(breaks.size, dtype=np.bool_))
 

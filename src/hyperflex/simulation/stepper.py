@@ -19,7 +19,7 @@ from hyperflex.core.tangent import forward_sensitivity as replay
 from hyperflex.core.tangent.directions import Directions
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
-from hyperflex.motion import hold
+from hyperflex.motion import hold_arm
 from hyperflex.simulation.arguments import whole_setup
 from hyperflex.simulation.commands import COMMANDS, arm_polynomials, set_commands, setup_for, state_directions
 from hyperflex.simulation.contact.runs import STEP as CONTACT_STEP
@@ -256,7 +256,7 @@ class Stepper:
         self._interval.set(t, t + span, self._channel, known @ self._polynomials[1])
         if self._beside is not None:
             if CONTACT_STEP not in state.checkpoint:
-                still = self.setup if self.command == "torque" else replace(self.setup, motion=hold(angle))
+                still = self.setup if self.command == "torque" else replace(self.setup, motion=hold_arm(angle))
                 check_outside(still, t, run.progress.y[: run.chain.length.size])
             self._beside.enter(state)
         angle, rate = (known @ self._polynomials[2]).tolist()

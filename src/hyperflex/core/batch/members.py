@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import Array, Chain, energies, sincos
+from hyperflex.core.chain.articulated_body import Array, Chain, chain_of_rows, energies, sincos
 from hyperflex.core.chain.drive import ANGLE, ROUNDING, TORQUE, X, Y, polynomial
 from hyperflex.core.jit import inlined, kernel
 
@@ -16,7 +16,7 @@ from hyperflex.core.jit import inlined, kernel
 class Members(NamedTuple):
     """What the members of a batch are made of; drives lie one after the other, member m's from first[m] on."""
 
-    links: Array  # (m, 11, n): length, mass, com, inertia, viscous, dry, stiffness, rest, drag, max_bend, lever
+    links: Array  # (m, 11, n): the fields of a Chain in their order, and the lever
     whole: Array  # (m, 5): tip mass, gravity x, y, arm length, torque limit
     start: Array  # (m, 2 n + 2) states at begin
     breaks: Array  # (sum of k + 1,), s
@@ -38,8 +38,7 @@ class Terms(NamedTuple):
     rounding: float  # m, as in Scheme
 
 
-# rows of ``links``: the fields of a Chain in their order, and the lever
-LENGTH, MASS, COM, INERTIA, VISCOUS, DRY, STIFFNESS, REST, DRAG, MAX_BEND, LEVER = range(11)
+LENGTH, LEVER = Chain._fields.index("length"), Chain._fields.index("tip_mass")  # rows of ``links``
 TIP_MASS, GRAVITY_X, GRAVITY_Y, ARM_LENGTH, TORQUE_LIMIT = range(5)
 # a lane's clock, s: as in rollout, with the piece of the drive that holds and the step wanted next
 # RETRY: 1.0 while a step is being shortened to end at an event
@@ -54,30 +53,14 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
     """Put member m into lane j: parameters, state at the start, clock (CLOCK,) and energies (4,)."""
     k = len(ln.MEMBERS)
     n = members.links.shape[2]
-    link = members.links[m]
-    for slot in (ln.DRAG, ln.FX, ln.FY, ln.S):
-        lanes[slot * k + j] = 0.0
+    whole = members.whole[m]
+    ln.load_lane(ln.MEMBERS, j, chain_of(members, terms, m, whole[GRAVITY_X], whole[GRAVITY_Y]), lanes, tip)
     for i in range(n):
         row = lanes[(i + 1) * ln.ROW * k : (i + 2) * ln.ROW * k]
-        ma = link[MASS, i] * link[COM, i]
-        row[ln.LENGTH * k + j] = link[LENGTH, i]
-        row[ln.MA * k + j] = ma
-        row[ln.INERTIA * k + j] = link[INERTIA, i] + ma * link[COM, i]
-        row[ln.MASS * k + j] = link[MASS, i]
-        row[ln.VISCOUS * k + j] = link[VISCOUS, i]
-        row[ln.STIFFNESS * k + j] = link[STIFFNESS, i]
-        row[ln.REST * k + j] = link[REST, i]
-        row[ln.DRY * k + j] = link[DRY, i]
-        row[ln.DRAG * k + j] = link[DRAG, i]
-        lanes[ln.DRAG * k + j] += link[DRAG, i]
-        row[ln.EXTERNAL * k + j] = 0.0
-        row[ln.GRIP * k + j] = 1.0
-        row[ln.LEVER * k + j] = link[LEVER, i]
+        row[ln.LEVER * k + j] = members.links[m, LEVER, i]
         row[ln.Q_START * k + j] = members.start[m, i]
         row[ln.W_START * k + j] = members.start[m, n + i]
         row[ln.SIN_START * k + j], row[ln.COS_START * k + j] = sincos(members.start[m, i])
-    whole = members.whole[m]
-    tip[ln.MASS * k + j] = whole[TIP_MASS]
     path[ARM * k + j], path[LIMIT * k + j] = whole[ARM_LENGTH], whole[TORQUE_LIMIT]
     path[GX * k + j], path[GY * k + j] = whole[GRAVITY_X], whole[GRAVITY_Y]
     energy[0], energy[1] = members.start[m, 2 * n], members.start[m, 2 * n + 1]
@@ -169,23 +152,7 @@ def base_motion(width, path):  # type: ignore[no-untyped-def]
 @kernel
 def chain_of(members, terms, m, gx, gy):  # type: ignore[no-untyped-def]
     """Chain of member m in the gravity (gx, gy), m/s^2."""
-    link = members.links[m]
-    return Chain(
-        link[LENGTH],
-        link[MASS],
-        link[COM],
-        link[INERTIA],
-        link[VISCOUS],
-        link[DRY],
-        link[STIFFNESS],
-        link[REST],
-        link[DRAG],
-        link[MAX_BEND],
-        members.whole[m, TIP_MASS],
-        gx,
-        gy,
-        terms.bears,
-    )
+    return chain_of_rows(members.links[m], members.whole[m, TIP_MASS], gx, gy, terms.bears)
 
 
 @kernel

@@ -14,7 +14,6 @@ from hyperflex.core.batch.members import (
     AFTER,
     BASE,
     CLOCK,
-    DRY,
     END,
     EXTERNAL,
     FRESH,
@@ -29,13 +28,14 @@ from hyperflex.core.batch.members import (
     UNSETTLED,
     WANTED,
     base_motion,
+    chain_of,
     enter,
     piece,
     save_clock,
 )
 from hyperflex.core.batch.stiction import conclude, look, new_watch, settle_lane
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import sincos
+from hyperflex.core.chain.articulated_body import can_stick, sincos
 from hyperflex.core.integrate.event_search import AGAIN, EVENT
 from hyperflex.core.integrate.step_size import (
     LARGEST_STEP,
@@ -262,7 +262,8 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
     while True:
         for j in range(k):
             if member[j] < 0 and coming < high:
-                member[j], index[j], sticks[j] = coming, 0, members.links[coming, DRY].any()
+                member[j], index[j] = coming, 0
+                sticks[j] = can_stick(chain_of(members, terms, coming, 0.0, 0.0))
                 enter(members, terms, coming, lanes, tip, path, j, lane[j], energy[j])
                 coming += 1
         if prepare(members, terms, member, lane, index, path, t_out) == 0:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.core import joint_law
-from hyperflex.core.chain.drag import air_loads
+from hyperflex.core.chain.air import air_loads
 from hyperflex.core.jit import inlined, kernel, lean, shared
 
 Array = npt.NDArray[np.float64]
@@ -172,6 +172,19 @@ def sines(q, out, at):  # type: ignore[no-untyped-def]
         sin, cos = sincos(q[i])
         out[at + i] = sin
         out[at + n + i] = cos
+
+
+@kernel
+def chain_of_rows(rows, tip_mass, gx, gy, bears):  # type: ignore[no-untyped-def]
+    """Chain from its properties of links, `rows` (10 or more, n), in the order of its fields, and the rest."""
+    links = (rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8], rows[9])
+    return Chain(*links, tip_mass, gx, gy, bears)
+
+
+@kernel
+def with_dry(chain, dry):  # type: ignore[no-untyped-def]
+    """Return the chain with other dry friction (n,), N m."""
+    return Chain(*chain[:5], dry, *chain[6:])  # type: ignore[call-arg]
 
 
 @inlined

@@ -21,8 +21,8 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.core import joint_law
+from hyperflex.core.chain.air import link_drag
 from hyperflex.core.chain.articulated_body import link_step, mutual, sincos
-from hyperflex.core.chain.drag import link_drag
 from hyperflex.core.jit import inlined, kernel
 
 COLUMNS = (0,) * 4
@@ -71,25 +71,32 @@ def rows(width, n):  # type: ignore[no-untyped-def]
 @kernel
 def load(width, chain, lanes, tip):  # type: ignore[no-untyped-def]
     """Copy the parameters of one chain into every lane of ``rows``."""
+    for j in range(len(width)):
+        load_lane(width, j, chain, lanes, tip)
+
+
+@kernel
+def load_lane(width, j, chain, lanes, tip):  # type: ignore[no-untyped-def]
+    """Copy the parameters of a chain into lane j, whose joints all slip; no air has moved there yet."""
     k = len(width)
-    n = chain.length.size
-    for i in range(n):
+    for slot in (DRAG, FX, FY, S):
+        lanes[slot * k + j] = 0.0
+    for i in range(chain.length.size):
         ma = chain.mass[i] * chain.com[i]
         row = lanes[(i + 1) * ROW * k : (i + 2) * ROW * k]
-        for j in range(k):
-            row[LENGTH * k + j] = chain.length[i]
-            row[MA * k + j] = ma
-            row[INERTIA * k + j] = chain.inertia[i] + ma * chain.com[i]
-            row[MASS * k + j] = chain.mass[i]
-            row[VISCOUS * k + j] = chain.viscous[i]
-            row[STIFFNESS * k + j] = chain.stiffness[i]
-            row[REST * k + j] = chain.rest[i]
-            row[DRY * k + j] = chain.dry[i]
-            row[DRAG * k + j] = chain.drag[i]
-            lanes[DRAG * k + j] += chain.drag[i]
-            row[GRIP * k + j] = 1.0
-    for j in range(k):
-        tip[MASS * k + j] = chain.tip_mass
+        row[LENGTH * k + j] = chain.length[i]
+        row[MA * k + j] = ma
+        row[INERTIA * k + j] = chain.inertia[i] + ma * chain.com[i]
+        row[MASS * k + j] = chain.mass[i]
+        row[VISCOUS * k + j] = chain.viscous[i]
+        row[STIFFNESS * k + j] = chain.stiffness[i]
+        row[REST * k + j] = chain.rest[i]
+        row[DRY * k + j] = chain.dry[i]
+        row[DRAG * k + j] = chain.drag[i]
+        lanes[DRAG * k + j] += chain.drag[i]
+        row[EXTERNAL * k + j] = 0.0
+        row[GRIP * k + j] = 1.0
+    tip[MASS * k + j] = chain.tip_mass
 
 
 @kernel

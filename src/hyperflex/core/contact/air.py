@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyperflex.core.chain.air import air_loads
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.chain.drag import air_loads
 from hyperflex.core.jit import kernel
 
 

@@ -22,7 +22,7 @@ TRIES = 16  # searches, of which each starts from the last that found modes
 LEAST = 1.4  # growth of M; where none is found for less, the search ends
 CLOSING = 1e-9  # m/s, at which an open contact closes
 SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
-ROUNDS = 12  # of one search; one that takes longer goes in a circle more often than not
+ROUNDS = 12  # of one search, and one more a joint; one that takes longer goes in a circle more often than not
 SETTLED = 1e-10  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
 USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
 SETTLING = 4  # rounds in which they settle anew
@@ -145,7 +145,8 @@ def search(chain, found, impulses, motion, held, spin, h, heavy):  # type: ignor
     settled = SETTLED * max(0.1, min(1.0, h / USUAL))
     for c in range(found.total[0]):
         impulses.closed[c] = 0
-    for turn in range(ROUNDS):
+    most = ROUNDS + held.which.size
+    for turn in range(most):
         moved = centrifugal(chain, motion, h, chain.gx, chain.gy)
         broke = round_of(chain, found, impulses, motion, held, spin, heavy, True)
         if broke == 0 and moved <= settled:
@@ -153,7 +154,7 @@ def search(chain, found, impulses, motion, held, spin, h, heavy):  # type: ignor
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
             motion.change[:] = 0.0
             return -(turn + 1)
-    return -ROUNDS
+    return -most
 
 
 @lean

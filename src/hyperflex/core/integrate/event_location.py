@@ -29,6 +29,16 @@ def settle(chain, drive, part, progress, room):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def end_margins(chain, until, sense, q, w, alpha, base, last, out):  # type: ignore[no-untyped-def]
+    """Margins of the joints' limits, and in column `last` that of what may end the run, to ``out`` (2, last + 1)."""
+    if sense != 0.0:
+        value, slope = reading(until, chain, q, w, alpha, base)
+        out[0, last], out[1, last] = sense * value, sense * slope
+    if last > q.size:
+        limits(chain, q, w, base, out)
+
+
+@kernel
 def locate(chain, drive, part, table, terms, progress, step, room):  # type: ignore[no-untyped-def]
     """Shorten the step to ``room.out`` until it holds no event, or ends at its first one; `terms` are the Limits.
 
@@ -58,21 +68,14 @@ def locate(chain, drive, part, table, terms, progress, step, room):  # type: ign
             return 0.0, 2, -1  # the speed grew until here, and falls from here on
         search.low[:, last] = np.inf
         search.here[:, last] = np.inf
-        if sense != 0.0:
-            search.low[0, last], search.low[1, last] = sense * value, sense * slope
-    if limited:
-        limits(chain, y[:n], y[n : 2 * n], room.before, search.low)
+    end_margins(chain, until, sense, y[:n], y[n : 2 * n], room.alpha, room.before, last, search.low)
     while True:
         out = room.out
         torque = base_state(drive, part, min(t + step, part.end), room.after)
         hold(chain, grip, y, room.before, out, room.after)
         margins(chain, out[:n], out[n : 2 * n], grip, room.after[:7], torque, widen, tools, search.here)
         room.power[2] = stuck_power(chain, out[n : 2 * n], grip, tools.load)
-        if sense != 0.0:
-            value, slope = reading(until, chain, out[:n], out[n : 2 * n], tools.alpha, room.after)
-            search.here[0, last], search.here[1, last] = sense * value, sense * slope
-        if limited:
-            limits(chain, out[:n], out[n : 2 * n], room.after, search.here)
+        end_margins(chain, until, sense, out[:n], out[n : 2 * n], tools.alpha, room.after, last, search.here)
         first = search.span[TRIES] == 0.0 and (sticks or limited or (sense != 0.0 and until.kind == PEAK))
         if first or (stuck and len(chain.bears) == len(PRINTED)):
             middle(step, y[:n], y[n : 2 * n], room.alpha, out, tools)

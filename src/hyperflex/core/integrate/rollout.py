@@ -10,8 +10,8 @@ from hyperflex.core import status
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import can_stick, sines
 from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.integrate.air import air_size
 from hyperflex.core.integrate.dense_output import interpolate
-from hyperflex.core.integrate.drag_reversal import air_size
 from hyperflex.core.integrate.end_conditions import NOTHING
 from hyperflex.core.integrate.event_location import locate, settle
 from hyperflex.core.integrate.progress import (
@@ -182,6 +182,19 @@ def write_between(chain, drive, part, table, fixed, progress, step, room, t_out,
 
 
 @kernel
+def next_step(limits, part, clock):  # type: ignore[no-untyped-def]
+    """Time at which the next step must end at the latest, s, the length that is wanted, and the length to take, s."""
+    t = clock[T]
+    end = min(part.end, limits.stop)
+    if t < limits.until.after:
+        end = min(end, limits.until.after)
+    if limits.fixed > 0.0:
+        return end, limits.fixed, min(limits.fixed, end - t)
+    wanted = min(clock[STEP], WATCHED if limits.until.kind != NOTHING else LARGEST_STEP)
+    return end, wanted, fitted(wanted, end - t)
+
+
+@kernel
 def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[no-untyped-def]
     """Run until ``limits.stop`` or until the budget is spent; O(n) a step.
 
@@ -202,8 +215,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
     fixed = limits.fixed
     sticks = can_stick(chain)
     airy = fixed == 0.0 and chain.drag.any()
-    awaiting = limits.until.kind != NOTHING
-    watching = sticks or awaiting or chain.max_bend.min() < np.inf
+    watching = sticks or limits.until.kind != NOTHING or chain.max_bend.min() < np.inf
     if sticks:
         ln.set_grip(ln.COLUMNS, room.lanes, grip)
     write_until(clock, t_out, clock[T], y, y_out)
@@ -217,11 +229,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
         if sticks and clock[UNSETTLED] == 1.0 and not settle(chain, drive, part, progress, room):
             return status.FRICTION
         clock[UNSETTLED] = 0.0
-        end = min(part.end, limits.stop)
-        if t < limits.until.after:
-            end = min(end, limits.until.after)
-        wanted = fixed if fixed > 0.0 else min(clock[STEP], WATCHED if awaiting else LARGEST_STEP)
-        step = fitted(wanted, end - t) if fixed == 0.0 else min(wanted, end - t)
+        end, wanted, step = next_step(limits, part, clock)
         cut = step >= end - t
         if step < wanted and limits.stop < part.end:
             mark_here(progress)

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.core import joint_law
+from hyperflex.core.chain.air import air_loads
 from hyperflex.core.chain.articulated_body import Array, accelerations, joint_of
-from hyperflex.core.chain.drag import air_loads
 from hyperflex.core.jit import kernel
 
 SAME = 4e-15  # links whose rates differ by no more than this part of them, and

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperflex.core.chain.articulated_body import PRINTED, Chain
+from hyperflex.core.chain.articulated_body import PRINTED, with_dry
 from hyperflex.core.jit import kernel
 from hyperflex.core.stiction.constraint_torques import STILL, at_rest, bear, hopeless, usual, widened, wider
 
@@ -182,23 +182,7 @@ def left(chain, q, w, base, torque, moved, part, grip, room, out):  # type: igno
     """
     dry = chain.dry * (1.0 - (1.0 - part) * moved)
     out[:] = 1.0
-    weaker = Chain(
-        chain.length,
-        chain.mass,
-        chain.com,
-        chain.inertia,
-        chain.viscous,
-        dry,
-        chain.stiffness,
-        chain.rest,
-        chain.drag,
-        chain.max_bend,
-        chain.tip_mass,
-        chain.gx,
-        chain.gy,
-        chain.bears,
-    )
-    bear(weaker, q, w, grip, base, torque, room)
+    bear(with_dry(chain, dry), q, w, grip, base, torque, room)
     for i in range(q.size):
         if moved[i] == 1.0 and grip[i] == 0.0:
             out[0, i], out[1, i] = dry[i] - room.load[i], dry[i] + room.load[i]

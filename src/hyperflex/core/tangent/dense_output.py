@@ -9,9 +9,8 @@ from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.integrate.dense_output import basis, interpolate
 from hyperflex.core.jit import kernel
-from hyperflex.core.tangent import drag as dg
 from hyperflex.core.tangent import step as tg
-from hyperflex.core.tangent.extrapolation import CELL, PARTS, K, enter, set_ends, step_along
+from hyperflex.core.tangent.extrapolation import CELL, PARTS, K, begin_pairs, enter, set_ends, step_along, step_pair
 
 
 @kernel
@@ -39,10 +38,7 @@ def bends_along(chain, drive, part, t, step, directions, room):  # type: ignore[
         room.base[1, j] -= chain.gy
     tg.remember(ln.COLUMNS, lanes)
     ln.euler(ln.COLUMNS, chain.bears, ln.MORE, lanes, room.tip, room.base)
-    tg.prepare(ln.COLUMNS, chain.bears, lanes)
-    airy = room.air.size > 0
-    if airy:
-        dg.begin(ln.COLUMNS, lanes, room.base, room.air)
+    begin_pairs(chain.bears, lanes, room.air, room.base)
     for j in range(3):
         dys[j, :n] = ys[j, n : 2 * n]
         for i in range(n):
@@ -56,9 +52,7 @@ def bends_along(chain, drive, part, t, step, directions, room):  # type: ignore[
                 cell[x] = room.nodes[lane, rate * n + i, 2 * b + d]
         enter(lanes, room.store[b], room.anew, True)
         set_ends(drive, part, directions, b, room)
-        if airy:
-            dg.along(ln.COLUMNS, lanes, room.air, directions.links[b])
-        tg.step_all(ln.COLUMNS, chain.bears, lanes, directions.links[b], room.stretch[b])
+        step_pair(chain.bears, lanes, room.air, directions.links[b], room.stretch[b])
         for i in range(n):
             for d in range(2):
                 for j in range(3):

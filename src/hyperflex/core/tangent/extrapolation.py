@@ -10,8 +10,8 @@ from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, sines
 from hyperflex.core.integrate.steps import begin_columns, end_columns
 from hyperflex.core.jit import kernel
+from hyperflex.core.tangent import air as dg
 from hyperflex.core.tangent import directions as dr
-from hyperflex.core.tangent import drag as dg
 from hyperflex.core.tangent import step as tg
 
 K = len(ln.COLUMNS)
@@ -42,7 +42,7 @@ class Room(NamedTuple):
     nodes: Array  # (3, 2 n, p) derivatives of angles and rates there
     bends: Array  # (3, n, p) of accelerations
     out: Array  # (2 n + 2,) result of a step
-    air: Array  # ((n + 2) ROW K,) as in tangent.drag; empty without drag
+    air: Array  # ((n + 2) ROW K,) as in tangent.air; empty without drag
 
 
 @kernel
@@ -176,6 +176,22 @@ def gather(store, values):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def begin_pairs(bears, lanes, air, base):  # type: ignore[no-untyped-def]
+    """Work out what the pairs have in common, after a step of ``lanes.euler``."""
+    tg.prepare(ln.COLUMNS, bears, lanes)
+    if air.size > 0:
+        dg.begin(ln.COLUMNS, lanes, base, air)
+
+
+@kernel
+def step_pair(bears, lanes, air, links, stretch):  # type: ignore[no-untyped-def]
+    """Derivatives of that step for changes of everything, see ``step.step_all``."""
+    if air.size > 0:
+        dg.along(ln.COLUMNS, lanes, air, links)
+    tg.step_all(ln.COLUMNS, bears, lanes, links, stretch)
+
+
+@kernel
 def step_along(chain, drive, part, table, t, step, y, out, directions, result, room):  # type: ignore[no-untyped-def]
     """One extrapolated step, as ``steppers.extrapolate``, with the derivatives of its result.
 
@@ -198,9 +214,7 @@ def step_along(chain, drive, part, table, t, step, y, out, directions, result, r
         begin_columns(chain, drive, part, table, turn, t, step, y, lanes, room.tip, room.base, room.work)
         tg.remember(ln.COLUMNS, lanes)
         ln.euler(ln.COLUMNS, bears, ln.MORE, lanes, room.tip, room.base)
-        tg.prepare(ln.COLUMNS, bears, lanes)
-        if airy:
-            dg.begin(ln.COLUMNS, lanes, room.base, air)
+        begin_pairs(bears, lanes, air, room.base)
         for x in range(CELL):
             col, done = table.column[turn, x % K], table.done[turn, x % K]
             weight[x] = table.best[col] if col > 0 and done == col - 1 else 0.0
@@ -215,10 +229,8 @@ def step_along(chain, drive, part, table, t, step, y, out, directions, result, r
                 set_ends(drive, part, directions, b, room)
             else:
                 clear_ends(room)
-            if airy:
-                dg.along(ln.COLUMNS, lanes, air, links[b])
             if airy or kind[b] & dr.LINKS or stretch[b, 0] != 0.0 or stretch[b, 1] != 0.0:
-                tg.step_all(ln.COLUMNS, bears, lanes, links[b], stretch[b])
+                step_pair(bears, lanes, air, links[b], stretch[b])
             else:
                 tg.step_state(ln.COLUMNS, bears, lanes)
             leave(lanes, store[b], weight, ends)

@@ -230,7 +230,7 @@ def step_all(width, bears, lanes, links, stretch):  # type: ignore[no-untyped-de
     Parameters
     ----------
     width, bears, lanes : as in ``step_state``; RHS of row 0 holds the change of the torque on link 0, N m, and with
-        drag RHS of the links that of the air's torques, see ``tangent.drag``
+        drag RHS of the links that of the air's torques, see ``tangent.air``
     links : (2, n, SEEDS) changes of the links' parameters
     stretch : (2,) relative change of the step's length in every lane
     """

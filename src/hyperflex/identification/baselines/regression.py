@@ -15,7 +15,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import joint_law
-from hyperflex.core.chain.drag import link_drag
+from hyperflex.core.chain.air import link_drag
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.model import Rope

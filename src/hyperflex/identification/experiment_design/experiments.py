@@ -11,7 +11,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope
-from hyperflex.motion import Motion, swings
+from hyperflex.motion import Motion, arm_swings
 
 ANGLES = (0.3, 0.8, 1.5)  # rad, from which a straight rope is let go
 BENT = 0.8  # rad at the first joint, and as much to the other side at the tip
@@ -94,7 +94,7 @@ def motions(rope: Rope, arm: Arm | None) -> list[Experiment]:
         bent = hangs + np.linspace(BENT, -BENT, n)
         found.append(Experiment(f"let go bent, {BENT:g} to {-BENT:g} rad", q0=bent, markers=markers))
     if arm is not None:
-        found += [Experiment(f"swings, rest {rest:g} s", swings(t_rest=rest), markers=markers) for rest in RESTS]
+        found += [Experiment(f"swings, rest {rest:g} s", arm_swings(t_rest=rest), markers=markers) for rest in RESTS]
     return found
 
 

@@ -16,7 +16,7 @@ from hyperflex.errors import SimulationError
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import ARM, Parameters
 from hyperflex.model import Arm, Rope, Setup
-from hyperflex.motion import Motion, hold
+from hyperflex.motion import Motion, hold_arm
 from hyperflex.sensors import Angles, MotorTorque, Sensor
 from hyperflex.simulation.rollouts import finish, limits, prepare
 from hyperflex.simulation.sensitivity.directions import Wanted
@@ -180,7 +180,7 @@ class Plant:
         rope = self.parameters.possible(x)
         if rope is None:
             return None
-        motion, drive = self.motion or hold(0.0), self._setup.drive()
+        motion, drive = self.motion or hold_arm(0.0), self._setup.drive()
         delay = self.parameters.single("delay", x)
         if self.motion is not None and delay != 0.0:
             motion = self.motion.shifted(delay)
@@ -218,7 +218,7 @@ def _place(name: str, markers: tuple[int, ...]) -> int | None:
 
 def pivot_places(motion: Motion | None, arm: Arm | None, t: Array) -> Array:
     """Return where the first joint is (m, 2), m, in the frame of its motion."""
-    motion = motion or hold(0.0)
+    motion = motion or hold_arm(0.0)
     place: Array = motion.point(t)
     if arm is None:
         return place

@@ -14,7 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Rope
 from hyperflex.model.properties import DAMPING
-from hyperflex.motion import Motion, lagged, moves
+from hyperflex.motion import Motion, arm_moves, lagged
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.robust.posterior import RopePosterior
 from hyperflex.planning.throw import MIN_REST, Throw
@@ -63,7 +63,9 @@ class Scenario:
             raise InvalidInput("motion is not made of moves", got=spec.get("kind", "pieces"), allowed="that of a Throw")
         rests, durations = (np.array(spec[name]) for name in ("rests", "durations"))
         rests = _delayed(rests, durations, np.resize(self.delays, rests.size))
-        return lagged(moves(spec["angles"], rests, durations, spec["ramps"]), self.lag if self.lag > MIN_LAG else 0.0)
+        return lagged(
+            arm_moves(spec["angles"], rests, durations, spec["ramps"]), self.lag if self.lag > MIN_LAG else 0.0
+        )
 
 
 def _delayed(rests: Array, durations: Array, delays: Array) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.model import Peg, Rope, divided
-from hyperflex.motion import Motion, moves
+from hyperflex.motion import Motion, arm_moves
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -202,7 +202,7 @@ class BeamSearch:
                 if sense * (end - swing.angle) > MIN_STROKE and end not in ends:
                     ends.add(end)
                     (time,), ramp = limits.fastest_moves([end - swing.angle])
-                    motion = moves([swing.angle, end], [0.0], [time], ramp)
+                    motion = arm_moves([swing.angle, end], [0.0], [time], ramp)
                     tries.append(_Continuation(swing, swing.delay + at * step, at, end, float(time), motion))
         return tries
 

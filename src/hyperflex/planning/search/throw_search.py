@@ -13,7 +13,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Setup, divided
-from hyperflex.motion import hold
+from hyperflex.motion import hold_arm
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import strikes
@@ -270,7 +270,9 @@ class ThrowSearch:
 def _clear(cast_setup: CastSetup, peg: Peg, side: int) -> bool:
     """Whether a rope that hangs from the arm on one side keeps clear of the peg."""
     try:
-        check_outside(Setup(cast_setup.rope, hold(cast_setup.limits.start_angle(side)), cast_setup.arm, pegs=(peg,)))
+        check_outside(
+            Setup(cast_setup.rope, hold_arm(cast_setup.limits.start_angle(side)), cast_setup.arm, pegs=(peg,))
+        )
     except InvalidInput:
         return False
     return True

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.motion import Motion, moves
+from hyperflex.motion import Motion, arm_moves
 from hyperflex.motion.variation import variation
 from hyperflex.planning.cast_setup import MotorLimits
 
@@ -54,7 +54,7 @@ class Strokes:
         """Return the motion of the arm; it stays where the last stroke ends."""
         angles = self.angles(limits)
         durations, ramps = limits.fastest_moves(np.diff(angles))
-        return moves(angles, np.maximum(self.rests, MIN_REST), durations, ramps)
+        return arm_moves(angles, np.maximum(self.rests, MIN_REST), durations, ramps)
 
     def starts(self, limits: MotorLimits) -> Array:
         """Start of each stroke (k,), s."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from hyperflex.model import Peg, Setup, refined
+from hyperflex.model import Peg, Setup, refine_rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import (
@@ -92,7 +92,7 @@ class CastPlan(Plan):
         """Return the set-up of the verified run, with links refined near the target."""
         motion, arm, pegs = self.required(self.motion, "throw"), self.cast_setup.arm, (self.target,)
         end = float(motion.breaks[-1]) + SETTLING_TIME + WATCH_TIME
-        return Setup(refined(self.cast_setup.rope, pegs, arm=arm), motion, arm, duration=end, pegs=pegs)
+        return Setup(refine_rope(self.cast_setup.rope, pegs, arm=arm), motion, arm, duration=end, pegs=pegs)
 
     def measure_holding_force(self) -> HoldingForce | None:
         """Tug at the rope from the end of the verified run; None unless it is wound and does not slip by itself."""

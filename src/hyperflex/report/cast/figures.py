@@ -31,7 +31,7 @@ def strike_figure(plan: CastPlan) -> Figure:
 def course_figure(plan: CastPlan) -> Figure:
     """Draw arm angle, turns, tension and the motor's torque over time."""
     run, strike, watched = plan.required(plan.run, "run"), _strike(plan), _stop(plan) + SETTLING_TIME
-    wound = winding.wound(run, plan.target)
+    wound = winding.measure_winding(run, plan.target)
 
     def draw(turns: Any, pull: Any) -> None:
         turns.plot(run.t, sense(plan) * wound.turns, color=GREEN)
@@ -60,7 +60,7 @@ def tug_figure(held: HoldingForce) -> Figure:
     pulled_way = 1e3 * np.hypot(*(run.joints[:, 0] - run.joints[0, 0]).T)
     with new_figure(8.6, 4.0, "A tug at the wound rope, simulated") as figure:
         pull, slip = figure.subplots(2, 1, sharex=True)
-        pulled = winding.tension(run)[:, 0]
+        pulled = winding.rope_tension(run)[:, 0]
         pull.plot(pulled_way, pulled, color=BLUE, lw=1.0, label="pull at the rope's first joint")
         least = "" if held.tug.slipped else "at least "
         pull.axhline(held.force, color=GREEN, ls="--", lw=1.2, label=f"hold force {least}{held.force:.2f} N")

@@ -178,7 +178,7 @@ def simulate_batch(
     >>> import hyperflex as hf
     >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
     >>> rests = [0.3, 0.4, 0.5, 0.6]
-    >>> batch = hf.simulate_batch(cable, [hf.swings(t_rest=r) for r in rests], arm=hf.Arm(), duration=5.0)
+    >>> batch = hf.simulate_batch(cable, [hf.arm_swings(t_rest=r) for r in rests], arm=hf.Arm(), duration=5.0)
     >>> batch.tip.shape
     (4, 1, 2)
     """

@@ -22,7 +22,7 @@ from hyperflex.core.contact import run as core
 from hyperflex.core.contact.arrays import STICK
 from hyperflex.core.contact.step import new_kept
 from hyperflex.core.integrate.progress import INDEX, MARK, T
-from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refined
+from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refine_rope
 from hyperflex.simulation.contact.start import check_limits, check_outside
 from hyperflex.simulation.contact.turning_pegs import coast, spin_energy, starting_spin
 from hyperflex.simulation.rollouts import Rollout, starting_clock
@@ -218,7 +218,7 @@ def finer(
 
     if isinstance(state, State) and np.shape(state.q) == (coarse,) and (pieces > 1).any():
         state = replace(state, q=each(state.q), qd=each(state.qd), checkpoint={})
-    return refined(rope, pegs, arm=arm), each(q0), each(qd0), state
+    return refine_rope(rope, pegs, arm=arm), each(q0), each(qd0), state
 
 
 def _own(values: Iterable[Any]) -> Iterator[Any]:

@@ -161,7 +161,7 @@ def sensitivities(
     --------
     >>> import hyperflex as hf
     >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    >>> cast = hf.sensitivities(cable, hf.swings(), arm=hf.Arm(), duration=2.0, wrt=["friction", "motion.t_rest"])
+    >>> cast = hf.sensitivities(cable, hf.arm_swings(), arm=hf.Arm(), duration=2.0, wrt=["friction", "motion.t_rest"])
     >>> cast.dtip.shape
     (201, 2, 2)
     """

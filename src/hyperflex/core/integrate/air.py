@@ -9,6 +9,8 @@ from hyperflex.core.chain.drive import base_state
 from hyperflex.core.integrate.step_size import allowed, lasting
 from hyperflex.core.jit import kernel
 
+NEAR = 2.0  # looks from the ends of a step
+
 
 @kernel
 def across_ends(chain, y, base, trig, out):  # type: ignore[no-untyped-def]
@@ -31,8 +33,9 @@ def across_ends(chain, y, base, trig, out):  # type: ignore[no-untyped-def]
 def unseen(chain, before, after, step, order):  # type: ignore[no-untyped-def]
     """Error of velocities, m/s, by air that begins to pull the other way where no column of a step looks.
 
-    A kink between the looks of the finest column, `order` a step, shows in the error estimate. One before the second
-    look or after the last is taken for smooth by all columns, so what it does is estimated here.
+    A kink amid the looks of the finest column, `order` a step, shows in the error estimate. One before the second look
+    or after the last is taken for smooth by all columns, and one beyond the next hardly shows: what those do is
+    estimated here.
 
     Parameters
     ----------
@@ -48,7 +51,7 @@ def unseen(chain, before, after, step, order):  # type: ignore[no-untyped-def]
             if first * last < 0.0:
                 least = min(abs(first), abs(last))
                 part = least / (abs(first) + abs(last))
-                if part * order < 1.0:
+                if part * order < NEAR:
                     now = before if abs(first) < abs(last) else after
                     width = least / max(abs(now[1, i] - now[0, i]), least)
                     worst = max(worst, chain.drag[i] * least * least * part * width)

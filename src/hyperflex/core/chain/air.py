@@ -1,7 +1,7 @@
 """Air drag of a link: quadratic in the velocity across it, and integrated exactly along it, (M.29)-(M.32).
 
 A link of drag c, kg/m^2, feels the force -c |v| v a length against the velocity v across it, which is u at its
-motor-side joint and grows to u + w l at its far joint. With S = |u| + |u + w l| and rho = (2 u + w l) / S no integral
+motor-side joint and grows to u + w l at its far joint. With S = |u| + |u + w l| and xi = (2 u + w l) / S no integral
 needs to know whether v changes its sign on the way, and none cancels where the link hardly turns.
 """
 
@@ -28,10 +28,10 @@ def link_drag(drag, length, across, turn):  # type: ignore[no-untyped-def]
     far = across + turn
     near_size, far_size = abs(across), abs(far)
     speed = near_size + far_size
-    rho = (across + far) / (speed + TINY)
-    tau = 0.25 - 0.25 * rho * rho
-    mean = rho * (speed * speed - near_size * far_size) * (1.0 / 3.0)
-    lean = turn * speed * (1.0 - 2.0 * tau * (1.0 + tau)) * (1.0 / 6.0)
+    xi = (across + far) / (speed + TINY)
+    zeta = 0.25 - 0.25 * xi * xi
+    mean = xi * (speed * speed - near_size * far_size) * (1.0 / 3.0)
+    lean = turn * speed * (1.0 - 2.0 * zeta * (1.0 + zeta)) * (1.0 / 6.0)
     force = drag * length * mean
     return force, 0.5 * length * (force + drag * length * lean)
 
@@ -45,11 +45,11 @@ def drag_slopes(drag, length, across, turn):  # type: ignore[no-untyped-def]
     """
     far = across + turn
     speed = abs(across) + abs(far)
-    rho = (across + far) / (speed + TINY)
-    tau = 0.25 - 0.25 * rho * rho
-    size = speed * (0.5 - tau)
-    lean = rho * turn * (1.0 + 2.0 * tau) * (1.0 / 6.0)
-    spread = speed * (1.0 - 2.0 * tau * (1.0 - 2.0 * tau)) * (1.0 / 6.0)
+    xi = (across + far) / (speed + TINY)
+    zeta = 0.25 - 0.25 * xi * xi
+    size = speed * (0.5 - zeta)
+    lean = xi * turn * (1.0 + 2.0 * zeta) * (1.0 / 6.0)
+    spread = speed * (1.0 - 2.0 * zeta * (1.0 - 2.0 * zeta)) * (1.0 / 6.0)
     first = 2.0 * drag * length * size
     second = length * (0.5 * first + drag * length * lean)
     return first, second, length * (second - 0.5 * drag * length * length * (size - spread))

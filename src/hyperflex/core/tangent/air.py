@@ -8,7 +8,7 @@ each direction's changes of angles and rates are copied in, and the changes of t
 from __future__ import annotations
 
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.drag import drag_slopes, link_drag
+from hyperflex.core.chain.air import drag_slopes, link_drag
 from hyperflex.core.jit import inlined, kernel
 from hyperflex.core.tangent import step as tg
 

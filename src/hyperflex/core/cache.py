@@ -1,0 +1,136 @@
+"""Compiled kernels on disk: one file for each kernel and types of arguments, in a folder for each state of its sources.
+
+Numba's own cache does not notice an edit in *another* file. Here a kernel's folder is named by a hash of its module and
+of every module of this package which that one imports, directly or through others: an edit recompiles what depends on
+it, and nothing else, and checkouts that differ share one cache. A file is written whole or not at all, and is read
+only if its checksum is right. So a cache that is read-only, full, damaged or filled by several processes at once costs
+time and never a wrong run.
+
+``HYPERFLEX_CACHE_DIR`` names the cache; without it, it is ``hyperflex`` in the user's cache folder.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import numba
+import numpy as np
+
+_PACKAGE = __name__.partition(".")[0]
+_ROOT = Path(__file__).parents[__name__.count(".")]  # the folder that holds the package
+_CHECKSUM = hashlib.sha256().digest_size
+
+
+def folder() -> Path:
+    """Return the folder of all compiled kernels; it need not be there."""
+    if chosen := os.environ.get("HYPERFLEX_CACHE_DIR"):
+        return Path(chosen)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / _PACKAGE
+
+
+def source_hash(module: str, root: Path = _ROOT) -> str:
+    """Return a hash of a module and of all it imports from its package, and of what compiles them.
+
+    Parameters
+    ----------
+    module : str
+        Its full name.
+    root : Path
+        The folder that holds the package.
+    """
+    found: dict[str, bytes] = {}
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found[name], imported = _source(name, root)
+            waiting += imported
+    config = [getattr(numba.config, name, None) for name in ("OPT", "BOUNDSCHECK", "LOOP_VECTORIZE", "SLP_VECTORIZE")]
+    digest = hashlib.sha256(repr((numba.__version__, np.__version__, sys.version, config)).encode())
+    for name, content in sorted(found.items()):
+        digest.update(name.encode() + b"\0" + content + b"\0")
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _source(module: str, root: Path) -> tuple[bytes, tuple[str, ...]]:
+    """Return the source of a module and the names of what it imports from its own package."""
+    path = _path(module, root)
+    if path is None:
+        return b"", ()
+    content = path.read_bytes()
+    here = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]
+    named: list[str] = []
+    for node in ast.walk(ast.parse(content)):
+        if isinstance(node, ast.Import):
+            named += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = here[: len(here) - node.level + 1] if node.level else []
+            source = ".".join([*base, *([node.module] if node.module else [])])
+            named += [source, *(f"{source}.{alias.name}" for alias in node.names)]
+    package = module.partition(".")[0]
+    return content, tuple(name for name in named if name.partition(".")[0] == package and _path(name, root))
+
+
+def _path(module: str, root: Path) -> Path | None:
+    """Return the file of a module, or None if there is no such module."""
+    place = root.joinpath(*module.split("."))
+    return next((path for path in (place / "__init__.py", place.with_name(f"{place.name}.py")) if path.is_file()), None)
+
+
+def module_folder(module: str) -> Path:
+    """Return the folder of the kernels of a module, as its sources are now."""
+    return folder() / f"{module.removeprefix(f'{_PACKAGE}.')}-{source_hash(module)}"
+
+
+def load(place: Path, name: str, key: str) -> bytes | None:
+    """Return what was kept of a kernel under a key, None if there is nothing, or nothing that is whole."""
+    path, head = _place(place, name, key)
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    whole = content[:_CHECKSUM] == hashlib.sha256(content[_CHECKSUM:]).digest()
+    return content[_CHECKSUM + len(head) :] if whole and content.startswith(head, _CHECKSUM) else None
+
+
+def save(place: Path, name: str, key: str, content: bytes) -> None:
+    """Keep what was made of a kernel under a key, or say once on standard error that nothing can be kept."""
+    path, head = _place(place, name, key)
+    try:
+        _write(path, hashlib.sha256(head + content).digest() + head + content)
+    except OSError as error:
+        _complain(f"{folder()}: {error.strerror}")
+
+
+def _place(place: Path, name: str, key: str) -> tuple[Path, bytes]:
+    """Return the file of a kernel, and how its content begins after the checksum."""
+    head = f"{place.name} {name} {key}\n".encode()
+    return place / f"{name}-{hashlib.sha256(head).hexdigest()[:16]}.nbc", head
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all, and make its folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+@functools.cache
+def _complain(reason: str) -> None:
+    sys.stderr.write(
+        f"hyperflex: cannot keep compiled kernels in {reason}. Each process compiles its own. "
+        "HYPERFLEX_CACHE_DIR names another folder.\n"
+    )

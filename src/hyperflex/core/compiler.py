@@ -1,0 +1,191 @@
+"""How numba compiles a kernel here: the one place that uses what numba does not promise to keep.
+
+A kernel that Python calls is a *door*, one that kernels call a *part*; the same function may be both. Numba alone
+optimises each kernel, makes machine code of it and wraps it for Python, and does so again for all it calls within each
+caller. Here a part is only translated to LLVM's language. A door is linked with all the parts that it needs, and
+optimised and turned into machine code once. That takes half of the time and gives the same code.
+
+Both are kept on disk, see :mod:`hyperflex.core.cache`.
+"""
+
+from __future__ import annotations
+
+import functools
+import gc
+import pickle
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from llvmlite import binding as llvm
+from numba.core import compiler, serialize, types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.registry import CPUDispatcher
+
+from hyperflex.core import cache
+
+
+def door(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """Return a function compiled on its first call from Python, or as a part of the kernel that calls it.
+
+    Parameters
+    ----------
+    function : callable
+        The kernel as written, a function of a module (not within another function).
+    options : dict
+        Of ``numba.njit``.
+    """
+    return _Door(function, targetoptions={"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, **options})
+
+
+class _Door(CPUDispatcher):  # type: ignore[misc]
+    """A kernel for Python; kernels that call it find its part instead."""
+
+    def __init__(self, py_func: Callable[..., Any], *arguments: Any, **named: Any) -> None:
+        super().__init__(py_func, *arguments, **named)
+        self._cache = _Kept(py_func, "door", _pack_door, _unpack_door)
+
+    @functools.cached_property
+    def part(self) -> Any:
+        """The same kernel, for kernels that call it."""
+        options = {**self.targetoptions, "no_cpython_wrapper": True}
+        part = CPUDispatcher(self.py_func, targetoptions=options, pipeline_class=_PartCompiler)
+        part._cache = _Kept(self.py_func, "part", _pack_part, _unpack_part)
+        return part
+
+    @property
+    def _numba_type_(self) -> Any:
+        return types.Dispatcher(self.part)
+
+    def compile(self, sig: Any) -> Any:
+        with _fewer_collections():
+            return _with_room(super().compile, sig)
+
+
+@contextmanager
+def _fewer_collections() -> Iterator[None]:
+    """Let Python's garbage collector walk less often through all that the compiler makes."""
+    was = gc.get_threshold()
+    gc.set_threshold(20_000, 20, 100)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*was)
+
+
+def _with_room(function: Callable[[Any], Any], argument: Any) -> Any:
+    return function(argument)
+
+
+# Python keeps the frames of calls in pieces of 16 kB, and asks the system for one, and gives it back, each time a call
+# crosses the end of a piece: with calls as deep as the compiler's a fifth of its time. A frame that wants more than
+# that gets a large piece, in which all calls below it fit.
+_with_room.__code__ = _with_room.__code__.replace(co_stacksize=1 << 17)
+
+
+class _Part(JITCodeLibrary):  # type: ignore[misc]
+    """A kernel in LLVM's language, with all it calls: for being linked into others, not for being run."""
+
+    def finalize(self) -> None:
+        self._raise_if_finalized()
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalize_dynamic_globals()
+        for each in self._final_module.functions:
+            if not each.is_declaration and each.linkage == llvm.Linkage.external:
+                each.linkage = "linkonce_odr"  # several of what is linked together may hold it
+        self._finalized = True
+
+    def _get_module_for_linking(self) -> Any:
+        self._ensure_finalized()
+        return self._final_module
+
+
+class _PartCompiler(compiler.Compiler):  # type: ignore[misc]
+    """Numba's pipeline, ended before machine code is made."""
+
+    def define_pipelines(self) -> list[Any]:
+        self.state.library = _Part(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        self.state.flags.no_compile = True
+        return [compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)]
+
+    def compile_extra(self, func: Callable[..., Any]) -> Any:
+        made = super().compile_extra(func)._replace(entry_point=_name_of_its_own())
+        self.state.targetctx.insert_user_function(made.entry_point, made.fndesc, [made.library])
+        return made
+
+
+def _name_of_its_own() -> Any:
+    """Return what numba looks up a part by: a function of the kind it expects, unlike any other, and never called."""
+    return [].append
+
+
+class _Kept:
+    """What numba asks for the compiled code of a kernel, and gives it to after it has compiled it.
+
+    Parameters
+    ----------
+    function : callable
+        The kernel as written.
+    kind : {"door", "part"}
+        What it is compiled as.
+    pack, unpack : callable
+        Make something that can be pickled of what was compiled, and the reverse.
+    """
+
+    def __init__(self, function: Callable[..., Any], kind: str, pack: Any, unpack: Any) -> None:
+        self._module, self._name = function.__module__, f"{function.__qualname__}-{kind}"
+        self._pack, self._unpack = pack, unpack
+
+    @functools.cached_property
+    def cache_path(self) -> Path:
+        """The folder of this kernel and those of its module."""
+        return cache.module_folder(self._module)
+
+    def _key(self, argument_types: Any, codegen: Any) -> str:
+        return repr((argument_types, codegen.magic_tuple()))
+
+    def load_overload(self, argument_types: Any, context: Any) -> Any:
+        """Return the compiled kernel for such types of arguments, None if there is none that can be used."""
+        context.refresh()
+        packed = cache.load(self.cache_path, self._name, self._key(argument_types, context.codegen()))
+        return None if packed is None else self._unpack(context, *pickle.loads(packed))
+
+    def save_overload(self, argument_types: Any, made: Any) -> None:
+        """Keep a compiled kernel; where that fails it is compiled again by the next process."""
+        packed = serialize.dumps(self._pack(made))
+        cache.save(self.cache_path, self._name, self._key(argument_types, made.library.codegen), packed)
+
+
+def _pack_door(made: Any) -> Any:
+    return made._reduce()
+
+
+def _unpack_door(context: Any, *packed: Any) -> Any:
+    return compiler.CompileResult._rebuild(context, *packed)
+
+
+def _pack_part(made: Any) -> Any:
+    made.fndesc.typemap = made.fndesc.calltypes = None  # needed no more, and not to be pickled
+    module = made.library._get_module_for_linking().as_bitcode()
+    return made.library.name, module, made.fndesc, made.signature, tuple(made.library._reload_init)
+
+
+def _unpack_part(context: Any, name: str, module: bytes, fndesc: Any, signature: Any, reload_init: Any) -> Any:
+    library = _Part(context.codegen(), name)
+    library._final_module = llvm.parse_bitcode(module)
+    library._reload_init.update(reload_init)
+    library._finalized = True
+    return compiler.compile_result(
+        typing_context=context.typing_context,
+        target_context=context,
+        entry_point=_name_of_its_own(),
+        library=library,
+        fndesc=fndesc,
+        signature=signature,
+        objectmode=False,
+        lifted=(),
+        reload_init=list(reload_init),
+    )

@@ -1,0 +1,180 @@
+"""Where compiled kernels are kept: what an edit makes stale, and a cache that is not as it should be."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numba
+import pytest
+
+from hyperflex.core import cache, compiler, jit
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+
+LEAF = "from hyperflex.core.jit import kernel\n\nSCALE = 2.0\n\n\n@kernel\ndef scaled(x):\n    return SCALE * x\n"
+CALLER = (
+    "from hyperflex.core.jit import kernel\nfrom hyperflex.core.part.leaf import scaled\n\n\n"
+    "@kernel\ndef shifted(x):\n    return scaled(x) + 1.0\n"
+)
+APART = "from hyperflex.core.jit import kernel\n\n\n@kernel\ndef squared(x):\n    return x * x\n"
+ASK = """
+import sys
+from hyperflex.core import apart, caller
+from hyperflex.core.part import leaf
+print(caller.shifted(3.0), apart.squared(3.0), leaf.scaled(3.0))
+for each in (caller.shifted, apart.squared, leaf.scaled):
+    print(each.py_func.__name__, sum(each.stats.cache_misses.values()), file=sys.stderr)
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A small package with the real decorator: `caller` uses `part.leaf`, `apart` uses neither."""
+    core = tmp_path / "hyperflex" / "core"
+    (core / "part").mkdir(parents=True)
+    for folder in (core.parent, core, core / "part"):
+        (folder / "__init__.py").write_text("")
+    for module in (cache, compiler, jit):
+        shutil.copy(str(module.__file__), core)
+    (core / "caller.py").write_text(CALLER)
+    (core / "apart.py").write_text(APART)
+    (core / "part" / "leaf.py").write_text(LEAF)
+    return core
+
+
+def start(package: Path, root: Path, code: str = ASK) -> subprocess.Popen[str]:
+    """Start a fresh process with the cache at `root`."""
+    found = {"PYTHONPATH": str(package.parents[1]), "HYPERFLEX_CACHE_DIR": str(root), "PYTHONDONTWRITEBYTECODE": "1"}
+    pipe = subprocess.PIPE
+    return subprocess.Popen([sys.executable, "-c", code], env=os.environ | found, stdout=pipe, stderr=pipe, text=True)
+
+
+def end(process: subprocess.Popen[str]) -> tuple[list[float], set[str], list[str]]:
+    """Return the results of a process, which kernels it compiled, and what else it said."""
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    counts = [line.split() for line in err.splitlines() if len(line.split()) == 2]
+    said = [line for line in err.splitlines() if line.startswith("hyperflex: ") and "compiling" not in line]
+    return [float(x) for x in out.split()], {name for name, misses in counts if int(misses)}, said
+
+
+def run(package: Path, root: Path, code: str = ASK) -> tuple[list[float], set[str]]:
+    """Return the results, and which kernels were compiled, of a process that says nothing else."""
+    numbers, compiled, said = end(start(package, root, code))
+    assert said == []
+    return numbers, compiled
+
+
+def test_an_edit_recompiles_what_depends_on_it_and_nothing_else(package: Path, tmp_path: Path) -> None:
+    root, leaf = tmp_path / "cache", package / "part" / "leaf.py"
+    assert run(package, root) == ([7.0, 9.0, 6.0], {"shifted", "squared", "scaled"})
+    assert run(package, root) == ([7.0, 9.0, 6.0], set())
+    leaf.write_text(LEAF.replace("2.0", "5.0"))
+    assert run(package, root) == ([16.0, 9.0, 15.0], {"shifted", "scaled"})
+    (package / "apart.py").write_text(APART.replace("x * x", "x * x * x"))
+    assert run(package, root) == ([16.0, 27.0, 15.0], {"squared"})
+    leaf.write_text(LEAF)  # another checkout with the sources of before: both share the cache
+    assert run(package, root) == ([7.0, 27.0, 6.0], set())
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from hyperflex.core.part import leaf",
+        "from hyperflex.core.part.leaf import scaled",
+        "import hyperflex.core.part.leaf as leaf",
+        "from .part import leaf",
+        "from .part.leaf import scaled",
+        "from hyperflex.core.tangent.dense_output import scaled",
+    ],
+)
+def test_every_way_to_import_a_module_is_followed(package: Path, line: str) -> None:
+    (package / "between.py").write_text("from .part.leaf import scaled\n")
+    (package / "caller.py").write_text(line + "\n")
+    hashes = []
+    for text in (LEAF, LEAF.replace("2.0", "5.0")):
+        (package / "part" / "leaf.py").write_text(text)
+        cache._source.cache_clear()
+        hashes.append([cache.source_hash(f"hyperflex.core.{name}", package.parents[1]) for name in ("caller", "apart")])
+    assert hashes[0][0] != hashes[1][0]
+    assert hashes[0][1] == hashes[1][1]
+
+
+ALL = ([7.0, 9.0, 6.0], {"shifted", "squared", "scaled"})
+NONE = (ALL[0], set())
+FULL = """
+import errno, os
+from pathlib import Path
+def full(*_): raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+Path.replace = full
+"""
+
+
+@pytest.mark.parametrize("spoil", [lambda b: b[:-100], lambda b: b[:10], lambda _: b"", lambda b: b[:-1] + b"\0\0"])
+def test_damaged_files_are_compiled_again(package: Path, tmp_path: Path, spoil: Callable[[bytes], bytes]) -> None:
+    root = tmp_path / "cache"
+    assert run(package, root) == ALL
+    for file in root.rglob("*.nbc"):
+        file.write_bytes(spoil(file.read_bytes()))
+    assert run(package, root) == ALL
+    assert run(package, root) == NONE
+
+
+def test_a_file_of_another_kernel_is_not_taken(package: Path, tmp_path: Path) -> None:
+    root = tmp_path / "cache"
+    run(package, root)
+    wrong, right = (next(root.rglob(f"{name}-door*.nbc")) for name in ("squared", "scaled"))
+    shutil.copy(wrong, right)
+    assert run(package, root) == (ALL[0], {"scaled"})
+
+
+def test_a_cache_that_is_removed_at_work_is_made_again(package: Path, tmp_path: Path) -> None:
+    root = tmp_path / "cache"
+    remove = f"import shutil; shutil.rmtree({str(root)!r})"
+    lines = ASK.replace("\nprint", f"\ncaller.shifted(3.0); {remove}\nprint", 1)
+    assert run(package, root, lines) == ALL
+    assert run(package, root)[1] == {"shifted"}
+
+
+@pytest.mark.parametrize("what", ["a file where a folder should be", "full"])
+def test_where_nothing_can_be_kept_it_is_said_once(package: Path, tmp_path: Path, what: str) -> None:
+    root = tmp_path / "cache"
+    if what == "full":
+        root.mkdir()
+    else:
+        root.write_text("not a folder")
+    numbers, compiled, said = end(start(package, root, FULL + ASK if what == "full" else ASK))
+    assert (numbers, compiled) == ALL
+    assert len(said) == 1
+    assert "HYPERFLEX_CACHE_DIR" in said[0]
+    assert list(tmp_path.rglob("*.part")) == []
+
+
+def test_several_processes_may_fill_one_cache(package: Path, tmp_path: Path) -> None:
+    root = tmp_path / "cache"
+    for process in [start(package, root) for _ in range(4)]:
+        assert end(process)[0] == ALL[0]
+    assert run(package, root) == NONE
+
+
+@pytest.mark.parametrize(
+    "lacks", ["import numba; numba.__version__ = '0.99.0'", "import numba.core.codegen as c; del c.JITCodeLibrary"]
+)
+def test_with_a_numba_that_is_not_known_each_process_compiles(package: Path, tmp_path: Path, lacks: str) -> None:
+    numbers, _, said = end(start(package, tmp_path / "cache", lacks + ASK))
+    assert numbers == ALL[0]
+    assert len(said) == 1
+    assert "numba" in said[0]
+    assert not (tmp_path / "cache").exists()
+
+
+def test_importing_makes_no_folder(tmp_path: Path) -> None:
+    code = "import hyperflex, hyperflex.simulation, hyperflex.planning, hyperflex.identification"
+    found = {"HYPERFLEX_CACHE_DIR": str(tmp_path / "cache")}
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | found)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,103 @@
+"""Joints of the contact stepper in one step or impact, against dense matrices and one joint at a time projected."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.chain.drive import Drive, segment
+from hyperflex.core.contact.joints import ANY
+from hyperflex.core.contact.step import attempt, keep, new_desk, new_kept
+from tests.reference import dense
+from tests.reference.joint_impulses import rates_after
+
+STEP = 2e-4  # s
+
+
+def own(value: object) -> object:
+    """An array as a run has it, for which the kernels are compiled."""
+    return np.array(value) if isinstance(value, np.ndarray) else value
+
+
+def taken(rope: hf.Rope, q: dense.Real, w: dense.Real, h: float) -> tuple[dense.Real, int, dense.Real]:
+    """Rates (n,) after a step h from q, w, whether it was solved, and its account of energies."""
+    setup, n = hf.Setup(rope), rope.n_links
+    chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
+    desk, pegs = new_desk(chain, setup.contacts(), 1e-6, STEP), setup.contacts()
+    y = np.concatenate([q, w])
+    kept = new_kept(n, 0)
+    call = chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, kept, desk
+    _, rounds = attempt(*call, True, 0.0, True)
+    for _ in range(5 if h > 0.0 else 0):  # the same step again, from its own impulses: what is left dies out
+        keep(kept, desk.found, desk.impulses, desk.held, h)
+        _, rounds = attempt(*call, True, 0.0, True)
+    return desk.out[n:].copy(), rounds, desk.account.copy()
+
+
+def mass_matrix(rope: hf.Rope, q: dense.Real) -> dense.Real:
+    """By virtual work of every body (n, n)."""
+    mass, reach = dense.bodies(rope.chain())
+    across = dense.directions(q)[1]
+    moves = reach[:, :, None] * across[None]
+    return np.diag(rope.inertia) + np.einsum("k,kia,kja->ij", mass, moves, moves)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 6, 12])
+@pytest.mark.parametrize("seed", range(6))
+def test_an_impact_on_limits_is_that_of_the_dense_complementarity_problem(n: int, seed: int) -> None:
+    rng = np.random.default_rng([n, seed])
+    q, w = np.cumsum(rng.normal(0.0, 0.5, n)), np.cumsum(rng.normal(0.0, 4.0, n))
+    rest = rng.normal(0.0, 0.1, n)
+    bend = np.diff(q, prepend=0.0) - rest
+    there = rng.random(n) < 0.7
+    limit = np.where(there, np.abs(bend), np.abs(bend) + 1.0)
+    rope = hf.Rope(
+        rng.uniform(0.05, 0.2, n), rng.uniform(0.01, 0.1, n), rest_angle=rest, max_bend=limit, dry_friction=0.1
+    )
+    upper, lower = np.where(there & (bend > 0), 0.0, ANY), np.where(there & (bend < 0), 0.0, -ANY)
+    expected, impulses = rates_after(mass_matrix(rope, q), np.zeros(n), w, (lower, upper, np.zeros(n)))
+    found, rounds, account = taken(rope, q, w, 0.0)
+    assert rounds > 0
+    # The proximal method leaves 1e-5 m/s at most at the lever of the chain beyond a joint, 5 cm or more.
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-4)
+    lost = 0.5 * (w @ mass_matrix(rope, q) @ w - expected @ mass_matrix(rope, q) @ expected)
+    assert lost >= 0.0
+    assert account[1] == pytest.approx(lost, rel=1e-4, abs=1e-7)
+    assert account[0] == 0.0  # dry friction is finite, and an impact has no time
+    assert (impulses[~there] == 0.0).all()
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 6, 12])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_step_with_dry_friction_is_that_of_dense_projections(n: int, seed: int) -> None:
+    """From rest or in motion, no gravity and slow, so that centrifugal terms are below what is compared."""
+    rng = np.random.default_rng([n, seed, 1])
+    q = np.cumsum(rng.normal(0.0, 0.5, n))
+    moving = rng.random(n) < 0.5
+    w = np.cumsum(np.where(moving, rng.normal(0.0, 1e-2, n), 0.0))
+    rope = hf.Rope(
+        rng.uniform(0.05, 0.2, n),
+        rng.uniform(0.01, 0.1, n),
+        dry_friction=rng.uniform(0.0, 2e-2, n) * (rng.random(n) < 0.9),
+        friction=1e-3,
+        gravity=(0.0, 0.0),
+    )
+    middle = q + 0.5 * STEP * w
+    relative = np.eye(n) - np.eye(n, k=-1)
+    matrix = mass_matrix(rope, middle)
+    viscous = STEP * relative.T @ np.diag(rope.friction) @ relative
+    # w1 = w + (M + h R)^-1 (-h R w + S^T L): friction at the end of the step.
+    free = (np.full(n, -ANY), np.full(n, ANY), STEP * rope.dry_friction)
+    expected, impulses = rates_after(matrix + viscous, -viscous @ w, w, free)
+    found, rounds, account = taken(rope, q, w, STEP)
+    assert rounds > 0
+    # Centrifugal terms: (3e-2 rad/s)^2 * 2e-4 s = 2e-7, some ten times that where a light link hangs on a heavy one.
+    np.testing.assert_allclose(found, expected, rtol=0, atol=5e-6)
+    sticks = np.abs(impulses) < STEP * rope.dry_friction * (1.0 - 1e-9)
+    assert np.abs((relative @ found)[sticks]).max(initial=0.0) < 1e-6
+    mean = 0.5 * relative @ (w + expected)
+    assert account[0] == pytest.approx(
+        -impulses @ mean + STEP * (rope.friction * (relative @ expected)) @ mean, rel=1e-3, abs=1e-12
+    )

@@ -1,0 +1,81 @@
+"""Dry joint friction in the contact stepper: statics, free flight as its limit, energy beside pegs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from tests.reference.random_throws import draw
+
+FAR = hf.Peg(50.0, 50.0, 0.05)
+
+
+def rise(values: np.ndarray) -> float:
+    """By how much values (T,) rise at most above what they were before."""
+    return float((values - np.minimum.accumulate(values)).max())
+
+
+@pytest.mark.parametrize("n", [1, 8])
+def test_a_rope_whose_joints_stick_holds_a_load_up_to_the_torque_of_its_first_joint(n: int) -> None:
+    """It hangs straight; a force F across its tip asks for F times what is beyond a joint, most at the first one."""
+    rope = hf.Rope.uniform(0.8, 0.05, n, dry_friction=4e-3)
+    limit = 4e-3 / 0.8
+    held = hf.simulate(rope, duration=2.0, pegs=[FAR], tip_force=(0.98 * limit, 0.0), refine=False)
+    assert np.abs(held.q).max() < 1e-6
+    # What the proximal method leaves: 1 % of the torque's impulse over a thousand ropes' inertia, 1e-7 rad/s.
+    assert np.abs(held.qd[-1]).max() < 1e-6
+    assert held.attrs["contact_unsolved"] == 0
+    moved = hf.simulate(rope, duration=2.0, pegs=[FAR], tip_force=(1.02 * limit, 0.0), refine=False)
+    # 2 % of the torque swings it about the angle at which it would hang so, once, and then friction holds it there.
+    assert moved.q[-1, 0] == pytest.approx(2.0 * 0.02 * 4e-3 / (0.05 * 9.81 * 0.4), rel=1e-3)
+    # The first joint alone comes loose: the others bear less.
+    np.testing.assert_allclose(np.diff(moved.q, axis=1), 0.0, atol=1e-6)
+
+
+def test_far_from_pegs_the_contact_stepper_converges_to_free_flight() -> None:
+    """A force too small to be felt keeps the rope in the contact stepper; its error halves with the step, at least."""
+    rope = hf.Rope.uniform(1.0, 0.06, 6, friction=1e-3, dry_friction=3e-3)
+    how = {"duration": 0.8, "q0": np.full(6, 1.2), "t_eval": np.linspace(0.1, 0.8, 8)}
+    free = hf.simulate(rope, tol=1e-8, **how)
+    errors = []
+    for step in (1e-3, 5e-4, 2.5e-4):
+        run = hf.simulate(rope, pegs=[FAR], refine=False, contact_step=step, tip_force=(1e-15, 0.0), tol=1e-2, **how)
+        assert run.attrs["free_flights"] == 0
+        errors.append(float(np.abs(run.tip - free.tip).max()))
+        assert run.dissipated_energy[-1] == pytest.approx(free.dissipated_energy[-1], rel=2.0 * step)
+    assert errors[0] < 5e-4
+    assert errors[1] < 0.65 * errors[0]
+    assert errors[2] < 0.65 * errors[1]
+
+
+def test_a_joint_that_sticks_flies_on_as_stuck() -> None:
+    """A rope as stiff as a stick is swung against a peg and off it: impacts bend it, and nothing else does."""
+    rope = hf.Rope.uniform(0.6, 0.04, 6, 0.0025, friction=1e-4, dry_friction=np.append(0.0, np.full(5, 5.0)))
+    run = hf.simulate(
+        rope,
+        hf.swings(t_move=0.3, t_rest=0.4),
+        arm=hf.Arm(length=0.1),
+        duration=1.5,
+        pegs=[hf.Peg(0.15, -0.4, 0.02, 0.2)],
+        refine=False,
+    )
+    assert run.attrs["free_flights"] > 1
+    assert run.contact_loss[-1] > 0.0
+    bends = np.diff(run.q, axis=1)
+    assert np.abs(bends).max() < 1e-2  # friction is finite, and an impact has no time
+    still = np.abs(np.diff(bends, axis=0)).max(axis=1) < 1e-13  # as free flight holds them, to rounding
+    assert still[run.t[1:] > 0.9].mean() > 0.5
+    assert rise(run.energy_error) < 1e-5
+
+
+@pytest.mark.parametrize(("index", "dry"), [(2, 1e-3), (6, 1e-4), (8, 1e-2)])
+def test_energy_never_grows_in_throws_with_dry_friction(index: int, dry: float) -> None:
+    _, rope, how = draw(index, 1.0)
+    run = hf.simulate(rope.replace(dry_friction=dry), refine=False, **how)
+    # The goals of the project for joints with friction, as without dry friction.
+    assert rise(run.energy_error) < 1e-5
+    assert rise(-run.contact_loss) < 1e-5
+    assert run.attrs["contact_deepest"] < 2e-4
+    assert run.attrs["contact_steps"] > 0
+    assert run.attrs["contact_unsolved"] <= 0.005 * run.attrs["contact_steps"]
