@@ -41,7 +41,7 @@ def test_a_rod_that_falls_on_its_limit_stays_there() -> None:
 
 
 def test_a_fold_that_snaps_keeps_its_angular_momentum() -> None:
-    """Two links on a hinge, without weight: after the impact both turn as one, at L over the inertia of both."""
+    """Two links on a hinge, without weight: the impact leaves both turning as one, at L over the inertia of both."""
     rope = hf.Rope(length=[0.5, 0.3], mass=[0.1, 0.2], max_bend=[np.inf, 0.5], gravity=(0.0, 0.0))
     start, rates = np.array([0.0, 0.0]), np.array([1.0, 6.0])
 
@@ -54,9 +54,13 @@ def test_a_fold_that_snaps_keeps_its_angular_momentum() -> None:
     energy = 0.5 * rates @ inertia(0.0) @ rates
     run = hf.simulate(rope, duration=0.5, q0=start, qd0=rates)
     locked = momentum / inertia(0.5).sum()
-    k = int(np.flatnonzero(run.contact_loss > 0.0)[0])
-    np.testing.assert_allclose(run.qd[k], locked, rtol=0.05)  # up to 10 ms later
-    assert run.contact_loss[k] == pytest.approx(energy - 0.5 * momentum * locked, rel=1e-5)
+    assert run.attrs["contact_impacts"] >= 1
+    # The impact is the only one of its kind: then the turning pulls the fold open. The flight is right to 1e-5 m a step.
+    assert run.contact_loss[-1] == pytest.approx(energy - 0.5 * momentum * locked, rel=1e-4)
+    bends = run.q[:, 1] - run.q[:, 0]
+    assert bends.max() == pytest.approx(0.5, abs=5e-3)  # at a sample, up to 5 ms from the impact
+    kept = [(inertia(bend) @ w).sum() for bend, w in zip(bends, run.qd, strict=True)]
+    np.testing.assert_allclose(kept, momentum, rtol=1e-5)
 
 
 @pytest.mark.parametrize("n", [5, 20, 50])
