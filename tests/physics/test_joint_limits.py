@@ -145,6 +145,23 @@ def test_a_batch_with_limits_is_the_runs_one_by_one() -> None:
         np.testing.assert_array_equal(run.q[-1], q[-1])
 
 
+def test_a_stepper_and_a_torque_callback_meet_limits_too() -> None:
+    rod = hf.Rope(length=[1.0], mass=[0.1], rest_angle=0.5, max_bend=0.3)
+    setup = hf.Setup(rod, q0=[0.75], arm=hf.Arm(length=0.1))
+    stepper = hf.Stepper(setup, command="acceleration")
+    state = stepper.start()
+    for _ in range(30):
+        state = stepper.step(state, 0.0, dt=0.02)
+    run = hf.simulate(setup, duration=0.6)
+    np.testing.assert_allclose(state.q, run.q[-1], rtol=0, atol=1e-7)
+    assert run.q[-1, 0] == pytest.approx(0.2, abs=1e-7)
+    how = {"arm": hf.Arm(length=0.1, mass=1.0, inertia=1e5), "duration": 0.6, "q0": [0.75]}
+    driven = hf.simulate(rod, torque=lambda *_: 0.0, control_rate=50.0, **how)
+    np.testing.assert_allclose(driven.q[-1], run.q[-1], rtol=0, atol=1e-5)  # the arm yields a little
+    with pytest.raises(InvalidInput, match="joint limits"):
+        stepper.linearize(state, 0.0, dt=0.02)
+
+
 def test_what_knows_no_impacts_says_so() -> None:
     rod = hf.Rope(length=[1.0], mass=[0.1], max_bend=0.6)
     with pytest.raises(InvalidInput, match="joint 0 is bent"):

@@ -37,8 +37,8 @@ ADVICE: Final = {
     "trusted. Tighten tol; with method='rk4' take a smaller step",
     REACHED: "",
     LEFT: "",
-    LIMIT: "a joint has come to its limit (max_bend), where only simulate and simulate_batch can go on, without events "
-    "and torque callbacks. Leave these out, or give max_bend = inf",
+    LIMIT: "a joint has come to its limit (max_bend), and what was asked for, derivatives or an event, knows no "
+    "impacts. Leave it out, give max_bend = inf, or end the run before",
     FRICTION: "joints stick and come loose again and again without end. Change dry_friction a little, add viscous "
     "friction, or take friction_model='relative': as printed, friction may push a joint the way that it slips",
 }

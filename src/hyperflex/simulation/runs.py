@@ -110,10 +110,10 @@ def simulate(
         1e-12 s within the run's own accuracy. Steps are 10 ms at most while an event is awaited; one that comes and
         goes within such a step can be missed.
     pegs : sequence of Peg, Wall or Ground, optional
-        What the rope may touch and wind round. Events are not there yet beside pegs.
+        What the rope may touch and wind round. Events are not there yet beside pegs, nor where a joint is at its limit.
     contact_step : float
-        Longest step beside a peg, s. A run that goes on from a `state` takes its steps elsewhere than one that was not
-        stopped, so the two agree within the accuracy of these steps only.
+        Longest step beside a peg or with a joint at its limit, s. A run that goes on from a `state` takes its steps
+        elsewhere than one that was not stopped, so the two agree within the accuracy of these steps only.
     tip_force : (2,) array_like
         Constant force on the tip beside gravity, N; only with pegs.
     refine : bool

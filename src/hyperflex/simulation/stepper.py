@@ -129,7 +129,7 @@ class Stepper:
         run = prepare(chain, self._interval.drive, self.setup.start(), np.zeros(1), limits(self.setup, chain, 0.0))
         run.t, run.y = run.t[1:], run.y[1:]  # no outputs: a step shows its end
         self._run, self._log = run, np.empty((STEPS, MODES + chain.length.size if can_stick(chain) else JOINT))
-        self._beside = Beside(run, self.setup, None) if self.setup.pegs else None
+        self._beside = Beside(run, self.setup, None) if self.setup.touches else None
         self._channel = TORQUE if command == "torque" else ANGLE
         self._polynomials = (0.0, np.zeros((3, 6)), np.zeros((3, 2)))
         self._seeds: tuple[Array, Directions] | None = None
@@ -204,7 +204,7 @@ class Stepper:
         Raises
         ------
         InvalidInput
-            As :meth:`step`; and of a stepper with pegs, or of a fixed step.
+            As :meth:`step`; and of a stepper with pegs or joint limits, or of a fixed step.
         SimulationError
             As :meth:`step`.
 
@@ -214,8 +214,10 @@ class Stepper:
         (M.19)-(M.25)). Cost O(n^2), for n = 50 some twenty times that of the step.
         """
         refuse_what_is_not_smooth(self.setup)
-        if self.setup.pegs:
-            raise InvalidInput("derivatives are of free flight", got="a stepper with pegs", fix="Make one without")
+        if self.setup.touches:
+            raise InvalidInput(
+                "derivatives are of free flight", got="a stepper with pegs or joint limits", fix="Make one without"
+            )
         arm, steps, begin = self._recorded(state, command, dt)
         run, n = self._run, self._run.chain.length.size
         if self._seeds is None:
