@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import inspect
 import re
 import subprocess
@@ -86,6 +87,14 @@ def test_public_name_is_there_and_has_a_docstring(name: str) -> None:
     obj = getattr(hyperflex, name)
     assert name in dir(hyperflex)
     assert isinstance(obj, str) or (obj.__doc__ or "").strip(), name
+
+
+@pytest.mark.parametrize(
+    "package", sorted(p.parent for p in SOURCES if p.stem == "__init__" and "attach(" in p.read_text("utf-8")), ids=str
+)
+def test_every_name_that_a_package_offers_can_be_loaded(package: Path) -> None:
+    offering = importlib.import_module(".".join(package.relative_to(ROOT / "src").parts))
+    assert [name for name in offering.__all__ if not hasattr(offering, name)] == []
 
 
 def test_every_argument_of_a_public_callable_is_documented() -> None:
@@ -202,7 +211,8 @@ def test_no_module_hides_a_function_of_its_package() -> None:
     hidden = []
     for path in SOURCES:
         if path.name == "__init__.py":
-            offered = set(re.findall(r'^    "(\w+)",$', path.read_text("utf-8"), re.M))
+            package = importlib.import_module(".".join(path.parent.relative_to(ROOT / "src").parts))
+            offered = set(getattr(package, "__all__", ()))
             inside = {p.stem for p in path.parent.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()}
             hidden += [f"{path.parent.name}.{name}" for name in offered & inside]
     assert hidden == []

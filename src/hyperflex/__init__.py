@@ -3,11 +3,9 @@
 Public names are loaded on first use, so that ``import hyperflex`` stays quick.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
-from hyperflex.lazy import loader
+from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.dynamics import forward_kinematics, linearize, mass_matrix
@@ -86,96 +84,4 @@ if TYPE_CHECKING:
     from hyperflex.winding import TugTest, Winding, measure_winding, rope_slip, rope_tension, tug_test
 
 __version__ = "0.1.0"
-
-__all__ = [
-    "Arm",
-    "Batch",
-    "BatchState",
-    "BatchStepper",
-    "Bootstrap",
-    "CastPlan",
-    "CastSetup",
-    "Design",
-    "Event",
-    "Experiment",
-    "FileProblem",
-    "FollowResult",
-    "Ground",
-    "HyperflexError",
-    "Identification",
-    "IdentificationError",
-    "InvalidInput",
-    "Linearization",
-    "MissingExtra",
-    "ModelComparison",
-    "Motion",
-    "Motor",
-    "MotorLimits",
-    "Peg",
-    "Predictability",
-    "Recording",
-    "Revision",
-    "Rope",
-    "RopeState",
-    "Sensitivities",
-    "Setup",
-    "SimulationError",
-    "State",
-    "StateSource",
-    "Stepper",
-    "TipTarget",
-    "Trajectory",
-    "TugTest",
-    "Uncertainty",
-    "Wall",
-    "WhipMap",
-    "WhipPlan",
-    "Winding",
-    "__version__",
-    "angle_reached",
-    "arm_moves",
-    "arm_strokes",
-    "arm_swings",
-    "bootstrap",
-    "build_whip_map",
-    "compare_models",
-    "design",
-    "follow_plan",
-    "forward_kinematics",
-    "hold_arm",
-    "identify",
-    "initial_state",
-    "linearize",
-    "mass_matrix",
-    "measure_winding",
-    "move_arm",
-    "moving_pivot",
-    "phase_reached",
-    "plan_cast",
-    "plan_whip",
-    "predictability",
-    "read_motion",
-    "read_plan",
-    "read_recording",
-    "read_trajectory",
-    "refine_rope",
-    "regression",
-    "revise",
-    "rope_slip",
-    "rope_tension",
-    "sampled_motion",
-    "sensitivities",
-    "simulate",
-    "simulate_batch",
-    "tip_crosses",
-    "tip_speed_peak",
-    "torque_profile",
-    "tug_test",
-]
-
-
-__getattr__ = loader(__name__, __file__)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,8 +1,8 @@
-"""Names of a package that are loaded on first use (PEP 562), so that its import stays quick."""
+"""Packages whose names are loaded on first use (PEP 562) and listed once: in their imports for type checkers."""
 
 from __future__ import annotations
 
-import functools
+import ast
 import importlib
 import sys
 from collections.abc import Callable
@@ -10,28 +10,24 @@ from pathlib import Path
 from typing import Any
 
 
-def loader(package: str, file: str) -> Callable[[str], Any]:
-    """Return a ``__getattr__`` for a package: its names come from the imports under its ``if TYPE_CHECKING:``.
+def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package: the imports under its ``if TYPE_CHECKING:``.
 
     Parameters
     ----------
     package, file : str
         Its ``__name__`` and ``__file__``.
     """
-
-    @functools.cache
-    def modules() -> dict[str, str]:
-        import ast
-
-        blocks = (node.body for node in ast.parse(Path(file).read_text("utf-8")).body if isinstance(node, ast.If))
-        imports = [node for block in blocks for node in block if isinstance(node, ast.ImportFrom)]
-        return {name.name: str(node.module) for node in imports for name in node.names}
+    blocks = (node.body for node in ast.parse(Path(file).read_text("utf-8")).body if isinstance(node, ast.If))
+    imports = [node for block in blocks for node in block if isinstance(node, ast.ImportFrom)]
+    modules = {name.name: str(node.module) for node in imports for name in node.names}
+    names = sorted([*modules, *(["__version__"] if hasattr(sys.modules[package], "__version__") else [])])
 
     def load(name: str) -> Any:
-        if name.startswith("__") or name not in modules():
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(modules()[name]), name)
+        value = getattr(importlib.import_module(modules[name]), name)
         setattr(sys.modules[package], name, value)
         return value
 
-    return load
+    return load, lambda: names, names

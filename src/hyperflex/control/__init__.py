@@ -1,10 +1,8 @@
 """Control of a swing: pseudo-energy, the paper's timing rule, receding-horizon rules, and their closed loop."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
-from hyperflex.lazy import loader
+from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.control.closed_loop import ClosedLoopRun, run_closed_loop
@@ -22,31 +20,4 @@ if TYPE_CHECKING:
     from hyperflex.control.swing_model import SwingModel, arrival_time, swing_period
     from hyperflex.control.timing import CrossingRule, Rule
 
-__all__ = [
-    "AmplitudeRule",
-    "ClosedLoopRun",
-    "CrossingRule",
-    "PhasePortrait",
-    "PumpingPlan",
-    "PumpingRule",
-    "Rule",
-    "SimulatedCamera",
-    "Spiral",
-    "SwingModel",
-    "TrueState",
-    "arrival_time",
-    "driving_constant",
-    "hanging_state",
-    "optimize_pumping",
-    "phase_portrait",
-    "pseudo_energy",
-    "run_closed_loop",
-    "spiral",
-    "swing_period",
-]
-
-__getattr__ = loader(__name__, __file__)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

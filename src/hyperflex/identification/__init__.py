@@ -1,64 +1,32 @@
 """Identification: from a recording and a first guess to a rope with uncertainties."""
 
-from __future__ import annotations
+from typing import TYPE_CHECKING
 
-from hyperflex.identification.baselines.natural_frequency import (
-    cylinder_inertia,
-    natural_frequency_inertia,
-    natural_period,
-    swing_period,
-)
-from hyperflex.identification.baselines.regression import LeastSquares, Regression, regression
-from hyperflex.identification.baselines.revision import Revision, RevisionProfile, Round, revise
-from hyperflex.identification.baselines.simplex import InitialState, initial_state, squared_error
-from hyperflex.identification.comparison.compare import compare_models
-from hyperflex.identification.comparison.result import FittedModel, ModelComparison
-from hyperflex.identification.experiment_design.choice import Design, Plan, design
-from hyperflex.identification.experiment_design.experiments import Experiment
-from hyperflex.identification.model.names import perturbed
-from hyperflex.identification.model.parameters import lumped
-from hyperflex.identification.pipeline import identify
-from hyperflex.identification.prediction import BAND, HeldOut
-from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.bootstrap import Bootstrap, bootstrap
-from hyperflex.identification.uncertainty.correlogram import correlogram
-from hyperflex.identification.uncertainty.covariance import ratios
-from hyperflex.identification.uncertainty.intervals import Interval
-from hyperflex.identification.uncertainty.profile import Profile, profile
+from hyperflex.lazy import attach
 
-__all__ = [
-    "BAND",
-    "Bootstrap",
-    "Design",
-    "Experiment",
-    "FittedModel",
-    "HeldOut",
-    "Identification",
-    "InitialState",
-    "Interval",
-    "LeastSquares",
-    "ModelComparison",
-    "Plan",
-    "Profile",
-    "Regression",
-    "Revision",
-    "RevisionProfile",
-    "Round",
-    "bootstrap",
-    "compare_models",
-    "correlogram",
-    "cylinder_inertia",
-    "design",
-    "identify",
-    "initial_state",
-    "lumped",
-    "natural_frequency_inertia",
-    "natural_period",
-    "perturbed",
-    "profile",
-    "ratios",
-    "regression",
-    "revise",
-    "squared_error",
-    "swing_period",
-]
+if TYPE_CHECKING:
+    from hyperflex.identification.baselines.natural_frequency import (
+        cylinder_inertia,
+        natural_frequency_inertia,
+        natural_period,
+        swing_period,
+    )
+    from hyperflex.identification.baselines.regression import LeastSquares, Regression, regression
+    from hyperflex.identification.baselines.revision import Revision, RevisionProfile, Round, revise
+    from hyperflex.identification.baselines.simplex import InitialState, initial_state, squared_error
+    from hyperflex.identification.comparison.compare import compare_models
+    from hyperflex.identification.comparison.result import FittedModel, ModelComparison
+    from hyperflex.identification.experiment_design.choice import Design, Plan, design
+    from hyperflex.identification.experiment_design.experiments import Experiment
+    from hyperflex.identification.model.names import perturbed
+    from hyperflex.identification.model.parameters import lumped
+    from hyperflex.identification.pipeline import identify
+    from hyperflex.identification.prediction import BAND, HeldOut
+    from hyperflex.identification.result import Identification
+    from hyperflex.identification.uncertainty.bootstrap import Bootstrap, bootstrap
+    from hyperflex.identification.uncertainty.correlogram import correlogram
+    from hyperflex.identification.uncertainty.covariance import ratios
+    from hyperflex.identification.uncertainty.intervals import Interval
+    from hyperflex.identification.uncertainty.profile import Profile, profile
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,10 +1,8 @@
 """Planning: casts that wind a rope round a target and hold, and whips whose tip passes a point fast."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
-from hyperflex.lazy import loader
+from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.planning.cast_setup import CastSetup, MotorLimits
@@ -39,54 +37,4 @@ if TYPE_CHECKING:
     from hyperflex.planning.wind.casting import plan_cast
     from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
 
-__all__ = [
-    "BOUNCE_TIME",
-    "FRICTION_STD",
-    "IMPACT_RADIUS",
-    "IMPACT_TIME",
-    "LENGTH_STD",
-    "MAX_SLIP",
-    "MIN_TURNS",
-    "RATE",
-    "SETTLING_TIME",
-    "TIMING_STD",
-    "WATCH_TIME",
-    "CastOutcome",
-    "CastPlan",
-    "CastSetup",
-    "FallbackTarget",
-    "Feasibility",
-    "FollowResult",
-    "HoldingForce",
-    "Impact",
-    "MotorLimits",
-    "MotorStateSource",
-    "RopePosterior",
-    "Scenario",
-    "ScenarioStateSource",
-    "Strokes",
-    "SuccessProbability",
-    "Throw",
-    "TipStrike",
-    "TipTarget",
-    "Uncertainty",
-    "WhipFeasibility",
-    "WhipMap",
-    "WhipPlan",
-    "build_whip_map",
-    "check_feasibility",
-    "check_whip_feasibility",
-    "estimate_success_probability",
-    "follow_plan",
-    "measure_holding_force",
-    "plan_cast",
-    "plan_whip",
-    "read_plan",
-    "verify_cast",
-]
-
-__getattr__ = loader(__name__, __file__)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -3,11 +3,9 @@
 :func:`angles` and :class:`Slopes` give the bare arrays that identification needs.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
-from hyperflex.lazy import loader
+from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.simulation.batch.batch import Batch, simulate_batch
@@ -19,30 +17,4 @@ if TYPE_CHECKING:
     from hyperflex.simulation.stability import runge_kutta_limit
     from hyperflex.simulation.stepper import Linearization, Stepper
 
-__all__ = [
-    "Batch",
-    "BatchState",
-    "BatchStepper",
-    "Event",
-    "Linearization",
-    "Predictability",
-    "Sensitivities",
-    "Slopes",
-    "Stepper",
-    "angle_reached",
-    "angles",
-    "phase_reached",
-    "predictability",
-    "runge_kutta_limit",
-    "sensitivities",
-    "simulate",
-    "simulate_batch",
-    "tip_crosses",
-    "tip_speed_peak",
-]
-
-__getattr__ = loader(__name__, __file__)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)
