@@ -11,7 +11,7 @@ import numpy as np
 from clock import NOTE, alternately
 
 import hyperflex as hf
-from hyperflex.identification import identify, revise
+from hyperflex.identification import identify, iterative_revision
 from hyperflex.identification.fit.stages import Measured, fit_in_stages
 from hyperflex.identification.fit.windows import usual_length
 from hyperflex.identification.measurements import measure as measured
@@ -103,7 +103,7 @@ def starts(recording: hf.Recording, count: int) -> list[dict[str, Any]]:
 
 def paper_method(recording: hf.Recording) -> dict[str, Any]:
     """The paper's method on the same frames: downhill simplex and least squares in turn."""
-    found = revise(recording, PAPER.replace(**GUESS))
+    found = iterative_revision(recording, PAPER.replace(**GUESS))
     method, values = f"downhill simplex (IR): {found.status}", (found.best.inertia, found.best.friction)
     return row("5 links, 81 frames", method, found.seconds, found.error, values)
 

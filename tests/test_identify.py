@@ -23,7 +23,7 @@ from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import scaling
 from hyperflex.identification.prediction import HeldOut, predict
-from hyperflex.identification.uncertainty.covariance import Information, judge, ratio_spread
+from hyperflex.identification.uncertainty.covariance import Information, estimate_covariance, ratio_spread
 from hyperflex.identification.uncertainty.noise import autocorrelation
 from hyperflex.identification.verdict import (
     failed_predictions,
@@ -186,7 +186,7 @@ def test_a_value_at_its_bound_does_not_hide_what_is_known() -> None:
     plant = Plant(parameters)
     residuals = [plant.residual(parameters.start, window, state) for window, state in zip(windows, states, strict=True)]
     truth = Fit(parameters.start, states, [r for r in residuals if r is not None])
-    information = judge(plant, windows, truth)
+    information = estimate_covariance(plant, windows, truth)
     # Rounding only, as away from the bound
     assert information.singular[-1] < 1e-8 * information.singular[0]
     for spread in ratio_spread(parameters, information).values():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.identification import revise
+from hyperflex.identification import iterative_revision
 from hyperflex.paper import FINER, SMALL, SWINGS, WIDE, methods, record, revised
 from hyperflex.paper.fit_claims import few_samples_do, finds_the_truth, in_order, settles
 from hyperflex.paper.identification import FRICTION, INERTIA, POINTS, guess, per_sample, whole_error
@@ -93,7 +93,7 @@ def test_free_initial_rates_tell_less_but_the_same():
     # Half the simplex's usual rollouts, and J and eta from two revisions beyond the truth's neighbourhood: ten unknowns
     # take half a minute otherwise.
     start = guess().replace(inertia=np.full(5, 2.0 * INERTIA), friction=np.full(5, 1.1 * FRICTION))
-    found = revise(record(WIDE), start, rates="free", rounds=2, most=100)
+    found = iterative_revision(record(WIDE), start, rates="free", rounds=2, most=100)
     assert abs(found.best.friction - FRICTION) < 3.0 * found.sd["friction"]
     assert abs(found.best.inertia - INERTIA) < 3.0 * found.sd["inertia"]
     assert found.sd["inertia"] > revised(WIDE).sd["inertia"]

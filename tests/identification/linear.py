@@ -11,7 +11,7 @@ from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant, Seen
-from hyperflex.identification.uncertainty.covariance import Basis, judge
+from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.model import Rope
 
 ROPE = Rope(length=[1.0], mass=[1.0], com=[0.5], inertia=[1.0], friction=[1.0])
@@ -49,7 +49,7 @@ def fitted(plant: Line, noise: Array, loss: LossName = "squares", pieces: int = 
         Window(t, noise[k * m : (k + 1) * m], np.ones((m, channels)), np.zeros(2), nothing) for k in range(pieces)
     ]
     found = fit(plant, windows, plant.truth, [w.guess for w in windows], loss=Loss(loss), enough=1e-9)
-    return Basis(plant, windows, found, judge(plant, windows, found))
+    return Basis(plant, windows, found, estimate_covariance(plant, windows, found))
 
 
 def autoregressive(random: np.random.Generator, shape: tuple[int, ...], part: float) -> Array:

@@ -7,7 +7,7 @@ import pytest
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import identify, revise
+from hyperflex.identification import identify, iterative_revision
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -38,7 +38,7 @@ def test_noise_is_no_motion(size: float, frames: int, declared: float | None) ->
         with pytest.raises(InvalidInput, match="no motion beyond noise"):
             identify(each, ROPE, ["friction:shared"])
         with pytest.raises(InvalidInput, match="no motion beyond noise"):
-            revise(each, ROPE)
+            iterative_revision(each, ROPE)
 
 
 def test_noise_of_markers_is_no_motion() -> None:
@@ -97,9 +97,9 @@ def test_stiff_ropes_may_be_short_and_weightless_ones_slow() -> None:
 def test_revise_asks_for_motion_and_time_too() -> None:
     t, q, _ = swing(0.3, 81)
     with pytest.raises(InvalidInput, match="nothing moves"):
-        revise(Recording(t, 0.0 * q), ROPE)
+        iterative_revision(Recording(t, 0.0 * q), ROPE)
     with pytest.raises(InvalidInput, match="another unit"):
-        revise(Recording(1e3 * t, q), ROPE)
+        iterative_revision(Recording(1e3 * t, q), ROPE)
 
 
 @pytest.mark.parametrize("links", [1, 2])

@@ -23,7 +23,7 @@ from hyperflex import (
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.pipeline import planned
+from hyperflex.identification.pipeline import build_plant
 from hyperflex.sensors import MotorTorque
 from tests.reference import dense
 from tests.reference.arm import bang_bang_swings, links_of
@@ -50,7 +50,7 @@ def run(rope: Rope = ROPE, duration: float = 5.0) -> Trajectory:
 
 def plant(free: list[str], rope: Rope = ROPE) -> Plant:
     recording = Recording([0.0, 1.0], np.zeros((2, 2)))  # type: ignore[arg-type]
-    return planned(recording, rope, free, None, None, MOVE, ARM, torque=True)
+    return build_plant(recording, rope, free, None, None, MOVE, ARM, torque=True)
 
 
 # ---- the function and its slopes

@@ -8,12 +8,12 @@ from hyperflex.identification.baselines.natural_frequency import (
     natural_period,
     swing_period,
 )
-from hyperflex.identification.baselines.regression import LeastSquares, Regression, regression
-from hyperflex.identification.baselines.revision import Revision, RevisionProfile, Round, revise
-from hyperflex.identification.baselines.simplex import InitialState, initial_state, squared_error
+from hyperflex.identification.baselines.regression import LeastSquares, Regression, fit_regression
+from hyperflex.identification.baselines.revision import IterativeRevision, RevisionProfile, Round, iterative_revision
+from hyperflex.identification.baselines.simplex import InitialState, estimate_initial_state, squared_error
 from hyperflex.identification.comparison.compare import compare_models
 from hyperflex.identification.comparison.result import FittedModel, ModelComparison
-from hyperflex.identification.experiment_design.choice import Design, Plan, design
+from hyperflex.identification.experiment_design.choice import ExperimentDesign, Plan, design_experiment
 from hyperflex.identification.experiment_design.experiments import Experiment
 from hyperflex.identification.model.names import perturbed
 from hyperflex.identification.model.parameters import lumped
@@ -29,36 +29,36 @@ from hyperflex.identification.uncertainty.profile import Profile, profile
 __all__ = [
     "BAND",
     "Bootstrap",
-    "Design",
     "Experiment",
+    "ExperimentDesign",
     "FittedModel",
     "HeldOut",
     "Identification",
     "InitialState",
     "Interval",
+    "IterativeRevision",
     "LeastSquares",
     "ModelComparison",
     "Plan",
     "Profile",
     "Regression",
-    "Revision",
     "RevisionProfile",
     "Round",
     "bootstrap",
     "compare_models",
     "correlogram",
     "cylinder_inertia",
-    "design",
+    "design_experiment",
+    "estimate_initial_state",
+    "fit_regression",
     "identify",
-    "initial_state",
+    "iterative_revision",
     "lumped",
     "natural_frequency_inertia",
     "natural_period",
     "perturbed",
     "profile",
     "ratios",
-    "regression",
-    "revise",
     "squared_error",
     "swing_period",
 ]

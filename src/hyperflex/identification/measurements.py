@@ -21,7 +21,7 @@ SWAY = 5.0  # rad/s, the same of its rate
 UNTOLD = 2e-3  # of the rope's length: noise of a marker where none is given and it must be weighed against these
 
 
-def checked_arcs(recording: Recording, rope: Rope, arcs: npt.ArrayLike) -> Array:
+def checked_arc_lengths(recording: Recording, rope: Rope, arcs: npt.ArrayLike) -> Array:
     """Return where the markers sit, m from the first joint, if they can sit there."""
     count = recording.data.shape[1] // 2
     if recording.kind != "markers":
@@ -66,7 +66,7 @@ def measure(recording: Recording, rope: Rope, arcs: Array | None, joint: Array |
     rope : Rope
         The guess; its lengths say which link a marker sits on.
     arcs : (K,) array, optional
-        See :func:`checked_arcs`.
+        See :func:`checked_arc_lengths`.
     joint : (T, 2) array, m, optional
         Where the first joint is seen, if it is known; a marker alone needs it for the line from there.
 

@@ -23,7 +23,7 @@ from hyperflex.identification.fit.stages import Measured, fit_in_stages
 from hyperflex.identification.fit.threads import one_thread
 from hyperflex.identification.fit.windows import holding_enough, usual_length
 from hyperflex.identification.measurements import (
-    checked_arcs,
+    checked_arc_lengths,
     first_joint,
     measure,
     refuse_still_markers,
@@ -34,9 +34,9 @@ from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant, pivot_places
 from hyperflex.identification.prediction import predict
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import Basis, judge
+from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.identification.uncertainty.intervals import HOWS, How, all_intervals
-from hyperflex.identification.uncertainty.prediction_band import doubt
+from hyperflex.identification.uncertainty.prediction_band import prediction_uncertainty
 from hyperflex.identification.verdict import other_lengths
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
@@ -160,7 +160,7 @@ def identify(
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
     if torque is not None and arm is None:
         raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
-    plant = planned(recording, rope_guess, free, places, origin, motion, arm, torque=torque is not None)
+    plant = build_plant(recording, rope_guess, free, places, origin, motion, arm, torque=torque is not None)
     foretold = plant.without_torque()  # what is held out is predicted without force or torque
     fitted, rest = _split(measured, train, lead, ahead)
     check_times(fitted.channels, rope_guess)
@@ -176,13 +176,13 @@ def identify(
     length = usual if window is None else checks.number("window", window, sign="positive", infinite=True)
     length = min(length, 1.001 * fitted.channels.duration)
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
-    basis = Basis(plant, windows, found, judge(plant, windows, found))
+    basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
     how = intervals if found.converged or intervals is None else "covariance"
     ranges = None if how is None else all_intervals(basis, how, report=_reporter(progress))
     held_out = None
     try:
         if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
-            spread = doubt(basis.information, windows, found).of(measured.channels.data.shape[1])
+            spread = prediction_uncertainty(basis.information, windows, found).of(measured.channels.data.shape[1])
             held_out = predict(foretold, found.x, rest, lead, ahead, Loss(loss), spread)
     except KeyboardInterrupt:  # what was fitted is worth more than its trial
         found.interrupted = True
@@ -209,7 +209,7 @@ def _checked(
             fix="Read the file with read_recording first",
         )
     if arcs is not None:
-        places = checked_arcs(recording, rope, arcs)
+        places = checked_arc_lengths(recording, rope, arcs)
         refuse_still_markers(recording, places)
         joint = None
         if places.size == 1:
@@ -240,7 +240,7 @@ def _checked(
     return measure(recording, rope, None), None
 
 
-def planned(
+def build_plant(
     recording: Recording,
     guess: Rope,
     free: Sequence[str],

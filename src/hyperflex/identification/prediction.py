@@ -12,7 +12,7 @@ from hyperflex.identification.fit.multiple_shooting import fit_state
 from hyperflex.identification.fit.stages import Measured
 from hyperflex.identification.fit.windows import LEAST, Window, first_state, thin
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.uncertainty.prediction_band import Doubt, spread
+from hyperflex.identification.uncertainty.prediction_band import PredictionUncertainty, spread
 
 BAND = 1.96  # standard deviations on either side that hold 95 %
 TINY = 1e-9  # rad or m, the least noise that samples are weighed by
@@ -70,7 +70,7 @@ def predict(
     lead: float = 0.5,
     ahead: float = 1.0,
     loss: Loss | None = None,
-    unsure: Doubt | None = None,
+    unsure: PredictionUncertainty | None = None,
 ) -> HeldOut | None:
     """Predict what is measured piece by piece, with the parameters x.
 
@@ -126,7 +126,12 @@ def predict(
 
 
 def _ahead(
-    plant: Plant, x: Array, window: Window, found: tuple[Array, Array] | None, t: Array, unsure: Doubt | None
+    plant: Plant,
+    x: Array,
+    window: Window,
+    found: tuple[Array, Array] | None,
+    t: Array,
+    unsure: PredictionUncertainty | None,
 ) -> tuple[Array, Array]:
     """Return prediction and standard deviation (m, C) at t (m,); inf and NaN where there is none."""
     y = None if found is None else plant.predict(x, np.append(window.t[0], t), found[0])

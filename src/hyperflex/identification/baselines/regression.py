@@ -112,7 +112,7 @@ class LeastSquares:
         return float(self.values[self.names.index(name)])
 
 
-def regression(
+def fit_regression(
     rope: Rope,
     q: npt.ArrayLike,
     qd: npt.ArrayLike,
@@ -161,7 +161,7 @@ def regression(
     >>> import hyperflex as hf
     >>> rope = hf.Rope.uniform(length=1.0, mass=0.01, n_links=5, friction=6e-4)
     >>> run = hf.simulate(rope, duration=2.0, q0=np.full(5, 0.3), tol=1e-8)
-    >>> found = hf.regression(rope, run.q, run.qd, run.qdd).solve()
+    >>> found = hf.fit_regression(rope, run.q, run.qd, run.qdd).solve()
     >>> f"{found['friction:shared']:.3e}"
     '6.000e-04'
     """

@@ -13,8 +13,15 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.dynamics import bias, mass_matrix
 from hyperflex.errors import IdentificationError, InvalidInput
-from hyperflex.identification.baselines.regression import regression
-from hyperflex.identification.baselines.simplex import MOST, Rates, first_state, fitting, initial_state, squared_error
+from hyperflex.identification.baselines.regression import fit_regression
+from hyperflex.identification.baselines.simplex import (
+    MOST,
+    Rates,
+    estimate_initial_state,
+    first_state,
+    fitting,
+    squared_error,
+)
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.identification.fit.threads import one_thread
 from hyperflex.model import Rope, Setup
@@ -60,8 +67,8 @@ class Round:
 
 
 @dataclass(frozen=True, eq=False)
-class Revision:
-    """What :func:`revise` found.
+class IterativeRevision:
+    """What :func:`iterative_revision` found.
 
     Attributes
     ----------
@@ -111,7 +118,7 @@ class Revision:
 
 
 @one_thread()
-def revise(
+def iterative_revision(
     recording: Recording,
     rope_guess: Rope,
     *,
@@ -120,7 +127,7 @@ def revise(
     rounds: int = 8,
     most: int = MOST,
     progress: Callable[[Round], None] | None = None,
-) -> Revision:
+) -> IterativeRevision:
     """Identify link inertia and joint friction as the paper does: initial state and parameters revised in turn.
 
     A round finds the initial angles by the downhill simplex method (7), simulates from them, and identifies J and eta
@@ -134,7 +141,7 @@ def revise(
         Lengths, masses and the rest are taken from it. Its inertia and friction, averaged over the links, are the first
         guess; one value of each is sought for all links.
     rates : {"rest", "measured", "free"}
-        Initial rates, see :func:`initial_state`.
+        Initial rates, see :func:`estimate_initial_state`.
     profile : {"response", "calculated", "measured", "measured rates"}
         What the least squares compare. ``"calculated"`` is (6) with the calculated angles, rates and accelerations, as
         step 4 is printed; ``"measured"`` takes angles and rates (by three successive samples) from the recording and
@@ -144,13 +151,13 @@ def revise(
     rounds : int
         Revisions at most.
     most : int
-        See :func:`initial_state`.
+        See :func:`estimate_initial_state`.
     progress : callable, optional
         Called with each :class:`Round`.
 
     Returns
     -------
-    Revision
+    IterativeRevision
 
     Raises
     ------
@@ -200,7 +207,7 @@ def revise(
     best = done[-1] if status == "settled" else min(done, key=lambda each: each.error)
     samples = int(np.isfinite(measured.data).sum())
     rope = revision.rope(np.array([best.inertia, best.friction]))
-    return Revision(rope, best, sd, tuple(done), status, samples, profile, rates)
+    return IterativeRevision(rope, best, sd, tuple(done), status, samples, profile, rates)
 
 
 def _still(before: Round, now: Round, sd: dict[str, float]) -> bool:
@@ -235,7 +242,7 @@ class _Revision:
                 f"J = {values[0]:.3g} kg m^2, eta = {values[1]:.3g} N m s/rad: {error}"
             ) from error
         start = None if before is None else (before.q, before.qd)
-        found = initial_state(self.measured, rope, rates=self.rates, start=start, most=self.most)
+        found = estimate_initial_state(self.measured, rope, rates=self.rates, start=start, most=self.most)
         self.interrupted = found.status == "interrupted"
         plain = squared_error(self.measured, rope, first_state(self.measured, self.rates))
         seconds = time.perf_counter() - began
@@ -255,7 +262,7 @@ class _Revision:
             seen = np.full(q.shape, np.nan)  # three successive samples make a rate: none at the ends
             seen[1:-1] = np.gradient(self.measured.data, self.measured.t, axis=0)[1:-1]
             q, qd = self.measured.data if self.profile == "measured" else q, seen
-        found = regression(rope, q, qd, qdd, UNKNOWNS).solve()
+        found = fit_regression(rope, q, qd, qdd, UNKNOWNS).solve()
         return np.maximum(found.values, 0.0), found.sd
 
     def by_response(self, slopes: Slopes, rope: Rope, at: Round) -> tuple[Array, Array]:

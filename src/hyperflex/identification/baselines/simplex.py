@@ -31,7 +31,7 @@ MOST = 400  # rollouts for each unknown, in each of the two descents
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """What :func:`initial_state` found.
+    """What :func:`estimate_initial_state` found.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class InitialState:
     status: str
 
 
-def initial_state(
+def estimate_initial_state(
     recording: Recording,
     rope: Rope,
     *,

@@ -48,8 +48,8 @@ class Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
-    """Experiments ranked by what they would tell (made by :func:`hyperflex.design`); ``print`` shows the table.
+class ExperimentDesign:
+    """Experiments ranked by what they would tell (made by :func:`hyperflex.design_experiment`); ``print`` shows the table.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Design:
         return "\n".join([*lines, f"  {self.advice}"])
 
 
-def design(
+def design_experiment(
     rope: Rope,
     want: str | Sequence[str],
     candidates: Sequence[Experiment] | None = None,
@@ -114,7 +114,7 @@ def design(
     noise: float = 2e-3,
     free: Sequence[str] = ("inertia", "friction"),
     progress: bool = False,
-) -> Design:
+) -> ExperimentDesign:
     """Say which experiment would tell most about some of a rope's parameters.
 
     For each candidate the rope is simulated, seen at the frames, and the standard deviations predicted that a fit with
@@ -162,7 +162,7 @@ def design(
     >>> rope = hf.Rope(length=[0.3], mass=[0.1], friction=2e-4)
     >>> small = hf.Experiment("small", q0=0.1, duration=4.0)
     >>> large = hf.Experiment("large", q0=0.8, duration=4.0)
-    >>> hf.design(rope, "friction", [small, large]).best.experiment.name
+    >>> hf.design_experiment(rope, "friction", [small, large]).best.experiment.name
     'large'
     """
     words = (want,) if isinstance(want, str) else tuple(want)
@@ -184,7 +184,7 @@ def design(
                 raise
             status = "interrupted"
     ranked = tuple(sorted(plans, key=lambda plan: (plan.score, bool(plan.reason))))
-    return Design(ranked, words, _advice(asked, ranked, seen), status)
+    return ExperimentDesign(ranked, words, _advice(asked, ranked, seen), status)
 
 
 def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) -> list[Experiment]:

@@ -17,7 +17,7 @@ from hyperflex.identification.measurements import measure, with_torque
 from hyperflex.identification.model.parameters import Parameter, Parameters
 from hyperflex.identification.model.plant import PRECISION, Plant, pivot_places
 from hyperflex.identification.model.scale import growing
-from hyperflex.identification.pipeline import planned
+from hyperflex.identification.pipeline import build_plant
 from hyperflex.identification.uncertainty.covariance import UNKNOWN, Information, ratio_spread, ratios
 from hyperflex.model import Arm, Rope
 from hyperflex.recording import Recording
@@ -101,7 +101,7 @@ def foresee(rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | 
     torque = experiment.torque_noise
     if torque is not None and base is None:
         raise InvalidInput("the torque of no motor can be measured", fix="Give a motion, and arm=... to design")
-    plant = planned(recording, rope, free, arcs, None, motion, base, torque=torque is not None)
+    plant = build_plant(recording, rope, free, arcs, None, motion, base, torque=torque is not None)
     measured = measure(recording, rope, arcs)
     if torque is not None:
         measured = with_torque(measured, run.motor_torque, torque)

@@ -76,7 +76,7 @@ class Basis:
     information: Information
 
 
-def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
+def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
     """Return what the fit's windows tell.
 
     Notes

@@ -16,7 +16,7 @@ from hyperflex.identification.uncertainty.covariance import Information
 
 
 @dataclass(frozen=True)
-class Doubt:
+class PredictionUncertainty:
     """What a fit leaves unsure.
 
     covariance (P, P): of x. noise (C,): standard deviation of what the fit has left of each channel, rad or m.
@@ -27,12 +27,12 @@ class Doubt:
     noise: Array
     correlation: float
 
-    def of(self, count: int) -> Doubt:
+    def of(self, count: int) -> PredictionUncertainty:
         """Return the same of the first channels alone: a motor's torque is not predicted."""
         return replace(self, noise=self.noise[:count])
 
 
-def doubt(information: Information, windows: Sequence[Window], found: Fit) -> Doubt:
+def prediction_uncertainty(information: Information, windows: Sequence[Window], found: Fit) -> PredictionUncertainty:
     """Return what a fit leaves unsure; outliers count as little as they did in the fit."""
     squares, counted = 0.0, 0.0
     for window, residual in zip(windows, found.residuals, strict=True):
@@ -42,10 +42,12 @@ def doubt(information: Information, windows: Sequence[Window], found: Fit) -> Do
         squares = squares + (counts * error**2).sum(axis=0)
         counted = counted + counts.sum(axis=0)
     noise = np.sqrt(squares / np.maximum(counted, 1e-300))
-    return Doubt(information.covariance, noise, information.correlation)
+    return PredictionUncertainty(information.covariance, noise, information.correlation)
 
 
-def spread(plant: Plant, x: Array, window: Window, found: tuple[Array, Array], t: Array, unsure: Doubt) -> Array:
+def spread(
+    plant: Plant, x: Array, window: Window, found: tuple[Array, Array], t: Array, unsure: PredictionUncertainty
+) -> Array:
     """Return the standard deviation (m, C) of measured less predicted samples at times t (m,).
 
     Parameters
@@ -58,7 +60,7 @@ def spread(plant: Plant, x: Array, window: Window, found: tuple[Array, Array], t
     found : (2n,), (k C,) arrays
         That state at ``window.t[0]``, and what it leaves of the window.
     t : (m,) array, s
-    unsure : Doubt
+    unsure : PredictionUncertainty
 
     Notes
     -----

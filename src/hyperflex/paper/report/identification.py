@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from hyperflex import paper
-from hyperflex.identification import Revision, RevisionProfile
+from hyperflex.identification import IterativeRevision, RevisionProfile
 from hyperflex.paper import SWINGS, methods, revised
 from hyperflex.paper.identification import LENGTH, LINK_MASS, LINKS, NOISE, POINTS, RATE, guess, per_sample, true_rope
 from hyperflex.paper.identification_figures import DRAWN, periods_text
@@ -148,7 +148,7 @@ def profiles_table() -> TextTable:
     return TextTable(header, tuple(rows))
 
 
-def _ending(found: Revision) -> str:
+def _ending(found: IterativeRevision) -> str:
     if found.settled_after is None:
         return f"{found.status} after {len(found.rounds) - 1} revisions"
     return "never moved" if found.settled_after == 0 else f"settled after {found.settled_after} revisions"
