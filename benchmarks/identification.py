@@ -66,8 +66,8 @@ def paper_problem(recording: hf.Recording, repeats: int) -> list[dict[str, Any]]
         return run("profile")
 
     found = run()
-    if found.status != "converged":
-        raise RuntimeError(f"the paper's problem: {found.status}")
+    if not found.success:
+        raise RuntimeError(f"the paper's problem: {found.message}")
     profiled()
     error = float((found.residuals**2).sum())
     values = found.values["inertia"][0], found.values["friction"][0]
@@ -104,7 +104,7 @@ def starts(recording: hf.Recording, count: int) -> list[dict[str, Any]]:
 def paper_method(recording: hf.Recording) -> dict[str, Any]:
     """The paper's method on the same frames: downhill simplex and least squares in turn."""
     found = iterative_revision(recording, PAPER.replace(**GUESS))
-    method, values = f"downhill simplex (IR): {found.status}", (found.best.inertia, found.best.friction)
+    method, values = f"downhill simplex (IR): {found.message}", (found.best.inertia, found.best.friction)
     return row("5 links, 81 frames", method, found.seconds, found.error, values)
 
 
@@ -118,11 +118,11 @@ def cable_problem(repeats: int) -> dict[str, Any]:
     guess = CABLE.replace(friction=1.5e-3)
 
     def fit() -> hf.Identification:
-        return identify(recording, guess, ["friction:shared"], arcs=0.04 * joints, window=np.inf, train=np.inf)
+        return identify(recording, guess, ["friction:shared"], arc_lengths=0.04 * joints, window=np.inf, train=np.inf)
 
     found = fit()
-    if found.status != "converged":
-        raise RuntimeError(f"50 links: {found.status}")
+    if not found.success:
+        raise RuntimeError(f"50 links: {found.message}")
     (timed,) = alternately([fit], repeats, 10.0)
     error, friction = float((found.residuals**2).mean()) ** 0.5, float(found.values["friction"][0])
     clock = statistics.median(timed.clock)

@@ -31,7 +31,7 @@ def swing(rope: hf.Rope = ROPE, noise: float = 0.0, rates: float = 0.0, t: np.nd
 def test_initial_angles_are_found():
     away = START + np.array([0.2, -0.1, 0.3])
     found = hf.estimate_initial_state(swing(), ROPE, start=(away, np.zeros(3)))
-    assert found.status == "settled"
+    assert found.success
     # The simplex ends within ANGLE_STEP = 1e-4 of the least error; friction makes the sharpest bend weak in the data.
     np.testing.assert_allclose(found.q, START, atol=1e-3)
     assert (found.qd == 0.0).all()
@@ -87,7 +87,7 @@ def test_ctrl_c_keeps_the_best_state_so_far(monkeypatch):
 
     monkeypatch.setattr(_simplex, "squared_error", error)
     found = hf.estimate_initial_state(recording, ROPE)
-    assert found.status == "interrupted"
+    assert found.message == "interrupted"
     assert found.error == min(seen) < seen[-1]
     assert found.evaluations == len(seen)
 
@@ -95,9 +95,9 @@ def test_ctrl_c_keeps_the_best_state_so_far(monkeypatch):
 def test_the_revision_settles_at_the_truth_and_tells_its_rounds():
     heard = []
     found = hf.iterative_revision(swing(), GUESS, progress=heard.append)
-    assert found.status == "settled"
-    assert found.settled_after is not None
-    assert found.settled_after <= 5
+    assert found.success
+    assert found.converged_after is not None
+    assert found.converged_after <= 5
     assert tuple(heard) == found.rounds
     assert (found.rounds[0].inertia, found.rounds[0].friction) == (4e-5, 4e-3)
     # Without noise only the simplex's 1e-4 rad are left; they come to less than a thousandth in J and eta.
@@ -124,7 +124,7 @@ def test_the_uncertainty_of_the_revision_is_that_of_repeated_noise():
 def test_a_calculated_profile_returns_what_it_was_calculated_with():
     """Step 4 as it is printed: the profile fulfils (4) with J and eta of the guess, so nothing ever moves."""
     found = hf.iterative_revision(swing(noise=0.01), GUESS, profile="calculated")
-    assert found.settled_after == 0
+    assert found.converged_after == 0
     # Accelerations follow from a dense solve: rounding only. J is a thousandth of the known part of M.
     assert found.rounds[1].inertia == pytest.approx(4e-5, rel=1e-8)
     assert found.rounds[1].friction == pytest.approx(4e-3, rel=1e-8)
@@ -163,7 +163,7 @@ def test_what_would_become_negative_stops_at_zero_and_the_rest_adapts():
     for seed in range(8):
         recording = hf.Recording(T, data + 5e-3 * np.random.default_rng(seed).standard_normal(data.shape))
         found = hf.iterative_revision(recording, GUESS)
-        assert found.status == "settled"
+        assert found.success
         if found.best.inertia == 0.0:
             break
     assert found.best.inertia == 0.0
@@ -188,10 +188,10 @@ def test_ctrl_c_keeps_the_best_round_so_far(monkeypatch):
 
     monkeypatch.setattr(_simplex, "squared_error", error)
     found = hf.iterative_revision(swing(), GUESS, progress=lambda each: (rounds.append(each), count.clear()))
-    assert found.status == "interrupted"
+    assert found.message == "interrupted"
     assert len(rounds) == 2
     assert found.error <= min(each.error for each in rounds)
-    assert found.settled_after is None
+    assert found.converged_after is None
 
 
 def test_recordings_and_ropes_that_do_not_fit_are_refused():

@@ -136,7 +136,9 @@ def test_a_rope_with_few_markers_is_predicted_to_its_noise() -> None:
     places = run.joints[:, [2, 4, 6, 8]] + np.array([0.3, -0.1])
     data = places.reshape(t.size, -1) + np.random.default_rng(3).normal(0.0, 1e-3, (t.size, 8))
     recording = hf.Recording(t, data, kind="markers", noise=1e-3)
-    result = identify(recording, rope.replace(friction=1e-3), ["friction:shared"], arcs=[0.2, 0.4, 0.6, 0.8], train=2.4)
+    result = identify(
+        recording, rope.replace(friction=1e-3), ["friction:shared"], arc_lengths=[0.2, 0.4, 0.6, 0.8], train=2.4
+    )
     assert result.held_out is not None
     assert (
         result.held_out.rms < 3e-3
@@ -153,7 +155,7 @@ def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(_identify, "predict", interrupted)
     result = identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], train=5.0)
-    assert result.status == "interrupted"
+    assert result.message == "interrupted"
     assert result.held_out is None
     assert (np.abs(result.values["friction"] - ROPE.friction) < 5.0 * result.sd["friction"]).all()
 
@@ -164,7 +166,7 @@ def test_markers_without_given_noise_are_not_outweighed_by_beliefs() -> None:
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=0.4 + 0.15 * np.arange(8))
     data = run.joints[:, [2, 4, 6, 8]].reshape(t.size, -1) + np.random.default_rng(3).normal(0.0, 1e-3, (t.size, 8))
     recording = hf.Recording(t, data, kind="markers")
-    places = {"arcs": [0.2, 0.4, 0.6, 0.8], "origin": [0.0, 0.0]}
+    places = {"arc_lengths": [0.2, 0.4, 0.6, 0.8], "origin": [0.0, 0.0]}
     result = identify(recording, rope.replace(friction=1e-3), ["friction:shared"], train=np.inf, **places)  # type: ignore[arg-type]
     assert (np.abs(result.values["friction"] - 5e-4) < 4.0 * result.sd["friction"]).all()
     assert (result.residual_rms < 1.5e-3).all()  # noise of 1 mm; 6 to 34 mm where beliefs in sd beat errors in m

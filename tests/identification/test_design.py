@@ -42,12 +42,12 @@ def test_markers_are_foreseen_as_a_fit_of_places_sees_them() -> None:
     planned = design_experiment(DOUBLE, "inertia", [look], noise=1e-3).plans[0]
     run = simulate(DOUBLE, duration=3.0, t_eval=look.t, q0=[0.8, 1.2], tol=1e-9)
     places = run.joints[:, [0, 1, 2]].copy()
-    arcs = np.linspace(0.0, 0.55, 3)  # the middle marker sits on the first link, 25 mm before its end
+    arc_lengths = np.linspace(0.0, 0.55, 3)  # the middle marker sits on the first link, 25 mm before its end
     along = np.stack([np.sin(run.q[:, 0]), -np.cos(run.q[:, 0])], axis=1)
-    places[:, 1] = arcs[1] * along
+    places[:, 1] = arc_lengths[1] * along
     seen = places.reshape(look.t.size, -1) + 1e-3 * np.random.default_rng(0).standard_normal((look.t.size, 6))
     recording = Recording(look.t, seen, kind="markers", noise=1e-3)  # type: ignore[arg-type]
-    found = identify(recording, DOUBLE, ["inertia", "friction"], arcs=arcs, train=np.inf)
+    found = identify(recording, DOUBLE, ["inertia", "friction"], arc_lengths=arc_lengths, train=np.inf)
     np.testing.assert_allclose(found.sd["inertia"], list(planned.sd.values()), rtol=0.1)
 
 
@@ -77,7 +77,7 @@ def test_candidates_are_ranked_and_the_best_is_named() -> None:
     assert "small would leave" in found.advice
     assert "Cannot tell: still" in found.advice
     assert "wrong shape" in next(plan.reason for plan in found.plans if plan.experiment is impossible)
-    assert found.status == "complete"
+    assert found.success
 
 
 def test_the_table_and_the_file_hold_what_was_found(tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_ctrl_c_keeps_what_was_looked_at(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(_design, "foresee", second_stops)
     second = Experiment("second", q0=0.5)
     found = design_experiment(SINGLE, "friction", [SHORT, second])
-    assert found.status == "interrupted"
+    assert found.message == "interrupted"
     assert [plan.experiment.name for plan in found.plans] == ["short"]
     with pytest.raises(KeyboardInterrupt):
         design_experiment(SINGLE, "friction", [second])

@@ -298,7 +298,7 @@ def test_refusals(found: Identification) -> None:
         with pytest.raises(InvalidInput, match="level"):
             profile(found, FREE[0], level)
     with pytest.raises(InvalidInput, match="no longer has its fit"):
-        profile(replace(found, status="converged"), FREE[0])
+        profile(replace(found, message="converged"), FREE[0])
 
 
 def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
@@ -310,4 +310,4 @@ def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
     monkeypatch.setattr(_intervals, "profiled", interrupted)
     result = swung(recording, PAPER, FREE)
     assert {result.intervals[name].kind for name in FREE} == {"covariance"}
-    assert result.status == "converged"
+    assert result.success

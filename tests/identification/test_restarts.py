@@ -36,7 +36,7 @@ def test_the_papers_recording_with_gaps_and_outliers(seed: int) -> None:
     whole = hf.identify(hf.Recording(t, clean), guess, free, train=np.inf, intervals=None)
     recording = hf.Recording(t, spoilt(rng, clean, 1.5))
     found = hf.identify(recording, guess, free, train=np.inf, loss="cauchy", intervals=None)
-    assert found.status == "converged"
+    assert found.success
     for name in ("inertia", "friction"):
         assert abs(found.values[name][0] - whole.values[name][0]) < 3.0 * whole.sd[name][0]
 
@@ -70,9 +70,9 @@ def test_friction_does_not_fall_to_its_bound_and_stay_there() -> None:
     places = run.joints[:, [4, 8, 12, 16]]
     noise = 2e-3 * np.random.default_rng([1, 3]).standard_normal(places.shape)
     recording = hf.Recording(t, (places + noise).reshape(t.size, -1), kind="markers", noise=2e-3)
-    guess, arcs = rope.replace(friction=6e-4), [0.25, 0.5, 0.75, 1.0]
+    guess, arc_lengths = rope.replace(friction=6e-4), [0.25, 0.5, 0.75, 1.0]
     found = hf.identify(
-        recording, guess, ["friction:shared"], arcs=arcs, origin=(0.0, 0.0), train=np.inf, intervals=None
+        recording, guess, ["friction:shared"], arc_lengths=arc_lengths, origin=(0.0, 0.0), train=np.inf, intervals=None
     )
     assert abs(found.values["friction"][0] - 3e-4) < 3.0 * found.sd["friction"][0]
 

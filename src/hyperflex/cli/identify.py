@@ -34,7 +34,7 @@ def identify(
         float | None, typer.Option(help="Fit the samples before this time, s; predict the rest. inf fits all.")
     ] = None,
     window: Annotated[float | None, typer.Option(help="Length of the windows that are fitted one by one, s.")] = None,
-    arc: Annotated[
+    arc_lengths: Annotated[
         list[str] | None,
         typer.Option(help="How far along the rope each marker sits, m; several times or with commas."),
     ] = None,
@@ -69,7 +69,7 @@ def identify(
     """Identify a rope from a recording.
 
     Units, axes and frame rate are declared by the file or by the options, never guessed. Markers sit at the joints
-    unless --arc says where.
+    unless --arc-lengths says where.
 
     Ctrl-C ends the fit; the best so far is printed and written, marked as interrupted.
 
@@ -81,7 +81,7 @@ def identify(
 
     _check_output(out, [recording, rope, *([setup] if setup else [])])
     lead = _lead(setup)
-    places = _numbers("--arc", arc, "0.2,0.4,0.6") if arc else None
+    places = _numbers("--arc-lengths", arc, "0.2,0.4,0.6") if arc else None
     seen = _numbers("--origin", [origin], "0.01,-0.02") if origin else None
     fastest: dict[str, Any] = {} if max_rate is None else {"max_rate": max_rate}
     measured = read_recording(
@@ -109,7 +109,7 @@ def identify(
             _words(free) or ["inertia", "friction"],
             window=window,
             train=train,
-            arcs=places,
+            arc_lengths=places,
             origin=seen,
             loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
             intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
@@ -117,8 +117,8 @@ def identify(
             **lead,
         )
     files = _write(out, measured, result, guess, json)
-    summary = {"status": result.status, "output": out, "files": files, **result.summary()}
-    if result.status == "interrupted":  # the best so far is written, and says what it is
+    summary = result.ending() | {"output": out, "files": files, **result.summary()}
+    if result.message == "interrupted":  # the best so far is written, and says what it is
         if not json:
             _show(result, files)
         words = f"Interrupted; the best so far is in {out}, marked as interrupted."
@@ -127,7 +127,7 @@ def identify(
         output.print_json(summary)
     else:
         _show(result, files)
-    if result.status != "converged":
+    if not result.success:
         raise typer.Exit(output.NOT_CONVERGED)
 
 
@@ -193,7 +193,7 @@ def _show(found: Identification, files: dict[str, Path]) -> None:
     from hyperflex.report.units import readable
 
     unit = readable(found.unit, found.residual_rms)
-    pairs = [("status", found.status), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
+    pairs = [("ended", found.message), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
     if (held := found.held_out) is not None:
         worst = f"{held.rms.max() / unit.size:.3g} {unit.name}"
         pairs.append((f"prediction error over {held.ahead:g} s", f"{worst} rms in the worst channel"))

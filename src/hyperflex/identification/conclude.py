@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED
 from hyperflex.identification.misfit import poor, poor_torque
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut
@@ -49,8 +50,8 @@ def conclude(
         residuals, torque = residuals[:, :-1], residuals[:, -1]
     rms = np.sqrt(np.nanmean(residuals**2, axis=0))
     ratio_sd = ratio_spread(parameters, information)
-    status = "interrupted" if found.interrupted else "converged" if found.converged else "not converged"
-    words = not_arrived(status) + verdict(parameters, information, rope, ratio_sd)
+    message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
+    words = not_arrived(message) + verdict(parameters, information, rope, ratio_sd)
     words += poor(windows, residuals, unit, found.loss) + poor_torque(windows, torque, found.loss)
     words += not_noise(information.correlation, information.whiteness)
     words += noise_unknown(information.agrees, information.freedom) + failed_predictions(held_out) + remarks
@@ -76,7 +77,7 @@ def conclude(
         covariance=information.covariance * np.outer(slopes, slopes),
         singular_values=information.singular,
         settings=settings,
-        status=status,
+        message=message,
         unit=unit,
         history=tuple(found.history),
         torque_residuals=torque,

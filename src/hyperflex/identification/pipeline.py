@@ -56,7 +56,7 @@ def identify(
     train: float | None = None,
     motion: Motion | None = None,
     arm: Arm | None = None,
-    arcs: npt.ArrayLike | None = None,
+    arc_lengths: npt.ArrayLike | None = None,
     origin: npt.ArrayLike | None = None,
     torque: npt.ArrayLike | None = None,
     torque_noise: npt.ArrayLike | None = None,
@@ -74,8 +74,8 @@ def identify(
     Parameters
     ----------
     recording : Recording
-        Angles, or markers at the joints (their angles are fitted), as many links as the rope; or, with `arcs`, markers
-        anywhere along the rope (their places are fitted), also fewer than links.
+        Angles, or markers at the joints (their angles are fitted), as many links as the rope; or, with `arc_lengths`,
+        markers anywhere along the rope (their places are fitted), also fewer than links.
     rope_guess : Rope
         Everything that is not free is taken from it; the free ones start from it.
     free : sequence of str
@@ -96,11 +96,11 @@ def identify(
         the rest is long enough for a prediction, else all.
     motion, arm : Motion, Arm, optional
         What the first joint does, in the recording's time; by default it hangs from a fixed point.
-    arcs : (K,) array_like, m, optional
+    arc_lengths : (K,) array_like, m, optional
         Distance along the rope of each marker from the first joint. A marker alone needs `origin` as well.
     origin : (2,) array_like, m, optional
-        Where the camera sees the origin of the motion (the first joint, if it is fixed). With `arcs` and without it,
-        it is fitted as well, as ``origin_x`` and ``origin_y``.
+        Where the camera sees the origin of the motion (the first joint, if it is fixed). Where it is not given with
+        `arc_lengths`, it is fitted as ``origin_x`` and ``origin_y``.
     torque : (T,) array_like, N m, optional
         Torque of the motor at the recording's times, NaN in gaps; it fixes the absolute scale. It needs `motion` and
         `arm`.
@@ -130,7 +130,7 @@ def identify(
         When no window can be simulated at all.
     KeyboardInterrupt
         When Ctrl-C comes before anything was fitted. Later it ends the fit, and the best so far is returned with
-        ``status == "interrupted"``.
+        ``message == "interrupted"``.
 
     Notes
     -----
@@ -155,7 +155,7 @@ def identify(
     checks.choice("loss", loss, LOSSES)
     if intervals is not None:
         checks.choice("intervals", intervals, HOWS)
-    measured, places = _checked(recording, rope_guess, arcs, origin, motion, arm)
+    measured, places = _checked(recording, rope_guess, arc_lengths, origin, motion, arm)
     if arm is not None and motion is None:
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
     if torque is not None and arm is None:
@@ -189,14 +189,14 @@ def identify(
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
     settings |= delay | _arranged(free, loss, places, origin, motion, arm)
-    remarks = [] if arcs is not None else other_lengths(recording, rope_guess)
+    remarks = [] if arc_lengths is not None else other_lengths(recording, rope_guess)
     return conclude(basis, held_out, settings, remarks, ranges)
 
 
 def _checked(
     recording: Recording,
     rope: Rope,
-    arcs: npt.ArrayLike | None,
+    arc_lengths: npt.ArrayLike | None,
     origin: npt.ArrayLike | None,
     motion: Motion | None,
     arm: Arm | None,
@@ -208,8 +208,8 @@ def _checked(
             got=[type(recording).__name__, type(rope).__name__],
             fix="Read the file with read_recording first",
         )
-    if arcs is not None:
-        places = checked_arc_lengths(recording, rope, arcs)
+    if arc_lengths is not None:
+        places = checked_arc_lengths(recording, rope, arc_lengths)
         refuse_still_markers(recording, places)
         joint = None
         if places.size == 1:
@@ -225,7 +225,7 @@ def _checked(
             "the recording and the rope have different numbers of links",
             got=[recording.n_links, rope.n_links],
             fix="Give a guess with as many links as the recording has angles (markers less one), or say where along "
-            "the rope the markers sit, arcs=[...]",
+            "the rope the markers sit, arc_lengths=[...]",
         )
     if recording.kind == "markers":
         factor = recording.link_lengths() / rope.length
@@ -244,7 +244,7 @@ def build_plant(
     recording: Recording,
     guess: Rope,
     free: Sequence[str],
-    arcs: Array | None,
+    arc_lengths: Array | None,
     origin: npt.ArrayLike | None,
     motion: Motion | None,
     arm: Arm | None,
@@ -252,20 +252,22 @@ def build_plant(
     torque: bool = False,
 ) -> Plant:
     """Return what predicts the measurements, with all that is free."""
-    chosen = parse(guess, free, arcs, moved=motion is not None, arm=arm if torque else None)
-    if arcs is None:
+    chosen = parse(guess, free, arc_lengths, moved=motion is not None, arm=arm if torque else None)
+    if arc_lengths is None:
         if origin is not None:
-            raise InvalidInput("origin is given, but angles are fitted", fix="Give arcs=... as well, or leave it out")
+            raise InvalidInput(
+                "origin is given, but angles are fitted", fix="Give arc_lengths=... as well, or leave it out"
+            )
         return Plant(Parameters(guess, chosen), Angles(), motion, arm, torque=torque)
     if origin is None:
         words = [word for word in ("origin_x", "origin_y") if word not in free]
-        chosen += parse(guess, words, arcs) if words else []
-        place = first_joint(recording, arcs, pivot_places(motion, arm, recording.t))
+        chosen += parse(guess, words, arc_lengths) if words else []
+        place = first_joint(recording, arc_lengths, pivot_places(motion, arm, recording.t))
     else:
         place = checks.array("origin", origin, (2,), unit="m")
     starts = {"origin_x": float(place[0]), "origin_y": float(place[1])}
     chosen = [replace(each, start=starts.get(each.name, each.start)) for each in chosen]
-    return Plant(Parameters(guess, chosen), Markers(arcs, place), motion, arm, torque=torque)
+    return Plant(Parameters(guess, chosen), Markers(arc_lengths, place), motion, arm, torque=torque)
 
 
 def _split(measured: Measured, train: float | None, lead: float, ahead: float) -> tuple[Measured, Measured | None]:
@@ -291,7 +293,7 @@ def _split(measured: Measured, train: float | None, lead: float, ahead: float) -
 def _arranged(
     free: Sequence[str],
     loss: LossName,
-    arcs: Array | None,
+    arc_lengths: Array | None,
     origin: npt.ArrayLike | None,
     motion: Motion | None,
     arm: Arm | None,
@@ -299,8 +301,8 @@ def _arranged(
     """Return how the fit was set up, in plain words and numbers."""
     base = "fixed" if motion is None else "moved" if arm is None else f"moved by an arm of {arm.length:g} m"
     result: dict[str, Any] = {"free": list(free), "loss": loss, "base": base}
-    if arcs is not None:
-        result["arcs"] = arcs.tolist()
+    if arc_lengths is not None:
+        result["arc_lengths"] = arc_lengths.tolist()
     if origin is not None:
         result["origin"] = np.asarray(origin, dtype=np.float64).tolist()
     return result

@@ -10,6 +10,7 @@ import numpy as np
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.files import PathLike
+from hyperflex.identification.ending import Ended
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.intervals import Interval
@@ -19,7 +20,7 @@ MANY = 8  # numbers of a kind that are printed
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(Ended):
     """An identified rope, and how far it can be trusted.
 
     Attributes
@@ -54,9 +55,9 @@ class Identification:
     settings : dict
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
         time of the residuals (samples), seconds taken; how the fit was set up: words in ``free``, loss, base, and
-        `arcs` and `origin` if given, and the delay that the fit started from (s), if it was free.
-    status : str
-        ``converged``, ``interrupted`` (Ctrl-C; the best so far) or ``not converged``.
+        `arc_lengths` and `origin` if given, and the delay that the fit started from (s), if it was free.
+    message : str
+        ``converged``, ``not converged`` or ``interrupted`` (Ctrl-C; the best so far).
     unit : str
         Of what was fitted: ``rad`` or ``m``.
     history : tuple of dict
@@ -86,7 +87,7 @@ class Identification:
     covariance: Array
     singular_values: Array
     settings: dict[str, Any]
-    status: str
+    message: str
     unit: str
     history: tuple[dict[str, float], ...]
     torque_residuals: Array | None = None
@@ -109,8 +110,8 @@ class Identification:
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
-        alike = ("status", "identifiable", "unit", "values", "sd", "ratios", "ratio_sd", "parameters", "covariance")
-        result: dict[str, Any] = {name: getattr(self, name) for name in alike}
+        alike = ("identifiable", "unit", "values", "sd", "ratios", "ratio_sd", "parameters", "covariance")
+        result: dict[str, Any] = self.ending() | {name: getattr(self, name) for name in alike}
         result["intervals"] = {
             name: {"low": each.low, "high": each.high, "kind": each.kind} for name, each in self.intervals.items()
         }
@@ -135,7 +136,7 @@ class Identification:
 
     def __str__(self) -> str:
         told = (f"{k} {_short(v)}" for k, v in self.settings.items() if not isinstance(v, list))
-        lines = [f"Identification {self.status}: " + ", ".join(told)]
+        lines = [f"Identification {self.message}: " + ", ".join(told)]
         for title, value, spread in (("value", self.values, self.sd), ("ratio", self.ratios, self.ratio_sd)):
             for name, numbers in value.items():
                 if said := _told(np.atleast_1d(numbers), np.atleast_1d(spread[name])):

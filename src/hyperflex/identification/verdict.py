@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.identification.ending import CONVERGED
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.scale import common_factor, growing
 from hyperflex.identification.prediction import HeldOut
@@ -42,12 +43,12 @@ def verdict(parameters: Parameters, information: Information, rope: Rope, spread
     return _unknown(parameters, information, spreads) + _values(parameters, information, rope)
 
 
-def not_arrived(status: str) -> list[str]:
+def not_arrived(message: str) -> list[str]:
     """Return what to know before any figure is read, where a fit did not converge."""
-    if status == "converged":
+    if message == CONVERGED:
         return []
     text = (
-        f"The fit is {status}: its values, ratios and deviations are where it stood, not what the data say. Give a "
+        f"The fit is {message}: its values, ratios and deviations are where it stood, not what the data say. Give a "
         "better guess, shorter windows or fewer free parameters."
     )
     return [text]

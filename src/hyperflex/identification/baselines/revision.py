@@ -22,6 +22,7 @@ from hyperflex.identification.baselines.simplex import (
     fitting,
     squared_error,
 )
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.identification.fit.threads import one_thread
 from hyperflex.model import Rope, Setup
@@ -67,20 +68,21 @@ class Round:
 
 
 @dataclass(frozen=True, eq=False)
-class IterativeRevision:
+class IterativeRevision(Ended):
     """What :func:`iterative_revision` found.
 
     Attributes
     ----------
     rope : Rope
-        With the J and eta of the best round: the last one, or the one of least error if nothing settled.
+        With the J and eta of the best round: the last one, or the one of least error if it did not converge.
     best : Round
         That round.
     sd : dict of str to float
         Standard deviations of "inertia" and "friction" as the regression tells them.
     rounds : tuple of Round
         All rounds; the first one has the guess's parameters.
-    status : {"settled", "not settled", "interrupted"}
+    message : {"converged", "not converged", "interrupted"}
+        ``converged`` where the last revision moved neither parameter.
     samples : int
         Measured angles that were fitted, gaps left out.
     profile, rates : str
@@ -91,15 +93,15 @@ class IterativeRevision:
     best: Round
     sd: dict[str, float]
     rounds: tuple[Round, ...]
-    status: str
+    message: str
     samples: int
     profile: str
     rates: str
 
     @property
-    def settled_after(self) -> int | None:
-        """Number of revisions after which nothing moved any more; None if it did not settle."""
-        return len(self.rounds) - 2 if self.status == "settled" else None
+    def converged_after(self) -> int | None:
+        """Number of revisions after which nothing moved any more; None if it did not converge."""
+        return len(self.rounds) - 2 if self.success else None
 
     @property
     def error(self) -> float:
@@ -181,33 +183,33 @@ def iterative_revision(
     checks.choice("profile", profile, PROFILES)
     revision = _Revision(measured, rope_guess, rates, profile, checks.count("most", most))
     done: list[Round] = []
-    status, sd = "not settled", {"inertia": float("inf"), "friction": float("inf")}
+    message, sd = NOT_CONVERGED, {"inertia": float("inf"), "friction": float("inf")}
     values = np.array([rope_guess.inertia.mean(), rope_guess.friction.mean()])
     try:
         for _ in range(checks.count("rounds", rounds) + 1):
             found = revision.state(values, done[-1] if done else None, began)
             done.append(found)
             if revision.interrupted:
-                status = "interrupted"
+                message = INTERRUPTED
                 break
             if progress is not None:
                 progress(found)
             if len(done) > 1 and _still(done[-2], found, sd):
-                status = "settled"
+                message = CONVERGED
                 break
             values, spread = revision.parameters(found)
             sd = {"inertia": float(spread[0]), "friction": float(spread[1])}
     except KeyboardInterrupt:
         if not done:
             raise
-        status = "interrupted"
+        message = INTERRUPTED
     except IdentificationError:
         if not done:
             raise
-    best = done[-1] if status == "settled" else min(done, key=lambda each: each.error)
+    best = done[-1] if message == CONVERGED else min(done, key=lambda each: each.error)
     samples = int(np.isfinite(measured.data).sum())
     rope = revision.rope(np.array([best.inertia, best.friction]))
-    return IterativeRevision(rope, best, sd, tuple(done), status, samples, profile, rates)
+    return IterativeRevision(rope, best, sd, tuple(done), message, samples, profile, rates)
 
 
 def _still(before: Round, now: Round, sd: dict[str, float]) -> bool:
@@ -243,7 +245,7 @@ class _Revision:
             ) from error
         start = None if before is None else (before.q, before.qd)
         found = estimate_initial_state(self.measured, rope, rates=self.rates, start=start, most=self.most)
-        self.interrupted = found.status == "interrupted"
+        self.interrupted = found.message == INTERRUPTED
         plain = squared_error(self.measured, rope, first_state(self.measured, self.rates))
         seconds = time.perf_counter() - began
         inertia, friction = float(values[0]), float(values[1])

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput, SimulationError
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import angles
@@ -30,7 +31,7 @@ MOST = 400  # rollouts for each unknown, in each of the two descents
 
 
 @dataclass(frozen=True, eq=False)
-class InitialState:
+class InitialState(Ended):
     """What :func:`estimate_initial_state` found.
 
     Attributes
@@ -41,15 +42,15 @@ class InitialState:
         E of (7): sum of squares over samples and links, rad^2; gaps count nothing.
     evaluations : int
         Rollouts that it took.
-    status : {"settled", "not settled", "interrupted"}
-        Whether the simplex has shrunk as far as it should.
+    message : {"converged", "not converged", "interrupted"}
+        ``converged`` where the simplex has shrunk as far as it should.
     """
 
     q: Array
     qd: Array
     error: float
     evaluations: int
-    status: str
+    message: str
 
 
 def estimate_initial_state(
@@ -105,14 +106,14 @@ def estimate_initial_state(
         raise IdentificationError(
             "The rope cannot be simulated from the start. Give another start or other parameters."
         )
-    status = "interrupted"
+    message = INTERRUPTED
     try:
-        settled = [descent.descend(checks.count("most", most)) for _ in range(2)][-1]
-        status = "settled" if settled else "not settled"
+        converged = [descent.descend(checks.count("most", most)) for _ in range(2)][-1]
+        message = CONVERGED if converged else NOT_CONVERGED
     except KeyboardInterrupt:
         pass
     best = descent.best
-    return InitialState(best[:n].copy(), best[n:].copy(), descent.least, descent.evaluations, status)
+    return InitialState(best[:n].copy(), best[n:].copy(), descent.least, descent.evaluations, message)
 
 
 class _Descent:
@@ -132,7 +133,7 @@ class _Descent:
         return error
 
     def descend(self, most: int) -> bool:
-        """Descend with a fresh simplex from the best state, and return whether it settled."""
+        """Descend with a fresh simplex from the best state, and return whether it converged."""
         from scipy.optimize import minimize
 
         n = self.rope.n_links

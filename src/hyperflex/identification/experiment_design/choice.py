@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from hyperflex import checks, files
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.files import PathLike
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, Ended
 from hyperflex.identification.experiment_design.alternatives import Asked, instead
 from hyperflex.identification.experiment_design.experiments import Experiment, motions, variations
 from hyperflex.identification.experiment_design.fisher_information import Foresight, foresee
@@ -48,8 +49,8 @@ class Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class ExperimentDesign:
-    """Experiments ranked by what they would tell (made by :func:`hyperflex.design_experiment`); ``print`` shows the table.
+class ExperimentDesign(Ended):
+    """Experiments ranked by what they would tell ; ``print`` shows the table.
 
     Attributes
     ----------
@@ -59,14 +60,19 @@ class ExperimentDesign:
         What was wanted.
     advice : str
         In words: which to make, what the others would lose; or what to measure where none can tell.
-    status : {"complete", "interrupted"}
+    message : {"converged", "interrupted"}
         Whether all candidates were looked at before Ctrl-C.
     """
 
     plans: tuple[Plan, ...]
     want: tuple[str, ...]
     advice: str
-    status: Literal["complete", "interrupted"] = "complete"
+    message: str = CONVERGED
+
+    @property
+    def success(self) -> bool:
+        """Whether all candidates were simulated and one can tell what is wanted."""
+        return self.message == CONVERGED and self.best is not None
 
     @property
     def best(self) -> Plan | None:
@@ -81,7 +87,7 @@ class ExperimentDesign:
             e = plan.experiment
             row: dict[str, Any] = {"name": e.name, "rate": e.rate, "duration": e.duration, "markers": e.markers}
             table.append(row | {"sd": plan.sd, "relative": plan.relative, "reason": plan.reason})
-        told = {"status": self.status, "want": self.want, "advice": self.advice, "plans": table}
+        told = self.ending() | {"want": self.want, "advice": self.advice, "plans": table}
         return dict(files.plain(told))
 
     def to_json(self, path: PathLike) -> None:
@@ -92,7 +98,7 @@ class ExperimentDesign:
         wide = max([10, *(len(plan.experiment.name) for plan in self.plans)])
         labels = next((list(plan.sd) for plan in self.plans if plan.sd), [])[:SHOWN]
         columns = "".join(f"  {'sd of ' + label:>18}" for label in labels)
-        lines = [f"Experiments for {', '.join(self.want)} ({self.status})"]
+        lines = [f"Experiments for {', '.join(self.want)} ({self.message})"]
         lines.append(f"  {'experiment':<{wide}}  frames/s  time, s  markers  {'relative':>9}{columns}")
         for plan in self.plans:
             e = plan.experiment
@@ -172,7 +178,7 @@ def design_experiment(
     parse(rope, free, np.array([0.0, rope.total_length]), moved=True, arm=arm or Arm())  # wrong for one, wrong for all
     plans: list[Plan] = []
     seen: list[Foresight] = []
-    status: Literal["complete", "interrupted"] = "complete"
+    message = CONVERGED
     with progress_bar(0.0, len(todo) + (0.0 if candidates is not None else 6.0), progress, "designing") as report:
         try:
             for experiment in _in_turn(todo, plans, vary=candidates is None):
@@ -182,9 +188,9 @@ def design_experiment(
         except KeyboardInterrupt:
             if not plans:
                 raise
-            status = "interrupted"
+            message = INTERRUPTED
     ranked = tuple(sorted(plans, key=lambda plan: (plan.score, bool(plan.reason))))
-    return ExperimentDesign(ranked, words, _advice(asked, ranked, seen), status)
+    return ExperimentDesign(ranked, words, _advice(asked, ranked, seen), message)
 
 
 def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) -> list[Experiment]:

@@ -93,16 +93,16 @@ def foresee(rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | 
     run = simulate(rope, motion, arm=base, duration=float(t[-1]), t_eval=t, tol=tol, q0=q0, qd0=qd0)
     spread = experiment.noise or noise
     if experiment.markers is None:
-        arcs, recording = None, Recording(t, run.q, noise=np.full(1, spread).repeat(rope.n_links))
+        arc_lengths, recording = None, Recording(t, run.q, noise=np.full(1, spread).repeat(rope.n_links))
     else:
-        arcs = np.linspace(0.0, rope.total_length, experiment.markers)
-        places = Markers(arcs).predict(rope, run.q, pivot_places(motion, base, t))
+        arc_lengths = np.linspace(0.0, rope.total_length, experiment.markers)
+        places = Markers(arc_lengths).predict(rope, run.q, pivot_places(motion, base, t))
         recording = Recording(t, places, "markers", np.full(places.shape[1], spread))
     torque = experiment.torque_noise
     if torque is not None and base is None:
         raise InvalidInput("the torque of no motor can be measured", fix="Give a motion, and arm=... to design")
-    plant = build_plant(recording, rope, free, arcs, None, motion, base, torque=torque is not None)
-    measured = measure(recording, rope, arcs)
+    plant = build_plant(recording, rope, free, arc_lengths, None, motion, base, torque=torque is not None)
+    measured = measure(recording, rope, arc_lengths)
     if torque is not None:
         measured = with_torque(measured, run.motor_torque, torque)
     length = min(usual_length(measured.shape, rope), 1.001 * recording.duration)

@@ -115,10 +115,10 @@ def profile(
     Notes
     -----
     At each value all other parameters and states are fitted again, starting from where the last point leads in a
-    straight line. The rise of the squares is compared with F(1, freedom), or beside a bound with what the bound makes
-    of it (see ``_threshold``); autocorrelation divides it by the factor by which it widens the variance, and robust
-    losses count as :func:`estimate_covariance` has them. Cost: about three fits of two or three rounds on either side; after a
-    hundred rounds a side is given up.
+    straight line. The rise of the squares is compared with F(1, freedom), or beside a bound with the distribution
+    that the bound leaves (see ``threshold``). Autocorrelation divides it by the factor by which it widens the variance;
+    robust losses count as in :func:`estimate_covariance`. Cost: about three fits of two or three rounds on either side;
+    after a hundred rounds a side is given up.
     """
     basis = basis_of(found)
     level = checks.number("level", level, sign="positive")
