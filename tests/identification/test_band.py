@@ -14,7 +14,7 @@ from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.pipeline import identify
-from hyperflex.identification.uncertainty.prediction_band import PredictionUncertainty, spread
+from hyperflex.identification.prediction import PredictionUncertainty, prediction_std
 
 ROPE = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
 NOISE = 2e-3
@@ -54,7 +54,7 @@ def test_an_error_of_the_parameters_moves_state_and_prediction(swing: Array) -> 
     assert found is not None
     covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
     doubt = PredictionUncertainty(covariance, np.full(2, 1e-9), 1.0)
-    ours = spread(model, x, seen, found, AHEAD, doubt)
+    ours = prediction_std(model, x, seen, found, AHEAD, doubt)
     # The same by central differences of refitted predictions: steps of 1e-3 leave a relative error of some 1e-5.
     steps = 1e-3 * np.eye(2)
     slopes = np.stack([(predicted(model, x + h, seen) - predicted(model, x - h, seen)) / 2e-3 for h in steps], axis=2)
@@ -68,13 +68,13 @@ def test_noise_of_the_window_and_of_the_sample_itself(swing: Array) -> None:
     found = fit_state(model, x, seen, seen.guess)
     assert found is not None
     noise = np.array([1e-3, 3e-3])
-    ours = spread(model, x, seen, found, AHEAD, PredictionUncertainty(np.zeros((2, 2)), noise, 1.0))
+    ours = prediction_std(model, x, seen, found, AHEAD, PredictionUncertainty(np.zeros((2, 2)), noise, 1.0))
     rng = np.random.default_rng(1)
     draws = [predicted(model, x, window(swing + noise * rng.normal(size=swing.shape))) for _ in range(150)]
     theirs = np.sqrt(np.var(draws, axis=0) + noise**2)
     # 150 draws give a standard deviation to 6 %; three times that.
     np.testing.assert_allclose(ours, theirs, rtol=0.18)
-    wide = spread(model, x, seen, found, AHEAD, PredictionUncertainty(np.zeros((2, 2)), noise, 4.0))
+    wide = prediction_std(model, x, seen, found, AHEAD, PredictionUncertainty(np.zeros((2, 2)), noise, 4.0))
     np.testing.assert_allclose(wide**2 - noise**2, 4.0 * (ours**2 - noise**2), rtol=1e-9)
 
 
@@ -85,7 +85,9 @@ def test_a_belief_holds_the_state(swing: Array) -> None:
     doubt = PredictionUncertainty(np.zeros((2, 2)), np.full(2, NOISE), 1.0)
     found = fit_state(model, x, free, free.guess)
     assert found is not None
-    assert (spread(model, x, held, found, AHEAD, doubt) < spread(model, x, free, found, AHEAD, doubt)).all()
+    assert (
+        prediction_std(model, x, held, found, AHEAD, doubt) < prediction_std(model, x, free, found, AHEAD, doubt)
+    ).all()
 
 
 def test_where_the_motion_cannot_be_followed_the_band_is_unknown(swing: Array) -> None:
@@ -96,7 +98,7 @@ def test_where_the_motion_cannot_be_followed_the_band_is_unknown(swing: Array) -
     model, seen = Blind(plant().parameters), window(swing)
     found = (seen.guess, np.zeros(2 * T.size))
     doubt = PredictionUncertainty(np.zeros((2, 2)), np.full(2, NOISE), 1.0)
-    assert np.isnan(spread(model, model.parameters.start, seen, found, AHEAD, doubt)).all()
+    assert np.isnan(prediction_std(model, model.parameters.start, seen, found, AHEAD, doubt)).all()
 
 
 def recorded(seed: int) -> hf.Recording:

@@ -7,8 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.misfit import poor, poor_torque
-from hyperflex.identification.verdict import ALL_ACT, ALL_KNOWN, in_harmony
+from hyperflex.identification.verdict import ALL_ACT, ALL_KNOWN, in_harmony, poor, poor_torque
 
 
 def windows(noise: float | None = None, moves: float = 1.0, channels: int = 2) -> list[Window]:

@@ -18,9 +18,9 @@ from hyperflex.identification import Identification, identify, profile
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.model.plant import Seen
-from hyperflex.identification.uncertainty import intervals as _intervals
+from hyperflex.identification.uncertainty import interval_method as _intervals
 from hyperflex.identification.uncertainty import profile as _profile
-from hyperflex.identification.uncertainty.intervals import all_intervals, skewed
+from hyperflex.identification.uncertainty.interval_method import all_intervals, skewed
 from hyperflex.identification.uncertainty.profile import profiled
 from hyperflex.identification.uncertainty.threshold import _draws, _rise, quantile, threshold
 from hyperflex.model import Rope

@@ -81,7 +81,7 @@ def identify(
 
     _check_output(out, [recording, rope, *([setup] if setup else [])])
     lead = _lead(setup)
-    places = _numbers("--arc-lengths", arc, "0.2,0.4,0.6") if arc else None
+    places = _numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6") if arc_lengths else None
     seen = _numbers("--origin", [origin], "0.01,-0.02") if origin else None
     fastest: dict[str, Any] = {} if max_rate is None else {"max_rate": max_rate}
     measured = read_recording(

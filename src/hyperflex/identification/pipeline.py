@@ -14,13 +14,10 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.conclude import conclude
 from hyperflex.identification.excitation import check_motion, check_times
-from hyperflex.identification.fit.delay import first_delay, with_delay
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
-from hyperflex.identification.fit.multiple_shooting import Report
-from hyperflex.identification.fit.stages import Measured, fit_in_stages
-from hyperflex.identification.fit.threads import one_thread
+from hyperflex.identification.fit.multiple_shooting import Report, one_thread
+from hyperflex.identification.fit.stages import Measured, first_delay, fit_in_stages, with_delay
 from hyperflex.identification.fit.windows import holding_enough, usual_length
 from hyperflex.identification.measurements import (
     checked_arc_lengths,
@@ -32,11 +29,10 @@ from hyperflex.identification.measurements import (
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant, pivot_places
-from hyperflex.identification.prediction import predict
-from hyperflex.identification.result import Identification
+from hyperflex.identification.prediction import predict, prediction_uncertainty
+from hyperflex.identification.result import Identification, assemble_result
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
-from hyperflex.identification.uncertainty.intervals import HOWS, How, all_intervals
-from hyperflex.identification.uncertainty.prediction_band import prediction_uncertainty
+from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
 from hyperflex.identification.verdict import other_lengths
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
@@ -190,7 +186,7 @@ def identify(
     settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
     settings |= delay | _arranged(free, loss, places, origin, motion, arm)
     remarks = [] if arc_lengths is not None else other_lengths(recording, rope_guess)
-    return conclude(basis, held_out, settings, remarks, ranges)
+    return assemble_result(basis, held_out, settings, remarks, ranges)
 
 
 def _checked(

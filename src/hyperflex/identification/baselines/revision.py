@@ -24,7 +24,7 @@ from hyperflex.identification.baselines.simplex import (
 )
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
 from hyperflex.identification.excitation import check_motion, check_times
-from hyperflex.identification.fit.threads import one_thread
+from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.model import Rope, Setup
 from hyperflex.recording import Recording
 from hyperflex.simulation import Slopes, angles

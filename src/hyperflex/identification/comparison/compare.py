@@ -14,7 +14,7 @@ from hyperflex.identification.comparison.candidates import Candidate, candidates
 from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend
 from hyperflex.identification.comparison.result import FittedModel, ModelComparison
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED
-from hyperflex.identification.fit.threads import one_thread
+from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis

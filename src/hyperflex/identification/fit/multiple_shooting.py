@@ -7,7 +7,8 @@ rollouts themselves.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -278,3 +279,13 @@ def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
     far = ~unbounded & (above > NEAR)
     falling = float((-move[far] / (FALL * above[far])).max()) if far.any() else 0.0
     return move / max(1.0, longest, falling)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep numpy's and scipy's linear algebra on one thread within the block, or the function that this decorates."""
+    import scipy.linalg  # noqa: F401 its own library must be there to be limited
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield

@@ -1,7 +1,8 @@
-"""From short windows to long ones: short ones forgive a poor guess, long ones tell the most."""
+"""Stages of a fit: search for the delay, short windows before long ones, restarts of states."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,14 +12,21 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state
-from hyperflex.identification.fit.restarts import restarted
 from hyperflex.identification.fit.windows import FEWEST, Window, cut, thin
+from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.recording import Recording
 
 FIRST = 8  # windows so many times shorter come first
 HARDLY = 1e-2  # gain of a round, as a part of the cost, that ends a stage before the last
 STAGE_WINDOWS = 40  # of the short ones, spread over the recording
+DELAY_STEPS = 16  # of the grid on either side of 0, over a window's length
+DELAY_WINDOWS = 4  # that are looked at
+DELAY_ROUNDS = 2  # of fitting their states
+CLEARLY = 0.8  # part of the cost without delay that another must come below
+WORSE = 2.0  # times what a value of the middle window costs, or of noise that is known: worth another start
+BETTER = 0.98  # of its cost: less is another state, not the same one again
+AGAIN = 3  # times at most that all is fitted together after windows have found better states
 
 
 @dataclass(frozen=True)
@@ -131,3 +139,123 @@ def _starts(
             "windows (window=...)."
         )
     return kept, states
+
+
+def first_delay(plant: Plant, measured: Measured, length: float, loss: Loss) -> float:
+    """Return the delay, s, from which a fit starts: that of least cost on a coarse grid, or 0.0 if hardly less.
+
+    A grid, since the cost has a minimum for each swing.
+
+    Parameters
+    ----------
+    plant : Plant
+        Without torque; its delay is free.
+    measured : Measured
+        What is fitted.
+    length : float
+        Of the windows that are looked at, and greatest delay that is tried on either side, s.
+    loss : Loss
+    """
+    windows = measured.windows(length, thin(measured.channels, length))[0]
+    windows = windows[:: -(-len(windows) // DELAY_WINDOWS)] if windows else []
+    x, states = plant.parameters.start, [window.guess for window in windows]
+    least = begin = _delay_cost(plant, x, windows, states, loss)
+    best = 0.0
+    for delay in length / DELAY_STEPS * np.arange(-DELAY_STEPS, DELAY_STEPS + 1):
+        cost = _delay_cost(plant, with_delay(plant, delay).parameters.start, windows, states, loss)
+        if cost < least:
+            least, best = cost, float(delay)
+    return best if least < CLEARLY * begin else 0.0
+
+
+def with_delay(plant: Plant, delay: float) -> Plant:
+    """Return the same, with a delay that starts from `delay`, s."""
+    every = [replace(each, start=delay) if each.name == "delay" else each for each in plant.parameters.all]
+    parameters = Parameters(plant.parameters.guess, every)
+    torque = plant.motor is not None
+    return Plant(parameters, plant.sensor, plant.motion, plant.arm, torque=torque)
+
+
+def _delay_cost(plant: Plant, x: Array, windows: list[Window], states: list[Array], loss: Loss) -> float:
+    """Return what windows cost at x with states fitted to them; inf where one cannot be simulated."""
+    total = 0.0
+    for window, state in zip(windows, states, strict=True):
+        found = fit_state(plant, x, window, state, loss=loss, rounds=DELAY_ROUNDS)
+        if found is None:
+            return np.inf
+        total += float(np.minimum(found[1] ** 2, 9.0 * np.median(found[1] ** 2)).sum())  # outliers count little
+    return total
+
+
+def restarted(plant: Plant, windows: Sequence[Window], found: Fit, *, known_noise: bool, report: Report) -> Fit:
+    """Fit again from other states of the windows that fit badly; return the better fit.
+
+    Parameters
+    ----------
+    plant, windows, found
+        What was fitted; `found` has not been interrupted.
+    known_noise : bool
+        Whether the windows' weights are those of declared noise, so that a value should cost about 1.
+    report : callable
+        Called with each round of the fits of all windows together.
+
+    Notes
+    -----
+    Outliers and gaps spoil the first guess of a state, and a joint that sticks in the simulation answers to no small
+    change. Where the simulation of the window before ends is another guess.
+    """
+    for _ in range(AGAIN):
+        states, gained = list(found.states), False
+        for k in poor_windows(windows, found, known_noise=known_noise):
+            better = _better_state(plant, windows, found, states, k)
+            if better is not None:
+                states[k], gained = better, True
+        if not gained:
+            return found
+        again = fit(plant, windows, found.x, states, loss=found.loss, report=report)
+        again.history[:0] = found.history
+        if again.interrupted or again.cost >= found.cost:
+            found.interrupted = again.interrupted
+            return found if again.cost >= found.cost else again
+        found = again
+    return found
+
+
+def poor_windows(windows: Sequence[Window], found: Fit, *, known_noise: bool) -> list[int]:
+    """Return which windows cost much more a value than the median window, or than noise that is known explains."""
+    each = zip(windows, found.states, found.residuals, strict=True)
+    costs = np.array([_window_cost(found, window, state, r) / window.values for window, state, r in each])
+    limit = float(np.median(costs))
+    return [int(k) for k in np.flatnonzero(costs > WORSE * (min(limit, 1.0) if known_noise else limit))]
+
+
+def _window_cost(found: Fit, window: Window, state: Array, residual: Array) -> float:
+    """Return the cost of a window with this state."""
+    believed = window.belief(state)
+    return found.loss.cost(residual) + float(believed @ believed)
+
+
+def _better_state(plant: Plant, windows: Sequence[Window], found: Fit, states: list[Array], k: int) -> Array | None:
+    """Return a state of window k that costs less than the present one, from the best of several starts; else None."""
+    window = windows[k]
+    least, best = BETTER * _window_cost(found, window, found.states[k], found.residuals[k]), None
+    for start in _restart_states(plant, windows, found.x, states, k):
+        tried = fit_state(plant, found.x, window, start, loss=found.loss)
+        if tried is not None and (cost := _window_cost(found, window, *tried)) < least:
+            least, best = BETTER * cost, tried[0]
+    return best
+
+
+def _restart_states(
+    plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array], k: int
+) -> Iterator[Array]:
+    """Yield states to start window k from: the end of the window before, that of the data, and both angles at rest."""
+    window, n = windows[k], states[k].size // 2
+    if k > 0:
+        arrived = plant.carried(x, float(windows[k - 1].t[0]), states[k - 1], float(window.t[0]))
+        if arrived is not None:
+            turns = 2.0 * np.pi * np.round((window.guess[:n] - arrived[:n]) / (2.0 * np.pi))
+            yield np.append(arrived[:n] + turns, arrived[n:])
+    yield window.guess
+    yield np.append(window.guess[:n], np.zeros(n))
+    yield np.append(states[k][:n], np.zeros(n))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,17 +10,13 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.threads import one_thread
+from hyperflex.identification.fit.multiple_shooting import fit, one_thread
 from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.intervals import LEVEL, Interval
 from hyperflex.identification.uncertainty.noise import correlations
-from hyperflex.identification.uncertainty.profile import basis_of
 from hyperflex.simulation.rollouts import progress_bar
-
-if TYPE_CHECKING:
-    from hyperflex.identification.result import Identification
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,7 +92,7 @@ def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progres
     with replacement, outliers among them, and taken as white. Each fit starts from the optimum, so that another
     minimum far off is not found. Cost: `count` fits of a few rounds.
     """
-    basis = basis_of(found)
+    basis = found.basis
     count, seed = checks.count("count", count), checks.count("seed", seed, least=0)
     plant, fitted = basis.plant, basis.fit
     seen = [plant.predict(fitted.x, w.t, s) for w, s in zip(basis.windows, fitted.states, strict=True)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -12,14 +12,12 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit
+from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.identification.uncertainty.intervals import End, by_covariance
 from hyperflex.identification.uncertainty.threshold import quantile, threshold
 from hyperflex.model import Rope
 
-if TYPE_CHECKING:
-    from hyperflex.identification.result import Identification
-
-End = Literal["crossed", "bound", "open"]
 FINISH = 1e-2  # gain of a round, in units of the residual variance, below which a point of the profile has settled
 CLOSE = 0.01  # sd to which an end is found
 LONGEST = 3.0  # factor by which a step may grow
@@ -120,7 +118,7 @@ def profile(
     robust losses count as in :func:`estimate_covariance`. Cost: about three fits of two or three rounds on either side;
     after a hundred rounds a side is given up.
     """
-    basis = basis_of(found)
+    basis = found.basis
     level = checks.number("level", level, sign="positive")
     if level >= 1.0:
         raise InvalidInput("level is not a probability", got=level, allowed="between 0 and 1, such as 0.95")
@@ -128,14 +126,6 @@ def profile(
     if name not in labels:
         raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(labels))
     return profiled(basis, labels.index(name), level, checks.count("points", points, least=0), progress)
-
-
-def basis_of(found: Identification) -> Basis:
-    """Return the fit that a result keeps."""
-    basis = getattr(found, "_basis", None)
-    if not isinstance(basis, Basis):
-        raise InvalidInput("this result no longer has its fit", fix="Run identify again, in this session")
-    return basis
 
 
 def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Report | None = None) -> Profile:
@@ -169,16 +159,6 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Re
     gain = (basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
     better = basis.plant.parameters.rope(best.x) if gain > BETTER else None
     return Profile(parameter.label, low, high, level, ends, *curve, kind, max(gain, 0.0), better)
-
-
-def by_covariance(basis: Basis, which: int, level: float) -> tuple[float, float, tuple[End, End]]:
-    """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
-    information, parameter = basis.information, basis.plant.parameters.all[which]
-    least, x = float(basis.plant.parameters.lower[which]), float(information.x[which])
-    sd = float(information.deviations(np.ones(information.x.size))[which])
-    half = sd * float(np.sqrt(quantile(level, information.freedom)))
-    end: End = "bound" if x - half < least else "crossed"
-    return parameter.value(max(x - half, least)), parameter.value(x + half), (end, "crossed")
 
 
 class _TooDear(Exception):
