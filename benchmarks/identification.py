@@ -12,7 +12,7 @@ from clock import NOTE, alternately
 
 import hyperflex as hf
 from hyperflex.identification import identify, iterative_revision
-from hyperflex.identification.fit.stages import Measured, fit_in_stages
+from hyperflex.identification.fit.stages import Measurements, fit_in_stages
 from hyperflex.identification.fit.windows import usual_length
 from hyperflex.identification.measurements import measure as measured
 from hyperflex.identification.model.names import parse
@@ -95,7 +95,7 @@ def starts(recording: hf.Recording, count: int) -> list[dict[str, Any]]:
         shifted = hf.Recording(exact.t, exact.data + rng.uniform(-SHIFT, SHIFT, 5))
         began = time.perf_counter()
         usual = usual_length(exact, guess)
-        found, _, _ = fit_in_stages(plant, Measured(exact, shifted), 1.001 * exact.duration, usual, lambda _: None)
+        found, _, _ = fit_in_stages(plant, Measurements(exact, shifted), 1.001 * exact.duration, usual, lambda _: None)
         values = plant.parameters.values(found.x)
         rows.append(row("5 links, 81 frames", f"start {number}", time.perf_counter() - began, found.cost, values))
     return rows

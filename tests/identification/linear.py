@@ -10,7 +10,7 @@ from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
-from hyperflex.identification.model.plant import Plant, Seen
+from hyperflex.identification.model.plant import Plant, PredictedChannels
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.model import Rope
 
@@ -28,8 +28,8 @@ class Line(Plant):
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         return self.shared @ (x - self.truth) + self.own @ state
 
-    def slopes(self, x: Array, t: Array, state: Array) -> Seen | None:
-        return Seen(self.shared @ (x - self.truth) + self.own @ state, self.own, self.shared)
+    def slopes(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
+        return PredictedChannels(self.shared @ (x - self.truth) + self.own @ state, self.own, self.shared)
 
 
 def waves(samples: int, channels: int = 1, truth: Array | float = 10.0, tied: float = 0.5) -> Line:

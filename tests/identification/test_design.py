@@ -11,8 +11,8 @@ import pytest
 from hyperflex import Arm, Experiment, Recording, Rope, arm_swings, design_experiment, identify, simulate
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.experiment_design import choice as _design
-from hyperflex.identification.experiment_design.experiments import motions, variations
-from hyperflex.identification.experiment_design.fisher_information import foresee
+from hyperflex.identification.experiment_design.experiments import default_experiments, variations
+from hyperflex.identification.experiment_design.fisher_information import expected_information
 
 SINGLE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
 DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
@@ -96,7 +96,7 @@ def test_the_table_and_the_file_hold_what_was_found(tmp_path: Path) -> None:
 def test_by_default_motions_are_tried_first_and_the_best_is_varied() -> None:
     found = design_experiment(DOUBLE, "inertia", arm=Arm(length=0.1))
     names = [plan.experiment.name for plan in found.plans]
-    first = [each.name for each in motions(DOUBLE, Arm(length=0.1))]
+    first = [each.name for each in default_experiments(DOUBLE, Arm(length=0.1))]
     assert len(first) == 7
     assert set(first) < set(names)
     assert found.best is not None
@@ -154,9 +154,9 @@ def test_ctrl_c_keeps_what_was_looked_at(monkeypatch: pytest.MonkeyPatch) -> Non
     def second_stops(rope: Rope, experiment: Experiment, *others: object) -> object:
         if experiment.name == "second":
             raise KeyboardInterrupt
-        return foresee(rope, experiment, *others)  # type: ignore[arg-type]
+        return expected_information(rope, experiment, *others)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(_design, "foresee", second_stops)
+    monkeypatch.setattr(_design, "expected_information", second_stops)
     second = Experiment("second", q0=0.5)
     found = design_experiment(SINGLE, "friction", [SHORT, second])
     assert found.message == "interrupted"

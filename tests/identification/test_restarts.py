@@ -10,7 +10,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.stages import poor_windows, restarted
+from hyperflex.identification.fit.stages import poor_windows, refit_poor_windows
 
 PAPER = hf.Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)  # inferred, see ../shared
 PAIR = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
@@ -96,5 +96,5 @@ def test_a_state_that_is_caught_is_started_elsewhere() -> None:
     states[1] = np.array([states[1][0] + 2.5, 0.0])
     caught = fit(plant, windows, good.x, states, states_only=True, rounds=1)
     assert poor_windows(windows, caught, known_noise=False) == [1]
-    found = restarted(plant, windows, replace(caught), known_noise=False, report=lambda _: None)
+    found = refit_poor_windows(plant, windows, replace(caught), known_noise=False, report=lambda _: None)
     assert found.cost == pytest.approx(good.cost, rel=1e-3)  # the same optimum, as far as a fit goes

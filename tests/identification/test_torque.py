@@ -148,7 +148,7 @@ def test_slopes_by_everything_are_those_of_whole_rollouts() -> None:
     t = np.arange(30, 61) / 50  # while the arm moves
     swing = run(duration=1.3)
     state = np.concatenate([swing.q[30], swing.qd[30]])
-    found = subject.slopes(x, t, state)
+    found = subject.jacobian(x, t, state)
     assert found is not None
     assert found.channels.shape == (31, 3)
 

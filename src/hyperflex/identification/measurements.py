@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit.stages import Measured
+from hyperflex.identification.fit.stages import Measurements
 from hyperflex.identification.fit.windows import STILL
 from hyperflex.model import Rope
 from hyperflex.recording import Recording, unwrap
@@ -58,7 +58,7 @@ def refuse_still_markers(recording: Recording, arc_lengths: Array) -> None:
         )
 
 
-def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: Array | None = None) -> Measured:
+def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: Array | None = None) -> Measurements:
     """Return what is fitted.
 
     Parameters
@@ -74,31 +74,31 @@ def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: 
 
     Notes
     -----
-    Fewer markers than links leave bends between them unseen. Then neighbouring links are believed to be about in
+    Fewer markers than links leave bends between them unseen. Then a prior keeps neighbouring links about in
     line: a turn of BEND / sqrt(n), growing at SWAY / sqrt(n), as standard deviations. It is an assumption, weak beside
     any marker that sees the bend. To be weighed against it, markers without given noise count as if theirs were 0.2 %
     of the rope's length.
     """
     if arc_lengths is None:
         angles = recording.angles()
-        return Measured(angles, angles)
+        return Measurements(angles, angles)
     if arc_lengths.size == 1 and joint is not None:
         along = replace(recording, data=np.column_stack([joint, recording.data]), noise=None)
         shape = _shape(along, rope, np.append(0.0, arc_lengths))
     else:
         shape = _shape(recording, rope, arc_lengths)
     n = rope.n_links
-    believed = None
+    prior = None
     if arc_lengths.size - 1 < n and n > 1:
         turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n)
         none = np.zeros_like(turn)
-        believed = np.block([[turn / BEND, none], [none, turn / SWAY]])
+        prior = np.block([[turn / BEND, none], [none, turn / SWAY]])
         if recording.noise is None:
             recording = replace(recording, noise=np.array(UNTOLD * rope.total_length))
-    return Measured(recording, shape, believed)
+    return Measurements(recording, shape, prior)
 
 
-def with_torque(measured: Measured, torque: npt.ArrayLike, noise: npt.ArrayLike | None) -> Measured:
+def with_torque(measured: Measurements, torque: npt.ArrayLike, noise: npt.ArrayLike | None) -> Measurements:
     """Return what is fitted with the motor's torque (T,), N m, NaN in gaps, as the last channel.
 
     `noise` (T,), or one number, is its standard deviation. Torque and angles are different things, so how they count

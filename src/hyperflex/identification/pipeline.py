@@ -17,8 +17,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
 from hyperflex.identification.fit.multiple_shooting import Report, one_thread
-from hyperflex.identification.fit.stages import Measured, first_delay, fit_in_stages, with_delay
-from hyperflex.identification.fit.windows import holding_enough, usual_length
+from hyperflex.identification.fit.stages import Measurements, fit_in_stages, search_delay, with_delay
+from hyperflex.identification.fit.windows import usual_length, with_enough_frames
 from hyperflex.identification.measurements import (
     checked_arc_lengths,
     first_joint,
@@ -133,7 +133,7 @@ def identify(
     Without a known force or torque a common factor of masses, inertias and frictions cannot be known; `verdict` says
     so, `sd` is inf there, and `ratios` hold what is known. Samples denser than 200 a window are thinned (picked); the
     step is in ``settings["decimation"]``. Samples without given noise count alike. With fewer markers than links,
-    neighbouring links are believed to be about in line (0.5 rad over the root of their number): what no marker sees is
+    a prior keeps neighbouring links about in line (0.5 rad over the root of their number): what no marker sees is
     taken from there.
 
     Examples
@@ -162,9 +162,9 @@ def identify(
     check_times(fitted.channels, rope_guess)
     check_motion(fitted.shape, fitted.channels)
     delay = {}
-    usual = holding_enough(usual_length(fitted.shape, rope_guess), fitted.shape)
+    usual = with_enough_frames(usual_length(fitted.shape, rope_guess), fitted.shape)
     if "delay" in free:
-        delay["delay_from"] = first_delay(foretold, fitted, usual, Loss(loss))
+        delay["delay_from"] = search_delay(foretold, fitted, usual, Loss(loss))
         plant = with_delay(plant, delay["delay_from"])
         foretold = plant.without_torque()
     if torque is not None:
@@ -184,7 +184,7 @@ def identify(
         found.interrupted = True
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
-    settings |= delay | _arranged(free, loss, places, origin, motion, arm)
+    settings |= delay | _fit_settings(free, loss, places, origin, motion, arm)
     remarks = [] if arc_lengths is not None else other_lengths(recording, rope_guess)
     return assemble_result(basis, held_out, settings, remarks, ranges)
 
@@ -196,7 +196,7 @@ def _checked(
     origin: npt.ArrayLike | None,
     motion: Motion | None,
     arm: Arm | None,
-) -> tuple[Measured, Array | None]:
+) -> tuple[Measurements, Array | None]:
     """Return what is fitted, if it fits the rope, and where its markers sit if not at the joints."""
     if not isinstance(recording, Recording) or not isinstance(rope, Rope):
         raise InvalidInput(
@@ -266,7 +266,9 @@ def build_plant(
     return Plant(Parameters(guess, chosen), Markers(arc_lengths, place), motion, arm, torque=torque)
 
 
-def _split(measured: Measured, train: float | None, lead: float, ahead: float) -> tuple[Measured, Measured | None]:
+def _split(
+    measured: Measurements, train: float | None, lead: float, ahead: float
+) -> tuple[Measurements, Measurements | None]:
     """Return what is fitted and what is held out."""
     every = measured.channels
     for name, value in (("lead", lead), ("ahead", ahead)):
@@ -286,7 +288,7 @@ def _split(measured: Measured, train: float | None, lead: float, ahead: float) -
     return fitted, measured.between(time, np.inf) if rest.sum() > 1 else None
 
 
-def _arranged(
+def _fit_settings(
     free: Sequence[str],
     loss: LossName,
     arc_lengths: Array | None,

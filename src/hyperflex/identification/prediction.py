@@ -10,8 +10,8 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, fit_state, linearise
-from hyperflex.identification.fit.stages import Measured
-from hyperflex.identification.fit.windows import LEAST, Window, first_state, thin
+from hyperflex.identification.fit.stages import Measurements
+from hyperflex.identification.fit.windows import LEAST, Window, decimation_step, first_state
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.uncertainty.covariance import Information
 
@@ -67,16 +67,16 @@ class HeldOut:
 def predict(
     plant: Plant,
     x: Array,
-    measured: Measured,
+    measured: Measurements,
     lead: float = 0.5,
     ahead: float = 1.0,
     loss: Loss | None = None,
-    unsure: PredictionUncertainty | None = None,
+    uncertainty: PredictionUncertainty | None = None,
 ) -> HeldOut | None:
     """Predict what is measured piece by piece, with the parameters x.
 
     The first prediction starts `lead` after the first sample; each next one `ahead` later, its state fitted on the
-    `lead` before it (measured data again, not the prediction). `unsure` is what the fit leaves so.
+    `lead` before it (measured data again, not the prediction). `uncertainty` is what the fit leaves so.
 
     Returns
     -------
@@ -86,14 +86,14 @@ def predict(
     -----
     Recordings with more than 200 samples in `lead` are decimated first (every k-th sample is picked): the states are
     fitted to, and the rms taken over, what is left. All samples count alike in both: the recording's noise is not used
-    as a weight. Where something is believed of a state, they count by the noise that the fit has found (1 rad or m
-    without `unsure`).
+    as a weight. Where a state has a prior, they count by the noise that the fit has found (1 rad or m
+    without `uncertainty`).
     """
-    step = thin(measured.channels, lead)
+    step = decimation_step(measured.channels, lead)
     recording, angles = measured.channels.decimate(step), measured.shape.decimate(step).data
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
-    believed = np.zeros((0, 2 * angles.shape[1])) if measured.believed is None else measured.believed
-    size = 1.0 if unsure is None else max(float(np.sqrt(np.mean(unsure.noise**2))), TINY)
+    prior = np.zeros((0, 2 * angles.shape[1])) if measured.prior is None else measured.prior
+    size = 1.0 if uncertainty is None else max(float(np.sqrt(np.mean(uncertainty.noise**2))), TINY)
     starts, times, seen, predicted, sd = [], [], [], [], []
     for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
         before = (t >= start - lead - slack) & (t < start + slack)
@@ -102,12 +102,12 @@ def predict(
         if not after.any() or (~np.isnan(angles[before])).sum(axis=0).min() < LEAST:
             continue
         guess = first_state(t[before], angles[before])
-        window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, believed)
+        window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, prior)
         found = fit_state(plant, x, window, window.guess, loss=loss)
         starts.append(float(start))
         times.append(t[after])
         seen.append(data[after])
-        reached = _ahead(plant, x, window, found, t[after], unsure)
+        reached = _ahead(plant, x, window, found, t[after], uncertainty)
         predicted.append(reached[0])
         sd.append(reached[1])
     if not starts:
@@ -132,14 +132,16 @@ def _ahead(
     window: Window,
     found: tuple[Array, Array] | None,
     t: Array,
-    unsure: PredictionUncertainty | None,
+    uncertainty: PredictionUncertainty | None,
 ) -> tuple[Array, Array]:
     """Return prediction and standard deviation (m, C) at t (m,); inf and NaN where there is none."""
     y = None if found is None else plant.predict(x, np.append(window.t[0], t), found[0])
     shape = (t.size, window.y.shape[1])
     if found is None or y is None or not np.isfinite(y).all():
         return np.full(shape, np.inf), np.full(shape, np.nan)
-    return y[1:], np.full(shape, np.nan) if unsure is None else prediction_std(plant, x, window, found, t, unsure)
+    return y[1:], np.full(shape, np.nan) if uncertainty is None else prediction_std(
+        plant, x, window, found, t, uncertainty
+    )
 
 
 def _rms(error: Array) -> Array:
@@ -152,7 +154,7 @@ def _rms(error: Array) -> Array:
 
 @dataclass(frozen=True)
 class PredictionUncertainty:
-    """What a fit leaves unsure.
+    """What a fit leaves uncertainty.
 
     covariance (P, P): of x. noise (C,): standard deviation of what the fit has left of each channel, rad or m.
     correlation: factor by which autocorrelation shortens a sample.
@@ -168,7 +170,7 @@ class PredictionUncertainty:
 
 
 def prediction_uncertainty(information: Information, windows: Sequence[Window], found: Fit) -> PredictionUncertainty:
-    """Return what a fit leaves unsure; outliers count as little as they did in the fit."""
+    """Return what a fit leaves uncertainty; outliers count as little as they did in the fit."""
     squares, counted = 0.0, 0.0
     for window, residual in zip(windows, found.residuals, strict=True):
         counts = (found.loss.weight(residual) ** 2).reshape(window.y.shape) * (window.weight > 0.0)
@@ -181,7 +183,7 @@ def prediction_uncertainty(information: Information, windows: Sequence[Window], 
 
 
 def prediction_std(
-    plant: Plant, x: Array, window: Window, found: tuple[Array, Array], t: Array, unsure: PredictionUncertainty
+    plant: Plant, x: Array, window: Window, found: tuple[Array, Array], t: Array, uncertainty: PredictionUncertainty
 ) -> Array:
     """Return the standard deviation (m, C) of measured less predicted samples at times t (m,).
 
@@ -195,7 +197,7 @@ def prediction_std(
     found : (2n,), (k C,) arrays
         That state at ``window.t[0]``, and what it leaves of the window.
     t : (m,) array, s
-    unsure : PredictionUncertainty
+    uncertainty : PredictionUncertainty
 
     Notes
     -----
@@ -205,14 +207,16 @@ def prediction_std(
     """
     state, residual = found
     linear = linearise(plant, window, x, state, residual, Loss())
-    ahead = plant.slopes(x, np.append(window.t[0], t), state)
+    ahead = plant.jacobian(x, np.append(window.t[0], t), state)
     if ahead is None or not linear.known:
-        return np.full((t.size, unsure.noise.size), np.nan)
+        return np.full((t.size, uncertainty.noise.size), np.nan)
     absorb = np.linalg.pinv(linear.state)
-    rows = (unsure.noise * window.weight).ravel() * np.sqrt(unsure.correlation)
-    rows = np.append(rows, np.ones(linear.residual.size - rows.size))  # beliefs are in standard deviations
+    rows = (uncertainty.noise * window.weight).ravel() * np.sqrt(uncertainty.correlation)
+    rows = np.append(rows, np.ones(linear.residual.size - rows.size))  # those of the prior are in standard deviations
     by_state, shared = ahead.state[1:], ahead.shared[1:]
     by_noise = by_state @ (absorb * rows)
     by_parameters = shared - by_state @ (absorb @ linear.shared)
-    variance = (by_noise**2).sum(axis=2) + np.einsum("mci,ij,mcj->mc", by_parameters, unsure.covariance, by_parameters)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0) + unsure.noise**2))
+    variance = (by_noise**2).sum(axis=2) + np.einsum(
+        "mci,ij,mcj->mc", by_parameters, uncertainty.covariance, by_parameters
+    )
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0) + uncertainty.noise**2))

@@ -17,12 +17,12 @@ from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import Basis, ratio_spread, ratios
 from hyperflex.identification.uncertainty.intervals import Interval, of_ratios
 from hyperflex.identification.verdict import (
+    consistent,
     failed_predictions,
-    in_harmony,
-    noise_unknown,
-    not_arrived,
+    noise_not_modelled,
+    not_converged,
     not_noise,
-    poor,
+    poor_fit,
     poor_torque,
     too_large,
     verdict,
@@ -107,7 +107,7 @@ class Identification(Ended):
     torque_residuals: Array | None = None
     _basis: Basis | None = field(default=None, init=False, repr=False)
 
-    def resting_on(self, basis: Basis) -> Self:
+    def with_basis(self, basis: Basis) -> Self:
         """Keep the fit itself, `basis`, for further questions; return this same result."""
         object.__setattr__(self, "_basis", basis)
         return self
@@ -160,35 +160,35 @@ class Identification(Ended):
         lines = [f"Identification {self.message}: " + ", ".join(told)]
         for title, value, spread in (("value", self.values, self.sd), ("ratio", self.ratios, self.ratio_sd)):
             for name, numbers in value.items():
-                if said := _told(np.atleast_1d(numbers), np.atleast_1d(spread[name])):
+                if said := _with_std(np.atleast_1d(numbers), np.atleast_1d(spread[name])):
                     lines.append(f"  {title} {name:<13} {said}")
         ranges = [(name, self.intervals[name]) for name in self.parameters if name in self.intervals]
         lines += [f"  {100 * each.level:g} % {name:<13} {each}" for name, each in ranges[:MANY]]
         if len(ranges) > MANY:
             lines.append(f"  and {len(ranges) - MANY} more in intervals")
-        lines.append(f"  fit error, m{self.unit}       {_few([f'{1e3 * x:.2f}' for x in self.residual_rms])}")
+        lines.append(f"  fit error, m{self.unit}       {_first_few([f'{1e3 * x:.2f}' for x in self.residual_rms])}")
         if self.torque_rms is not None:
             lines.append(f"  torque error, mN m     {1e3 * self.torque_rms:.3f}")
         if self.held_out is not None:
             lines.append(
                 f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  "
-                + _few([f"{1e3 * x:.2f}" for x in self.held_out.rms])
+                + _first_few([f"{1e3 * x:.2f}" for x in self.held_out.rms])
             )
         return "\n".join([*lines, *(f"  {text}" for text in self.verdict)])
 
 
-def _told(values: Array, spreads: Array) -> str:
+def _with_std(values: Array, spreads: Array) -> str:
     """Return values (n,) with their deviations; those that were held are left out, what all links share stands once."""
     pairs = [f"{x:.5g} ± {s:.2g}" for x, s in zip(values, spreads, strict=True)]
     free = np.flatnonzero(spreads)
     if len(pairs) > 1 and len(set(pairs)) == 1:
         return f"{pairs[0]} each" if free.size else ""
     if free.size < len(pairs):
-        return _few([f"[{k}] {pairs[k]}" for k in free])
-    return _few(pairs)
+        return _first_few([f"[{k}] {pairs[k]}" for k in free])
+    return _first_few(pairs)
 
 
-def _few(words: list[str]) -> str:
+def _first_few(words: list[str]) -> str:
     """Return words side by side; of many the first ones."""
     more = f"  and {len(words) - MANY} more" if len(words) > MANY else ""
     return "  ".join(words[:MANY]) + more
@@ -218,7 +218,7 @@ def assemble_result(
     plant, information, found, windows = basis.plant, basis.information, basis.fit, basis.windows
     parameters = plant.parameters
     x = parameters.rounded(found.x)
-    rope, slopes = parameters.rope(x), parameters.slopes(x)
+    rope, slopes = parameters.rope(x), parameters.derivatives(x)
     spreads = information.deviations(slopes)
     weights = np.concatenate([w.weight for w in windows])
     flat = np.concatenate([r.reshape(w.y.shape) for r, w in zip(found.residuals, windows, strict=True)])
@@ -231,10 +231,10 @@ def assemble_result(
     rms = np.sqrt(np.nanmean(residuals**2, axis=0))
     ratio_sd = ratio_spread(parameters, information)
     message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
-    words = not_arrived(message) + verdict(parameters, information, rope, ratio_sd)
-    words += poor(windows, residuals, unit, found.loss) + poor_torque(windows, torque, found.loss)
+    words = not_converged(message) + verdict(parameters, information, rope, ratio_sd)
+    words += poor_fit(windows, residuals, unit, found.loss) + poor_torque(windows, torque, found.loss)
     words += not_noise(information.correlation, information.whiteness)
-    words += noise_unknown(information.agrees, information.freedom) + failed_predictions(held_out) + remarks
+    words += noise_not_modelled(information.agrees, information.freedom) + failed_predictions(held_out) + remarks
     if ((weights != 0.0) & (weights != 1.0)).any():  # the recording says what its noise is
         words += too_large(information.variance, information.freedom)
     words += [each.remark for each in (intervals or {}).values() if each.remark]
@@ -247,7 +247,7 @@ def assemble_result(
         ratios=ratios(rope),
         ratio_sd=ratio_sd,
         intervals=intervals or {},
-        verdict=tuple(in_harmony(words)),
+        verdict=tuple(consistent(words)),
         identifiable=information.unknown.shape[1] == 0,
         residual_rms=rms,
         residual_t=np.concatenate([w.t for w in windows]),
@@ -261,7 +261,7 @@ def assemble_result(
         unit=unit,
         history=tuple(found.history),
         torque_residuals=torque,
-    ).resting_on(basis)
+    ).with_basis(basis)
 
 
 def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array]:

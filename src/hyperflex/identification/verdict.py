@@ -11,7 +11,7 @@ from hyperflex.identification.ending import CONVERGED
 from hyperflex.identification.fit.loss import NORMAL, Loss
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters
-from hyperflex.identification.model.scale import common_factor, growing
+from hyperflex.identification.model.scale import common_factor, in_common_factor
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import TOUCHED, Information
 from hyperflex.model import Rope
@@ -47,7 +47,7 @@ def verdict(parameters: Parameters, information: Information, rope: Rope, spread
     return _unknown(parameters, information, spreads) + _values(parameters, information, rope)
 
 
-def not_arrived(message: str) -> list[str]:
+def not_converged(message: str) -> list[str]:
     """Return what to know before any figure is read, where a fit did not converge."""
     if message == CONVERGED:
         return []
@@ -58,7 +58,7 @@ def not_arrived(message: str) -> list[str]:
     return [text]
 
 
-def in_harmony(words: list[str]) -> list[str]:
+def consistent(words: list[str]) -> list[str]:
     """Return the sentences of a verdict, without saying that all can be known beside a warning."""
     return words if len(words) == 1 else [ALL_ACT if text == ALL_KNOWN else text for text in words]
 
@@ -78,7 +78,7 @@ def not_noise(correlation: float, whiteness: float = 1.0) -> list[str]:
     return [text]
 
 
-def noise_unknown(agrees: bool, freedom: float) -> list[str]:
+def noise_not_modelled(agrees: bool, freedom: float) -> list[str]:
     """Return a warning where the standard deviations rest on a noise model that does not hold, or on next to nothing.
 
     `agrees` tells whether the residuals' autoregression leaves such residuals; `freedom` of how many independent values
@@ -147,7 +147,7 @@ def _unknown(parameters: Parameters, information: Information, spreads: dict[str
     others = unknown if common is None else unknown - np.outer(common, common @ unknown)
     idle = np.sqrt((others**2).sum(axis=1)) > 1.0 - TOUCHED
     shares = np.sqrt((unknown**2).sum(axis=1))
-    grows = growing(parameters, information.x, unknown)
+    grows = in_common_factor(parameters, information.x, unknown)
     idle &= ~grows
     free = zip(parameters.all, (shares > TOUCHED) | grows, idle, strict=True)
     names = ", ".join(dict.fromkeys(p.name for p, touched, alone in free if touched and not alone))
@@ -184,7 +184,7 @@ def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -
 def _values(parameters: Parameters, information: Information, rope: Rope) -> list[str]:
     """Return what looks odd about single values."""
     said = []
-    sd = information.deviations(parameters.slopes(information.x))
+    sd = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
     for parameter, value, spread in zip(parameters.all, values, sd, strict=True):
         if parameter.form == "nonnegative" and value == 0.0:
@@ -200,7 +200,7 @@ POOR = 0.2  # part of the motion that may stay unexplained before the verdict ca
 NOISY = 1.5  # times the declared noise: what stays below is as good as the recording, however little moves
 
 
-def poor(windows: Sequence[Window], residuals: Array, unit: str, loss: Loss) -> list[str]:
+def poor_fit(windows: Sequence[Window], residuals: Array, unit: str, loss: Loss) -> list[str]:
     """Return a warning where the model leaves much of the motion unexplained.
 
     Parameters

@@ -19,7 +19,7 @@ from hyperflex.identification.baselines.simplex import (
     Rates,
     estimate_initial_state,
     first_state,
-    fitting,
+    matching_angles,
     squared_error,
 )
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
@@ -177,7 +177,7 @@ def iterative_revision(
     returns the best so far, marked as interrupted.
     """
     began = time.perf_counter()
-    measured = fitting(recording, rope_guess)
+    measured = matching_angles(recording, rope_guess)
     check_times(measured, rope_guess)
     check_motion(measured)
     checks.choice("profile", profile, PROFILES)
@@ -194,7 +194,7 @@ def iterative_revision(
                 break
             if progress is not None:
                 progress(found)
-            if len(done) > 1 and _still(done[-2], found, sd):
+            if len(done) > 1 and _unchanged(done[-2], found, sd):
                 message = CONVERGED
                 break
             values, spread = revision.parameters(found)
@@ -212,7 +212,7 @@ def iterative_revision(
     return IterativeRevision(rope, best, sd, tuple(done), message, samples, profile, rates)
 
 
-def _still(before: Round, now: Round, sd: dict[str, float]) -> bool:
+def _unchanged(before: Round, now: Round, sd: dict[str, float]) -> bool:
     """Whether a revision has moved neither parameter."""
     moves = {"inertia": now.inertia - before.inertia, "friction": now.friction - before.friction}
     sizes = {"inertia": now.inertia, "friction": now.friction}
@@ -225,10 +225,10 @@ class _Revision:
     def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: RevisionProfile, most: int) -> None:
         self.measured, self.guess, self.rates, self.profile, self.most = measured, guess, rates, profile, most
         self.interrupted = False
-        self.slopes = None
+        self.jacobian = None
         if profile == "response":
-            wanted = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
-            self.slopes = Slopes(Setup(guess), wanted)
+            names = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
+            self.jacobian = Slopes(Setup(guess), names)
 
     def rope(self, values: Array) -> Rope:
         """Return the guess with one J and one eta (2,) for all links."""
@@ -254,7 +254,7 @@ class _Revision:
     def parameters(self, at: Round) -> tuple[Array, Array]:
         """Identify J and eta (step 4 of Fig. 4); return them and their standard deviations (2,)."""
         rope = self.rope(np.array([at.inertia, at.friction]))
-        return self.by_torques(rope, at) if self.slopes is None else self.by_response(self.slopes, rope, at)
+        return self.by_torques(rope, at) if self.jacobian is None else self.by_response(self.jacobian, rope, at)
 
     def by_torques(self, rope: Rope, at: Round) -> tuple[Array, Array]:
         """Solve (6) with a mixture of measured and calculated motion."""
@@ -267,9 +267,9 @@ class _Revision:
         found = fit_regression(rope, q, qd, qdd, UNKNOWNS).solve()
         return np.maximum(found.values, 0.0), found.sd
 
-    def by_response(self, slopes: Slopes, rope: Rope, at: Round) -> tuple[Array, Array]:
+    def by_response(self, jacobian: Slopes, rope: Rope, at: Round) -> tuple[Array, Array]:
         """Fit the changes of angles that changes of J and eta make, the initial state free, to what is left of them."""
-        q, _, dq, _ = slopes(self.measured.t, at.q, at.qd, rope)
+        q, _, dq, _ = jacobian(self.measured.t, at.q, at.qd, rope)
         known = np.isfinite(self.measured.data)
         left, matrix = (self.measured.data - q)[known], dq[known]
         scale = np.sqrt((matrix**2).sum(axis=0))

@@ -93,7 +93,7 @@ def estimate_initial_state(
     -----
     Paper III B, step 2 of Fig. 4. Ctrl-C returns the best so far, marked as interrupted.
     """
-    measured = fitting(recording, rope)
+    measured = matching_angles(recording, rope)
     n = rope.n_links
     checks.choice("rates", rates, RATES)
     state = first_state(measured, rates)
@@ -177,7 +177,7 @@ def squared_error(measured: Recording, rope: Rope, state: Array) -> float:
     return float(np.nansum((q - measured.data) ** 2))
 
 
-def fitting(recording: Recording, rope: Rope) -> Recording:
+def matching_angles(recording: Recording, rope: Rope) -> Recording:
     """Return the recording's angles if they fit the rope and begin with a full sample."""
     if not isinstance(recording, Recording) or not isinstance(rope, Rope):
         raise InvalidInput("a Recording and a Rope are needed", got=[type(recording).__name__, type(rope).__name__])

@@ -95,8 +95,8 @@ def compare_models(
     return _compared(todo[: len(done)], done, stopped)
 
 
-def _bar(count: int, wanted: bool) -> AbstractContextManager[Any]:
-    return progress_bar(0.0, float(count), wanted, "comparing models")
+def _bar(count: int, shown: bool) -> AbstractContextManager[Any]:
+    return progress_bar(0.0, float(count), shown, "comparing models")
 
 
 def _fit_all(
@@ -108,7 +108,7 @@ def _fit_all(
     for number, each in enumerate(todo):
         try:
             found = fit(each.guess, each.free, **options)
-            found = _unstuck(fit, each, found, zip(todo, done, strict=False), options)
+            found = _refit_from_nested(fit, each, found, zip(todo, done, strict=False), options)
         except HyperflexError as failure:
             done.append(str(failure))
         except KeyboardInterrupt:
@@ -125,7 +125,7 @@ def _fit_all(
     return done, False
 
 
-def _unstuck(
+def _refit_from_nested(
     fit: Callable[..., Identification],
     candidate: Candidate,
     found: Identification,
@@ -134,10 +134,10 @@ def _unstuck(
 ) -> Identification:
     """Return a fit that is no worse than those of models within it: where one is better, fitted again from there."""
     for other, before in simpler:
-        if isinstance(before, str) or not other.within(candidate) or found.message == INTERRUPTED:
+        if isinstance(before, str) or not other.nested_in(candidate) or found.message == INTERRUPTED:
             continue
         if before.residual_t.size == found.residual_t.size and WORSE * _cost(before) < _cost(found):
-            start = other.handed_on(candidate, before.rope)
+            start = other.starting_guess(candidate, before.rope)
             again = fit(start, candidate.free, **options | {"window": found.settings["window"]})
             if again.message == INTERRUPTED or _cost(again) < _cost(found):
                 found = again
@@ -159,16 +159,16 @@ def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], s
             models.append(FittedModel(each.name, each.free, each.guess.n_links, reason=str(found)))
             continue
         basis = found._basis
-        models.append(_judged(each, found, basis, scores.get(id(basis))))
+        models.append(_fitted_model(each, found, basis, scores.get(id(basis))))
         unit = found.unit
-        states = sum(window.guess.size - window.believed.shape[0] for window in basis.windows)
+        states = sum(window.guess.size - window.prior.shape[0] for window in basis.windows)
         unknowns = models[-1].parameters + states
         evidence.append(Evidence(each.name, unknowns, models[-1].bic, found.held_out, models[-1].whiteness))
     preferred, words = recommend(evidence, unit)
     return ModelComparison(tuple(models), preferred, words, INTERRUPTED if stopped else CONVERGED, unit)
 
 
-def _judged(candidate: Candidate, found: Identification, basis: Basis, bic: float | None) -> FittedModel:
+def _fitted_model(candidate: Candidate, found: Identification, basis: Basis, bic: float | None) -> FittedModel:
     """Return a candidate with its figures."""
     reason = "" if bic is not None else "it fits other samples than the rest, so its BIC is another thing"
     if not found.success:

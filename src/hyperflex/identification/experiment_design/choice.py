@@ -12,9 +12,9 @@ from hyperflex import checks, files
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, Ended
-from hyperflex.identification.experiment_design.alternatives import Asked, instead
-from hyperflex.identification.experiment_design.experiments import Experiment, motions, variations
-from hyperflex.identification.experiment_design.fisher_information import Foresight, foresee
+from hyperflex.identification.experiment_design.alternatives import DesignQuestion, advise_alternatives
+from hyperflex.identification.experiment_design.experiments import Experiment, default_experiments, variations
+from hyperflex.identification.experiment_design.fisher_information import ExpectedInformation, expected_information
 from hyperflex.identification.model.names import parse
 from hyperflex.model import Arm, Rope
 from hyperflex.simulation.rollouts import progress_bar
@@ -174,10 +174,10 @@ def design_experiment(
     words = (want,) if isinstance(want, str) else tuple(want)
     checks.number("noise", noise, sign="positive", unit="m or rad")
     todo = _todo(rope, candidates, arm)
-    asked = Asked(rope, words, tuple(free), arm, noise)
+    asked = DesignQuestion(rope, words, tuple(free), arm, noise)
     parse(rope, free, np.array([0.0, rope.total_length]), moved=True, arm=arm or Arm())  # wrong for one, wrong for all
     plans: list[Plan] = []
-    seen: list[Foresight] = []
+    seen: list[ExpectedInformation] = []
     message = CONVERGED
     with progress_bar(0.0, len(todo) + (0.0 if candidates is not None else 6.0), progress, "designing") as report:
         try:
@@ -198,7 +198,7 @@ def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) 
     if not isinstance(rope, Rope):
         raise InvalidInput("design takes a Rope", got=type(rope).__name__)
     if candidates is None:
-        return motions(rope, arm)
+        return default_experiments(rope, arm)
     if len(candidates) == 0 or not all(isinstance(each, Experiment) for each in candidates):
         raise InvalidInput("candidates are no experiments", got=candidates, allowed="a list of hyperflex.Experiment")
     return list(candidates)
@@ -213,10 +213,10 @@ def _in_turn(todo: Sequence[Experiment], plans: Sequence[Plan], *, vary: bool) -
             yield from variations(best.experiment)
 
 
-def _plan(asked: Asked, experiment: Experiment, seen: list[Foresight]) -> Plan:
+def _plan(asked: DesignQuestion, experiment: Experiment, seen: list[ExpectedInformation]) -> Plan:
     """Look at one candidate; what is refused for all of them passes through."""
     try:
-        foresight = foresee(asked.rope, experiment, asked.free, asked.arm, asked.noise)
+        foresight = expected_information(asked.rope, experiment, asked.free, asked.arm, asked.noise)
     except HyperflexError as failure:
         return Plan(experiment, {}, {}, str(failure))
     seen.append(foresight)
@@ -226,13 +226,13 @@ def _plan(asked: Asked, experiment: Experiment, seen: list[Foresight]) -> Plan:
     )
 
 
-def _advice(asked: Asked, ranked: Sequence[Plan], seen: Sequence[Foresight]) -> str:
+def _advice(asked: DesignQuestion, ranked: Sequence[Plan], seen: Sequence[ExpectedInformation]) -> str:
     """Return what to do, in words."""
     if all(plan.reason for plan in ranked):
         return "No candidate could be simulated."
     best = ranked[0]
     if not np.isfinite(best.score):
-        return instead(asked, [plan.experiment for plan in ranked if not plan.reason], seen[0])
+        return advise_alternatives(asked, [plan.experiment for plan in ranked if not plan.reason], seen[0])
     worst = max(best.relative, key=lambda name: best.relative[name])
     said = f"Make: {best.experiment.name}. It tells {worst} to {_percent(best.score)}"
     said += f" ({_figure(best.sd[worst])})" if len(best.sd) == 1 else f" and the rest of {', '.join(asked.want)} better"

@@ -85,7 +85,7 @@ class Experiment:
         return q0, qd0
 
 
-def motions(rope: Rope, arm: Arm | None) -> list[Experiment]:
+def default_experiments(rope: Rope, arm: Arm | None) -> list[Experiment]:
     """Return the motions tried first: free swings, and with an arm the paper's; all looked at alike."""
     n, hangs = rope.n_links, rope.hanging_angle
     markers = min(n + 1, MARKERS)

@@ -12,11 +12,11 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.experiment_design.experiments import Experiment
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import linearise
-from hyperflex.identification.fit.windows import Window, thin, usual_length
+from hyperflex.identification.fit.windows import Window, decimation_step, usual_length
 from hyperflex.identification.measurements import measure, with_torque
 from hyperflex.identification.model.parameters import Parameter, Parameters
 from hyperflex.identification.model.plant import PRECISION, Plant, pivot_places
-from hyperflex.identification.model.scale import growing
+from hyperflex.identification.model.scale import in_common_factor
 from hyperflex.identification.pipeline import build_plant
 from hyperflex.identification.uncertainty.covariance import UNKNOWN, Information, ratio_spread, ratios
 from hyperflex.model import Arm, Rope
@@ -28,7 +28,7 @@ FAINT = 1e-3  # a ratio below this part of the largest of its kind is judged by 
 
 
 @dataclass(frozen=True)
-class Foresight:
+class ExpectedInformation:
     """What an experiment would tell about the free parameters of a rope."""
 
     parameters: Parameters
@@ -44,7 +44,7 @@ class Foresight:
         """
         x = self.information.x
         rope = self.parameters.rope(x)
-        sd = self.information.deviations(self.parameters.slopes(x))
+        sd = self.information.deviations(self.parameters.derivatives(x))
         own = {
             p.label: (p.name, float(s), size(p, float(each)))
             for p, s, each in zip(self.parameters.all, sd, x, strict=True)
@@ -76,7 +76,9 @@ def size(parameter: Parameter, x: float) -> float:
     return value if value > 0.0 and parameter.form != "linear" else parameter.width * parameter.scale
 
 
-def foresee(rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | None, noise: float) -> Foresight:
+def expected_information(
+    rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | None, noise: float
+) -> ExpectedInformation:
     """Return what a fit to such a recording would know about the parameters, were the rope the true one.
 
     Windows are cut, states left free and the place of the first joint fitted as ``identify`` does it.
@@ -106,9 +108,9 @@ def foresee(rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | 
     if torque is not None:
         measured = with_torque(measured, run.motor_torque, torque)
     length = min(usual_length(measured.shape, rope), 1.001 * recording.duration)
-    windows, _ = measured.windows(length, thin(recording, length))
+    windows, _ = measured.windows(length, decimation_step(recording, length))
     states = np.hstack([run.q, run.qd])[np.searchsorted(t, [window.t[0] for window in windows])]
-    return Foresight(plant.parameters, _information(plant, windows, states))
+    return ExpectedInformation(plant.parameters, _information(plant, windows, states))
 
 
 def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Information:
@@ -122,5 +124,5 @@ def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Info
     told = singular > UNKNOWN * singular[0]
     known, unknown = directions[told].T, directions[~told].T
     covariance = (known / singular[told] ** 2) @ known.T * np.outer(widths, widths)
-    tied = growing(plant.parameters, x, unknown)
+    tied = in_common_factor(plant.parameters, x, unknown)
     return Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)

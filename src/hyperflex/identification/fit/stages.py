@@ -12,7 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state
-from hyperflex.identification.fit.windows import FEWEST, Window, cut, thin
+from hyperflex.identification.fit.windows import FEWEST, Window, cut_windows, decimation_step
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.recording import Recording
@@ -30,18 +30,18 @@ AGAIN = 3  # times at most that all is fitted together after windows have found 
 
 
 @dataclass(frozen=True)
-class Measured:
-    """What is fitted: channels, the angles that they show, and what is believed of a state (see Window)."""
+class Measurements:
+    """What is fitted: channels, the angles that they show, and the prior of a state (see Window)."""
 
     channels: Recording
     shape: Recording
-    believed: Array | None = None
+    prior: Array | None = None
 
     def windows(self, length: float, step: int = 1) -> tuple[list[Window], int]:
         """Return windows of so many seconds with every `step`-th sample, and how many were left out."""
-        return cut(self.channels.decimate(step), length, self.shape.decimate(step), self.believed)
+        return cut_windows(self.channels.decimate(step), length, self.shape.decimate(step), self.prior)
 
-    def between(self, start: float, end: float) -> Measured:
+    def between(self, start: float, end: float) -> Measurements:
         """Return the samples with ``start <= t < end``, s."""
         return replace(self, channels=self.channels.window(start, end), shape=self.shape.window(start, end))
 
@@ -50,7 +50,7 @@ Done = tuple[Fit, list[Window], dict[str, Any]]
 
 
 def fit_in_stages(
-    plant: Plant, measured: Measured, length: float, usual: float, report: Report, loss: Loss | None = None
+    plant: Plant, measured: Measurements, length: float, usual: float, report: Report, loss: Loss | None = None
 ) -> Done:
     """Fit shorter windows first, then those of the wanted length; return the last fit, its windows and settings.
 
@@ -61,7 +61,7 @@ def fit_in_stages(
     done: list[Done] = []
     lengths = stage_lengths(length, usual, spacing)
     for number, part in enumerate(lengths):
-        step = thin(measured.channels, part)
+        step = decimation_step(measured.channels, part)
         windows, dropped = measured.windows(part, step)
         if part < length:
             windows = windows[:: max(1, len(windows) // STAGE_WINDOWS)]
@@ -75,7 +75,9 @@ def fit_in_stages(
             heard = _with_stage(report, stage)
             found = fit(plant, usable, x, states, loss=loss, enough=enough, report=heard)
             if part == length and not found.interrupted:
-                found = restarted(plant, usable, found, known_noise=measured.channels.noise is not None, report=heard)
+                found = refit_poor_windows(
+                    plant, usable, found, known_noise=measured.channels.noise is not None, report=heard
+                )
         except KeyboardInterrupt:
             if not done:
                 raise
@@ -104,7 +106,7 @@ def stage_lengths(length: float, usual: float, spacing: float) -> list[float]:
 
 def _enough(plant: Plant, windows: list[Window]) -> bool:
     """Tell whether the windows hold more values than there are unknowns."""
-    spare: int = sum(window.values + window.believed.shape[0] - window.guess.size for window in windows)
+    spare: int = sum(window.values + window.prior.shape[0] - window.guess.size for window in windows)
     return spare > len(plant.parameters)
 
 
@@ -141,7 +143,7 @@ def _starts(
     return kept, states
 
 
-def first_delay(plant: Plant, measured: Measured, length: float, loss: Loss) -> float:
+def search_delay(plant: Plant, measured: Measurements, length: float, loss: Loss) -> float:
     """Return the delay, s, from which a fit starts: that of least cost on a coarse grid, or 0.0 if hardly less.
 
     A grid, since the cost has a minimum for each swing.
@@ -156,7 +158,7 @@ def first_delay(plant: Plant, measured: Measured, length: float, loss: Loss) -> 
         Of the windows that are looked at, and greatest delay that is tried on either side, s.
     loss : Loss
     """
-    windows = measured.windows(length, thin(measured.channels, length))[0]
+    windows = measured.windows(length, decimation_step(measured.channels, length))[0]
     windows = windows[:: -(-len(windows) // DELAY_WINDOWS)] if windows else []
     x, states = plant.parameters.start, [window.guess for window in windows]
     least = begin = _delay_cost(plant, x, windows, states, loss)
@@ -187,7 +189,9 @@ def _delay_cost(plant: Plant, x: Array, windows: list[Window], states: list[Arra
     return total
 
 
-def restarted(plant: Plant, windows: Sequence[Window], found: Fit, *, known_noise: bool, report: Report) -> Fit:
+def refit_poor_windows(
+    plant: Plant, windows: Sequence[Window], found: Fit, *, known_noise: bool, report: Report
+) -> Fit:
     """Fit again from other states of the windows that fit badly; return the better fit.
 
     Parameters
@@ -231,8 +235,8 @@ def poor_windows(windows: Sequence[Window], found: Fit, *, known_noise: bool) ->
 
 def _window_cost(found: Fit, window: Window, state: Array, residual: Array) -> float:
     """Return the cost of a window with this state."""
-    believed = window.belief(state)
-    return found.loss.cost(residual) + float(believed @ believed)
+    prior = window.prior_residual(state)
+    return found.loss.cost(residual) + float(prior @ prior)
 
 
 def _better_state(plant: Plant, windows: Sequence[Window], found: Fit, states: list[Array], k: int) -> Array | None:
@@ -252,7 +256,7 @@ def _restart_states(
     """Yield states to start window k from: the end of the window before, that of the data, and both angles at rest."""
     window, n = windows[k], states[k].size // 2
     if k > 0:
-        arrived = plant.carried(x, float(windows[k - 1].t[0]), states[k - 1], float(window.t[0]))
+        arrived = plant.propagate(x, float(windows[k - 1].t[0]), states[k - 1], float(window.t[0]))
         if arrived is not None:
             turns = 2.0 * np.pi * np.round((window.guess[:n] - arrived[:n]) / (2.0 * np.pi))
             yield np.append(arrived[:n] + turns, arrived[n:])

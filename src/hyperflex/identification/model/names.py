@@ -176,5 +176,5 @@ def perturbed(rope: Rope, off: Mapping[str, float]) -> Rope:
         return rope
     parameters = Parameters(rope, parse(rope, list(own)))
     x = parameters.start
-    moved = np.maximum(x + np.array(list(own.values())) / parameters.slopes(x), parameters.lower)
+    moved = np.maximum(x + np.array(list(own.values())) / parameters.derivatives(x), parameters.lower)
     return parameters.rope(parameters.rounded(moved))

@@ -164,6 +164,6 @@ class _Noise:
 
 
 def _unknowns(basis: Basis) -> int:
-    """Return how many numbers the fit has found: parameters, and states beyond what was believed of them."""
-    states: int = sum(s.size - w.believed.shape[0] for s, w in zip(basis.fit.states, basis.windows, strict=True))
+    """Return how many numbers the fit has found: parameters, and states less the rows of their prior."""
+    states: int = sum(s.size - w.prior.shape[0] for s, w in zip(basis.fit.states, basis.windows, strict=True))
     return states + len(basis.plant.parameters)

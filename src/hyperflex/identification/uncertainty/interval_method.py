@@ -11,7 +11,7 @@ from hyperflex.identification.fit.multiple_shooting import Report
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.intervals import LEVEL, Interval, from_covariance
 from hyperflex.identification.uncertainty.profile import BETTER, Profile, profiled
-from hyperflex.identification.uncertainty.threshold import felt
+from hyperflex.identification.uncertainty.threshold import near_bounds
 
 How = Literal["auto", "covariance", "profile"]
 HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
@@ -45,7 +45,7 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Repor
     if how == "covariance":
         return result
     try:
-        chosen = _worst(basis) if how == "auto" else list(range(len(labels)))
+        chosen = _skewed_parameters(basis) if how == "auto" else list(range(len(labels)))
         chosen = [k for k in chosen if result[labels[k]].kind != "unknown"]
         length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
         for number, k in enumerate(chosen):
@@ -85,7 +85,7 @@ def skewed(basis: Basis, which: int) -> bool:
     """
     information = basis.information
     covariance, sd = information.covariance, np.sqrt(np.diag(information.covariance))
-    near = np.flatnonzero(felt(covariance, information.x - basis.plant.parameters.lower))
+    near = np.flatnonzero(near_bounds(covariance, information.x - basis.plant.parameters.lower))
     if sd[which] == 0.0:
         return False
     if any(abs(covariance[which, k]) > TIED * sd[which] * sd[k] for k in near):
@@ -98,7 +98,7 @@ def skewed(basis: Basis, which: int) -> bool:
     return False
 
 
-def _worst(basis: Basis) -> list[int]:
+def _skewed_parameters(basis: Basis) -> list[int]:
     """Return which parameters "auto" profiles."""
     information = basis.information
     sd = np.sqrt(np.diag(information.covariance))
@@ -119,5 +119,5 @@ def _rise(basis: Basis, move: Array) -> float | None:
         residual = basis.plant.residual(found.x + move, window, moved)
         if residual is None:
             return None
-        total += found.loss.cost(residual) + float((belief := window.belief(moved)) @ belief)
+        total += found.loss.cost(residual) + float((prior := window.prior_residual(moved)) @ prior)
     return (total - found.cost) / basis.information.variance

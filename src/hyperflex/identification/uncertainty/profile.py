@@ -136,7 +136,7 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Re
     if unknown or variances[which] <= 0.0:
         least = parameter.value(basis.plant.parameters.lower[which])
         return Profile(parameter.label, least, np.inf, level, ("open", "open"), *np.zeros((3, 0)))
-    walk = _Walk(basis, which, level, report)
+    walk = _ProfileSearch(basis, which, level, report)
     kind: Literal["profile", "covariance"] = "profile"
     try:
         below, first = walk.side(-1.0)
@@ -144,7 +144,7 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Re
         low = parameter.value(below) if np.isfinite(below) or parameter.form == "log" else -np.inf
         high = parameter.value(above) if np.isfinite(above) else np.inf
         ends = first, second
-    except _TooDear:
+    except _BudgetExceeded:
         kind = "covariance"
         low, high, ends = by_covariance(basis, which, level)
     if points:
@@ -161,16 +161,16 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Re
     return Profile(parameter.label, low, high, level, ends, *curve, kind, max(gain, 0.0), better)
 
 
-class _TooDear(Exception):
+class _BudgetExceeded(Exception):
     """A side has taken all its rounds."""
 
 
-class _Walk:
+class _ProfileSearch:
     """Walks away from the optimum along one parameter, to either side."""
 
     def __init__(self, basis: Basis, which: int, level: float, report: Report | None) -> None:
         self.basis, self.which, self.level, self.report = basis, which, level, report
-        self.left = MOST_ROUNDS
+        self.budget = MOST_ROUNDS
         information, found = basis.information, basis.fit
         self.lower = basis.plant.parameters.lower
         self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
@@ -205,21 +205,21 @@ class _Walk:
         move = x - start.x
         states = [s + f @ move for s, f in zip(start.states, self.basis.information.follow, strict=True)]
         for begin in (states, start.states):
-            if self.left <= 0:
-                raise _TooDear
+            if self.budget <= 0:
+                raise _BudgetExceeded
             try:
-                found = self._fit(x, begin, min(20, self.left), held=(self.which,))
+                found = self._fit(x, begin, min(20, self.budget), held=(self.which,))
             except InvalidInput:
-                self.left -= 1
+                self.budget -= 1
                 continue
-            self.left -= len(found.history)
+            self.budget -= len(found.history)
             self.points.append(self._point(found.x, found.states, found.cost))
             return self.points[-1]
         return None
 
     def side(self, sign: float) -> tuple[float, End]:
         """Return x of the end of the interval below (-1) or above (1) the optimum, and what it is."""
-        self.left = MOST_ROUNDS
+        self.budget = MOST_ROUNDS
         bound = float(self.lower[self.which]) if sign < 0.0 else np.inf
         inside, outside = self.points[0], None
         origin = float(inside.x[self.which])
@@ -258,6 +258,6 @@ class _Walk:
         values = np.array([p.x[self.which] for p in self.points])
         for end in (values.min(), values.max()):
             for value in np.linspace(values[0], end, points + 2)[1:-1]:
-                self.left = MOST_ROUNDS
+                self.budget = MOST_ROUNDS
                 if value != values[0]:
                     self.at(float(value))

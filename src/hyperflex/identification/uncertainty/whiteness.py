@@ -36,7 +36,7 @@ def whiteness(parts: Sequence[Piece]) -> float:
     if shortest < 2 or not any(part.residual.any() for part in parts):
         return 1.0
     lags = np.arange(1, max(1, min(LAGS, shortest // 4)) + 1)
-    spread = _spread(parts)
+    spread = _channel_covariance(parts)
     away, covariance = np.zeros(lags.size), np.zeros((lags.size, lags.size))
     for part in parts:
         mean, varies = _moments(part, spread, lags)
@@ -46,7 +46,7 @@ def whiteness(parts: Sequence[Piece]) -> float:
     return float(gammaincc(0.5 * lags.size, 0.5 * statistic))
 
 
-def _spread(parts: Sequence[Piece]) -> Array:
+def _channel_covariance(parts: Sequence[Piece]) -> Array:
     """Return the covariance (C, C) of the channels' noise."""
     products = sum(part.residual.T @ part.residual for part in parts)
     pairs = sum(part.seen.T @ part.seen for part in parts)
