@@ -1,4 +1,4 @@
-"""From a recording to what is fitted: angles as they are, or places of markers anywhere along the rope."""
+"""Measurements to fit: angles, places of markers, and motor torque."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one door: a recording and a guess in, an Identification out."""
+"""identify: from a recording and a first guess to an Identification."""
 
 from __future__ import annotations
 

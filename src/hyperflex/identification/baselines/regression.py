@@ -1,4 +1,4 @@
-"""The equation of motion as a regression: everything that is linear in it, link by link (paper (4)-(6)).
+"""Linear regression of the equation of motion on its parameters (paper (4)-(6)).
 
 The first moments p, the inertias J about the joints and all resistances enter the torques of a chain
 linearly, and so do masses and inertias where lengths and centres of mass are known.

@@ -1,4 +1,4 @@
-"""Parameters and initial state revised in turn until both settle: the paper's method (Fig. 4, "IR")."""
+"""Iterative revision (IR) of parameters and initial state, the paper's method (Fig. 4)."""
 
 from __future__ import annotations
 

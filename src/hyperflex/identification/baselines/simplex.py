@@ -1,4 +1,4 @@
-"""The initial state by the downhill simplex method (paper (7))."""
+"""Initial state by the Nelder-Mead simplex method (paper (7))."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Candidate models of a rope: what resists the joints' turning, and how many links there are."""
+"""Candidate models of a rope: resistances at the joints and numbers of links."""
 
 from __future__ import annotations
 

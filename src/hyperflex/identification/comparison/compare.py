@@ -1,4 +1,4 @@
-"""Which model: candidates fitted to one recording and compared by evidence."""
+"""Comparison of models: candidates fitted to one recording."""
 
 from __future__ import annotations
 

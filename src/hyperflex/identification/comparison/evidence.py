@@ -1,4 +1,4 @@
-"""Evidence for one model against another: Schwarz's criterion and held-out prediction, and what they say together."""
+"""Evidence for models: BIC and held-out prediction, and the recommendation from both."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a comparison of models gives back: each candidate's figures, which one is preferred, and why."""
+"""Result of a comparison of models: each candidate's figures and the preferred one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What to measure where no motion can tell what is wanted."""
+"""Advice on measurements where no candidate motion can tell what is wanted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which experiment to make: the one that would tell most about what is wanted."""
+"""Choice of the next experiment: candidates ranked by expected standard deviation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Experiments that could be made: how the arm moves, how often and how long one looks, and at how many places."""
+"""Candidate experiments: motion of the arm, frame rate, duration and markers."""
 
 from __future__ import annotations
 

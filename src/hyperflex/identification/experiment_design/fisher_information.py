@@ -1,4 +1,4 @@
-"""What an experiment would tell before it is made: the information of its simulated run."""
+"""Fisher information that a simulated experiment has of the parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shooting: every window has its own initial state, all windows share the parameters; Levenberg and Marquardt's steps.
+"""Multiple shooting: Levenberg-Marquardt steps for parameters and each window's state.
 
 The states of a window touch only that window's residuals, so each step eliminates them window by window (QR) and
 solves a small system for the parameters: cost linear in the number of windows. Derivatives are exact, those of the

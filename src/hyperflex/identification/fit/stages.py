@@ -1,4 +1,4 @@
-"""Stages of a fit: search for the delay, short windows before long ones, restarts of states."""
+"""Stages of a fit: delay search, short windows before long ones, restarts of states."""
 
 from __future__ import annotations
 

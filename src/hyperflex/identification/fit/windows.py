@@ -1,4 +1,4 @@
-"""Cutting a recording into the short windows that are shot through one by one."""
+"""Windows: short parts of a recording, each with an initial state of its own."""
 
 from __future__ import annotations
 

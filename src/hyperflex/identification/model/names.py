@@ -1,4 +1,4 @@
-"""The words in which a user names what is free."""
+"""The names in `free`, and the parameters that they stand for."""
 
 from __future__ import annotations
 

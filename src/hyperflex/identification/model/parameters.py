@@ -1,4 +1,4 @@
-"""What is free, how it is scaled and bounded for the fitter, and how a rope is made of it."""
+"""Free parameters: their scales and bounds for the fit, and the rope with given values."""
 
 from __future__ import annotations
 

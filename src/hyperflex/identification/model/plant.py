@@ -1,4 +1,4 @@
-"""What a camera would see of the rope from a given state on, and how that changes with state and parameters."""
+"""Predicted measurements of a window, with derivatives by state and parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The common factor of all moments, frictions and stiffnesses: no motion without a known force or torque tells it."""
+"""The common factor of moments, frictions and stiffnesses; unknown without a known force or torque."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parametric bootstrap: recordings simulated from what was found, fitted again, show how far a fit may be off."""
+"""Parametric bootstrap: fits to recordings simulated from a fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be known: singular values, covariance under robust losses and coloured noise, ratios by the delta method."""
+"""Covariance of the parameters: sandwich estimate for robust losses and coloured noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Choice of each interval's method: standard deviation, or profile likelihood where that is skewed."""
+"""Choice of each interval's method: covariance, or profile likelihood where skewed."""
 
 from __future__ import annotations
 

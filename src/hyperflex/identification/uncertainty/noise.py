@@ -1,4 +1,4 @@
-"""What the residuals are like as noise: how they hang together in time."""
+"""Autoregressive model of the residuals as noise, its order chosen by BIC."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Profile likelihood: how far one parameter can move before the data, all others fitted again, speak against it."""
+"""Profile likelihood: one parameter held at a value, all others fitted again."""
 
 from __future__ import annotations
 

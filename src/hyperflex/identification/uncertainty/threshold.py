@@ -1,4 +1,4 @@
-"""By how much the squares may rise before a value is refused, also beside a bound that parameters cannot cross.
+"""Thresholds of the profile likelihood, also beside bounds (Feldman and Cousins).
 
 Away from bounds the rise over the residual variance follows F(1, freedom). Beside a bound it does not: an estimate
 that noise would push beyond stays at the bound. There the distribution is that of the linear problem with the bounds,
