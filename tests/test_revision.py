@@ -61,7 +61,7 @@ def test_measured_rates_are_those_of_a_parabola_through_three_samples():
     t = np.array([0.0, 0.1, 0.25, 0.4])
     angle = np.stack([0.3 - 2.0 * t + 5.0 * t**2, 0.1 + t], axis=1)
     rope = hf.Rope.uniform(0.4, 0.04, 2)
-    found = hf.estimate_initial_state(hf.Recording(t, angle), rope, rates="measured", most=1)
+    found = hf.estimate_initial_state(hf.Recording(t, angle), rope, rates="measured", max_evaluations=1)
     np.testing.assert_allclose(found.qd, [-2.0, 1.0], rtol=1e-12)
 
 

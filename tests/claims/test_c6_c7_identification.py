@@ -93,7 +93,7 @@ def test_free_initial_rates_tell_less_but_the_same():
     # Half the simplex's usual rollouts, and J and eta from two revisions beyond the truth's neighbourhood: ten unknowns
     # take half a minute otherwise.
     start = guess().replace(inertia=np.full(5, 2.0 * INERTIA), friction=np.full(5, 1.1 * FRICTION))
-    found = iterative_revision(record(WIDE), start, rates="free", rounds=2, most=100)
+    found = iterative_revision(record(WIDE), start, rates="free", rounds=2, max_evaluations=100)
     assert abs(found.best.friction - FRICTION) < 3.0 * found.sd["friction"]
     assert abs(found.best.inertia - INERTIA) < 3.0 * found.sd["inertia"]
     assert found.sd["inertia"] > revised(WIDE).sd["inertia"]

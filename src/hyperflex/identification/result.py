@@ -156,8 +156,8 @@ class Identification(Ended):
         files.write_toml(path, {"rope": self.rope.table(), "identification": _without_none(content)})
 
     def __str__(self) -> str:
-        told = (f"{k} {_short(v)}" for k, v in self.settings.items() if not isinstance(v, list))
-        lines = [f"Identification {self.message}: " + ", ".join(told)]
+        settings = (f"{k} {_short(v)}" for k, v in self.settings.items() if not isinstance(v, list))
+        lines = [f"Identification {self.message}: " + ", ".join(settings)]
         for title, value, spread in (("value", self.values, self.sd), ("ratio", self.ratios, self.ratio_sd)):
             for name, numbers in value.items():
                 if said := _with_std(np.atleast_1d(numbers), np.atleast_1d(spread[name])):

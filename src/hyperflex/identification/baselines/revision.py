@@ -15,7 +15,7 @@ from hyperflex.dynamics import bias, mass_matrix
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.baselines.regression import fit_regression
 from hyperflex.identification.baselines.simplex import (
-    MOST,
+    MAX_EVALUATIONS,
     Rates,
     estimate_initial_state,
     first_state,
@@ -127,7 +127,7 @@ def iterative_revision(
     rates: Rates = "rest",
     profile: RevisionProfile = "response",
     rounds: int = 8,
-    most: int = MOST,
+    max_evaluations: int = MAX_EVALUATIONS,
     progress: Callable[[Round], None] | None = None,
 ) -> IterativeRevision:
     """Identify link inertia and joint friction as the paper does: initial state and parameters revised in turn.
@@ -152,7 +152,7 @@ def iterative_revision(
         angles that they change, and those are fitted to what the simulation left of the measured ones.
     rounds : int
         Revisions at most.
-    most : int
+    max_evaluations : int
         See :func:`estimate_initial_state`.
     progress : callable, optional
         Called with each :class:`Round`.
@@ -181,7 +181,7 @@ def iterative_revision(
     check_times(measured, rope_guess)
     check_motion(measured)
     checks.choice("profile", profile, PROFILES)
-    revision = _Revision(measured, rope_guess, rates, profile, checks.count("most", most))
+    revision = _Revision(measured, rope_guess, rates, profile, checks.count("max_evaluations", max_evaluations))
     done: list[Round] = []
     message, sd = NOT_CONVERGED, {"inertia": float("inf"), "friction": float("inf")}
     values = np.array([rope_guess.inertia.mean(), rope_guess.friction.mean()])
@@ -222,8 +222,8 @@ def _unchanged(before: Round, now: Round, sd: dict[str, float]) -> bool:
 class _Revision:
     """The two halves of a round."""
 
-    def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: RevisionProfile, most: int) -> None:
-        self.measured, self.guess, self.rates, self.profile, self.most = measured, guess, rates, profile, most
+    def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: RevisionProfile, limit: int) -> None:
+        self.measured, self.guess, self.rates, self.profile, self.limit = measured, guess, rates, profile, limit
         self.interrupted = False
         self.jacobian = None
         if profile == "response":
@@ -244,7 +244,7 @@ class _Revision:
                 f"J = {values[0]:.3g} kg m^2, eta = {values[1]:.3g} N m s/rad: {error}"
             ) from error
         start = None if before is None else (before.q, before.qd)
-        found = estimate_initial_state(self.measured, rope, rates=self.rates, start=start, most=self.most)
+        found = estimate_initial_state(self.measured, rope, rates=self.rates, start=start, max_evaluations=self.limit)
         self.interrupted = found.message == INTERRUPTED
         plain = squared_error(self.measured, rope, first_state(self.measured, self.rates))
         seconds = time.perf_counter() - began

@@ -27,7 +27,7 @@ ANGLE_STEP, ERROR_STEP = (
     1e-6,
 )  # rad and rad^2: far below the noise of a camera; the simplex is done when below both
 BEYOND = 1e3  # rad or rad/s: no state that a simplex may try
-MOST = 400  # rollouts for each unknown, in each of the two descents
+MAX_EVALUATIONS = 400  # rollouts for each unknown, in each of the two descents
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ def estimate_initial_state(
     *,
     rates: Rates = "rest",
     start: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
-    most: int = MOST,
+    max_evaluations: int = MAX_EVALUATIONS,
 ) -> InitialState:
     """Find the initial state from which a rope comes nearest to its recording: (7) by Nelder and Mead's simplex.
 
@@ -74,7 +74,7 @@ def estimate_initial_state(
     start : ((n,), (n,)) array_like, optional
         Angles and rates to start from; by default the measured ones. Rates that are not sought stay at what `rates`
         says.
-    most : int
+    max_evaluations : int
         Rollouts for each unknown, at most, in each of two descents: the second starts with a fresh simplex where the
         first one ended, for a simplex may collapse on its way.
 
@@ -108,7 +108,7 @@ def estimate_initial_state(
         )
     message = INTERRUPTED
     try:
-        converged = [descent.descend(checks.count("most", most)) for _ in range(2)][-1]
+        converged = [descent.descend(checks.count("max_evaluations", max_evaluations)) for _ in range(2)][-1]
         message = CONVERGED if converged else NOT_CONVERGED
     except KeyboardInterrupt:
         pass
@@ -132,7 +132,7 @@ class _Descent:
             self.best, self.least = state, error
         return error
 
-    def descend(self, most: int) -> bool:
+    def descend(self, max_evaluations: int) -> bool:
         """Descend with a fresh simplex from the best state, and return whether it converged."""
         from scipy.optimize import minimize
 
@@ -147,8 +147,8 @@ class _Descent:
                 "initial_simplex": np.vstack([here, here + np.diag(edges)]),
                 "xatol": ANGLE_STEP if self.free == n else ANGLE_STEP / PACE,
                 "fatol": ERROR_STEP,
-                "maxfev": most * self.free,
-                "maxiter": most * self.free,
+                "maxfev": max_evaluations * self.free,
+                "maxiter": max_evaluations * self.free,
                 "adaptive": self.free > n,
             },
         )

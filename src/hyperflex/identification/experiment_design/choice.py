@@ -50,7 +50,7 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class ExperimentDesign(Ended):
-    """Experiments ranked by what they would tell ; ``print`` shows the table.
+    """Experiments ranked by what they would tell; ``print`` shows the table.
 
     Attributes
     ----------
@@ -87,8 +87,7 @@ class ExperimentDesign(Ended):
             e = plan.experiment
             row: dict[str, Any] = {"name": e.name, "rate": e.rate, "duration": e.duration, "markers": e.markers}
             table.append(row | {"sd": plan.sd, "relative": plan.relative, "reason": plan.reason})
-        told = self.ending() | {"want": self.want, "advice": self.advice, "plans": table}
-        return dict(files.plain(told))
+        return dict(files.plain(self.ending() | {"want": self.want, "advice": self.advice, "plans": table}))
 
     def to_json(self, path: PathLike) -> None:
         """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""

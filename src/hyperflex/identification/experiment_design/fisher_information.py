@@ -121,8 +121,8 @@ def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Info
         linear = linearise(plant, window, x, state, np.zeros(window.y.size), Loss())
         rows.append(np.asarray(np.linalg.qr(linear.reduced()[0] * widths, mode="r")))
     _, singular, directions = np.linalg.svd(np.vstack(rows), full_matrices=False)
-    told = singular > UNKNOWN * singular[0]
-    known, unknown = directions[told].T, directions[~told].T
-    covariance = (known / singular[told] ** 2) @ known.T * np.outer(widths, widths)
+    determined = singular > UNKNOWN * singular[0]
+    known, unknown = directions[determined].T, directions[~determined].T
+    covariance = (known / singular[determined] ** 2) @ known.T * np.outer(widths, widths)
     tied = in_common_factor(plant.parameters, x, unknown)
     return Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)

@@ -99,9 +99,9 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> In
     mean = max(float(slopes.mean()), LEAST_SENSITIVITY)
     models = _models(plant, windows, fit, mean)
     singular, directions = _svd([model.shared * widths for model in models], total)
-    told = singular > UNKNOWN * singular[0]
-    known, unknown = directions[told].T, directions[~told].T
-    inner = known / singular[told]  # A^+ = inner inner^T
+    determined = singular > UNKNOWN * singular[0]
+    known, unknown = directions[determined].T, directions[~determined].T
+    inner = known / singular[determined]  # A^+ = inner inner^T
     pieces = [model.piece(inner * widths[:, None]) for model in models]
     terms, agrees = autoregression(pieces)
     absorbed = sum(float((piece.basis * correlated(terms, piece.basis)).sum()) for piece in pieces)
@@ -194,9 +194,9 @@ def ratios(rope: Rope, *, every: bool = False) -> dict[str, Array]:
     resistances, ``tau_d/p1`` and ``k/p1`` (m/s^2).
     """
     p, inertia = lumped(rope)
-    told = {each.symbol: getattr(rope, each.name) for each in RESISTANCES}
-    told = {name: value for name, value in told.items() if every or name == "c" or value.any()}
-    return {f"{name}/p1": value / p[0] for name, value in {"J": inertia, "p": p, **told}.items()}
+    resistances = {each.symbol: getattr(rope, each.name) for each in RESISTANCES}
+    resistances = {name: value for name, value in resistances.items() if every or name == "c" or value.any()}
+    return {f"{name}/p1": value / p[0] for name, value in {"J": inertia, "p": p, **resistances}.items()}
 
 
 def ratio_spread(parameters: Parameters, information: Information) -> dict[str, Array]:
