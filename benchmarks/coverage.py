@@ -171,14 +171,14 @@ def examine(draw: Draw, random: np.random.Generator) -> dict[str, Any]:
         found = hf.identify(case.recording, case.guess, case.free, window=np.inf, train=np.inf)
     except HyperflexError as error:
         return {"status": type(error).__name__, "numbers": {}}
-    if found.status == "interrupted":
+    if found.message == "interrupted":
         raise KeyboardInterrupt
     numbers = {}
     for name, true in case.truth.items():
         each = found.intervals[name]
         numbers[name] = [short(x) for x in (true, estimate(found, name), each.low, each.high)] + [each.kind]
     return {
-        "status": found.status,
+        "status": found.message,
         "seconds": short(time.perf_counter() - began),
         "rms": short(found.residual_rms_all),
         "warned": any(word in text for text in found.verdict for word in WORDS),

@@ -11,8 +11,8 @@ import numpy as np
 from clock import NOTE, alternately
 
 import hyperflex as hf
-from hyperflex.identification import identify, revise
-from hyperflex.identification.fit.stages import Measured, fit_in_stages
+from hyperflex.identification import identify, iterative_revision
+from hyperflex.identification.fit.stages import Measurements, fit_in_stages
 from hyperflex.identification.fit.windows import usual_length
 from hyperflex.identification.measurements import measure as measured
 from hyperflex.identification.model.names import parse
@@ -66,8 +66,8 @@ def paper_problem(recording: hf.Recording, repeats: int) -> list[dict[str, Any]]
         return run("profile")
 
     found = run()
-    if found.status != "converged":
-        raise RuntimeError(f"the paper's problem: {found.status}")
+    if not found.success:
+        raise RuntimeError(f"the paper's problem: {found.message}")
     profiled()
     error = float((found.residuals**2).sum())
     values = found.values["inertia"][0], found.values["friction"][0]
@@ -95,7 +95,7 @@ def starts(recording: hf.Recording, count: int) -> list[dict[str, Any]]:
         shifted = hf.Recording(exact.t, exact.data + rng.uniform(-SHIFT, SHIFT, 5))
         began = time.perf_counter()
         usual = usual_length(exact, guess)
-        found, _, _ = fit_in_stages(plant, Measured(exact, shifted), 1.001 * exact.duration, usual, lambda _: None)
+        found, _, _ = fit_in_stages(plant, Measurements(exact, shifted), 1.001 * exact.duration, usual, lambda _: None)
         values = plant.parameters.values(found.x)
         rows.append(row("5 links, 81 frames", f"start {number}", time.perf_counter() - began, found.cost, values))
     return rows
@@ -103,8 +103,8 @@ def starts(recording: hf.Recording, count: int) -> list[dict[str, Any]]:
 
 def paper_method(recording: hf.Recording) -> dict[str, Any]:
     """The paper's method on the same frames: downhill simplex and least squares in turn."""
-    found = revise(recording, PAPER.replace(**GUESS))
-    method, values = f"downhill simplex (IR): {found.status}", (found.best.inertia, found.best.friction)
+    found = iterative_revision(recording, PAPER.replace(**GUESS))
+    method, values = f"downhill simplex (IR): {found.message}", (found.best.inertia, found.best.friction)
     return row("5 links, 81 frames", method, found.seconds, found.error, values)
 
 
@@ -118,11 +118,11 @@ def cable_problem(repeats: int) -> dict[str, Any]:
     guess = CABLE.replace(friction=1.5e-3)
 
     def fit() -> hf.Identification:
-        return identify(recording, guess, ["friction:shared"], arcs=0.04 * joints, window=np.inf, train=np.inf)
+        return identify(recording, guess, ["friction:shared"], arc_lengths=0.04 * joints, window=np.inf, train=np.inf)
 
     found = fit()
-    if found.status != "converged":
-        raise RuntimeError(f"50 links: {found.status}")
+    if not found.success:
+        raise RuntimeError(f"50 links: {found.message}")
     (timed,) = alternately([fit], repeats, 10.0)
     error, friction = float((found.residuals**2).mean()) ** 0.5, float(found.values["friction"][0])
     clock = statistics.median(timed.clock)

@@ -138,9 +138,9 @@ def identified(true: hf.Rope, index: int, tape: bool) -> tuple[hf.Rope, dict[str
     begin, status = time.perf_counter(), ""
     # A marker's place does not grow with the rope's length in a fit: a second one starts where it has.
     for free in [["friction:factor"]] if tape else 2 * [["friction:factor", "length:factor"]]:
-        arcs = np.minimum(parts * rope.total_length, rope.total_length)
-        found = identify(recording, rope, free, arcs=arcs, window=np.inf, train=np.inf, intervals=None)
-        rope, status = found.rope, found.status
+        arc_lengths = np.minimum(parts * rope.total_length, rope.total_length)
+        found = identify(recording, rope, free, arc_lengths=arc_lengths, window=np.inf, train=np.inf, intervals=None)
+        rope, status = found.rope, found.message
     told = {
         "length": rope.total_length / true.total_length,
         "friction": rope.friction[0] / rope.total_mass / (true.friction[0] / true.total_mass),

@@ -16,18 +16,18 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import Identification, identify, lumped, ratios
 from hyperflex.identification.fit.multiple_shooting import Fit, Linear, fit, fit_state
-from hyperflex.identification.fit.stages import Measured
-from hyperflex.identification.fit.windows import Window, cut, thin, usual_length
+from hyperflex.identification.fit.stages import Measurements
+from hyperflex.identification.fit.windows import Window, cut_windows, decimation_step, usual_length
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import scaling
 from hyperflex.identification.prediction import HeldOut, predict
-from hyperflex.identification.uncertainty.covariance import Information, judge, ratio_spread
+from hyperflex.identification.uncertainty.covariance import Information, estimate_covariance, ratio_spread
 from hyperflex.identification.uncertainty.noise import autocorrelation
 from hyperflex.identification.verdict import (
     failed_predictions,
-    not_arrived,
+    not_converged,
     not_noise,
     other_lengths,
     verdict,
@@ -54,7 +54,7 @@ def plain(rope: Rope) -> Plant:
 
 
 def held_out(plant: Plant, angles: Recording) -> HeldOut | None:
-    return predict(plant, plant.parameters.start, Measured(angles, angles))
+    return predict(plant, plant.parameters.start, Measurements(angles, angles))
 
 
 def swing(rope: Rope, duration: float = 8.0, rate: float = 100.0, noise: float = NOISE, seed: int = 1) -> Recording:
@@ -85,7 +85,7 @@ def within(found: dict[str, Array], sd: dict[str, Array], truth: dict[str, Array
 
 def test_ratios_of_a_free_swing_cover_the_truth(fitted: Identification) -> None:
     within(fitted.ratios, fitted.ratio_sd, ratios(DOUBLE))
-    assert fitted.status == "converged"
+    assert fitted.success
     # The noise itself, of which 2n states a window of some 100 samples take 2 %, and sampling (1 / sqrt(1600) = 2.5 %).
     np.testing.assert_allclose(fitted.residual_rms, NOISE, rtol=0.1)
     relative = fitted.ratio_sd["J/p1"] / fitted.ratios["J/p1"]
@@ -179,14 +179,14 @@ def test_a_value_at_its_bound_does_not_hide_what_is_known() -> None:
     t = np.arange(1001) / 500.0
     run = simulate(rope, duration=t[-1], t_eval=t, tol=1e-9, q0=[1.5, 2.0], qd0=[0.0, 0.0])
     noise = NOISE * np.random.default_rng(0).standard_normal(run.q.shape)
-    windows, _ = cut(Recording(t, run.q + noise), 0.2)
+    windows, _ = cut_windows(Recording(t, run.q + noise), 0.2)
     starts = [int(np.argmin(np.abs(t - window.t[0]))) for window in windows]
     states = [np.append(run.q[k], run.qd[k]) for k in starts]
     parameters = freed(rope, ["inertia", "com", "friction"])
     plant = Plant(parameters)
     residuals = [plant.residual(parameters.start, window, state) for window, state in zip(windows, states, strict=True)]
     truth = Fit(parameters.start, states, [r for r in residuals if r is not None])
-    information = judge(plant, windows, truth)
+    information = estimate_covariance(plant, windows, truth)
     # Rounding only, as away from the bound
     assert information.singular[-1] < 1e-8 * information.singular[0]
     for spread in ratio_spread(parameters, information).values():
@@ -265,7 +265,7 @@ def test_gaps_uneven_times_and_markers(seed: int) -> None:
         Recording(recording.t[kept], places.reshape(kept.size, -1), kind="markers", noise=1e-3),
     ):
         result = identify(given, GUESS, ["inertia", "com", "friction"], train=np.inf)
-        assert result.status == "converged"
+        assert result.success
         within(result.ratios, result.ratio_sd, ratios(DOUBLE))
         assert result.settings["left_out"] >= 1
         assert np.isnan(result.residuals).any()
@@ -285,7 +285,7 @@ POOR_GUESSES = {
 def test_a_poor_guess_arrives_at_the_same_place(free_swing: Recording, fitted: Identification, guess: Rope) -> None:
     window = fitted.settings["window"]
     result = identify(free_swing, guess, ["inertia", "com", "mass", "friction"], window=window)
-    assert result.status == "converged"
+    assert result.success
     for name, value in fitted.ratios.items():  # convergence stops at a small part of the sd
         np.testing.assert_allclose(result.ratios[name], value, atol=0.2 * float(fitted.ratio_sd[name].max()))
 
@@ -358,7 +358,7 @@ def test_only_the_ratios_move_the_chain() -> None:
 
 def test_a_window_fit_finds_its_state() -> None:
     recording = swing(DOUBLE, duration=2.0, noise=0.0)
-    windows, dropped = cut(recording, 1.0)
+    windows, dropped = cut_windows(recording, 1.0)
     assert (len(windows), dropped) == (2, 1)  # the last sample alone makes no window
     plant = plain(DOUBLE)
     found = fit_state(plant, plant.parameters.start, windows[1], windows[1].guess)
@@ -371,8 +371,8 @@ def test_a_window_fit_finds_its_state() -> None:
 
 def test_windows_keep_to_their_span_and_thinning_to_its_limit() -> None:
     recording = swing(DOUBLE, duration=4.0, rate=1000.0, noise=0.0)
-    assert thin(recording, 1.0) == 5
-    windows, _ = cut(recording.decimate(5), 0.5)
+    assert decimation_step(recording, 1.0) == 5
+    windows, _ = cut_windows(recording.decimate(5), 0.5)
     assert len(windows) == 8
     assert {w.t.size for w in windows} == {100}
     assert all(w.t[-1] - w.t[0] < 0.5 for w in windows)
@@ -419,7 +419,7 @@ def test_a_fit_that_cannot_move_has_not_converged(free_swing: Recording, reach: 
     parameters = freed(HEAVY, ["inertia[0]"])
     plant = Brittle(parameters)
     plant.reach = reach
-    windows, _ = cut(free_swing, 1.0)
+    windows, _ = cut_windows(free_swing, 1.0)
     states = [window.guess for window in windows]
     found = fit(plant, windows, parameters.start, states)
     assert not found.converged
@@ -437,7 +437,7 @@ class Stuck(Plant):
 
 def test_a_fit_that_stalls_at_its_best_has_converged(free_swing: Recording) -> None:
     parameters = freed(GUESS, ["inertia", "friction"])
-    windows, _ = cut(free_swing, 1.0)
+    windows, _ = cut_windows(free_swing, 1.0)
     best = fit(Plant(parameters), windows, parameters.start, [window.guess for window in windows])
     plant = Stuck(parameters)
     plant.only = best.x
@@ -630,7 +630,7 @@ def test_ctrl_c_keeps_the_best_so_far(free_swing: Recording, after: int) -> None
             raise KeyboardInterrupt
 
     result = identify(free_swing, GUESS, ["inertia", "com", "friction"], progress=interrupt)
-    assert result.status == "interrupted"
+    assert result.message == "interrupted"
     assert len(result.history) == after
     assert (result.rope.friction != GUESS.friction).all()
     truth = ratios(DOUBLE)["J/p1"]
@@ -669,7 +669,7 @@ def test_results_are_written_and_read(fitted: Identification, tmp_path: Path) ->
 def test_windows_drop_links_that_cannot_be_seen() -> None:
     data = np.tile(RECORDING.data, (1, 2))
     data[50:100, 1] = np.nan
-    windows, dropped = cut(Recording(RECORDING.t, data), 1.0)
+    windows, dropped = cut_windows(Recording(RECORDING.t, data), 1.0)
     assert dropped == 2  # the second of four, and the last sample alone
     assert all(isinstance(w, Window) for w in windows)
     assert len(windows) == 3
@@ -690,8 +690,8 @@ def test_the_window_does_not_depend_on_the_guess() -> None:
 
 
 def test_the_verdict_leads_with_what_is_wrong() -> None:
-    assert not_arrived("converged") == []
-    assert not_arrived("not converged")[0].startswith("The fit is not converged")
+    assert not_converged("converged") == []
+    assert not_converged("not converged")[0].startswith("The fit is not converged")
     assert not_noise(1.0) == []
     assert "no noise" in not_noise(50.0)[0]
 

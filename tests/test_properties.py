@@ -15,7 +15,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification import lumped, ratios
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
-from hyperflex.identification.model.scale import common_factor, growing
+from hyperflex.identification.model.scale import common_factor, in_common_factor
 from hyperflex.model import divided
 from hyperflex.model.properties import FREE, LINKS, PROPERTIES, RATIOS, RESISTANCES, Property, parsed
 from hyperflex.model.refine import recut
@@ -130,7 +130,7 @@ def test_it_goes_with_the_common_factor(each: Property) -> None:
     parameters = Parameters(rope, parse(rope, words))
     found = common_factor(parameters, parameters.start, np.eye(4))
     assert found is not None
-    assert growing(parameters, parameters.start, np.eye(4)).all()
+    assert in_common_factor(parameters, parameters.start, np.eye(4)).all()
     moved = parameters.rope(parameters.start + 0.01 * found)
     name = f"{each.symbol}/p1"
     assert lumped(moved)[0][0] != lumped(rope)[0][0]

@@ -32,7 +32,7 @@ def test_triple_pendulum_ratios(triple: Identification) -> None:
     # 1 %: the authors' own fit and the independent one differ by up to 0.5 %, friction being modelled differently.
     np.testing.assert_allclose(triple.ratios["J/p1"], J, rtol=0.01)
     np.testing.assert_allclose(triple.ratios["p/p1"], P, rtol=0.01)
-    assert triple.status == "converged"
+    assert triple.success
     assert not triple.identifiable
     assert triple.verdict[0].startswith("One common factor of inertia, com, friction")
     for name in ("J/p1", "p/p1"):  # known to better than 1 %, and not absurdly well for residuals of milliradians
@@ -118,7 +118,7 @@ def figures(found: Identification) -> tuple[list[float], list[float]]:
 def test_double_pendulum_from_video_markers(data_dir: Path) -> None:
     first, other, second = double(data_dir, 16), double(data_dir, 16, (0.05, 0.03)), double(data_dir, 6)
     for result in (first, other, second):
-        assert result.status == "converged"  # the bottom is rough: dry friction at its bound, and too little to gain
+        assert result.success  # the bottom is rough: dry friction at its bound, and too little to gain
         # 1 %: independent fits of run 16
         np.testing.assert_allclose(figures(result)[0], [0.0905, 0.00686, 0.1019], rtol=0.01)
         assert result.residual_rms_all < 3e-3  # the markers' own noise is about 2.5 mrad

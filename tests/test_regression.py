@@ -64,7 +64,7 @@ def own_values(rope: hf.Rope, names: tuple[str, ...]) -> np.ndarray:
 def test_columns_and_known_torques_make_up_the_equation_of_motion(names, friction_model):
     rope = rough_rope(friction_model)
     q, qd, qdd = states()
-    made = hf.regression(rope, q, qd, qdd, names)
+    made = hf.fit_regression(rope, q, qd, qdd, names)
     torques = np.array([mass_matrix(rope, a) @ c + bias(rope, a, b) for a, b, c in zip(q, qd, qdd, strict=True)])
     # Both are sums of some 20 terms of the size of the torques, so they agree to rounding.
     np.testing.assert_allclose(
@@ -77,7 +77,7 @@ def test_columns_are_what_the_torques_change_by():
     rope = rough_rope()
     q, qd, qdd = states(1)
     names = ["mass[2]", "inertia[0]", "tip_mass", "friction[1]", "dry_friction[3]", "stiffness[2]"]
-    made = hf.regression(rope, q, qd, qdd, names)
+    made = hf.fit_regression(rope, q, qd, qdd, names)
 
     def torque(each: hf.Rope) -> np.ndarray:
         return mass_matrix(each, q[0]) @ qdd[0] + bias(each, q[0], qd[0])
@@ -92,8 +92,8 @@ def test_columns_are_what_the_torques_change_by():
 
 def test_a_shared_unknown_is_the_sum_of_the_single_ones_and_nothing_of_it_is_known():
     rope = rough_rope()
-    single = hf.regression(rope, *states(), ["friction", "inertia"])
-    shared = hf.regression(rope, *states(), ["friction:shared", "inertia:shared"])
+    single = hf.fit_regression(rope, *states(), ["friction", "inertia"])
+    shared = hf.fit_regression(rope, *states(), ["friction:shared", "inertia:shared"])
     np.testing.assert_allclose(shared.columns[..., 0], single.columns[..., :N].sum(axis=2), rtol=1e-14)
     np.testing.assert_allclose(shared.known, single.known, rtol=0, atol=1e-15)
 
@@ -103,7 +103,7 @@ def test_lambda_and_tau_id_are_those_of_the_paper(friction_model):
     """(5): Lambda = [qdd, S qd], with S as printed or S^T S; tau_id = -M_known qdd - C - P."""
     rope = hf.Rope.uniform(1.0, 0.01, N, inertia=2e-6, friction=5e-4, friction_model=friction_model)
     q, qd, qdd = states()
-    made = hf.regression(rope, q, qd, qdd)
+    made = hf.fit_regression(rope, q, qd, qdd)
     s = np.eye(N) - np.eye(N, k=-1)
     s = s.T @ s if friction_model == "relative" else s
     np.testing.assert_allclose(made.columns[..., 0], qdd, rtol=1e-14)
@@ -121,7 +121,7 @@ def test_a_moving_arm_enters_by_its_acceleration_angle_and_rate():
     angle, rate, acceleration = 0.4, -1.3, 2.1
     pull = 0.2 * acceleration * np.array([np.cos(angle), np.sin(angle)])
     pull += 0.2 * rate**2 * np.array([-np.sin(angle), np.cos(angle)])
-    made = hf.regression(
+    made = hf.fit_regression(
         rope.replace(stiffness=np.zeros(N), rest_angle=np.zeros(N)),
         q,
         qd,
@@ -142,7 +142,7 @@ def test_a_moving_arm_enters_by_its_acceleration_angle_and_rate():
 def test_least_squares_find_what_made_the_motion(friction_model):
     rope = hf.Rope.uniform(1.0, 0.01, N, inertia=2e-6, friction=5e-4, friction_model=friction_model)
     run = hf.simulate(rope, duration=3.0, q0=np.linspace(0.3, 0.9, N), tol=1e-9)
-    found = hf.regression(rope.replace(inertia=9e-6, friction=0.0), run.q, run.qd, run.qdd).solve()
+    found = hf.fit_regression(rope.replace(inertia=9e-6, friction=0.0), run.q, run.qd, run.qdd).solve()
     # The simulation's accelerations fulfil (1) at its states to rounding; J's torque is 1e-3 of the others.
     assert found["inertia:shared"] == pytest.approx(2e-6, rel=1e-8)
     assert found["friction:shared"] == pytest.approx(5e-4, rel=1e-8)
@@ -157,7 +157,7 @@ def test_every_moment_and_friction_is_found_at_once_up_to_one_that_is_known():
     # p[0] is what is known: give the blind rope the right one by its first centre of mass.
     missing = lumped(rope)[0][0] - lumped(known)[0][0]
     known = known.replace(com=known.com + np.eye(N)[0] * missing / known.mass[0])
-    found = hf.regression(known, run.q, run.qd, run.qdd, names).solve()
+    found = hf.fit_regression(known, run.q, run.qd, run.qdd, names).solve()
     expected = np.concatenate([lumped(rope)[0][1:], lumped(rope)[1], rope.friction])
     np.testing.assert_allclose(found.values, expected, rtol=1e-7)
 
@@ -165,7 +165,7 @@ def test_every_moment_and_friction_is_found_at_once_up_to_one_that_is_known():
 def test_standard_deviations_are_those_of_repeated_noise():
     rope = hf.Rope.uniform(1.0, 0.01, N, inertia=2e-5, friction=5e-4)
     run = hf.simulate(rope, duration=3.0, q0=np.linspace(0.3, 0.9, N), tol=1e-9)
-    exact = hf.regression(rope, run.q, run.qd, run.qdd)
+    exact = hf.fit_regression(rope, run.q, run.qd, run.qdd)
     rng = np.random.default_rng(1)
     draws = []
     for _ in range(400):
@@ -181,7 +181,7 @@ def test_samples_with_gaps_are_left_out():
     run = hf.simulate(rope, duration=3.0, q0=np.linspace(0.3, 0.9, N), tol=1e-9)
     q = run.q.copy()
     q[10:20, 1] = np.nan
-    found = hf.regression(rope, q, run.qd, run.qdd).solve()
+    found = hf.fit_regression(rope, q, run.qd, run.qdd).solve()
     assert found["friction:shared"] == pytest.approx(5e-4, rel=1e-8)
     assert np.isnan(found.residual[10:20]).any(axis=1).all()
 
@@ -202,31 +202,31 @@ def test_samples_with_gaps_are_left_out():
 )
 def test_names_are_refused(names, message):
     with pytest.raises(InvalidInput, match=message):
-        hf.regression(rough_rope(), *states(), names)
+        hf.fit_regression(rough_rope(), *states(), names)
 
 
 def test_shapes_are_refused():
     q, qd, qdd = states()
     with pytest.raises(InvalidInput, match="qd has the wrong shape"):
-        hf.regression(rough_rope(), q, qd[1:], qdd)
+        hf.fit_regression(rough_rope(), q, qd[1:], qdd)
 
 
 def test_unknowns_that_act_alike_are_named():
     q, qd, qdd = states()
     qd[:] = 0.0
     with pytest.raises(InvalidInput, match=r"act alike.*friction:shared"):
-        hf.regression(rough_rope(), q, qd, qdd).solve()
+        hf.fit_regression(rough_rope(), q, qd, qdd).solve()
 
 
 def test_a_common_factor_is_not_guessed():
     rope = rough_rope().replace(stiffness=np.zeros(N), dry_friction=np.zeros(N))
     with pytest.raises(InvalidInput, match="common factor"):
-        hf.regression(rope, *states(), ["p", "J", "friction"]).solve()
+        hf.fit_regression(rope, *states(), ["p", "J", "friction"]).solve()
 
 
 def test_too_few_samples_are_refused():
     with pytest.raises(InvalidInput, match="too few samples"):
-        hf.regression(rough_rope(), *states(1), ["p[1]", "J", "friction"]).solve()
+        hf.fit_regression(rough_rope(), *states(1), ["p[1]", "J", "friction"]).solve()
 
 
 def test_air_drag_is_the_virtual_work_of_the_wind_along_the_links() -> None:
@@ -240,7 +240,7 @@ def test_air_drag_is_the_virtual_work_of_the_wind_along_the_links() -> None:
     q, qd, qdd = (scale * rng.standard_normal((6, n)) for scale in (1.0, 4.0, 20.0))
     qd[0, 1] = 0.0  # a link that only moves along: v is the same all over it
     pivot = rng.standard_normal((6, 2))
-    found = hf.regression(rope, q, qd, qdd, ["drag"], pivot_velocity=pivot)
+    found = hf.fit_regression(rope, q, qd, qdd, ["drag"], pivot_velocity=pivot)
     normal = np.stack([np.cos(q), np.sin(q)], axis=2)
     for sample in range(6):
         for k in range(n):
@@ -253,6 +253,6 @@ def test_air_drag_is_the_virtual_work_of_the_wind_along_the_links() -> None:
             scale = np.abs(work).max()
             np.testing.assert_allclose(found.columns[sample, : k + 1, k], work, atol=1e-6 * scale)
             assert not found.columns[sample, k + 1 :, k].any()
-    held = hf.regression(rope, q, qd, qdd, ["friction"], pivot_velocity=pivot).known
-    bare = hf.regression(rope.replace(drag=0.0), q, qd, qdd, ["friction"], pivot_velocity=pivot).known
+    held = hf.fit_regression(rope, q, qd, qdd, ["friction"], pivot_velocity=pivot).known
+    bare = hf.fit_regression(rope.replace(drag=0.0), q, qd, qdd, ["friction"], pivot_velocity=pivot).known
     np.testing.assert_allclose(bare - held, found.columns @ rope.drag, rtol=1e-9, atol=1e-15)

@@ -30,8 +30,8 @@ def swing(rope: hf.Rope = ROPE, noise: float = 0.0, rates: float = 0.0, t: np.nd
 
 def test_initial_angles_are_found():
     away = START + np.array([0.2, -0.1, 0.3])
-    found = hf.initial_state(swing(), ROPE, start=(away, np.zeros(3)))
-    assert found.status == "settled"
+    found = hf.estimate_initial_state(swing(), ROPE, start=(away, np.zeros(3)))
+    assert found.success
     # The simplex ends within ANGLE_STEP = 1e-4 of the least error; friction makes the sharpest bend weak in the data.
     np.testing.assert_allclose(found.q, START, atol=1e-3)
     assert (found.qd == 0.0).all()
@@ -40,7 +40,7 @@ def test_initial_angles_are_found():
 
 def test_the_optimised_start_is_better_than_a_noisy_first_frame():
     recording = swing(noise=0.01)
-    found = hf.initial_state(recording, ROPE)
+    found = hf.estimate_initial_state(recording, ROPE)
     measured = squared_error(recording, ROPE, np.append(recording.data[0], np.zeros(3)))
     true = squared_error(recording, ROPE, np.append(START, np.zeros(3)))
     assert found.error < min(true, measured)
@@ -48,8 +48,8 @@ def test_the_optimised_start_is_better_than_a_noisy_first_frame():
 
 def test_initial_rates_are_found_along_with_the_angles():
     recording = swing(rates=1.5)
-    still = hf.initial_state(recording, ROPE)
-    found = hf.initial_state(recording, ROPE, rates="free")
+    still = hf.estimate_initial_state(recording, ROPE)
+    found = hf.estimate_initial_state(recording, ROPE, rates="free")
     assert still.error > 0.1  # rates of some rad/s cannot be made up by angles
     # The simplex ends within ANGLE_STEP of the least error, here 0, and in rates within that over PACE.
     np.testing.assert_allclose(found.q, START, atol=1e-3)
@@ -61,7 +61,7 @@ def test_measured_rates_are_those_of_a_parabola_through_three_samples():
     t = np.array([0.0, 0.1, 0.25, 0.4])
     angle = np.stack([0.3 - 2.0 * t + 5.0 * t**2, 0.1 + t], axis=1)
     rope = hf.Rope.uniform(0.4, 0.04, 2)
-    found = hf.initial_state(hf.Recording(t, angle), rope, rates="measured", most=1)
+    found = hf.estimate_initial_state(hf.Recording(t, angle), rope, rates="measured", max_evaluations=1)
     np.testing.assert_allclose(found.qd, [-2.0, 1.0], rtol=1e-12)
 
 
@@ -86,18 +86,18 @@ def test_ctrl_c_keeps_the_best_state_so_far(monkeypatch):
         return seen[-1]
 
     monkeypatch.setattr(_simplex, "squared_error", error)
-    found = hf.initial_state(recording, ROPE)
-    assert found.status == "interrupted"
+    found = hf.estimate_initial_state(recording, ROPE)
+    assert found.message == "interrupted"
     assert found.error == min(seen) < seen[-1]
     assert found.evaluations == len(seen)
 
 
 def test_the_revision_settles_at_the_truth_and_tells_its_rounds():
     heard = []
-    found = hf.revise(swing(), GUESS, progress=heard.append)
-    assert found.status == "settled"
-    assert found.settled_after is not None
-    assert found.settled_after <= 5
+    found = hf.iterative_revision(swing(), GUESS, progress=heard.append)
+    assert found.success
+    assert found.converged_after is not None
+    assert found.converged_after <= 5
     assert tuple(heard) == found.rounds
     assert (found.rounds[0].inertia, found.rounds[0].friction) == (4e-5, 4e-3)
     # Without noise only the simplex's 1e-4 rad are left; they come to less than a thousandth in J and eta.
@@ -113,7 +113,7 @@ def test_the_uncertainty_of_the_revision_is_that_of_repeated_noise():
     for seed in range(16):
         recording = swing()
         noise = 5e-3 * np.random.default_rng(seed).standard_normal(recording.data.shape)
-        draws.append(hf.revise(hf.Recording(T, recording.data + noise), ROPE, rounds=2))
+        draws.append(hf.iterative_revision(hf.Recording(T, recording.data + noise), ROPE, rounds=2))
     for name in ("inertia", "friction"):
         values = np.array([getattr(draw.best, name) for draw in draws])
         # 16 draws: a standard deviation known within 18 % (one sigma), and a mean within a quarter of it.
@@ -123,8 +123,8 @@ def test_the_uncertainty_of_the_revision_is_that_of_repeated_noise():
 
 def test_a_calculated_profile_returns_what_it_was_calculated_with():
     """Step 4 as it is printed: the profile fulfils (4) with J and eta of the guess, so nothing ever moves."""
-    found = hf.revise(swing(noise=0.01), GUESS, profile="calculated")
-    assert found.settled_after == 0
+    found = hf.iterative_revision(swing(noise=0.01), GUESS, profile="calculated")
+    assert found.converged_after == 0
     # Accelerations follow from a dense solve: rounding only. J is a thousandth of the known part of M.
     assert found.rounds[1].inertia == pytest.approx(4e-5, rel=1e-8)
     assert found.rounds[1].friction == pytest.approx(4e-3, rel=1e-8)
@@ -132,8 +132,8 @@ def test_a_calculated_profile_returns_what_it_was_calculated_with():
 
 @pytest.mark.parametrize("profile", ["measured", "measured rates"])
 def test_mixed_profiles_use_the_recording_and_stay_away_from_the_truth(profile):
-    found = hf.revise(swing(noise=0.01), GUESS, profile=profile, rounds=3)
-    best = hf.revise(swing(noise=0.01), GUESS)
+    found = hf.iterative_revision(swing(noise=0.01), GUESS, profile=profile, rounds=3)
+    best = hf.iterative_revision(swing(noise=0.01), GUESS)
     assert found.rounds[1].friction != pytest.approx(4e-3, rel=1e-3)
     assert found.error == min(each.error for each in found.rounds)
     assert found.error > 1.2 * best.error
@@ -141,7 +141,7 @@ def test_mixed_profiles_use_the_recording_and_stay_away_from_the_truth(profile):
 
 def test_a_printed_friction_is_revised_as_printed():
     printed = ROPE.replace(friction_model="printed")
-    found = hf.revise(swing(printed), GUESS.replace(friction_model="printed"))
+    found = hf.iterative_revision(swing(printed), GUESS.replace(friction_model="printed"))
     assert found.best.friction == pytest.approx(2e-3, rel=1e-3)
     assert found.rope.friction_model == "printed"
 
@@ -151,7 +151,7 @@ def test_gaps_are_left_out():
     data = recording.data.copy()
     data[::4, 1] = np.nan
     data[0] = recording.data[0]
-    found = hf.revise(hf.Recording(T, data), GUESS)
+    found = hf.iterative_revision(hf.Recording(T, data), GUESS)
     assert found.samples == np.isfinite(data).sum()
     assert found.best.friction == pytest.approx(2e-3, rel=1e-3)
 
@@ -162,14 +162,15 @@ def test_what_would_become_negative_stops_at_zero_and_the_rest_adapts():
     data = swing(none).data
     for seed in range(8):
         recording = hf.Recording(T, data + 5e-3 * np.random.default_rng(seed).standard_normal(data.shape))
-        found = hf.revise(recording, GUESS)
-        assert found.status == "settled"
+        found = hf.iterative_revision(recording, GUESS)
+        assert found.success
         if found.best.inertia == 0.0:
             break
     assert found.best.inertia == 0.0
     # With J at 0, E is least at the eta that was found: as much is lost on either side of it.
     lost = [
-        hf.initial_state(recording, found.rope.replace(friction=found.rope.friction + step)).error - found.error
+        hf.estimate_initial_state(recording, found.rope.replace(friction=found.rope.friction + step)).error
+        - found.error
         for step in (-found.sd["friction"], found.sd["friction"])
     ]
     assert min(lost) > 0.0
@@ -186,31 +187,31 @@ def test_ctrl_c_keeps_the_best_round_so_far(monkeypatch):
         return squared_error(measured, rope, state)
 
     monkeypatch.setattr(_simplex, "squared_error", error)
-    found = hf.revise(swing(), GUESS, progress=lambda each: (rounds.append(each), count.clear()))
-    assert found.status == "interrupted"
+    found = hf.iterative_revision(swing(), GUESS, progress=lambda each: (rounds.append(each), count.clear()))
+    assert found.message == "interrupted"
     assert len(rounds) == 2
     assert found.error <= min(each.error for each in rounds)
-    assert found.settled_after is None
+    assert found.converged_after is None
 
 
 def test_recordings_and_ropes_that_do_not_fit_are_refused():
     with pytest.raises(InvalidInput, match="different numbers of links"):
-        hf.revise(swing(), hf.Rope.uniform(0.6, 0.06, 4))
+        hf.iterative_revision(swing(), hf.Rope.uniform(0.6, 0.06, 4))
     with pytest.raises(InvalidInput, match="profile is not known"):
-        hf.revise(swing(), GUESS, profile="integrated")
+        hf.iterative_revision(swing(), GUESS, profile="integrated")
     with pytest.raises(InvalidInput, match="rates is not known"):
-        hf.initial_state(swing(), ROPE, rates="zero")
+        hf.estimate_initial_state(swing(), ROPE, rates="zero")
     data = swing().data.copy()
     data[1, 2] = np.nan
     with pytest.raises(InvalidInput, match="first three samples"):
-        hf.initial_state(hf.Recording(T, data), ROPE)
+        hf.estimate_initial_state(hf.Recording(T, data), ROPE)
     with pytest.raises(InvalidInput, match="Recording and a Rope"):
-        hf.initial_state(data, ROPE)
+        hf.estimate_initial_state(data, ROPE)
 
 
 def test_a_start_from_which_nothing_can_be_simulated_is_refused():
     with pytest.raises(IdentificationError, match="cannot be simulated from the start"):
-        hf.initial_state(swing(), ROPE, start=(np.full(3, 1e4), np.zeros(3)))
+        hf.estimate_initial_state(swing(), ROPE, start=(np.full(3, 1e4), np.zeros(3)))
 
 
 def test_natural_period_of_a_single_link_is_that_of_a_pendulum():

@@ -51,7 +51,7 @@ def test_markers_are_where_the_rope_is() -> None:
     beyond = joints[3] + 0.2 * (joints[3] - joints[2])
     np.testing.assert_allclose(places, [joints[0], joints[1], third, joints[3], beyond], rtol=0, atol=1e-15)
     check_differences(lambda x: seen.measure(ROPE, ARM, state(x)), 1e-10)
-    with pytest.raises(InvalidInput, match="arcs is empty"):
+    with pytest.raises(InvalidInput, match="arc_lengths is empty"):
         Markers([])
 
 

@@ -19,18 +19,18 @@ if TYPE_CHECKING:
     )
     from hyperflex.identification import (
         Bootstrap,
-        Design,
         Experiment,
+        ExperimentDesign,
         Identification,
+        IterativeRevision,
         ModelComparison,
-        Revision,
         bootstrap,
         compare_models,
-        design,
+        design_experiment,
+        estimate_initial_state,
+        fit_regression,
         identify,
-        initial_state,
-        regression,
-        revise,
+        iterative_revision,
     )
     from hyperflex.interfaces import Motor, RopeState, StateSource
     from hyperflex.model import Arm, Ground, Peg, Rope, Setup, Wall, refine_rope

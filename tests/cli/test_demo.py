@@ -69,7 +69,7 @@ def test_a_bug_is_one_json_object_and_a_traceback_on_standard_error(hyperflex, m
 
 
 def test_a_fit_that_was_interrupted_is_no_demo(hyperflex, monkeypatch, tmp_path):
-    half = SimpleNamespace(status="interrupted")
+    half = SimpleNamespace(message="interrupted")
     monkeypatch.setattr("hyperflex.demo.run.identify", lambda *_, **__: half)
     assert hyperflex("demo", "-o", tmp_path)[:2] == (130, "")
     assert list(tmp_path.iterdir()) == []

@@ -40,7 +40,7 @@ def test_the_folder_is_complete(demo_report):
 
 
 def test_intervals_cover_the_mapped_truth_and_exclude_the_guess(demo_report):
-    assert demo_report.demo.identification.status == "converged"
+    assert demo_report.demo.identification.success
     for each in demo_report.demo.parameters:
         low, high = each.interval
         assert low < each.mapped < high, each

@@ -37,7 +37,7 @@ def test_identify_writes_the_rope_and_its_figures(hyperflex, swing):
     assert "prediction error" not in out  # 0.8 s are too short for a prediction of 1 s after 0.5 s
     # Noise-free data of the same model: only the rollout's tolerance of 1e-5 m is left.
     assert hf.Rope.from_toml(swing / "rope.toml").friction[0] == pytest.approx(2e-4, rel=1e-2)
-    assert files.read_toml(swing / "rope.toml")["identification"]["status"] == "converged"
+    assert files.read_toml(swing / "rope.toml")["identification"]["message"] == "converged"
 
 
 def test_identify_as_json_with_a_held_out_part(hyperflex_json, swing):
@@ -75,7 +75,7 @@ def test_ctrl_c_keeps_the_best_so_far_and_exits_with_130(hyperflex_json, swing, 
     def interrupted(*arguments, **options):
         with contextlib.suppress(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-        return dataclasses.replace(whole(*arguments, **options), status="interrupted")
+        return dataclasses.replace(whole(*arguments, **options), message="interrupted")
 
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
@@ -85,32 +85,32 @@ def test_ctrl_c_keeps_the_best_so_far_and_exits_with_130(hyperflex_json, swing, 
     finally:
         signal.signal(signal.SIGINT, before)
     assert code == 130
-    assert result["error"] == result["status"] == "interrupted"
-    assert files.read_toml(swing / "rope.toml")["identification"]["status"] == "interrupted"
+    assert (result["error"], result["success"], result["status"]) == ("interrupted", False, 2)
+    assert files.read_toml(swing / "rope.toml")["identification"]["message"] == "interrupted"
 
 
 def test_a_fit_that_did_not_converge_is_written_marked_and_exits_with_3(hyperflex, swing, monkeypatch):
     whole = identification.identify
 
     def unsettled(*arguments, **options):
-        return dataclasses.replace(whole(*arguments, **options), status="not converged")
+        return dataclasses.replace(whole(*arguments, **options), message="not converged")
 
     monkeypatch.setattr(identification, "identify", unsettled)
     arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments)
     assert code == 3
     assert "not converged" in "".join(out.splitlines()[:2])
-    assert files.read_toml(swing / "rope.toml")["identification"]["status"] == "not converged"
+    assert files.read_toml(swing / "rope.toml")["identification"]["message"] == "not converged"
     code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments, "--json")
     assert code == 3
-    assert next(iter(json.loads(out).items())) == ("status", "not converged")
+    assert list(json.loads(out).items())[:3] == [("success", False), ("status", 1), ("message", "not converged")]
 
 
 def test_ctrl_c_prints_the_best_so_far(hyperflex, swing, monkeypatch):
     whole = identification.identify
 
     def interrupted(*arguments, **options):
-        return dataclasses.replace(whole(*arguments, **options), status="interrupted")
+        return dataclasses.replace(whole(*arguments, **options), message="interrupted")
 
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
@@ -199,7 +199,7 @@ def test_an_interrupted_fit_leaves_a_whole_folder_marked_as_such(hyperflex, swin
     whole = identification.identify
 
     def interrupted(*arguments, **options):
-        return dataclasses.replace(whole(*arguments, **options), status="interrupted")
+        return dataclasses.replace(whole(*arguments, **options), message="interrupted")
 
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--guess", swing / "guess.toml", "--free", "friction", *DECLARED)
@@ -234,17 +234,21 @@ MARKERS = ("--kind", "markers", "--time-unit", "s", "--unit", "m", "--y-axis", "
 
 
 @pytest.mark.parametrize(
-    "arcs", [("--arc-lengths", "0.05,0.1,0.2,0.3"), ("--arc-lengths", "0.05,0.1", "--arc-lengths", "0.2,0.3")]
+    "arc_lengths", [("--arc-lengths", "0.05,0.1,0.2,0.3"), ("--arc-lengths", "0.05,0.1", "--arc-lengths", "0.2,0.3")]
 )
-def test_arcs_origin_and_setup_reach_the_fit(hyperflex_json, led, arcs):
-    arguments = ("--guess", led / "guess.toml", "--setup", led / "setup.toml", "--origin", "0.05,-0.02", *arcs)
+def test_arcs_origin_and_setup_reach_the_fit(hyperflex_json, led, arc_lengths):
+    arguments = ("--guess", led / "guess.toml", "--setup", led / "setup.toml", "--origin", "0.05,-0.02", *arc_lengths)
     options = ("--loss", "huber", "--train", "inf", *MARKERS)
     code, result = hyperflex_json("identify", led / "led.csv", *arguments, *options, "-o", led / "rope.toml")
     assert code == 0
     # Noise-free data of the same model: only the rollout's tolerance is left.
     assert result["values"]["friction"] == pytest.approx([2e-4] * 3, rel=1e-2)
     settings = result["settings"]
-    assert (settings["arcs"], settings["origin"], settings["loss"]) == ([0.05, 0.1, 0.2, 0.3], [0.05, -0.02], "huber")
+    assert (settings["arc_lengths"], settings["origin"], settings["loss"]) == (
+        [0.05, 0.1, 0.2, 0.3],
+        [0.05, -0.02],
+        "huber",
+    )
     assert settings["base"] == "moved by an arm of 0.1 m"
 
 

@@ -10,8 +10,8 @@ from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
-from hyperflex.identification.model.plant import Plant, Seen
-from hyperflex.identification.uncertainty.covariance import Basis, judge
+from hyperflex.identification.model.plant import Plant, PredictedChannels
+from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.model import Rope
 
 ROPE = Rope(length=[1.0], mass=[1.0], com=[0.5], inertia=[1.0], friction=[1.0])
@@ -28,8 +28,8 @@ class Line(Plant):
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         return self.shared @ (x - self.truth) + self.own @ state
 
-    def slopes(self, x: Array, t: Array, state: Array) -> Seen | None:
-        return Seen(self.shared @ (x - self.truth) + self.own @ state, self.own, self.shared)
+    def slopes(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
+        return PredictedChannels(self.shared @ (x - self.truth) + self.own @ state, self.own, self.shared)
 
 
 def waves(samples: int, channels: int = 1, truth: Array | float = 10.0, tied: float = 0.5) -> Line:
@@ -49,7 +49,7 @@ def fitted(plant: Line, noise: Array, loss: LossName = "squares", pieces: int = 
         Window(t, noise[k * m : (k + 1) * m], np.ones((m, channels)), np.zeros(2), nothing) for k in range(pieces)
     ]
     found = fit(plant, windows, plant.truth, [w.guess for w in windows], loss=Loss(loss), enough=1e-9)
-    return Basis(plant, windows, found, judge(plant, windows, found))
+    return Basis(plant, windows, found, estimate_covariance(plant, windows, found))
 
 
 def autoregressive(random: np.random.Generator, shape: tuple[int, ...], part: float) -> Array:

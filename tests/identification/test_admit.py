@@ -7,7 +7,7 @@ import pytest
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import identify, revise
+from hyperflex.identification import identify, iterative_revision
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -38,14 +38,14 @@ def test_noise_is_no_motion(size: float, frames: int, declared: float | None) ->
         with pytest.raises(InvalidInput, match="no motion beyond noise"):
             identify(each, ROPE, ["friction:shared"])
         with pytest.raises(InvalidInput, match="no motion beyond noise"):
-            revise(each, ROPE)
+            iterative_revision(each, ROPE)
 
 
 def test_noise_of_markers_is_no_motion() -> None:
     t, _, places = swing(0.0, 81)
     recording = Recording(t, places + 0.2 * noise(places.shape), kind="markers", noise=0.2 * NOISE)
     with pytest.raises(InvalidInput, match="no motion beyond noise"):
-        identify(recording, ROPE, ["friction:shared"], arcs=ARCS)
+        identify(recording, ROPE, ["friction:shared"], arc_lengths=ARCS)
 
 
 def moves(*recordings: Recording) -> bool:
@@ -97,9 +97,9 @@ def test_stiff_ropes_may_be_short_and_weightless_ones_slow() -> None:
 def test_revise_asks_for_motion_and_time_too() -> None:
     t, q, _ = swing(0.3, 81)
     with pytest.raises(InvalidInput, match="nothing moves"):
-        revise(Recording(t, 0.0 * q), ROPE)
+        iterative_revision(Recording(t, 0.0 * q), ROPE)
     with pytest.raises(InvalidInput, match="another unit"):
-        revise(Recording(1e3 * t, q), ROPE)
+        iterative_revision(Recording(1e3 * t, q), ROPE)
 
 
 @pytest.mark.parametrize("links", [1, 2])
@@ -113,10 +113,10 @@ def test_the_tip_alone_identifies_a_rope(links: int) -> None:
     )
     guess, free = rope.replace(friction=1e-3), ["friction:shared"]
     with pytest.raises(InvalidInput, match=r"origin=\(x, y\)"):
-        identify(recording, guess, free, arcs=[0.4])
+        identify(recording, guess, free, arc_lengths=[0.4])
     with pytest.raises(InvalidInput, match="marker alone"):
         recording.angles()
-    found = identify(recording, guess, free, arcs=[0.4], origin=(0.3, 0.1), intervals=None)
-    assert found.status == "converged"
+    found = identify(recording, guess, free, arc_lengths=[0.4], origin=(0.3, 0.1), intervals=None)
+    assert found.success
     value, sd = float(found.values["friction"][0]), float(found.sd["friction"][0])
     assert abs(value - 3e-4) < 4.0 * sd < 6e-5  # chance of more: 6e-5; far less than the guess is off

@@ -14,7 +14,7 @@ from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.pipeline import identify
-from hyperflex.identification.uncertainty.prediction_band import Doubt, spread
+from hyperflex.identification.prediction import PredictionUncertainty, prediction_std
 
 ROPE = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
 NOISE = 2e-3
@@ -25,10 +25,10 @@ def plant() -> Plant:
     return Plant(Parameters(ROPE, parse(ROPE, ["friction"])))
 
 
-def window(y: Array, believed: Array | None = None) -> Window:
+def window(y: Array, prior: Array | None = None) -> Window:
     known = np.ones_like(y)
     known[3:6, 1] = 0.0
-    none = np.zeros((0, 4)) if believed is None else believed
+    none = np.zeros((0, 4)) if prior is None else prior
     return Window(T, y, known, np.array([0.6, 0.9, 0.0, 0.0]), none)
 
 
@@ -53,8 +53,8 @@ def test_an_error_of_the_parameters_moves_state_and_prediction(swing: Array) -> 
     found = fit_state(model, x, seen, seen.guess)
     assert found is not None
     covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
-    doubt = Doubt(covariance, np.full(2, 1e-9), 1.0)
-    ours = spread(model, x, seen, found, AHEAD, doubt)
+    uncertainty = PredictionUncertainty(covariance, np.full(2, 1e-9), 1.0)
+    ours = prediction_std(model, x, seen, found, AHEAD, uncertainty)
     # The same by central differences of refitted predictions: steps of 1e-3 leave a relative error of some 1e-5.
     steps = 1e-3 * np.eye(2)
     slopes = np.stack([(predicted(model, x + h, seen) - predicted(model, x - h, seen)) / 2e-3 for h in steps], axis=2)
@@ -68,24 +68,27 @@ def test_noise_of_the_window_and_of_the_sample_itself(swing: Array) -> None:
     found = fit_state(model, x, seen, seen.guess)
     assert found is not None
     noise = np.array([1e-3, 3e-3])
-    ours = spread(model, x, seen, found, AHEAD, Doubt(np.zeros((2, 2)), noise, 1.0))
+    ours = prediction_std(model, x, seen, found, AHEAD, PredictionUncertainty(np.zeros((2, 2)), noise, 1.0))
     rng = np.random.default_rng(1)
     draws = [predicted(model, x, window(swing + noise * rng.normal(size=swing.shape))) for _ in range(150)]
     theirs = np.sqrt(np.var(draws, axis=0) + noise**2)
     # 150 draws give a standard deviation to 6 %; three times that.
     np.testing.assert_allclose(ours, theirs, rtol=0.18)
-    wide = spread(model, x, seen, found, AHEAD, Doubt(np.zeros((2, 2)), noise, 4.0))
+    wide = prediction_std(model, x, seen, found, AHEAD, PredictionUncertainty(np.zeros((2, 2)), noise, 4.0))
     np.testing.assert_allclose(wide**2 - noise**2, 4.0 * (ours**2 - noise**2), rtol=1e-9)
 
 
-def test_a_belief_holds_the_state(swing: Array) -> None:
-    belief = np.array([[-1.0, 1.0, 0.0, 0.0]]) / 1e-6  # both links in line
-    model, free, held = plant(), window(swing), window(swing, belief)
+def test_a_prior_holds_the_state(swing: Array) -> None:
+    prior = np.array([[-1.0, 1.0, 0.0, 0.0]]) / 1e-6  # both links in line
+    model, free, held = plant(), window(swing), window(swing, prior)
     x = model.parameters.start
-    doubt = Doubt(np.zeros((2, 2)), np.full(2, NOISE), 1.0)
+    uncertainty = PredictionUncertainty(np.zeros((2, 2)), np.full(2, NOISE), 1.0)
     found = fit_state(model, x, free, free.guess)
     assert found is not None
-    assert (spread(model, x, held, found, AHEAD, doubt) < spread(model, x, free, found, AHEAD, doubt)).all()
+    assert (
+        prediction_std(model, x, held, found, AHEAD, uncertainty)
+        < prediction_std(model, x, free, found, AHEAD, uncertainty)
+    ).all()
 
 
 def test_where_the_motion_cannot_be_followed_the_band_is_unknown(swing: Array) -> None:
@@ -95,8 +98,8 @@ def test_where_the_motion_cannot_be_followed_the_band_is_unknown(swing: Array) -
 
     model, seen = Blind(plant().parameters), window(swing)
     found = (seen.guess, np.zeros(2 * T.size))
-    doubt = Doubt(np.zeros((2, 2)), np.full(2, NOISE), 1.0)
-    assert np.isnan(spread(model, model.parameters.start, seen, found, AHEAD, doubt)).all()
+    uncertainty = PredictionUncertainty(np.zeros((2, 2)), np.full(2, NOISE), 1.0)
+    assert np.isnan(prediction_std(model, model.parameters.start, seen, found, AHEAD, uncertainty)).all()
 
 
 def recorded(seed: int) -> hf.Recording:
@@ -129,14 +132,16 @@ def test_outliers_do_not_widen_the_band() -> None:
 
 
 def test_a_rope_with_few_markers_is_predicted_to_its_noise() -> None:
-    """What is believed of its shape must not outweigh what the markers show of it."""
+    """The prior of its shape must not outweigh what the markers show of it."""
     rope = hf.Rope.uniform(length=0.8, mass=0.1, n_links=8, friction=5e-4)
     t = np.arange(100) * 0.04
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=0.4 + 0.15 * np.arange(8))
     places = run.joints[:, [2, 4, 6, 8]] + np.array([0.3, -0.1])
     data = places.reshape(t.size, -1) + np.random.default_rng(3).normal(0.0, 1e-3, (t.size, 8))
     recording = hf.Recording(t, data, kind="markers", noise=1e-3)
-    result = identify(recording, rope.replace(friction=1e-3), ["friction:shared"], arcs=[0.2, 0.4, 0.6, 0.8], train=2.4)
+    result = identify(
+        recording, rope.replace(friction=1e-3), ["friction:shared"], arc_lengths=[0.2, 0.4, 0.6, 0.8], train=2.4
+    )
     assert result.held_out is not None
     assert (
         result.held_out.rms < 3e-3
@@ -153,18 +158,18 @@ def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(_identify, "predict", interrupted)
     result = identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], train=5.0)
-    assert result.status == "interrupted"
+    assert result.message == "interrupted"
     assert result.held_out is None
     assert (np.abs(result.values["friction"] - ROPE.friction) < 5.0 * result.sd["friction"]).all()
 
 
-def test_markers_without_given_noise_are_not_outweighed_by_beliefs() -> None:
+def test_markers_without_given_noise_are_not_outweighed_by_the_prior() -> None:
     rope = hf.Rope.uniform(length=0.8, mass=0.1, n_links=8, friction=5e-4)
     t = np.arange(60) * 0.04
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=0.4 + 0.15 * np.arange(8))
     data = run.joints[:, [2, 4, 6, 8]].reshape(t.size, -1) + np.random.default_rng(3).normal(0.0, 1e-3, (t.size, 8))
     recording = hf.Recording(t, data, kind="markers")
-    places = {"arcs": [0.2, 0.4, 0.6, 0.8], "origin": [0.0, 0.0]}
+    places = {"arc_lengths": [0.2, 0.4, 0.6, 0.8], "origin": [0.0, 0.0]}
     result = identify(recording, rope.replace(friction=1e-3), ["friction:shared"], train=np.inf, **places)  # type: ignore[arg-type]
     assert (np.abs(result.values["friction"] - 5e-4) < 4.0 * result.sd["friction"]).all()
-    assert (result.residual_rms < 1.5e-3).all()  # noise of 1 mm; 6 to 34 mm where beliefs in sd beat errors in m
+    assert (result.residual_rms < 1.5e-3).all()  # noise of 1 mm; 6 to 34 mm where a prior in sd beats errors in m

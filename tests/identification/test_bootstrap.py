@@ -106,7 +106,7 @@ def test_refusals(found: Identification) -> None:
     with pytest.raises(InvalidInput, match="count"):
         bootstrap(found, 0)
     with pytest.raises(InvalidInput, match="no longer has its fit"):
-        bootstrap(replace(found, status="converged"))
+        bootstrap(replace(found, message="converged"))
     result = Bootstrap(("mass",), np.array([[1.0], [2.0]]), 0, interrupted=False)
     with pytest.raises(InvalidInput, match=r"no such parameter.*mass"):
         result.interval("inertia")

@@ -164,7 +164,7 @@ def test_a_candidate_that_fails_is_told_with_its_reason(stiff: hf.ModelCompariso
     assert stiff["nonsense"].identification is None
     assert "unknown name" in stiff["nonsense"].reason
     assert "failed: free has an unknown name" in str(stiff)
-    assert stiff.status == "complete"
+    assert stiff.success
     with pytest.raises(KeyError):
         stiff["no such"]
 
@@ -201,7 +201,7 @@ def test_ctrl_c_keeps_the_candidates_that_are_done(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(_choice, "identify", second_stops)
     found = compare_models(swing(DOUBLE), GUESS, MODELS)
-    assert found.status == "interrupted"
+    assert found.message == "interrupted"
     assert [model.name for model in found.models] == ["viscous"]
     assert found.preferred == "viscous"
     assert "nothing to compare it with" in found.recommendation

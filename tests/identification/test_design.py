@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperflex import Arm, Experiment, Recording, Rope, arm_swings, design, identify, simulate
+from hyperflex import Arm, Experiment, Recording, Rope, arm_swings, design_experiment, identify, simulate
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.experiment_design import choice as _design
-from hyperflex.identification.experiment_design.experiments import motions, variations
-from hyperflex.identification.experiment_design.fisher_information import foresee
+from hyperflex.identification.experiment_design.experiments import default_experiments, variations
+from hyperflex.identification.experiment_design.fisher_information import expected_information
 
 SINGLE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
 DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
@@ -22,7 +22,7 @@ NOISE = 2e-3
 
 def test_predicted_deviations_are_those_of_many_fits() -> None:
     """40 twins: an sd from 40 draws is known to 1 / sqrt(78) = 11 %; 3.5 of these. Stated sds agree much better."""
-    planned = design(SINGLE, ["inertia", "friction"], [SHORT], noise=NOISE).plans[0]
+    planned = design_experiment(SINGLE, ["inertia", "friction"], [SHORT], noise=NOISE).plans[0]
     run = simulate(SINGLE, duration=3.0, t_eval=SHORT.t, q0=[0.8], tol=1e-9)
     values, stated = [], []
     for seed in range(40):
@@ -39,45 +39,49 @@ def test_predicted_deviations_are_those_of_many_fits() -> None:
 def test_markers_are_foreseen_as_a_fit_of_places_sees_them() -> None:
     """One fit: its sd follows from 720 values' noise, known to 1 / sqrt(1440) = 3 %; three and a half of these."""
     look = Experiment("markers", q0=[0.8, 1.2], rate=40.0, duration=3.0, markers=3)
-    planned = design(DOUBLE, "inertia", [look], noise=1e-3).plans[0]
+    planned = design_experiment(DOUBLE, "inertia", [look], noise=1e-3).plans[0]
     run = simulate(DOUBLE, duration=3.0, t_eval=look.t, q0=[0.8, 1.2], tol=1e-9)
     places = run.joints[:, [0, 1, 2]].copy()
-    arcs = np.linspace(0.0, 0.55, 3)  # the middle marker sits on the first link, 25 mm before its end
+    arc_lengths = np.linspace(0.0, 0.55, 3)  # the middle marker sits on the first link, 25 mm before its end
     along = np.stack([np.sin(run.q[:, 0]), -np.cos(run.q[:, 0])], axis=1)
-    places[:, 1] = arcs[1] * along
+    places[:, 1] = arc_lengths[1] * along
     seen = places.reshape(look.t.size, -1) + 1e-3 * np.random.default_rng(0).standard_normal((look.t.size, 6))
     recording = Recording(look.t, seen, kind="markers", noise=1e-3)  # type: ignore[arg-type]
-    found = identify(recording, DOUBLE, ["inertia", "friction"], arcs=arcs, train=np.inf)
+    found = identify(recording, DOUBLE, ["inertia", "friction"], arc_lengths=arc_lengths, train=np.inf)
     np.testing.assert_allclose(found.sd["inertia"], list(planned.sd.values()), rtol=0.1)
 
 
 def test_noise_and_frame_rate_scale_as_they_must() -> None:
     """Deviations are proportional to the noise, exactly; four times the frames halve them but for the ends' share."""
-    noisy = [design(SINGLE, "friction", [SHORT], noise=size).plans[0].sd["friction[0]"] for size in (1e-3, 3e-3)]
+    noisy = [
+        design_experiment(SINGLE, "friction", [SHORT], noise=size).plans[0].sd["friction[0]"] for size in (1e-3, 3e-3)
+    ]
     assert noisy[1] / noisy[0] == pytest.approx(3.0, rel=1e-9)
     often = [Experiment("", q0=0.8, rate=rate, duration=4.0) for rate in (50.0, 200.0)]
-    slow, fast = (design(SINGLE, "friction", [each]).plans[0].sd["friction[0]"] for each in often)
+    slow, fast = (design_experiment(SINGLE, "friction", [each]).plans[0].sd["friction[0]"] for each in often)
     assert slow / fast == pytest.approx(2.0, rel=0.1)
     own = Experiment("own noise", q0=0.8, rate=40.0, duration=3.0, noise=3e-3)
-    assert design(SINGLE, "friction", [own], noise=1e-3).plans[0].sd["friction[0]"] == pytest.approx(noisy[1])
+    assert design_experiment(SINGLE, "friction", [own], noise=1e-3).plans[0].sd["friction[0]"] == pytest.approx(
+        noisy[1]
+    )
 
 
 def test_candidates_are_ranked_and_the_best_is_named() -> None:
     small = Experiment("small", q0=0.1, rate=40.0, duration=3.0)
     impossible = Experiment("impossible", q0=[0.1, 0.2, 0.3])
     still = Experiment("still", rate=40.0, duration=3.0)
-    found = design(SINGLE, "friction", [small, impossible, still, SHORT])
+    found = design_experiment(SINGLE, "friction", [small, impossible, still, SHORT])
     assert [plan.experiment.name for plan in found.plans[:2]] == ["short", "small"]
     assert found.best is found.plans[0]
     assert "Make: short" in found.advice
     assert "small would leave" in found.advice
     assert "Cannot tell: still" in found.advice
     assert "wrong shape" in next(plan.reason for plan in found.plans if plan.experiment is impossible)
-    assert found.status == "complete"
+    assert found.success
 
 
 def test_the_table_and_the_file_hold_what_was_found(tmp_path: Path) -> None:
-    found = design(DOUBLE, ["friction", "J/p1"], [Experiment("a swing", q0=0.8, rate=40.0, duration=3.0)])
+    found = design_experiment(DOUBLE, ["friction", "J/p1"], [Experiment("a swing", q0=0.8, rate=40.0, duration=3.0)])
     plan = found.plans[0]
     assert list(plan.sd) == ["friction[0]", "friction[1]", "J/p1[0]", "J/p1[1]"]
     assert plan.score == max(plan.relative.values())
@@ -90,9 +94,9 @@ def test_the_table_and_the_file_hold_what_was_found(tmp_path: Path) -> None:
 
 
 def test_by_default_motions_are_tried_first_and_the_best_is_varied() -> None:
-    found = design(DOUBLE, "inertia", arm=Arm(length=0.1))
+    found = design_experiment(DOUBLE, "inertia", arm=Arm(length=0.1))
     names = [plan.experiment.name for plan in found.plans]
-    first = [each.name for each in motions(DOUBLE, Arm(length=0.1))]
+    first = [each.name for each in default_experiments(DOUBLE, Arm(length=0.1))]
     assert len(first) == 7
     assert set(first) < set(names)
     assert found.best is not None
@@ -106,7 +110,7 @@ def test_by_default_motions_are_tried_first_and_the_best_is_varied() -> None:
 
 def test_a_common_factor_is_said_to_need_scales_or_a_torque() -> None:
     swing = Experiment("swing", arm_swings(t_move=0.7, t_rest=0.4), rate=40.0, duration=4.0)
-    found = design(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=["inertia", "mass", "friction"])
+    found = design_experiment(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=["inertia", "mass", "friction"])
     assert found.best is None
     assert np.isinf(found.plans[0].score)
     assert "No candidate can tell inertia[0], inertia[1]: no known force or torque acts" in found.advice
@@ -114,17 +118,19 @@ def test_a_common_factor_is_said_to_need_scales_or_a_torque() -> None:
     assert "Or measure the motor's torque" in found.advice
     assert "want=['J/p1', 'p/p1', 'c/p1']" in found.advice
     # and what it promises is so
-    weighed = design(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=["inertia", "friction"])
+    weighed = design_experiment(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=["inertia", "friction"])
     assert f"tells inertia to {100 * weighed.plans[0].score:.3g} %" in found.advice
-    masses = design(DOUBLE, "mass", [Experiment("", q0=0.8, duration=3.0)], free=["mass", "inertia", "friction"])
+    masses = design_experiment(
+        DOUBLE, "mass", [Experiment("", q0=0.8, duration=3.0)], free=["mass", "inertia", "friction"]
+    )
     assert "Weigh it" in masses.advice
     assert "Or swing it by a motor whose torque is measured" in masses.advice
-    ratio = design(DOUBLE, "J/p1", [swing], arm=Arm(length=0.1), free=["inertia", "mass", "friction"])
+    ratio = design_experiment(DOUBLE, "J/p1", [swing], arm=Arm(length=0.1), free=["inertia", "mass", "friction"])
     assert ratio.best is not None
 
 
 def test_what_does_not_act_is_told_from_a_common_factor() -> None:
-    found = design(SINGLE, "length", [SHORT], free=["inertia", "length"])
+    found = design_experiment(SINGLE, "length", [SHORT], free=["inertia", "length"])
     assert found.best is None
     assert "No candidate can tell length[0]: it does not act in these motions" in found.advice
 
@@ -132,11 +138,13 @@ def test_what_does_not_act_is_told_from_a_common_factor() -> None:
 def test_a_measured_torque_is_foreseen() -> None:
     move = arm_swings(t_move=0.7, t_rest=0.4, profile="minimum-jerk")
     looks = [Experiment(f"{noise:g}", move, duration=4.0, rate=40.0, torque_noise=noise) for noise in (0.02, 0.08)]
-    found = design(DOUBLE, "mass", looks, arm=Arm(length=0.1), free=["mass", "inertia", "friction", "arm_inertia"])
+    found = design_experiment(
+        DOUBLE, "mass", looks, arm=Arm(length=0.1), free=["mass", "inertia", "friction", "arm_inertia"]
+    )
     assert [plan.experiment.name for plan in found.plans] == ["0.02", "0.08"]
     # Beside a torque as noisy as this the angles tell the ratios exactly: the scale is as uncertain as the torque
     assert found.plans[1].score / found.plans[0].score == pytest.approx(4.0, rel=0.1)
-    still = design(DOUBLE, "friction", [Experiment("", q0=0.8, duration=3.0, torque_noise=1e-3)])
+    still = design_experiment(DOUBLE, "friction", [Experiment("", q0=0.8, duration=3.0, torque_noise=1e-3)])
     assert "the torque of no motor" in still.plans[0].reason
     assert still.best is None
     assert still.advice == "No candidate could be simulated."
@@ -146,30 +154,30 @@ def test_ctrl_c_keeps_what_was_looked_at(monkeypatch: pytest.MonkeyPatch) -> Non
     def second_stops(rope: Rope, experiment: Experiment, *others: object) -> object:
         if experiment.name == "second":
             raise KeyboardInterrupt
-        return foresee(rope, experiment, *others)  # type: ignore[arg-type]
+        return expected_information(rope, experiment, *others)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(_design, "foresee", second_stops)
+    monkeypatch.setattr(_design, "expected_information", second_stops)
     second = Experiment("second", q0=0.5)
-    found = design(SINGLE, "friction", [SHORT, second])
-    assert found.status == "interrupted"
+    found = design_experiment(SINGLE, "friction", [SHORT, second])
+    assert found.message == "interrupted"
     assert [plan.experiment.name for plan in found.plans] == ["short"]
     with pytest.raises(KeyboardInterrupt):
-        design(SINGLE, "friction", [second])
+        design_experiment(SINGLE, "friction", [second])
 
 
 def test_wrong_questions_are_refused() -> None:
     with pytest.raises(InvalidInput, match="want names what is not free"):
-        design(SINGLE, "mass", [SHORT])
+        design_experiment(SINGLE, "mass", [SHORT])
     with pytest.raises(InvalidInput, match="unknown name"):
-        design(SINGLE, "friction", [SHORT], free=["colour"])
+        design_experiment(SINGLE, "friction", [SHORT], free=["colour"])
     with pytest.raises(InvalidInput, match="no experiments"):
-        design(SINGLE, "friction", [])
+        design_experiment(SINGLE, "friction", [])
     with pytest.raises(InvalidInput, match="no experiments"):
-        design(SINGLE, "friction", [arm_swings()])  # type: ignore[list-item]
+        design_experiment(SINGLE, "friction", [arm_swings()])  # type: ignore[list-item]
     for wrong in ({"rate": 0.0}, {"duration": -1.0}, {"markers": 1}, {"noise": 0.0}, {"torque_noise": -1.0}):
         with pytest.raises(InvalidInput):
             Experiment("wrong", **wrong)  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match="too few frames"):
         Experiment("wrong", rate=1.0, duration=1.0)
     with pytest.raises(InvalidInput, match="noise"):
-        design(SINGLE, "friction", [SHORT], noise=-1.0)
+        design_experiment(SINGLE, "friction", [SHORT], noise=-1.0)

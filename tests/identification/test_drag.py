@@ -27,8 +27,8 @@ def swing(rope: hf.Rope, seed: int = 1) -> tuple[Recording, Array]:
     run = hf.simulate(divided(rope, 2), duration=t[-1], t_eval=t, q0=np.full(2 * rope.n_links, 1.0), tol=1e-9)
     places = run.joints[:, ::4]
     noise = NOISE * np.random.default_rng(seed).standard_normal(places.shape)
-    arcs = np.append(0.0, np.cumsum(rope.length))[::2]
-    return Recording(t, (places + noise).reshape(t.size, -1), kind="markers", noise=np.array(NOISE)), arcs
+    arc_lengths = np.append(0.0, np.cumsum(rope.length))[::2]
+    return Recording(t, (places + noise).reshape(t.size, -1), kind="markers", noise=np.array(NOISE)), arc_lengths
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +41,12 @@ def within(found: hf.Identification, name: str, truth: float) -> bool:
 
 
 def test_drag_is_known_beside_joint_friction(windy: tuple[Recording, Array]) -> None:
-    recording, arcs = windy
+    recording, arc_lengths = windy
     guess = CORD.replace(drag=0.0, friction=1e-4)
-    found = hf.identify(recording, guess, ["friction:shared", "drag:shared"], arcs=arcs, origin=(0.0, 0.0))
-    assert found.status == "converged"
+    found = hf.identify(
+        recording, guess, ["friction:shared", "drag:shared"], arc_lengths=arc_lengths, origin=(0.0, 0.0)
+    )
+    assert found.success
     assert within(found, "drag:shared", DRAG)
     assert within(found, "friction:shared", CORD.friction[0])
     assert found.sd["drag"][0] < 0.02 * DRAG
@@ -52,9 +54,9 @@ def test_drag_is_known_beside_joint_friction(windy: tuple[Recording, Array]) -> 
 
 def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tuple[Recording, Array]) -> None:
     """Drag grows with the masses; over the first moment it is known as well as if the rope had been weighed."""
-    recording, arcs = windy
+    recording, arc_lengths = windy
     words = ["mass:factor", "inertia:factor", "friction:shared", "drag:shared"]
-    found = hf.identify(recording, CORD, words, arcs=arcs, origin=(0.0, 0.0))
+    found = hf.identify(recording, CORD, words, arc_lengths=arc_lengths, origin=(0.0, 0.0))
     assert not found.identifiable
     assert "One common factor of mass, inertia, friction, drag" in found.verdict[0]
     assert np.isinf(found.sd["drag"]).all()
@@ -66,9 +68,9 @@ def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tup
 @pytest.mark.parametrize("rope", [CORD.replace(friction=0.0), BARE], ids=["drag", "joint friction"])
 def test_drag_is_told_from_joint_friction(rope: hf.Rope) -> None:
     """Twins with only one of them: their own model is preferred, though both have one parameter."""
-    recording, arcs = swing(rope)
+    recording, arc_lengths = swing(rope)
     guess = CORD.replace(friction=0.0, drag=0.0)
-    found = hf.compare_models(recording, guess, MODELS, arcs=arcs, origin=(0.0, 0.0))
+    found = hf.compare_models(recording, guess, MODELS, arc_lengths=arc_lengths, origin=(0.0, 0.0))
     assert found.preferred == ("drag" if rope.drag.any() else "joint friction")
     both = found["both"].identification
     assert both is not None

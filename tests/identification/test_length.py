@@ -65,7 +65,7 @@ def test_a_rope_of_fitted_length_can_be_cut() -> None:
     found = identify(
         recording, GUESS, ["length:factor", "friction:factor"], window=np.inf, train=np.inf, intervals=None
     )
-    assert found.status == "converged"
+    assert found.success
     factor, sd = float(found.values["length:factor"]), float(found.sd["length:factor"])
     assert abs(factor - 1.04) < 4.0 * sd < 0.004  # held centres of mass leave it 3 % away
     assert divided(found.rope, 2).n_links == 6

@@ -18,23 +18,25 @@ DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8
 NOISE = 2e-3  # rad or m
 
 
-def seen(joints: Array, rope: Rope, arcs: Array) -> Array:
+def seen(joints: Array, rope: Rope, arc_lengths: Array) -> Array:
     """Places (T, K, 2) at distances along a rope, by interpolation between its joints."""
     ends = np.append(0.0, np.cumsum(rope.length))
     return np.stack(
-        [[[np.interp(s, ends, frame[:, axis]) for axis in (0, 1)] for s in arcs] for frame in joints], axis=0
+        [[[np.interp(s, ends, frame[:, axis]) for axis in (0, 1)] for s in arc_lengths] for frame in joints], axis=0
     )
 
 
 def test_fewer_markers_than_links_find_friction_within_its_interval() -> None:
     t = np.arange(46) / 15.0
     run = simulate(CABLE, duration=t[-1], t_eval=t, q0=0.6 + 0.4 * np.linspace(0, 1, 12), tol=1e-8)
-    arcs = np.array([0.2, 0.45, 0.7, 1.0])  # no marker at the first joint, which the camera need not see
+    arc_lengths = np.array([0.2, 0.45, 0.7, 1.0])  # no marker at the first joint, which the camera need not see
     noise = NOISE * np.random.default_rng(2).standard_normal((t.size, 4, 2))
-    places = seen(run.joints, CABLE, arcs) + noise + np.array([0.4, 1.2])
+    places = seen(run.joints, CABLE, arc_lengths) + noise + np.array([0.4, 1.2])
     recording = Recording(t, places.reshape(t.size, -1), kind="markers", noise=NOISE)
-    found = identify(recording, CABLE.replace(friction=1e-3), ["friction:shared"], arcs=arcs, train=np.inf)
-    assert found.status == "converged"
+    found = identify(
+        recording, CABLE.replace(friction=1e-3), ["friction:shared"], arc_lengths=arc_lengths, train=np.inf
+    )
+    assert found.success
     assert found.unit == "m"
     gap = abs(found.values["friction"][0] - 3e-4) / found.sd["friction"][0]
     assert gap < 4.0  # 6e-5 of chance; the seed is fixed
@@ -47,13 +49,15 @@ def test_fewer_markers_than_links_find_friction_within_its_interval() -> None:
 def test_where_a_marker_sits_can_be_found() -> None:
     t = np.arange(91) / 30.0
     run = simulate(CABLE, duration=t[-1], t_eval=t, q0=np.full(12, 0.8), tol=1e-8)
-    arcs = np.array([0.0, 0.3, 0.6, 0.8, 1.0])
+    arc_lengths = np.array([0.0, 0.3, 0.6, 0.8, 1.0])
     noise = NOISE * np.random.default_rng(3).standard_normal((t.size, 5, 2))
-    places = (seen(run.joints, CABLE, arcs) + noise).reshape(t.size, -1)
-    guess = arcs + np.array([0.0, 0.0, 0.03, 0.0, 0.0])
+    places = (seen(run.joints, CABLE, arc_lengths) + noise).reshape(t.size, -1)
+    guess = arc_lengths + np.array([0.0, 0.0, 0.03, 0.0, 0.0])
     recording = Recording(t, places, kind="markers", noise=NOISE)
-    found = identify(recording, CABLE, ["friction:shared", "arc[2]"], arcs=guess, origin=(0.0, 0.0), train=np.inf)
-    assert found.status == "converged"
+    found = identify(
+        recording, CABLE, ["friction:shared", "arc[2]"], arc_lengths=guess, origin=(0.0, 0.0), train=np.inf
+    )
+    assert found.success
     assert found.values["arc"].shape == (5,)
     assert abs(found.values["arc"][2] - 0.6) < 4.0 * found.sd["arc"][2]
     assert 0.0 < found.sd["arc"][2] < 2e-3
@@ -73,7 +77,7 @@ def test_gaps_and_gross_outliers_move_nothing_by_three_deviations() -> None:
     free = ["inertia", "friction"]
     one = identify(Recording(t, clean), guess, free, train=np.inf)
     other = identify(Recording(t, spoilt), guess, free, train=np.inf, loss="cauchy")
-    assert other.status == "converged"
+    assert other.success
     for name in free:  # three of the clean run's deviations: what the task asks
         assert (np.abs(other.values[name] - one.values[name]) < 3.0 * one.sd[name]).all()
     ruled = identify(Recording(t, spoilt), guess, free, train=np.inf)
@@ -106,11 +110,11 @@ def test_a_taper_is_found_as_two_numbers() -> None:
 
 
 BAD = {
-    "arcs for angles": ({"arcs": [0.1]}, "the recording holds angles"),
+    "arc_lengths for angles": ({"arc_lengths": [0.1]}, "the recording holds angles"),
     "origin for angles": ({"origin": (0.0, 0.0)}, "origin is given, but angles are fitted"),
     "an unknown loss": ({"loss": "tukey"}, "loss"),
     "a delay of nothing": ({"free": ["delay"]}, "nothing moves the first joint"),
-    "arcs free without places": ({"free": ["arc"]}, "no places are measured"),
+    "arc_lengths free without places": ({"free": ["arc"]}, "no places are measured"),
     "twice": ({"free": ["friction:factor", "friction[1]"]}, "the same thing twice"),
 }
 
@@ -124,20 +128,20 @@ def test_bad_input_is_refused(change: dict[str, object], match: str) -> None:
         identify(recording, DOUBLE, **arguments)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("arcs", [[0.2, 0.1], [-0.1, 0.2], [0.1, 0.9], [0.1]])
-def test_arcs_off_the_rope_are_refused(arcs: list[float]) -> None:
+@pytest.mark.parametrize("arc_lengths", [[0.2, 0.1], [-0.1, 0.2], [0.1, 0.9], [0.1]])
+def test_arcs_off_the_rope_are_refused(arc_lengths: list[float]) -> None:
     t = np.linspace(0.0, 2.0, 101)
     places = np.stack([np.cos(5.0 * t), np.sin(t), np.cos(6.0 * t), np.sin(2.0 * t)], axis=1)
-    with pytest.raises(InvalidInput, match="arcs"):
-        identify(Recording(t, places, kind="markers"), DOUBLE, ["friction"], arcs=arcs)
+    with pytest.raises(InvalidInput, match="arc_lengths"):
+        identify(Recording(t, places, kind="markers"), DOUBLE, ["friction"], arc_lengths=arc_lengths)
 
 
-@pytest.mark.parametrize("told", [True, False], ids=["arcs", "at the joints"])
+@pytest.mark.parametrize("told", [True, False], ids=["arc_lengths", "at the joints"])
 def test_a_marker_that_never_moves_is_named(told: bool) -> None:
     t = np.arange(91) / 30.0
     run = simulate(DOUBLE, duration=t[-1], t_eval=t, q0=[0.8, 1.2], tol=1e-7)
     places = run.joints.reshape(t.size, -1) + 1e-4 * np.random.default_rng(0).standard_normal((t.size, 6))
     places[:, 2:4] = [0.1, -0.28]
-    arcs = [0.0, 0.3, 0.55] if told else None
+    arc_lengths = [0.0, 0.3, 0.55] if told else None
     with pytest.raises(InvalidInput, match="marker 1 never moves"):
-        identify(Recording(t, places, kind="markers"), DOUBLE, ["friction"], arcs=arcs)
+        identify(Recording(t, places, kind="markers"), DOUBLE, ["friction"], arc_lengths=arc_lengths)

@@ -7,8 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.misfit import poor, poor_torque
-from hyperflex.identification.verdict import ALL_ACT, ALL_KNOWN, in_harmony
+from hyperflex.identification.verdict import ALL_ACT, ALL_KNOWN, consistent, poor_fit, poor_torque
 
 
 def windows(noise: float | None = None, moves: float = 1.0, channels: int = 2) -> list[Window]:
@@ -29,28 +28,28 @@ def left(size: float, channels: int = 2) -> Array:
 
 def test_a_fit_is_poor_that_leaves_a_third_of_the_motion() -> None:
     residuals = left(0.1)
-    assert poor(windows(), residuals, "rad", Loss()) == []
+    assert poor_fit(windows(), residuals, "rad", Loss()) == []
     residuals[:, 1] *= 3.0
-    (told,) = poor(windows(), residuals, "rad", Loss())
+    (told,) = poor_fit(windows(), residuals, "rad", Loss())
     assert "fit is poor: link 1 is 0.3" in told
-    (told,) = poor(windows(), residuals, "m", Loss())
+    (told,) = poor_fit(windows(), residuals, "m", Loss())
     assert "marker 0" in told
 
 
 def test_outliers_alone_make_no_fit_poor_where_the_loss_leaves_them_out() -> None:
     residuals = left(0.02)
     residuals[::20] += 3.0  # one in twenty, rms 0.67
-    assert poor(windows(), residuals, "rad", Loss())
+    assert poor_fit(windows(), residuals, "rad", Loss())
     for name in ("huber", "cauchy"):
-        assert poor(windows(), residuals, "rad", Loss(name)) == []
-    assert poor(windows(), left(0.4), "rad", Loss("cauchy"))
+        assert poor_fit(windows(), residuals, "rad", Loss(name)) == []
+    assert poor_fit(windows(), left(0.4), "rad", Loss("cauchy"))
 
 
 def test_a_fit_down_to_the_declared_noise_is_not_poor_however_little_moves() -> None:
     still = windows(2e-3, moves=4e-3)
-    assert poor(still, left(2.04e-3), "m", Loss()) == []
-    assert poor(still, left(4e-3), "m", Loss())  # twice what was declared, and all of the motion
-    assert poor(windows(None, moves=4e-3), left(2.04e-3), "m", Loss())  # nothing was declared
+    assert poor_fit(still, left(2.04e-3), "m", Loss()) == []
+    assert poor_fit(still, left(4e-3), "m", Loss())  # twice what was declared, and all of the motion
+    assert poor_fit(windows(None, moves=4e-3), left(2.04e-3), "m", Loss())  # nothing was declared
 
 
 def test_a_torque_that_does_not_fit() -> None:
@@ -61,6 +60,6 @@ def test_a_torque_that_does_not_fit() -> None:
 
 
 def test_all_can_be_known_does_not_stand_beside_a_warning() -> None:
-    assert in_harmony([ALL_KNOWN]) == [ALL_KNOWN]
-    assert in_harmony(["Not converged.", ALL_KNOWN]) == ["Not converged.", ALL_ACT]
+    assert consistent([ALL_KNOWN]) == [ALL_KNOWN]
+    assert consistent(["Not converged.", ALL_KNOWN]) == ["Not converged.", ALL_ACT]
     assert not ALL_ACT.startswith("All free parameters can be known")

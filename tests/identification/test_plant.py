@@ -76,7 +76,7 @@ def test_derivatives_are_those_of_differences(places: bool) -> None:
     words = WORDS if places else WORDS[:-3]
     it = plant(words, places=places)
     x = it.parameters.start + 0.05
-    seen = it.slopes(x, T, STATE)
+    seen = it.jacobian(x, T, STATE)
     assert seen is not None
     value = it.predict(x, T, STATE)
     assert value is not None
@@ -100,5 +100,5 @@ def test_derivatives_are_those_of_differences(places: bool) -> None:
 def test_a_state_or_rope_without_a_rollout_is_none() -> None:
     it = plant(["inertia"], places=False)
     assert it.predict(it.parameters.start, T, np.full(6, np.nan)) is None
-    assert it.slopes(it.parameters.start, T, np.full(6, np.nan)) is None
+    assert it.jacobian(it.parameters.start, T, np.full(6, np.nan)) is None
     assert it.predict(-it.parameters.start, T, STATE) is None  # no rope has such inertias

@@ -17,10 +17,10 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification import Identification, identify, profile
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.model.plant import Seen
-from hyperflex.identification.uncertainty import intervals as _intervals
+from hyperflex.identification.model.plant import PredictedChannels
+from hyperflex.identification.uncertainty import interval_method as _intervals
 from hyperflex.identification.uncertainty import profile as _profile
-from hyperflex.identification.uncertainty.intervals import all_intervals, skewed
+from hyperflex.identification.uncertainty.interval_method import all_intervals, skewed
 from hyperflex.identification.uncertainty.profile import profiled
 from hyperflex.identification.uncertainty.threshold import _draws, _rise, quantile, threshold
 from hyperflex.model import Rope
@@ -160,10 +160,10 @@ class Dipped(Line):
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         return super().predict(x, t, state) + self.dip(x) * self.third  # type: ignore[operator]
 
-    def slopes(self, x: Array, t: Array, state: Array) -> Seen | None:
+    def slopes(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
         shared = self.shared.copy()
         shared[:, :, 0] -= 2.0 * (x[0] - self.at) / self.width**2 * self.dip(x) * self.third
-        return Seen(self.predict(x, t, state), self.own, shared)  # type: ignore[arg-type]
+        return PredictedChannels(self.predict(x, t, state), self.own, shared)  # type: ignore[arg-type]
 
 
 def test_a_better_optimum_on_the_way_is_told() -> None:
@@ -298,7 +298,7 @@ def test_refusals(found: Identification) -> None:
         with pytest.raises(InvalidInput, match="level"):
             profile(found, FREE[0], level)
     with pytest.raises(InvalidInput, match="no longer has its fit"):
-        profile(replace(found, status="converged"), FREE[0])
+        profile(replace(found, message="converged"), FREE[0])
 
 
 def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
@@ -310,4 +310,4 @@ def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
     monkeypatch.setattr(_intervals, "profiled", interrupted)
     result = swung(recording, PAPER, FREE)
     assert {result.intervals[name].kind for name in FREE} == {"covariance"}
-    assert result.status == "converged"
+    assert result.success

@@ -10,7 +10,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.restarts import restarted, worse
+from hyperflex.identification.fit.stages import poor_windows, refit_poor_windows
 
 PAPER = hf.Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)  # inferred, see ../shared
 PAIR = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
@@ -36,7 +36,7 @@ def test_the_papers_recording_with_gaps_and_outliers(seed: int) -> None:
     whole = hf.identify(hf.Recording(t, clean), guess, free, train=np.inf, intervals=None)
     recording = hf.Recording(t, spoilt(rng, clean, 1.5))
     found = hf.identify(recording, guess, free, train=np.inf, loss="cauchy", intervals=None)
-    assert found.status == "converged"
+    assert found.success
     for name in ("inertia", "friction"):
         assert abs(found.values[name][0] - whole.values[name][0]) < 3.0 * whole.sd[name][0]
 
@@ -70,9 +70,9 @@ def test_friction_does_not_fall_to_its_bound_and_stay_there() -> None:
     places = run.joints[:, [4, 8, 12, 16]]
     noise = 2e-3 * np.random.default_rng([1, 3]).standard_normal(places.shape)
     recording = hf.Recording(t, (places + noise).reshape(t.size, -1), kind="markers", noise=2e-3)
-    guess, arcs = rope.replace(friction=6e-4), [0.25, 0.5, 0.75, 1.0]
+    guess, arc_lengths = rope.replace(friction=6e-4), [0.25, 0.5, 0.75, 1.0]
     found = hf.identify(
-        recording, guess, ["friction:shared"], arcs=arcs, origin=(0.0, 0.0), train=np.inf, intervals=None
+        recording, guess, ["friction:shared"], arc_lengths=arc_lengths, origin=(0.0, 0.0), train=np.inf, intervals=None
     )
     assert abs(found.values["friction"][0] - 3e-4) < 3.0 * found.sd["friction"][0]
 
@@ -91,10 +91,10 @@ def test_a_state_that_is_caught_is_started_elsewhere() -> None:
     basis = hf.identify(dry(), guess, ["friction", "dry_friction"], train=np.inf, intervals=None)._basis
     assert basis is not None
     plant, windows, good = basis.plant, basis.windows, basis.fit
-    assert worse(windows, good, known_noise=False) == []
+    assert poor_windows(windows, good, known_noise=False) == []
     states = list(good.states)
     states[1] = np.array([states[1][0] + 2.5, 0.0])
     caught = fit(plant, windows, good.x, states, states_only=True, rounds=1)
-    assert worse(windows, caught, known_noise=False) == [1]
-    found = restarted(plant, windows, replace(caught), known_noise=False, report=lambda _: None)
+    assert poor_windows(windows, caught, known_noise=False) == [1]
+    found = refit_poor_windows(plant, windows, replace(caught), known_noise=False, report=lambda _: None)
     assert found.cost == pytest.approx(good.cost, rel=1e-3)  # the same optimum, as far as a fit goes

@@ -8,7 +8,7 @@ import pytest
 from hyperflex.identification import Identification, identify
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
-from hyperflex.identification.model.scale import growing, scaling
+from hyperflex.identification.model.scale import in_common_factor, scaling
 from hyperflex.identification.uncertainty.intervals import of_ratios
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -51,14 +51,14 @@ def test_what_grows_with_the_common_factor() -> None:
     common = scaling(parameters, parameters.start)
     assert common is not None
     assert common[parameters.labels.index("friction[1]")] == 0.0  # 0 times any factor
-    found = growing(parameters, parameters.start, common[:, None])
+    found = in_common_factor(parameters, parameters.start, common[:, None])
     assert [name for name, each in zip(parameters.labels, found, strict=True) if each] == [
         "inertia[0]",
         "inertia[1]",
         "friction[0]",
         "friction[1]",
     ]
-    assert not growing(parameters, parameters.start, np.eye(7)[:, 6:]).any()  # only gravity_angle is unknown
+    assert not in_common_factor(parameters, parameters.start, np.eye(7)[:, 6:]).any()  # only gravity_angle is unknown
 
 
 def test_ratios_end_at_0_where_they_cannot_be_negative() -> None:

@@ -57,7 +57,7 @@ def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back() -> None:
     with threadpool_limits(limits=2, user_api="blas"):
         before = threads()
         hf.identify(recording, PAIR, ["friction"], intervals=None, progress=lambda _: inside.append(threads()))
-        hf.revise(recording, PAIR, rounds=1, most=3, progress=lambda _: inside.append(threads()))
+        hf.iterative_revision(recording, PAIR, rounds=1, most=3, progress=lambda _: inside.append(threads()))
         assert threads() == before
     assert len(inside) > 1
     assert all(each == {1} for each in inside)
@@ -71,6 +71,6 @@ def test_a_delay_far_off_is_found(late: float) -> None:
     found = hf.identify(
         hf.Recording(T + late, data), PAIR.replace(friction=1e-3), ["friction", "delay"], motion=motion, arm=arm
     )
-    assert found.status == "converged"
+    assert found.success
     assert abs(found.values["delay"] - late) < 4.0 * found.sd["delay"] < 4e-3
     assert abs(found.settings["delay_from"] - late) < 0.1  # the grid's step is a sixteenth of a window

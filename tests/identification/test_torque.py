@@ -23,7 +23,7 @@ from hyperflex import (
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.pipeline import planned
+from hyperflex.identification.pipeline import build_plant
 from hyperflex.sensors import MotorTorque
 from tests.reference import dense
 from tests.reference.arm import bang_bang_swings, links_of
@@ -50,7 +50,7 @@ def run(rope: Rope = ROPE, duration: float = 5.0) -> Trajectory:
 
 def plant(free: list[str], rope: Rope = ROPE) -> Plant:
     recording = Recording([0.0, 1.0], np.zeros((2, 2)))  # type: ignore[arg-type]
-    return planned(recording, rope, free, None, None, MOVE, ARM, torque=True)
+    return build_plant(recording, rope, free, None, None, MOVE, ARM, torque=True)
 
 
 # ---- the function and its slopes
@@ -148,7 +148,7 @@ def test_slopes_by_everything_are_those_of_whole_rollouts() -> None:
     t = np.arange(30, 61) / 50  # while the arm moves
     swing = run(duration=1.3)
     state = np.concatenate([swing.q[30], swing.qd[30]])
-    found = subject.slopes(x, t, state)
+    found = subject.jacobian(x, t, state)
     assert found is not None
     assert found.channels.shape == (31, 3)
 

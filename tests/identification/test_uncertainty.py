@@ -11,16 +11,16 @@ from hyperflex.identification import identify
 from hyperflex.identification.fit.loss import LossName
 from hyperflex.identification.uncertainty.noise import (
     Piece,
+    ar_coefficients,
     autoregression,
-    coloured,
+    correlated,
     correlations,
-    expected,
-    partial,
-    terms_of,
+    expected_products,
+    partial_correlations,
 )
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.identification.uncertainty.whiteness import whiteness
-from hyperflex.identification.verdict import noise_unknown, not_noise, too_large
+from hyperflex.identification.verdict import noise_not_modelled, not_noise, too_large
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
@@ -47,13 +47,13 @@ def test_autocorrelations_of_an_autoregression_and_back() -> None:
     second = a * first + b
     third = a * second + b * first
     np.testing.assert_allclose(found, [1.0, first, second, third, a * third + b * second], rtol=1e-12)  # rounding
-    parts = partial(found[:3])
-    np.testing.assert_allclose(terms_of(parts), [a, b], rtol=1e-12)
+    parts = partial_correlations(found[:3])
+    np.testing.assert_allclose(ar_coefficients(parts), [a, b], rtol=1e-12)
     # variance of what is new at each sample
     assert np.prod(1.0 - parts**2) == pytest.approx(1.0 - a * first - b * second)
     values = np.random.default_rng(0).standard_normal((6, 2))
     matrix = np.array([[0.7 ** abs(i - j) for j in range(6)] for i in range(6)])
-    np.testing.assert_allclose(coloured(np.array([0.7]), values), matrix @ values, rtol=1e-12)
+    np.testing.assert_allclose(correlated(np.array([0.7]), values), matrix @ values, rtol=1e-12)
 
 
 def test_what_the_fit_absorbs_is_given_back() -> None:
@@ -87,7 +87,7 @@ def test_what_a_fit_leaves_of_noise_on_average() -> None:
         noise = np.kron(own[np.abs(np.subtract.outer(np.arange(m), np.arange(m)))], np.eye(2))
         covariance = left @ noise @ left
         wanted += [np.trace(covariance[2 * lag :, : 2 * m - 2 * lag]) for lag in range(most + 1)]
-    np.testing.assert_allclose(expected(pieces, most) @ own, wanted, rtol=1e-12)  # rounding
+    np.testing.assert_allclose(expected_products(pieces, most) @ own, wanted, rtol=1e-12)  # rounding
 
 
 def slow(random: np.random.Generator, windows: int) -> list[Piece]:
@@ -113,8 +113,8 @@ def test_errors_of_the_model_that_the_fit_nearly_absorbs_do_not_run_away() -> No
         assert (np.abs(np.roots(np.append(1.0, -terms))) < 1.0).all()  # stationary
         line = np.linspace(-1.0, 1.0, 150)[:, None]  # a parameter that acts slowly
         own = correlations(terms, 150)
-        left = (expected(part, 1) @ own)[0]
-        said.append(np.sqrt((line * coloured(terms, line)).sum() / left * sum((p.residual**2).sum() for p in part)))
+        left = (expected_products(part, 1) @ own)[0]
+        said.append(np.sqrt((line * correlated(terms, line)).sum() / left * sum((p.residual**2).sum() for p in part)))
     walk = np.tril(np.ones((150, 150)))
     true = float(np.sqrt(line[:, 0] @ (walk @ walk.T + np.eye(150)) @ line[:, 0]))
     # 80 windows of which five curves take most of the walk, and at most 0.995 for what returns to 0 never: 10 %. One
@@ -129,9 +129,9 @@ def test_a_noise_model_that_does_not_hold_is_said() -> None:
     terms, agrees = autoregression([piece(curves[:, 4:], curves[:, None, :4])])
     assert (np.abs(np.roots(np.append(1.0, -terms))) < 1.0).all()
     assert not agrees
-    assert "No stationary noise" in noise_unknown(agrees, 50.0)[0]
-    assert "1.5 independent values" in noise_unknown(True, 1.5)[0]
-    assert noise_unknown(True, 2.5) == []
+    assert "No stationary noise" in noise_not_modelled(agrees, 50.0)[0]
+    assert "1.5 independent values" in noise_not_modelled(True, 1.5)[0]
+    assert noise_not_modelled(True, 2.5) == []
 
 
 def test_white_noise_is_called_white_and_coloured_noise_is_not() -> None:
@@ -184,8 +184,8 @@ def test_robust_losses_have_hubers_covariance(loss: LossName) -> None:
     )
     n, p = whole.shape
     factor = 1.0 + p / n * slope.var() / slope.mean() ** 2
-    expected = factor**2 * (psi @ psi / (n - p)) / slope.mean() ** 2 * np.linalg.inv(whole.T @ whole)[:2, :2]
-    np.testing.assert_allclose(basis.information.covariance, expected, rtol=1e-4)  # of differences
+    expected_products = factor**2 * (psi @ psi / (n - p)) / slope.mean() ** 2 * np.linalg.inv(whole.T @ whole)[:2, :2]
+    np.testing.assert_allclose(basis.information.covariance, expected_products, rtol=1e-4)  # of differences
     assert basis.information.variance == pytest.approx(factor**2 * (psi @ psi / (n - p)) / slope.mean(), rel=1e-4)
 
 

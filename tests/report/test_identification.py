@@ -56,7 +56,7 @@ def markers() -> Case:
     data[20:23, 2:4] = np.nan
     recording = Recording(t, data, kind="markers", noise=1e-3)
     guess = rope.replace(friction=4e-4)
-    return recording, hf.identify(recording, guess, ["friction"], arcs=[0.2, 0.4, 0.6], train=np.inf)
+    return recording, hf.identify(recording, guess, ["friction"], arc_lengths=[0.2, 0.4, 0.6], train=np.inf)
 
 
 def page(tmp_path: Any, case: Case, guess: hf.Rope | None = None) -> str:
@@ -142,7 +142,7 @@ def test_many_channels_are_shown_by_a_few_and_all_of_them_elsewhere(tmp_path, ma
 @pytest.mark.usefixtures("unseen")
 def test_an_interrupted_fit_says_so(tmp_path, swing):
     recording, found = swing
-    cut = changed(found, status="interrupted", history=(), held_out=None)
+    cut = changed(found, message="interrupted", history=(), held_out=None)
     text = page(tmp_path, (recording, cut))
     assert '<span class="badge">interrupted</span>' in text
     assert "before its first round" in text

@@ -54,7 +54,7 @@ def _figures(report: DemoReport) -> dict[str, Any]:
     return {
         "source": "simulated",
         "files": report.files,
-        "status": found.identification.status,
+        **found.identification.ending(),
         "parameters": parameters,
         "held_out_rms_rad": held_out_rms(found),
         "angle_noise_rad": found.angle_noise.mean(),

@@ -110,7 +110,7 @@ def identify(
             _words(free) or ["inertia", "friction"],
             window=window,
             train=train,
-            arcs=places,
+            arc_lengths=places,
             origin=seen,
             loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
             intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
@@ -118,8 +118,8 @@ def identify(
             **driven,
         )
     files = _write(out, measured, result, first, json)
-    summary = {"status": result.status, "output": out, "files": files, **result.summary()}
-    if result.status == "interrupted":  # the best so far is written, and says what it is
+    summary = result.ending() | {"output": out, "files": files, **result.summary()}
+    if result.message == "interrupted":  # the best so far is written, and says what it is
         if not json:
             _show(result, files)
         words = f"Interrupted; the best so far is in {out}, marked as interrupted."
@@ -128,7 +128,7 @@ def identify(
         output.print_json(summary)
     else:
         _show(result, files)
-    if result.status != "converged":
+    if not result.success:
         raise typer.Exit(output.NOT_CONVERGED)
 
 
@@ -194,7 +194,7 @@ def _show(found: Identification, files: dict[str, Path]) -> None:
     from hyperflex.report.units import readable
 
     unit = readable(found.unit, found.residual_rms)
-    pairs = [("status", found.status), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
+    pairs = [("ended", found.message), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
     if (held := found.held_out) is not None:
         worst = f"{held.rms.max() / unit.size:.3g} {unit.name}"
         pairs.append((f"prediction error over {held.ahead:g} s", f"{worst} rms in the worst channel"))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, INTERRUPTED = 1, 2, 3, 4, 130  # exit codes
 _ADVICE = re.compile(  # an argument with its value, as errors advise it
-    r"\b(?P<name>kind|columns|time_unit|time|unit|frame_rate|y_axis|scale|zero|sense|angles|wrapped|noise|arcs|origin|"
+    r"\b(?P<name>kind|columns|time_unit|time|unit|frame_rate|y_axis|scale|zero|sense|angles|wrapped|noise|arc_lengths|origin|"
     r"window|train|loss|intervals|max_rate)=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|[\w.]+)"
 )
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
@@ -42,7 +42,7 @@ def with_options(message: str) -> str:
     """Return a message of ``identify`` or ``read_recording`` with the command's options for the arguments' names."""
 
     def option(found: re.Match[str]) -> str:
-        name = {"arcs": "arc-lengths"}.get(found["name"], found["name"].replace("_", "-"))
+        name = found["name"].replace("_", "-")
         value = found["value"].strip("'\"[]()").replace(", ", ",")
         return f"--{name}" if found["name"] == "wrapped" else f"--{name} {value}"
 

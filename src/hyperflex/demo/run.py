@@ -117,7 +117,7 @@ def run_demo(progress: Progress = silent) -> Demo:
         progress(f"identifying, windows of {entry['window']:.2g} s, round {entry['round'] + 1:.0f}")
 
     found = identify(recording, guess, twin.FREE, train=twin.TRAIN, window=twin.WINDOW, progress=report)
-    if found.status == "interrupted":  # identify hands back the best so far; a demo of half a fit would mislead
+    if found.message == "interrupted":  # identify hands back the best so far; a demo of half a fit would mislead
         raise KeyboardInterrupt
     mapped, cut = twin.mapped_truth(), twin.coarse_rope()
     parameters = tuple(

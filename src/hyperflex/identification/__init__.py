@@ -11,12 +11,17 @@ if TYPE_CHECKING:
         natural_period,
         swing_period,
     )
-    from hyperflex.identification.baselines.regression import LeastSquares, Regression, regression
-    from hyperflex.identification.baselines.revision import Revision, RevisionProfile, Round, revise
-    from hyperflex.identification.baselines.simplex import InitialState, initial_state, squared_error
+    from hyperflex.identification.baselines.regression import LeastSquares, Regression, fit_regression
+    from hyperflex.identification.baselines.revision import (
+        IterativeRevision,
+        RevisionProfile,
+        Round,
+        iterative_revision,
+    )
+    from hyperflex.identification.baselines.simplex import InitialState, estimate_initial_state, squared_error
     from hyperflex.identification.comparison.compare import compare_models
     from hyperflex.identification.comparison.result import FittedModel, ModelComparison
-    from hyperflex.identification.experiment_design.choice import Design, Plan, design
+    from hyperflex.identification.experiment_design.choice import ExperimentDesign, Plan, design_experiment
     from hyperflex.identification.experiment_design.experiments import Experiment
     from hyperflex.identification.model.names import perturbed
     from hyperflex.identification.model.parameters import lumped
@@ -24,9 +29,9 @@ if TYPE_CHECKING:
     from hyperflex.identification.prediction import BAND, HeldOut
     from hyperflex.identification.result import Identification
     from hyperflex.identification.uncertainty.bootstrap import Bootstrap, bootstrap
-    from hyperflex.identification.uncertainty.correlogram import correlogram
     from hyperflex.identification.uncertainty.covariance import ratios
     from hyperflex.identification.uncertainty.intervals import Interval
     from hyperflex.identification.uncertainty.profile import Profile, profile
+    from hyperflex.identification.uncertainty.whiteness import correlogram
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

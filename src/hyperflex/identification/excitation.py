@@ -1,4 +1,4 @@
-"""What a recording must show before anything is fitted: times that suit the rope, and motion beyond its noise."""
+"""Checks before a fit: sampling times that suit the rope, and motion beyond the noise."""
 
 from __future__ import annotations
 

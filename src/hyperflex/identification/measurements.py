@@ -1,4 +1,4 @@
-"""From a recording to what is fitted: angles as they are, or places of markers anywhere along the rope."""
+"""Measurements to fit: angles, places of markers, and motor torque."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit.stages import Measured
+from hyperflex.identification.fit.stages import Measurements
 from hyperflex.identification.fit.windows import STILL
 from hyperflex.model import Rope
 from hyperflex.recording import Recording, unwrap
@@ -21,82 +21,84 @@ SWAY = 5.0  # rad/s, the same of its rate
 UNTOLD = 2e-3  # of the rope's length: noise of a marker where none is given and it must be weighed against these
 
 
-def checked_arcs(recording: Recording, rope: Rope, arcs: npt.ArrayLike) -> Array:
+def checked_arc_lengths(recording: Recording, rope: Rope, arc_lengths: npt.ArrayLike) -> Array:
     """Return where the markers sit, m from the first joint, if they can sit there."""
     count = recording.data.shape[1] // 2
     if recording.kind != "markers":
-        raise InvalidInput("arcs are given, but the recording holds angles", got=recording.kind, allowed="markers")
-    places = checks.array("arcs", arcs, (count,), unit="m")
+        raise InvalidInput(
+            "arc_lengths are given, but the recording holds angles", got=recording.kind, allowed="markers"
+        )
+    places = checks.array("arc_lengths", arc_lengths, (count,), unit="m")
     if count == 1 and places[0] <= 0.0:
         raise InvalidInput("the marker sits on the first joint", got=places.tolist(), allowed="more than 0 m from it")
     length = rope.total_length
     if (np.diff(places) <= 0.0).any() or places[0] < 0.0 or places[-1] > 1.001 * length:
         raise InvalidInput(
-            "arcs are not where markers can be",
+            "arc_lengths are not where markers can be",
             got=places.tolist(),
             allowed=f"increasing distances from the first joint, 0 to {length:g} m",
         )
     return places
 
 
-def refuse_still_markers(recording: Recording, arcs: Array) -> None:
+def refuse_still_markers(recording: Recording, arc_lengths: Array) -> None:
     """Refuse markers that stay where they are while the rope swings: the tracker holds something else there."""
     if recording.kind != "markers":
         return
     places = recording.data.reshape(recording.t.size, -1, 2)
     reach = np.hypot(*(np.nanmax(places, axis=0) - np.nanmin(places, axis=0)).T)
-    beyond = arcs > 1e-9 * arcs.max()
-    swing = reach[beyond] / arcs[beyond]
+    beyond = arc_lengths > 1e-9 * arc_lengths.max()
+    swing = reach[beyond] / arc_lengths[beyond]
     if swing.max() > STILL and (swing < STUCK * swing.max()).any():
         marker = int(np.flatnonzero(beyond)[np.argmin(swing)])
         raise InvalidInput(
             f"marker {marker} never moves while others do",
             got=f"{reach[marker]:.3g} m over the recording, marker {int(np.argmax(reach))} {reach.max():.3g} m",
-            fix="Look what the tracker holds there, and leave that marker out (and say where the others sit, arcs=...)",
+            fix="See what the tracker holds there, and leave that marker out (and give arc_lengths=... of the others)",
         )
 
 
-def measure(recording: Recording, rope: Rope, arcs: Array | None, joint: Array | None = None) -> Measured:
+def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: Array | None = None) -> Measurements:
     """Return what is fitted.
 
     Parameters
     ----------
     recording : Recording
-        Angles, markers at the joints (`arcs` None; their angles are fitted), or markers at `arcs`.
+        Angles, markers at the joints (`arc_lengths` None; their angles are fitted), or markers at `arc_lengths`.
     rope : Rope
         The guess; its lengths say which link a marker sits on.
-    arcs : (K,) array, optional
-        See :func:`checked_arcs`.
+    arc_lengths : (K,) array, optional
+        See :func:`checked_arc_lengths`.
     joint : (T, 2) array, m, optional
         Where the first joint is seen, if it is known; a marker alone needs it for the line from there.
 
     Notes
     -----
-    Fewer markers than links leave bends between them unseen. Then neighbouring links are believed to be about in
+    Fewer markers than links leave bends between them unseen. Then a prior keeps neighbouring links about in
     line: a turn of BEND / sqrt(n), growing at SWAY / sqrt(n), as standard deviations. It is an assumption, weak beside
     any marker that sees the bend. To be weighed against it, markers without given noise count as if theirs were 0.2 %
     of the rope's length.
     """
-    if arcs is None:
+    if arc_lengths is None:
         angles = recording.angles()
-        return Measured(angles, angles)
-    if arcs.size == 1 and joint is not None:
+        return Measurements(angles, angles)
+    if arc_lengths.size == 1 and joint is not None:
         along = replace(recording, data=np.column_stack([joint, recording.data]), noise=None)
-        shape = _shape(along, rope, np.append(0.0, arcs))
+        shape = _shape(along, rope, np.append(0.0, arc_lengths))
     else:
-        shape = _shape(recording, rope, arcs)
+        shape = _shape(recording, rope, arc_lengths)
     n = rope.n_links
-    believed = None
-    if arcs.size - 1 < n and n > 1:
+    prior = None
+    if arc_lengths.size - 1 < n and n > 1:
         turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n)
         none = np.zeros_like(turn)
-        believed = np.block([[turn / BEND, none], [none, turn / SWAY]])
+        prior = np.block([[turn / BEND, none], [none, turn / SWAY]])
         if recording.noise is None:
             recording = replace(recording, noise=np.array(UNTOLD * rope.total_length))
-    return Measured(recording, shape, believed)
+    return Measurements(recording, shape, prior)
 
 
-def with_torque(measured: Measured, torque: npt.ArrayLike, noise: npt.ArrayLike | None) -> Measured:
+def with_torque(measured: Measurements, torque: npt.ArrayLike, noise: npt.ArrayLike | None) -> Measurements:
     """Return what is fitted with the motor's torque (T,), N m, NaN in gaps, as the last channel.
 
     `noise` (T,), or one number, is its standard deviation. Torque and angles are different things, so how they count
@@ -121,7 +123,7 @@ def with_torque(measured: Measured, torque: npt.ArrayLike, noise: npt.ArrayLike 
     return replace(measured, channels=joined)
 
 
-def _shape(recording: Recording, rope: Rope, arcs: Array) -> Recording:
+def _shape(recording: Recording, rope: Rope, arc_lengths: Array) -> Recording:
     """Return each link's angle (T, n): that of the line between the markers on either side of its middle."""
     places = recording.data.reshape(recording.t.size, -1, 2)
     middle = np.cumsum(rope.length) - 0.5 * rope.length
@@ -130,7 +132,7 @@ def _shape(recording: Recording, rope: Rope, arcs: Array) -> Recording:
         known = np.flatnonzero(~np.isnan(frame).any(axis=1))
         if known.size > 1:
             step = np.diff(frame[known], axis=0)
-            after = np.clip(np.searchsorted(arcs[known], middle) - 1, 0, known.size - 2)
+            after = np.clip(np.searchsorted(arc_lengths[known], middle) - 1, 0, known.size - 2)
             angles[row] = np.arctan2(step[after, 0], -step[after, 1])
     angles = unwrap(angles)
     first = np.array([column[np.flatnonzero(~np.isnan(column))[0]] for column in angles.T])
@@ -138,12 +140,12 @@ def _shape(recording: Recording, rope: Rope, arcs: Array) -> Recording:
     return replace(recording, data=angles, kind="angles", noise=None, rates=None, convention="")
 
 
-def first_joint(recording: Recording, arcs: Array, pivot: Array) -> Array:
+def first_joint(recording: Recording, arc_lengths: Array, pivot: Array) -> Array:
     """Return where the camera seems to see the origin (2,), m: the first two markers' line, back to the first joint.
 
     `pivot` (T, 2) is where the first joint is, m, in the frame of its motion.
     """
     places = recording.data.reshape(recording.t.size, -1, 2)
-    back = places[:, 0] - (places[:, 1] - places[:, 0]) * arcs[0] / (arcs[1] - arcs[0])
+    back = places[:, 0] - (places[:, 1] - places[:, 0]) * arc_lengths[0] / (arc_lengths[1] - arc_lengths[0])
     result: Array = np.nanmedian(back - pivot, axis=0)
     return result

@@ -1,4 +1,4 @@
-"""The one door: a recording and a guess in, an Identification out."""
+"""identify: from a recording and a first guess to an Identification."""
 
 from __future__ import annotations
 
@@ -14,16 +14,13 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.conclude import conclude
 from hyperflex.identification.excitation import check_motion, check_times
-from hyperflex.identification.fit.delay import first_delay, with_delay
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
-from hyperflex.identification.fit.multiple_shooting import Report
-from hyperflex.identification.fit.stages import Measured, fit_in_stages
-from hyperflex.identification.fit.threads import one_thread
-from hyperflex.identification.fit.windows import holding_enough, usual_length
+from hyperflex.identification.fit.multiple_shooting import Report, one_thread
+from hyperflex.identification.fit.stages import Measurements, fit_in_stages, search_delay, with_delay
+from hyperflex.identification.fit.windows import usual_length, with_enough_frames
 from hyperflex.identification.measurements import (
-    checked_arcs,
+    checked_arc_lengths,
     first_joint,
     measure,
     refuse_still_markers,
@@ -32,11 +29,10 @@ from hyperflex.identification.measurements import (
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant, pivot_places
-from hyperflex.identification.prediction import predict
-from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import Basis, judge
-from hyperflex.identification.uncertainty.intervals import HOWS, How, all_intervals
-from hyperflex.identification.uncertainty.prediction_band import doubt
+from hyperflex.identification.prediction import predict, prediction_uncertainty
+from hyperflex.identification.result import Identification, assemble_result
+from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
+from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
 from hyperflex.identification.verdict import other_lengths
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
@@ -56,7 +52,7 @@ def identify(
     train: float | None = None,
     motion: Motion | None = None,
     arm: Arm | None = None,
-    arcs: npt.ArrayLike | None = None,
+    arc_lengths: npt.ArrayLike | None = None,
     origin: npt.ArrayLike | None = None,
     torque: npt.ArrayLike | None = None,
     torque_noise: npt.ArrayLike | None = None,
@@ -74,8 +70,8 @@ def identify(
     Parameters
     ----------
     recording : Recording
-        Angles, or markers at the joints (their angles are fitted), as many links as the rope; or, with `arcs`, markers
-        anywhere along the rope (their places are fitted), also fewer than links.
+        Angles, or markers at the joints (their angles are fitted), as many links as the rope; or, with `arc_lengths`,
+        markers anywhere along the rope (their places are fitted), also fewer than links.
     rope_guess : Rope
         Everything that is not free is taken from it; the free ones start from it.
     free : sequence of str
@@ -96,11 +92,11 @@ def identify(
         the rest is long enough for a prediction, else all.
     motion, arm : Motion, Arm, optional
         What the first joint does, in the recording's time; by default it hangs from a fixed point.
-    arcs : (K,) array_like, m, optional
+    arc_lengths : (K,) array_like, m, optional
         Distance along the rope of each marker from the first joint. A marker alone needs `origin` as well.
     origin : (2,) array_like, m, optional
-        Where the camera sees the origin of the motion (the first joint, if it is fixed). With `arcs` and without it,
-        it is fitted as well, as ``origin_x`` and ``origin_y``.
+        Where the camera sees the origin of the motion (the first joint, if it is fixed). Where it is not given with
+        `arc_lengths`, it is fitted as ``origin_x`` and ``origin_y``.
     torque : (T,) array_like, N m, optional
         Torque of the motor at the recording's times, NaN in gaps; it fixes the absolute scale. It needs `motion` and
         `arm`.
@@ -130,14 +126,14 @@ def identify(
         When no window can be simulated at all.
     KeyboardInterrupt
         When Ctrl-C comes before anything was fitted. Later it ends the fit, and the best so far is returned with
-        ``status == "interrupted"``.
+        ``message == "interrupted"``.
 
     Notes
     -----
     Without a known force or torque a common factor of masses, inertias and frictions cannot be known; `verdict` says
     so, `sd` is inf there, and `ratios` hold what is known. Samples denser than 200 a window are thinned (picked); the
     step is in ``settings["decimation"]``. Samples without given noise count alike. With fewer markers than links,
-    neighbouring links are believed to be about in line (0.5 rad over the root of their number): what no marker sees is
+    a prior keeps neighbouring links about in line (0.5 rad over the root of their number): what no marker sees is
     taken from there.
 
     Examples
@@ -155,20 +151,20 @@ def identify(
     checks.choice("loss", loss, LOSSES)
     if intervals is not None:
         checks.choice("intervals", intervals, HOWS)
-    measured, places = _checked(recording, rope_guess, arcs, origin, motion, arm)
+    measured, places = _checked(recording, rope_guess, arc_lengths, origin, motion, arm)
     if arm is not None and motion is None:
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
     if torque is not None and arm is None:
         raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
-    plant = planned(recording, rope_guess, free, places, origin, motion, arm, torque=torque is not None)
+    plant = build_plant(recording, rope_guess, free, places, origin, motion, arm, torque=torque is not None)
     foretold = plant.without_torque()  # what is held out is predicted without force or torque
     fitted, rest = _split(measured, train, lead, ahead)
     check_times(fitted.channels, rope_guess)
     check_motion(fitted.shape, fitted.channels)
     delay = {}
-    usual = holding_enough(usual_length(fitted.shape, rope_guess), fitted.shape)
+    usual = with_enough_frames(usual_length(fitted.shape, rope_guess), fitted.shape)
     if "delay" in free:
-        delay["delay_from"] = first_delay(foretold, fitted, usual, Loss(loss))
+        delay["delay_from"] = search_delay(foretold, fitted, usual, Loss(loss))
         plant = with_delay(plant, delay["delay_from"])
         foretold = plant.without_torque()
     if torque is not None:
@@ -176,31 +172,31 @@ def identify(
     length = usual if window is None else checks.number("window", window, sign="positive", infinite=True)
     length = min(length, 1.001 * fitted.channels.duration)
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
-    basis = Basis(plant, windows, found, judge(plant, windows, found))
+    basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
     how = intervals if found.converged or intervals is None else "covariance"
     ranges = None if how is None else all_intervals(basis, how, report=_reporter(progress))
     held_out = None
     try:
         if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
-            spread = doubt(basis.information, windows, found).of(measured.channels.data.shape[1])
+            spread = prediction_uncertainty(basis.information, windows, found).of(measured.channels.data.shape[1])
             held_out = predict(foretold, found.x, rest, lead, ahead, Loss(loss), spread)
     except KeyboardInterrupt:  # what was fitted is worth more than its trial
         found.interrupted = True
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
-    settings |= delay | _arranged(free, loss, places, origin, motion, arm)
-    remarks = [] if arcs is not None else other_lengths(recording, rope_guess)
-    return conclude(basis, held_out, settings, remarks, ranges)
+    settings |= delay | _fit_settings(free, loss, places, origin, motion, arm)
+    remarks = [] if arc_lengths is not None else other_lengths(recording, rope_guess)
+    return assemble_result(basis, held_out, settings, remarks, ranges)
 
 
 def _checked(
     recording: Recording,
     rope: Rope,
-    arcs: npt.ArrayLike | None,
+    arc_lengths: npt.ArrayLike | None,
     origin: npt.ArrayLike | None,
     motion: Motion | None,
     arm: Arm | None,
-) -> tuple[Measured, Array | None]:
+) -> tuple[Measurements, Array | None]:
     """Return what is fitted, if it fits the rope, and where its markers sit if not at the joints."""
     if not isinstance(recording, Recording) or not isinstance(rope, Rope):
         raise InvalidInput(
@@ -208,8 +204,8 @@ def _checked(
             got=[type(recording).__name__, type(rope).__name__],
             fix="Read the file with read_recording first",
         )
-    if arcs is not None:
-        places = checked_arcs(recording, rope, arcs)
+    if arc_lengths is not None:
+        places = checked_arc_lengths(recording, rope, arc_lengths)
         refuse_still_markers(recording, places)
         joint = None
         if places.size == 1:
@@ -225,7 +221,7 @@ def _checked(
             "the recording and the rope have different numbers of links",
             got=[recording.n_links, rope.n_links],
             fix="Give a guess with as many links as the recording has angles (markers less one), or say where along "
-            "the rope the markers sit, arcs=[...]",
+            "the rope the markers sit, arc_lengths=[...]",
         )
     if recording.kind == "markers":
         factor = recording.link_lengths() / rope.length
@@ -240,11 +236,11 @@ def _checked(
     return measure(recording, rope, None), None
 
 
-def planned(
+def build_plant(
     recording: Recording,
     guess: Rope,
     free: Sequence[str],
-    arcs: Array | None,
+    arc_lengths: Array | None,
     origin: npt.ArrayLike | None,
     motion: Motion | None,
     arm: Arm | None,
@@ -252,23 +248,27 @@ def planned(
     torque: bool = False,
 ) -> Plant:
     """Return what predicts the measurements, with all that is free."""
-    chosen = parse(guess, free, arcs, moved=motion is not None, arm=arm if torque else None)
-    if arcs is None:
+    chosen = parse(guess, free, arc_lengths, moved=motion is not None, arm=arm if torque else None)
+    if arc_lengths is None:
         if origin is not None:
-            raise InvalidInput("origin is given, but angles are fitted", fix="Give arcs=... as well, or leave it out")
+            raise InvalidInput(
+                "origin is given, but angles are fitted", fix="Give arc_lengths=... as well, or leave it out"
+            )
         return Plant(Parameters(guess, chosen), Angles(), motion, arm, torque=torque)
     if origin is None:
         words = [word for word in ("origin_x", "origin_y") if word not in free]
-        chosen += parse(guess, words, arcs) if words else []
-        place = first_joint(recording, arcs, pivot_places(motion, arm, recording.t))
+        chosen += parse(guess, words, arc_lengths) if words else []
+        place = first_joint(recording, arc_lengths, pivot_places(motion, arm, recording.t))
     else:
         place = checks.array("origin", origin, (2,), unit="m")
     starts = {"origin_x": float(place[0]), "origin_y": float(place[1])}
     chosen = [replace(each, start=starts.get(each.name, each.start)) for each in chosen]
-    return Plant(Parameters(guess, chosen), Markers(arcs, place), motion, arm, torque=torque)
+    return Plant(Parameters(guess, chosen), Markers(arc_lengths, place), motion, arm, torque=torque)
 
 
-def _split(measured: Measured, train: float | None, lead: float, ahead: float) -> tuple[Measured, Measured | None]:
+def _split(
+    measured: Measurements, train: float | None, lead: float, ahead: float
+) -> tuple[Measurements, Measurements | None]:
     """Return what is fitted and what is held out."""
     every = measured.channels
     for name, value in (("lead", lead), ("ahead", ahead)):
@@ -288,10 +288,10 @@ def _split(measured: Measured, train: float | None, lead: float, ahead: float) -
     return fitted, measured.between(time, np.inf) if rest.sum() > 1 else None
 
 
-def _arranged(
+def _fit_settings(
     free: Sequence[str],
     loss: LossName,
-    arcs: Array | None,
+    arc_lengths: Array | None,
     origin: npt.ArrayLike | None,
     motion: Motion | None,
     arm: Arm | None,
@@ -299,8 +299,8 @@ def _arranged(
     """Return how the fit was set up, in plain words and numbers."""
     base = "fixed" if motion is None else "moved" if arm is None else f"moved by an arm of {arm.length:g} m"
     result: dict[str, Any] = {"free": list(free), "loss": loss, "base": base}
-    if arcs is not None:
-        result["arcs"] = arcs.tolist()
+    if arc_lengths is not None:
+        result["arc_lengths"] = arc_lengths.tolist()
     if origin is not None:
         result["origin"] = np.asarray(origin, dtype=np.float64).tolist()
     return result

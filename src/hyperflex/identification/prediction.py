@@ -1,18 +1,19 @@
-"""Prediction on the part of a recording that the fit has not seen."""
+"""Prediction of the held-out part of a recording, with its standard deviation."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import fit_state
-from hyperflex.identification.fit.stages import Measured
-from hyperflex.identification.fit.windows import LEAST, Window, first_state, thin
+from hyperflex.identification.fit.multiple_shooting import Fit, fit_state, linearise
+from hyperflex.identification.fit.stages import Measurements
+from hyperflex.identification.fit.windows import LEAST, Window, decimation_step, first_state
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.uncertainty.prediction_band import Doubt, spread
+from hyperflex.identification.uncertainty.covariance import Information
 
 BAND = 1.96  # standard deviations on either side that hold 95 %
 TINY = 1e-9  # rad or m, the least noise that samples are weighed by
@@ -66,16 +67,16 @@ class HeldOut:
 def predict(
     plant: Plant,
     x: Array,
-    measured: Measured,
+    measured: Measurements,
     lead: float = 0.5,
     ahead: float = 1.0,
     loss: Loss | None = None,
-    unsure: Doubt | None = None,
+    uncertainty: PredictionUncertainty | None = None,
 ) -> HeldOut | None:
     """Predict what is measured piece by piece, with the parameters x.
 
     The first prediction starts `lead` after the first sample; each next one `ahead` later, its state fitted on the
-    `lead` before it (measured data again, not the prediction). `unsure` is what the fit leaves so.
+    `lead` before it (measured data again, not the prediction). `uncertainty` is what the fit leaves so.
 
     Returns
     -------
@@ -85,14 +86,14 @@ def predict(
     -----
     Recordings with more than 200 samples in `lead` are decimated first (every k-th sample is picked): the states are
     fitted to, and the rms taken over, what is left. All samples count alike in both: the recording's noise is not used
-    as a weight. Where something is believed of a state, they count by the noise that the fit has found (1 rad or m
-    without `unsure`).
+    as a weight. Where a state has a prior, they count by the noise that the fit has found (1 rad or m
+    without `uncertainty`).
     """
-    step = thin(measured.channels, lead)
+    step = decimation_step(measured.channels, lead)
     recording, angles = measured.channels.decimate(step), measured.shape.decimate(step).data
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
-    believed = np.zeros((0, 2 * angles.shape[1])) if measured.believed is None else measured.believed
-    size = 1.0 if unsure is None else max(float(np.sqrt(np.mean(unsure.noise**2))), TINY)
+    prior = np.zeros((0, 2 * angles.shape[1])) if measured.prior is None else measured.prior
+    size = 1.0 if uncertainty is None else max(float(np.sqrt(np.mean(uncertainty.noise**2))), TINY)
     starts, times, seen, predicted, sd = [], [], [], [], []
     for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
         before = (t >= start - lead - slack) & (t < start + slack)
@@ -101,12 +102,12 @@ def predict(
         if not after.any() or (~np.isnan(angles[before])).sum(axis=0).min() < LEAST:
             continue
         guess = first_state(t[before], angles[before])
-        window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, believed)
+        window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, prior)
         found = fit_state(plant, x, window, window.guess, loss=loss)
         starts.append(float(start))
         times.append(t[after])
         seen.append(data[after])
-        reached = _ahead(plant, x, window, found, t[after], unsure)
+        reached = _ahead(plant, x, window, found, t[after], uncertainty)
         predicted.append(reached[0])
         sd.append(reached[1])
     if not starts:
@@ -126,14 +127,21 @@ def predict(
 
 
 def _ahead(
-    plant: Plant, x: Array, window: Window, found: tuple[Array, Array] | None, t: Array, unsure: Doubt | None
+    plant: Plant,
+    x: Array,
+    window: Window,
+    found: tuple[Array, Array] | None,
+    t: Array,
+    uncertainty: PredictionUncertainty | None,
 ) -> tuple[Array, Array]:
     """Return prediction and standard deviation (m, C) at t (m,); inf and NaN where there is none."""
     y = None if found is None else plant.predict(x, np.append(window.t[0], t), found[0])
     shape = (t.size, window.y.shape[1])
     if found is None or y is None or not np.isfinite(y).all():
         return np.full(shape, np.inf), np.full(shape, np.nan)
-    return y[1:], np.full(shape, np.nan) if unsure is None else spread(plant, x, window, found, t, unsure)
+    return y[1:], np.full(shape, np.nan) if uncertainty is None else prediction_std(
+        plant, x, window, found, t, uncertainty
+    )
 
 
 def _rms(error: Array) -> Array:
@@ -142,3 +150,73 @@ def _rms(error: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         result: Array = np.sqrt((np.where(known, error, 0.0) ** 2).sum(axis=0) / known.sum(axis=0))
     return result
+
+
+@dataclass(frozen=True)
+class PredictionUncertainty:
+    """What a fit leaves uncertainty.
+
+    covariance (P, P): of x. noise (C,): standard deviation of what the fit has left of each channel, rad or m.
+    correlation: factor by which autocorrelation shortens a sample.
+    """
+
+    covariance: Array
+    noise: Array
+    correlation: float
+
+    def of(self, count: int) -> PredictionUncertainty:
+        """Return the same of the first channels alone: a motor's torque is not predicted."""
+        return replace(self, noise=self.noise[:count])
+
+
+def prediction_uncertainty(information: Information, windows: Sequence[Window], found: Fit) -> PredictionUncertainty:
+    """Return what a fit leaves uncertainty; outliers count as little as they did in the fit."""
+    squares, counted = 0.0, 0.0
+    for window, residual in zip(windows, found.residuals, strict=True):
+        counts = (found.loss.weight(residual) ** 2).reshape(window.y.shape) * (window.weight > 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.where(window.weight > 0.0, residual.reshape(window.y.shape) / window.weight, 0.0)
+        squares = squares + (counts * error**2).sum(axis=0)
+        counted = counted + counts.sum(axis=0)
+    noise = np.sqrt(squares / np.maximum(counted, 1e-300))
+    return PredictionUncertainty(information.covariance, noise, information.correlation)
+
+
+def prediction_std(
+    plant: Plant, x: Array, window: Window, found: tuple[Array, Array], t: Array, uncertainty: PredictionUncertainty
+) -> Array:
+    """Return the standard deviation (m, C) of measured less predicted samples at times t (m,).
+
+    Parameters
+    ----------
+    plant : Plant
+    x : (P,) array
+        The parameters of the prediction.
+    window : Window
+        On which its state was fitted.
+    found : (2n,), (k C,) arrays
+        That state at ``window.t[0]``, and what it leaves of the window.
+    t : (m,) array, s
+    uncertainty : PredictionUncertainty
+
+    Notes
+    -----
+    To first order. An error of the parameters moves the fitted state as well, and the prediction feels both; an error
+    of the state alone comes from the noise of the window, which counts as many times as its autocorrelation says. Where
+    motion is chaotic the true spread soon leaves what a straight line can tell. NaN where derivatives fail.
+    """
+    state, residual = found
+    linear = linearise(plant, window, x, state, residual, Loss())
+    ahead = plant.jacobian(x, np.append(window.t[0], t), state)
+    if ahead is None or not linear.known:
+        return np.full((t.size, uncertainty.noise.size), np.nan)
+    absorb = np.linalg.pinv(linear.state)
+    rows = (uncertainty.noise * window.weight).ravel() * np.sqrt(uncertainty.correlation)
+    rows = np.append(rows, np.ones(linear.residual.size - rows.size))  # those of the prior are in standard deviations
+    by_state, shared = ahead.state[1:], ahead.shared[1:]
+    by_noise = by_state @ (absorb * rows)
+    by_parameters = shared - by_state @ (absorb @ linear.shared)
+    variance = (by_noise**2).sum(axis=2) + np.einsum(
+        "mci,ij,mcj->mc", by_parameters, uncertainty.covariance, by_parameters
+    )
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0) + uncertainty.noise**2))

@@ -1,4 +1,4 @@
-"""What an identification gives back."""
+"""The result of an identification, and how it is put together from a fit."""
 
 from __future__ import annotations
 
@@ -9,17 +9,32 @@ import numpy as np
 
 from hyperflex import files
 from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
+from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.intervals import Interval
+from hyperflex.identification.uncertainty.covariance import Basis, ratio_spread, ratios
+from hyperflex.identification.uncertainty.intervals import Interval, of_ratios
+from hyperflex.identification.verdict import (
+    consistent,
+    failed_predictions,
+    noise_not_modelled,
+    not_converged,
+    not_noise,
+    poor_fit,
+    poor_torque,
+    too_large,
+    verdict,
+)
 from hyperflex.model import Rope
+from hyperflex.sensors import Angles
 
 MANY = 8  # numbers of a kind that are printed
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(Ended):
     """An identified rope, and how far it can be trusted.
 
     Attributes
@@ -54,9 +69,9 @@ class Identification:
     settings : dict
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
         time of the residuals (samples), seconds taken; how the fit was set up: words in ``free``, loss, base, and
-        `arcs` and `origin` if given, and the delay that the fit started from (s), if it was free.
-    status : str
-        ``converged``, ``interrupted`` (Ctrl-C; the best so far) or ``not converged``.
+        `arc_lengths` and `origin` if given, and the delay that the fit started from (s), if it was free.
+    message : str
+        ``converged``, ``not converged`` or ``interrupted`` (Ctrl-C; the best so far).
     unit : str
         Of what was fitted: ``rad`` or ``m``.
     history : tuple of dict
@@ -86,16 +101,23 @@ class Identification:
     covariance: Array
     singular_values: Array
     settings: dict[str, Any]
-    status: str
+    message: str
     unit: str
     history: tuple[dict[str, float], ...]
     torque_residuals: Array | None = None
     _basis: Basis | None = field(default=None, init=False, repr=False)
 
-    def resting_on(self, basis: Basis) -> Self:
+    def with_basis(self, basis: Basis) -> Self:
         """Keep the fit itself, `basis`, for further questions; return this same result."""
         object.__setattr__(self, "_basis", basis)
         return self
+
+    @property
+    def basis(self) -> Basis:
+        """The fit itself, for profiles and the bootstrap; raises InvalidInput for a result read from a file."""
+        if self._basis is None:
+            raise InvalidInput("this result no longer has its fit", fix="Run identify again, in this session")
+        return self._basis
 
     @property
     def residual_rms_all(self) -> float:
@@ -109,8 +131,8 @@ class Identification:
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
-        alike = ("status", "identifiable", "unit", "values", "sd", "ratios", "ratio_sd", "parameters", "covariance")
-        result: dict[str, Any] = {name: getattr(self, name) for name in alike}
+        alike = ("identifiable", "unit", "values", "sd", "ratios", "ratio_sd", "parameters", "covariance")
+        result: dict[str, Any] = self.ending() | {name: getattr(self, name) for name in alike}
         result["intervals"] = {
             name: {"low": each.low, "high": each.high, "kind": each.kind} for name, each in self.intervals.items()
         }
@@ -134,39 +156,39 @@ class Identification:
         files.write_toml(path, {"rope": self.rope.table(), "identification": _without_none(content)})
 
     def __str__(self) -> str:
-        told = (f"{k} {_short(v)}" for k, v in self.settings.items() if not isinstance(v, list))
-        lines = [f"Identification {self.status}: " + ", ".join(told)]
+        settings = (f"{k} {_short(v)}" for k, v in self.settings.items() if not isinstance(v, list))
+        lines = [f"Identification {self.message}: " + ", ".join(settings)]
         for title, value, spread in (("value", self.values, self.sd), ("ratio", self.ratios, self.ratio_sd)):
             for name, numbers in value.items():
-                if said := _told(np.atleast_1d(numbers), np.atleast_1d(spread[name])):
+                if said := _with_std(np.atleast_1d(numbers), np.atleast_1d(spread[name])):
                     lines.append(f"  {title} {name:<13} {said}")
         ranges = [(name, self.intervals[name]) for name in self.parameters if name in self.intervals]
         lines += [f"  {100 * each.level:g} % {name:<13} {each}" for name, each in ranges[:MANY]]
         if len(ranges) > MANY:
             lines.append(f"  and {len(ranges) - MANY} more in intervals")
-        lines.append(f"  fit error, m{self.unit}       {_few([f'{1e3 * x:.2f}' for x in self.residual_rms])}")
+        lines.append(f"  fit error, m{self.unit}       {_first_few([f'{1e3 * x:.2f}' for x in self.residual_rms])}")
         if self.torque_rms is not None:
             lines.append(f"  torque error, mN m     {1e3 * self.torque_rms:.3f}")
         if self.held_out is not None:
             lines.append(
                 f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  "
-                + _few([f"{1e3 * x:.2f}" for x in self.held_out.rms])
+                + _first_few([f"{1e3 * x:.2f}" for x in self.held_out.rms])
             )
         return "\n".join([*lines, *(f"  {text}" for text in self.verdict)])
 
 
-def _told(values: Array, spreads: Array) -> str:
+def _with_std(values: Array, spreads: Array) -> str:
     """Return values (n,) with their deviations; those that were held are left out, what all links share stands once."""
     pairs = [f"{x:.5g} ± {s:.2g}" for x, s in zip(values, spreads, strict=True)]
     free = np.flatnonzero(spreads)
     if len(pairs) > 1 and len(set(pairs)) == 1:
         return f"{pairs[0]} each" if free.size else ""
     if free.size < len(pairs):
-        return _few([f"[{k}] {pairs[k]}" for k in free])
-    return _few(pairs)
+        return _first_few([f"[{k}] {pairs[k]}" for k in free])
+    return _first_few(pairs)
 
 
-def _few(words: list[str]) -> str:
+def _first_few(words: list[str]) -> str:
     """Return words side by side; of many the first ones."""
     more = f"  and {len(words) - MANY} more" if len(words) > MANY else ""
     return "  ".join(words[:MANY]) + more
@@ -183,3 +205,80 @@ def _without_none(content: Any) -> Any:
 
 def _short(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def assemble_result(
+    basis: Basis,
+    held_out: HeldOut | None,
+    settings: dict[str, Any],
+    remarks: list[str],
+    intervals: dict[str, Interval] | None = None,
+) -> Identification:
+    """Put everything together; `remarks` join the verdict, intervals of the ratios those of the parameters."""
+    plant, information, found, windows = basis.plant, basis.information, basis.fit, basis.windows
+    parameters = plant.parameters
+    x = parameters.rounded(found.x)
+    rope, slopes = parameters.rope(x), parameters.derivatives(x)
+    spreads = information.deviations(slopes)
+    weights = np.concatenate([w.weight for w in windows])
+    flat = np.concatenate([r.reshape(w.y.shape) for r, w in zip(found.residuals, windows, strict=True)])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        residuals = np.where(weights > 0.0, -flat / weights, np.nan)
+    unit = "rad" if isinstance(plant.sensor, Angles) else "m"
+    torque = None
+    if plant.motor is not None:
+        residuals, torque = residuals[:, :-1], residuals[:, -1]
+    rms = np.sqrt(np.nanmean(residuals**2, axis=0))
+    ratio_sd = ratio_spread(parameters, information)
+    message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
+    words = not_converged(message) + verdict(parameters, information, rope, ratio_sd)
+    words += poor_fit(windows, residuals, unit, found.loss) + poor_torque(windows, torque, found.loss)
+    words += not_noise(information.correlation, information.whiteness)
+    words += noise_not_modelled(information.agrees, information.freedom) + failed_predictions(held_out) + remarks
+    if ((weights != 0.0) & (weights != 1.0)).any():  # the recording says what its noise is
+        words += too_large(information.variance, information.freedom)
+    words += [each.remark for each in (intervals or {}).values() if each.remark]
+    if intervals is not None:
+        intervals = intervals | of_ratios(ratios(rope), ratio_sd, information.freedom)
+    return Identification(
+        rope=rope,
+        values=_by_name(plant, rope, parameters.values(x)),
+        sd=_by_name(plant, None, spreads),
+        ratios=ratios(rope),
+        ratio_sd=ratio_sd,
+        intervals=intervals or {},
+        verdict=tuple(consistent(words)),
+        identifiable=information.unknown.shape[1] == 0,
+        residual_rms=rms,
+        residual_t=np.concatenate([w.t for w in windows]),
+        residuals=residuals,
+        held_out=held_out,
+        parameters=parameters.labels,
+        covariance=information.covariance * np.outer(slopes, slopes),
+        singular_values=information.singular,
+        settings=settings,
+        message=message,
+        unit=unit,
+        history=tuple(found.history),
+        torque_residuals=torque,
+    ).with_basis(basis)
+
+
+def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array]:
+    """Return numbers (P,) by property: (n,) with the rope's own (or 0) where a link is not free, or single."""
+    parameters = plant.parameters
+    n = parameters.guess.n_links
+    result: dict[str, Array] = {}
+    for parameter, number in zip(parameters.all, numbers, strict=True):
+        name, held = parameter.name, np.zeros(n)
+        if not parameter.links:
+            result[name] = np.array(number)
+        elif parameter.law != "own":
+            result[parameter.label] = np.array(number)
+        else:
+            if name == "arc":
+                held = plant.sensor.values[2:] * (rope is not None)
+            elif rope is not None:
+                held = getattr(rope, name).copy()
+            result.setdefault(name, held)[list(parameter.links)] = number
+    return result

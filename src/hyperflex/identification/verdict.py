@@ -1,12 +1,17 @@
-"""In words: what a recording can tell about the free parameters, what it cannot, and what looks wrong."""
+"""The verdict of a fit in sentences: what is known, what is not, and what looks wrong."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.identification.ending import CONVERGED
+from hyperflex.identification.fit.loss import NORMAL, Loss
+from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters
-from hyperflex.identification.model.scale import common_factor, growing
+from hyperflex.identification.model.scale import common_factor, in_common_factor
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import TOUCHED, Information
 from hyperflex.model import Rope
@@ -42,18 +47,18 @@ def verdict(parameters: Parameters, information: Information, rope: Rope, spread
     return _unknown(parameters, information, spreads) + _values(parameters, information, rope)
 
 
-def not_arrived(status: str) -> list[str]:
+def not_converged(message: str) -> list[str]:
     """Return what to know before any figure is read, where a fit did not converge."""
-    if status == "converged":
+    if message == CONVERGED:
         return []
     text = (
-        f"The fit is {status}: its values, ratios and deviations are where it stood, not what the data say. Give a "
+        f"The fit is {message}: its values, ratios and deviations are where it stood, not what the data say. Give a "
         "better guess, shorter windows or fewer free parameters."
     )
     return [text]
 
 
-def in_harmony(words: list[str]) -> list[str]:
+def consistent(words: list[str]) -> list[str]:
     """Return the sentences of a verdict, without saying that all can be known beside a warning."""
     return words if len(words) == 1 else [ALL_ACT if text == ALL_KNOWN else text for text in words]
 
@@ -73,7 +78,7 @@ def not_noise(correlation: float, whiteness: float = 1.0) -> list[str]:
     return [text]
 
 
-def noise_unknown(agrees: bool, freedom: float) -> list[str]:
+def noise_not_modelled(agrees: bool, freedom: float) -> list[str]:
     """Return a warning where the standard deviations rest on a noise model that does not hold, or on next to nothing.
 
     `agrees` tells whether the residuals' autoregression leaves such residuals; `freedom` of how many independent values
@@ -142,7 +147,7 @@ def _unknown(parameters: Parameters, information: Information, spreads: dict[str
     others = unknown if common is None else unknown - np.outer(common, common @ unknown)
     idle = np.sqrt((others**2).sum(axis=1)) > 1.0 - TOUCHED
     shares = np.sqrt((unknown**2).sum(axis=1))
-    grows = growing(parameters, information.x, unknown)
+    grows = in_common_factor(parameters, information.x, unknown)
     idle &= ~grows
     free = zip(parameters.all, (shares > TOUCHED) | grows, idle, strict=True)
     names = ", ".join(dict.fromkeys(p.name for p, touched, alone in free if touched and not alone))
@@ -179,7 +184,7 @@ def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -
 def _values(parameters: Parameters, information: Information, rope: Rope) -> list[str]:
     """Return what looks odd about single values."""
     said = []
-    sd = information.deviations(parameters.slopes(information.x))
+    sd = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
     for parameter, value, spread in zip(parameters.all, values, sd, strict=True):
         if parameter.form == "nonnegative" and value == 0.0:
@@ -189,3 +194,60 @@ def _values(parameters: Parameters, information: Information, rope: Rope) -> lis
     if "inertia" in {p.name for p in parameters.all} and (rope.inertia == 0.0).any():
         said.append("An inertia at 0 may mean that the masses held do not fit: put 'mass' into free as well.")
     return said
+
+
+POOR = 0.2  # part of the motion that may stay unexplained before the verdict calls the fit poor
+NOISY = 1.5  # times the declared noise: what stays below is as good as the recording, however little moves
+
+
+def poor_fit(windows: Sequence[Window], residuals: Array, unit: str, loss: Loss) -> list[str]:
+    """Return a warning where the model leaves much of the motion unexplained.
+
+    Parameters
+    ----------
+    windows : sequence of Window
+    residuals : (m, C) array, rad or m
+        Of all windows, NaN in gaps; further channels of the windows, a torque, are not looked at.
+    unit : str
+    loss : Loss
+        Under a robust one outliers do not count: it is the usual size of residuals that must be small.
+    """
+    rms, spread, noise = _sizes(windows, residuals, 0, loss)
+    worst = int(np.argmax(np.where(rms > NOISY * noise, rms / np.maximum(spread, 1e-12), 0.0)))
+    if rms[worst] <= max(POOR * spread[worst], NOISY * noise[worst]):
+        return []
+    what = f"link {worst}" if unit == "rad" else f"marker {worst // 2}"
+    text = (
+        f"The fit is poor: {what} is {rms[worst]:.3g} {unit} off, and moves by {spread[worst]:.3g} {unit} (rms) within "
+        "the windows. Check the recording's units, zero and sense, the link lengths, the base's motion and the guess."
+    )
+    return [text]
+
+
+def poor_torque(windows: Sequence[Window], residuals: Array | None, loss: Loss) -> list[str]:
+    """Return a warning where the model leaves much of the motor's torque unexplained; `residuals` (m,) in N m."""
+    if residuals is None:
+        return []
+    (rms,), (spread,), (noise,) = _sizes(windows, residuals[:, None], windows[0].y.shape[1] - 1, loss)
+    if rms <= max(POOR * spread, NOISY * noise):
+        return []
+    text = (
+        f"The torque does not fit: it is {rms:.3g} N m off, and moves by {spread:.3g} N m (rms) within the windows. "
+        "Check its sign (positive turns the arm the way in which its angle grows) and its unit, N m; until it fits, "
+        "masses, inertias and frictions mean nothing."
+    )
+    return [text]
+
+
+def _sizes(windows: Sequence[Window], residuals: Array, first: int, loss: Loss) -> tuple[Array, Array, Array]:
+    """Return sizes (C,) of residuals, motion and declared noise, of the windows' channels from `first` on."""
+    part = slice(first, first + residuals.shape[1])
+    known = [np.where(w.weight > 0.0, w.y, np.nan)[:, part] for w in windows]
+    weights = np.concatenate([w.weight for w in windows])[:, part]
+    with np.errstate(divide="ignore"):
+        noise = np.sqrt(np.nanmean(np.where(weights > 0.0, 1.0 / weights**2, np.nan), axis=0))
+    noise = np.where(((weights == 0.0) | (weights == 1.0)).all(axis=0), 0.0, noise)  # not declared
+    spread = np.sqrt(np.mean([np.nanvar(y, axis=0) for y in known], axis=0))
+    if loss.name == "squares":
+        return np.sqrt(np.nanmean(residuals**2, axis=0)), spread, noise
+    return NORMAL * np.nanmedian(np.abs(residuals), axis=0), spread, noise

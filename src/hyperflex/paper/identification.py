@@ -18,12 +18,12 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification import (
     InitialState,
-    Revision,
+    IterativeRevision,
     RevisionProfile,
     cylinder_inertia,
-    initial_state,
+    estimate_initial_state,
+    iterative_revision,
     natural_frequency_inertia,
-    revise,
     squared_error,
     swing_period,
 )
@@ -121,7 +121,9 @@ def record(swing: Swing, seed: int = SEED) -> Recording:
 
 
 @cache
-def revised(swing: Swing, points: int = POINTS, profile: RevisionProfile = "response", seed: int = SEED) -> Revision:
+def revised(
+    swing: Swing, points: int = POINTS, profile: RevisionProfile = "response", seed: int = SEED
+) -> IterativeRevision:
     """Return the iterative revision on the first `points` samples of a swing; each is made once in a process.
 
     Parameters
@@ -130,16 +132,16 @@ def revised(swing: Swing, points: int = POINTS, profile: RevisionProfile = "resp
     points : int
         Samples used.
     profile : str
-        See :func:`hyperflex.revise`.
+        See :func:`hyperflex.iterative_revision`.
     seed : int
         Of the noise.
     """
     recording = record(swing, seed)
     part = recording.window(-np.inf, (points - 0.5) / RATE)
-    return revise(part, guess(), profile=profile, rounds=8 if profile == "response" else 5)
+    return iterative_revision(part, guess(), profile=profile, rounds=8 if profile == "response" else 5)
 
 
-def whole_error(swing: Swing, found: Revision, seed: int = SEED) -> float:
+def whole_error(swing: Swing, found: IterativeRevision, seed: int = SEED) -> float:
     """Return E over all 81 samples, rad^2, of a revision that may have used fewer."""
     state = np.append(found.best.q, found.best.qd)
     return squared_error(record(swing, seed), found.rope, state)
@@ -183,7 +185,7 @@ def methods(swing: Swing) -> tuple[Method, ...]:
     rows = []
     for name, inertia in inertias.items():
         rope = found.rope.replace(inertia=np.full(LINKS, inertia))
-        best: InitialState = initial_state(recording, rope)
+        best: InitialState = estimate_initial_state(recording, rope)
         rows.append(Method(name, rope, best.error, np.append(best.q, best.qd)))
     measured = np.append(recording.data[0], np.zeros(LINKS))
     rows.append(Method("IR", found.rope, found.best.measured_start, measured))

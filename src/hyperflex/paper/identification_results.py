@@ -169,7 +169,7 @@ def _table(name: str, title: str, columns: dict[str, Array]) -> Table:
 def settles(swing: Swing) -> Claim:
     """C6: the revision settles within two or three rounds. Measured: revisions that still moved J or eta."""
     found = revised(swing)
-    moved = found.settled_after
+    moved = found.converged_after
     steps = ", ".join(f"{1e6 * each.inertia:.3g}" for each in found.rounds)
     frictions = ", ".join(f"{1e3 * each.friction:.3g}" for each in found.rounds)
     note = f"J {steps} e-6 kg m^2; eta {frictions} e-3 N m s/rad; {found.seconds:.1f} s, {found.evaluations} rollouts"

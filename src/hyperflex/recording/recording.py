@@ -213,7 +213,7 @@ class Recording:
                 f"a marker alone shows no {what}",
                 got=f"{self.data.shape[1]} columns",
                 allowed="x and y of the pivot and of the far end of each link: 4, 6, 8, ... columns",
-                fix="To identify a rope by it, say where along the rope it sits: arcs=[...] and origin=(x, y)",
+                fix="To identify a rope by it, say where along the rope it sits: arc_lengths=[...] and origin=(x, y)",
             )
 
     def _pick(self, rows: Array | np.ndarray[tuple[int], np.dtype[np.bool_ | np.intp]]) -> Recording:

@@ -114,7 +114,7 @@ class Markers(_Posture):
 
     Parameters
     ----------
-    arcs : (K,) array_like
+    arc_lengths : (K,) array_like
         How far along the rope each sits, m from the first joint. Markers beyond the tip lie on the last link's line;
         those before the first joint on the first's.
     origin : (2,) array_like
@@ -137,11 +137,11 @@ class Markers(_Posture):
 
     placed = True
 
-    def __init__(self, arcs: npt.ArrayLike, origin: npt.ArrayLike = (0.0, 0.0)) -> None:
-        self.arcs = checks.array("arcs", arcs, (-1,), unit="m")
-        if not self.arcs.size:
-            raise InvalidInput("arcs is empty", allowed="at least one marker")
-        self.values = np.concatenate([checks.array("origin", origin, (2,), unit="m"), self.arcs])
+    def __init__(self, arc_lengths: npt.ArrayLike, origin: npt.ArrayLike = (0.0, 0.0)) -> None:
+        self.arc_lengths = checks.array("arc_lengths", arc_lengths, (-1,), unit="m")
+        if not self.arc_lengths.size:
+            raise InvalidInput("arc_lengths is empty", allowed="at least one marker")
+        self.values = np.concatenate([checks.array("origin", origin, (2,), unit="m"), self.arc_lengths])
 
     def with_values(self, values: Array) -> Markers:
         """Return the same sensor with other values (V,)."""
@@ -181,5 +181,5 @@ class Markers(_Posture):
     def _on(self, rope: Rope) -> tuple[npt.NDArray[np.intp], Array]:
         """Return on which link each marker sits, and how far beyond its first joint, m."""
         ends = np.cumsum(rope.length)
-        link = np.minimum(np.searchsorted(ends, self.arcs - 1e-12 * ends[-1]), rope.n_links - 1)
-        return link, self.arcs - (ends - rope.length)[link]
+        link = np.minimum(np.searchsorted(ends, self.arc_lengths - 1e-12 * ends[-1]), rope.n_links - 1)
+        return link, self.arc_lengths - (ends - rope.length)[link]

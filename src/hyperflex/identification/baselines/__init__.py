@@ -1,1 +1,1 @@
-"""The paper's methods and what it compares them with."""
+"""The paper's identification methods and its baselines."""

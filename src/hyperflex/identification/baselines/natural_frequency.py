@@ -1,4 +1,4 @@
-"""What the paper compares with: inertia from the natural frequency (NF, (8)) and of a cylinder (CM)."""
+"""Baselines of the paper: inertia by natural frequency (8) and of a cylinder."""
 
 from __future__ import annotations
 

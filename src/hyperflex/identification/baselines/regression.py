@@ -1,4 +1,4 @@
-"""The equation of motion as a regression: everything that is linear in it, link by link (paper (4)-(6)).
+"""Linear regression of the equation of motion on its parameters (paper (4)-(6)).
 
 The first moments p, the inertias J about the joints and all resistances enter the torques of a chain
 linearly, and so do masses and inertias where lengths and centres of mass are known.
@@ -112,7 +112,7 @@ class LeastSquares:
         return float(self.values[self.names.index(name)])
 
 
-def regression(
+def fit_regression(
     rope: Rope,
     q: npt.ArrayLike,
     qd: npt.ArrayLike,
@@ -161,7 +161,7 @@ def regression(
     >>> import hyperflex as hf
     >>> rope = hf.Rope.uniform(length=1.0, mass=0.01, n_links=5, friction=6e-4)
     >>> run = hf.simulate(rope, duration=2.0, q0=np.full(5, 0.3), tol=1e-8)
-    >>> found = hf.regression(rope, run.q, run.qd, run.qdd).solve()
+    >>> found = hf.fit_regression(rope, run.q, run.qd, run.qdd).solve()
     >>> f"{found['friction:shared']:.3e}"
     '6.000e-04'
     """

@@ -1,4 +1,4 @@
-"""Parameters and initial state revised in turn until both settle: the paper's method (Fig. 4, "IR")."""
+"""Iterative revision (IR) of parameters and initial state, the paper's method (Fig. 4)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,18 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.dynamics import bias, mass_matrix
 from hyperflex.errors import IdentificationError, InvalidInput
-from hyperflex.identification.baselines.regression import regression
-from hyperflex.identification.baselines.simplex import MOST, Rates, first_state, fitting, initial_state, squared_error
+from hyperflex.identification.baselines.regression import fit_regression
+from hyperflex.identification.baselines.simplex import (
+    MAX_EVALUATIONS,
+    Rates,
+    estimate_initial_state,
+    first_state,
+    matching_angles,
+    squared_error,
+)
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
 from hyperflex.identification.excitation import check_motion, check_times
-from hyperflex.identification.fit.threads import one_thread
+from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.model import Rope, Setup
 from hyperflex.recording import Recording
 from hyperflex.simulation import Slopes, angles
@@ -60,20 +68,21 @@ class Round:
 
 
 @dataclass(frozen=True, eq=False)
-class Revision:
-    """What :func:`revise` found.
+class IterativeRevision(Ended):
+    """What :func:`iterative_revision` found.
 
     Attributes
     ----------
     rope : Rope
-        With the J and eta of the best round: the last one, or the one of least error if nothing settled.
+        With the J and eta of the best round: the last one, or the one of least error if it did not converge.
     best : Round
         That round.
     sd : dict of str to float
         Standard deviations of "inertia" and "friction" as the regression tells them.
     rounds : tuple of Round
         All rounds; the first one has the guess's parameters.
-    status : {"settled", "not settled", "interrupted"}
+    message : {"converged", "not converged", "interrupted"}
+        ``converged`` where the last revision moved neither parameter.
     samples : int
         Measured angles that were fitted, gaps left out.
     profile, rates : str
@@ -84,15 +93,15 @@ class Revision:
     best: Round
     sd: dict[str, float]
     rounds: tuple[Round, ...]
-    status: str
+    message: str
     samples: int
     profile: str
     rates: str
 
     @property
-    def settled_after(self) -> int | None:
-        """Number of revisions after which nothing moved any more; None if it did not settle."""
-        return len(self.rounds) - 2 if self.status == "settled" else None
+    def converged_after(self) -> int | None:
+        """Number of revisions after which nothing moved any more; None if it did not converge."""
+        return len(self.rounds) - 2 if self.success else None
 
     @property
     def error(self) -> float:
@@ -111,16 +120,16 @@ class Revision:
 
 
 @one_thread()
-def revise(
+def iterative_revision(
     recording: Recording,
     rope_guess: Rope,
     *,
     rates: Rates = "rest",
     profile: RevisionProfile = "response",
     rounds: int = 8,
-    most: int = MOST,
+    max_evaluations: int = MAX_EVALUATIONS,
     progress: Callable[[Round], None] | None = None,
-) -> Revision:
+) -> IterativeRevision:
     """Identify link inertia and joint friction as the paper does: initial state and parameters revised in turn.
 
     A round finds the initial angles by the downhill simplex method (7), simulates from them, and identifies J and eta
@@ -134,7 +143,7 @@ def revise(
         Lengths, masses and the rest are taken from it. Its inertia and friction, averaged over the links, are the first
         guess; one value of each is sought for all links.
     rates : {"rest", "measured", "free"}
-        Initial rates, see :func:`initial_state`.
+        Initial rates, see :func:`estimate_initial_state`.
     profile : {"response", "calculated", "measured", "measured rates"}
         What the least squares compare. ``"calculated"`` is (6) with the calculated angles, rates and accelerations, as
         step 4 is printed; ``"measured"`` takes angles and rates (by three successive samples) from the recording and
@@ -143,14 +152,14 @@ def revise(
         angles that they change, and those are fitted to what the simulation left of the measured ones.
     rounds : int
         Revisions at most.
-    most : int
-        See :func:`initial_state`.
+    max_evaluations : int
+        See :func:`estimate_initial_state`.
     progress : callable, optional
         Called with each :class:`Round`.
 
     Returns
     -------
-    Revision
+    IterativeRevision
 
     Raises
     ------
@@ -168,42 +177,42 @@ def revise(
     returns the best so far, marked as interrupted.
     """
     began = time.perf_counter()
-    measured = fitting(recording, rope_guess)
+    measured = matching_angles(recording, rope_guess)
     check_times(measured, rope_guess)
     check_motion(measured)
     checks.choice("profile", profile, PROFILES)
-    revision = _Revision(measured, rope_guess, rates, profile, checks.count("most", most))
+    revision = _Revision(measured, rope_guess, rates, profile, checks.count("max_evaluations", max_evaluations))
     done: list[Round] = []
-    status, sd = "not settled", {"inertia": float("inf"), "friction": float("inf")}
+    message, sd = NOT_CONVERGED, {"inertia": float("inf"), "friction": float("inf")}
     values = np.array([rope_guess.inertia.mean(), rope_guess.friction.mean()])
     try:
         for _ in range(checks.count("rounds", rounds) + 1):
             found = revision.state(values, done[-1] if done else None, began)
             done.append(found)
             if revision.interrupted:
-                status = "interrupted"
+                message = INTERRUPTED
                 break
             if progress is not None:
                 progress(found)
-            if len(done) > 1 and _still(done[-2], found, sd):
-                status = "settled"
+            if len(done) > 1 and _unchanged(done[-2], found, sd):
+                message = CONVERGED
                 break
             values, spread = revision.parameters(found)
             sd = {"inertia": float(spread[0]), "friction": float(spread[1])}
     except KeyboardInterrupt:
         if not done:
             raise
-        status = "interrupted"
+        message = INTERRUPTED
     except IdentificationError:
         if not done:
             raise
-    best = done[-1] if status == "settled" else min(done, key=lambda each: each.error)
+    best = done[-1] if message == CONVERGED else min(done, key=lambda each: each.error)
     samples = int(np.isfinite(measured.data).sum())
     rope = revision.rope(np.array([best.inertia, best.friction]))
-    return Revision(rope, best, sd, tuple(done), status, samples, profile, rates)
+    return IterativeRevision(rope, best, sd, tuple(done), message, samples, profile, rates)
 
 
-def _still(before: Round, now: Round, sd: dict[str, float]) -> bool:
+def _unchanged(before: Round, now: Round, sd: dict[str, float]) -> bool:
     """Whether a revision has moved neither parameter."""
     moves = {"inertia": now.inertia - before.inertia, "friction": now.friction - before.friction}
     sizes = {"inertia": now.inertia, "friction": now.friction}
@@ -213,13 +222,13 @@ def _still(before: Round, now: Round, sd: dict[str, float]) -> bool:
 class _Revision:
     """The two halves of a round."""
 
-    def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: RevisionProfile, most: int) -> None:
-        self.measured, self.guess, self.rates, self.profile, self.most = measured, guess, rates, profile, most
+    def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: RevisionProfile, limit: int) -> None:
+        self.measured, self.guess, self.rates, self.profile, self.limit = measured, guess, rates, profile, limit
         self.interrupted = False
-        self.slopes = None
+        self.jacobian = None
         if profile == "response":
-            wanted = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
-            self.slopes = Slopes(Setup(guess), wanted)
+            names = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
+            self.jacobian = Slopes(Setup(guess), names)
 
     def rope(self, values: Array) -> Rope:
         """Return the guess with one J and one eta (2,) for all links."""
@@ -235,8 +244,8 @@ class _Revision:
                 f"J = {values[0]:.3g} kg m^2, eta = {values[1]:.3g} N m s/rad: {error}"
             ) from error
         start = None if before is None else (before.q, before.qd)
-        found = initial_state(self.measured, rope, rates=self.rates, start=start, most=self.most)
-        self.interrupted = found.status == "interrupted"
+        found = estimate_initial_state(self.measured, rope, rates=self.rates, start=start, max_evaluations=self.limit)
+        self.interrupted = found.message == INTERRUPTED
         plain = squared_error(self.measured, rope, first_state(self.measured, self.rates))
         seconds = time.perf_counter() - began
         inertia, friction = float(values[0]), float(values[1])
@@ -245,7 +254,7 @@ class _Revision:
     def parameters(self, at: Round) -> tuple[Array, Array]:
         """Identify J and eta (step 4 of Fig. 4); return them and their standard deviations (2,)."""
         rope = self.rope(np.array([at.inertia, at.friction]))
-        return self.by_torques(rope, at) if self.slopes is None else self.by_response(self.slopes, rope, at)
+        return self.by_torques(rope, at) if self.jacobian is None else self.by_response(self.jacobian, rope, at)
 
     def by_torques(self, rope: Rope, at: Round) -> tuple[Array, Array]:
         """Solve (6) with a mixture of measured and calculated motion."""
@@ -255,12 +264,12 @@ class _Revision:
             seen = np.full(q.shape, np.nan)  # three successive samples make a rate: none at the ends
             seen[1:-1] = np.gradient(self.measured.data, self.measured.t, axis=0)[1:-1]
             q, qd = self.measured.data if self.profile == "measured" else q, seen
-        found = regression(rope, q, qd, qdd, UNKNOWNS).solve()
+        found = fit_regression(rope, q, qd, qdd, UNKNOWNS).solve()
         return np.maximum(found.values, 0.0), found.sd
 
-    def by_response(self, slopes: Slopes, rope: Rope, at: Round) -> tuple[Array, Array]:
+    def by_response(self, jacobian: Slopes, rope: Rope, at: Round) -> tuple[Array, Array]:
         """Fit the changes of angles that changes of J and eta make, the initial state free, to what is left of them."""
-        q, _, dq, _ = slopes(self.measured.t, at.q, at.qd, rope)
+        q, _, dq, _ = jacobian(self.measured.t, at.q, at.qd, rope)
         known = np.isfinite(self.measured.data)
         left, matrix = (self.measured.data - q)[known], dq[known]
         scale = np.sqrt((matrix**2).sum(axis=0))

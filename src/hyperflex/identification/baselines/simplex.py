@@ -1,4 +1,4 @@
-"""The initial state by the downhill simplex method (paper (7))."""
+"""Initial state by the Nelder-Mead simplex method (paper (7))."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput, SimulationError
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import angles
@@ -26,12 +27,12 @@ ANGLE_STEP, ERROR_STEP = (
     1e-6,
 )  # rad and rad^2: far below the noise of a camera; the simplex is done when below both
 BEYOND = 1e3  # rad or rad/s: no state that a simplex may try
-MOST = 400  # rollouts for each unknown, in each of the two descents
+MAX_EVALUATIONS = 400  # rollouts for each unknown, in each of the two descents
 
 
 @dataclass(frozen=True, eq=False)
-class InitialState:
-    """What :func:`initial_state` found.
+class InitialState(Ended):
+    """What :func:`estimate_initial_state` found.
 
     Attributes
     ----------
@@ -41,24 +42,24 @@ class InitialState:
         E of (7): sum of squares over samples and links, rad^2; gaps count nothing.
     evaluations : int
         Rollouts that it took.
-    status : {"settled", "not settled", "interrupted"}
-        Whether the simplex has shrunk as far as it should.
+    message : {"converged", "not converged", "interrupted"}
+        ``converged`` where the simplex has shrunk as far as it should.
     """
 
     q: Array
     qd: Array
     error: float
     evaluations: int
-    status: str
+    message: str
 
 
-def initial_state(
+def estimate_initial_state(
     recording: Recording,
     rope: Rope,
     *,
     rates: Rates = "rest",
     start: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
-    most: int = MOST,
+    max_evaluations: int = MAX_EVALUATIONS,
 ) -> InitialState:
     """Find the initial state from which a rope comes nearest to its recording: (7) by Nelder and Mead's simplex.
 
@@ -73,7 +74,7 @@ def initial_state(
     start : ((n,), (n,)) array_like, optional
         Angles and rates to start from; by default the measured ones. Rates that are not sought stay at what `rates`
         says.
-    most : int
+    max_evaluations : int
         Rollouts for each unknown, at most, in each of two descents: the second starts with a fresh simplex where the
         first one ended, for a simplex may collapse on its way.
 
@@ -92,7 +93,7 @@ def initial_state(
     -----
     Paper III B, step 2 of Fig. 4. Ctrl-C returns the best so far, marked as interrupted.
     """
-    measured = fitting(recording, rope)
+    measured = matching_angles(recording, rope)
     n = rope.n_links
     checks.choice("rates", rates, RATES)
     state = first_state(measured, rates)
@@ -105,14 +106,14 @@ def initial_state(
         raise IdentificationError(
             "The rope cannot be simulated from the start. Give another start or other parameters."
         )
-    status = "interrupted"
+    message = INTERRUPTED
     try:
-        settled = [descent.descend(checks.count("most", most)) for _ in range(2)][-1]
-        status = "settled" if settled else "not settled"
+        converged = [descent.descend(checks.count("max_evaluations", max_evaluations)) for _ in range(2)][-1]
+        message = CONVERGED if converged else NOT_CONVERGED
     except KeyboardInterrupt:
         pass
     best = descent.best
-    return InitialState(best[:n].copy(), best[n:].copy(), descent.least, descent.evaluations, status)
+    return InitialState(best[:n].copy(), best[n:].copy(), descent.least, descent.evaluations, message)
 
 
 class _Descent:
@@ -131,8 +132,8 @@ class _Descent:
             self.best, self.least = state, error
         return error
 
-    def descend(self, most: int) -> bool:
-        """Descend with a fresh simplex from the best state, and return whether it settled."""
+    def descend(self, max_evaluations: int) -> bool:
+        """Descend with a fresh simplex from the best state, and return whether it converged."""
         from scipy.optimize import minimize
 
         n = self.rope.n_links
@@ -146,8 +147,8 @@ class _Descent:
                 "initial_simplex": np.vstack([here, here + np.diag(edges)]),
                 "xatol": ANGLE_STEP if self.free == n else ANGLE_STEP / PACE,
                 "fatol": ERROR_STEP,
-                "maxfev": most * self.free,
-                "maxiter": most * self.free,
+                "maxfev": max_evaluations * self.free,
+                "maxiter": max_evaluations * self.free,
                 "adaptive": self.free > n,
             },
         )
@@ -176,7 +177,7 @@ def squared_error(measured: Recording, rope: Rope, state: Array) -> float:
     return float(np.nansum((q - measured.data) ** 2))
 
 
-def fitting(recording: Recording, rope: Rope) -> Recording:
+def matching_angles(recording: Recording, rope: Rope) -> Recording:
     """Return the recording's angles if they fit the rope and begin with a full sample."""
     if not isinstance(recording, Recording) or not isinstance(rope, Rope):
         raise InvalidInput("a Recording and a Rope are needed", got=[type(recording).__name__, type(rope).__name__])

@@ -1,4 +1,4 @@
-"""Candidate models of a rope: what resists the joints' turning, and how many links there are."""
+"""Candidate models of a rope: resistances at the joints and numbers of links."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hyperflex.model.refine import recut
 from hyperflex.model.rope_table import MOST_LINKS
 
 SLIGHT = 0.1  # of its scale, what a guess has none of at the start
-MOST_BESIDE = 2  # resistances beside viscous friction in one candidate
+MAX_ADDED = 2  # resistances added viscous friction in one candidate
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,11 @@ class Candidate:
     guess: Rope
     free: tuple[str, ...]
 
-    def within(self, other: Candidate) -> bool:
+    def nested_in(self, other: Candidate) -> bool:
         """Tell whether all that is free here is free in `other` as well, which frees more."""
         return set(self.free) < set(other.free) and self.guess.n_links == other.guess.n_links
 
-    def handed_on(self, other: Candidate, rope: Rope) -> Rope:
+    def starting_guess(self, other: Candidate, rope: Rope) -> Rope:
         """Return the guess of `other` with what was fitted here, to `rope`, as its start; laws keep their guess."""
         labels = [label for word in self.free if (label := parsed(word)) and label.law in ("", "shared")]
         names = {label.name for label in labels if FREE[label.name].owner in ("link", "rope")} - {"gravity_angle"}
@@ -80,7 +80,7 @@ def _own(name: str, guess: Rope, value: object) -> Candidate:
 
 
 def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
-    """Return the viscous rope, alone and with one or two resistances beside; and what else damps in its place.
+    """Return the viscous rope, alone and with one or two resistances added; and what else damps in its place.
 
     What is not free is 0 in them, but viscous friction that is not in `free`, which all have as given.
     """
@@ -91,14 +91,14 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
         label = parsed(word)
         own.setdefault(label.name if label else "", ())
         own[label.name if label else ""] += (word,)
-    viscous, *beside = RESISTANCES
+    viscous, *added = RESISTANCES
     law = ":shared" if ":" in "".join(own.get(viscous.name, ())) else ""
-    for each in beside:  # started from 0 it may stay there: a joint that never sticks tells little of dry friction
+    for each in added:  # started from 0 it may stay there: a joint that never sticks tells little of dry friction
         if each.least and not getattr(guess, each.name).any():
             guess = guess.replace(**{each.name: SLIGHT * scales(guess, each.name)})
-    sets = [more for count in range(MOST_BESIDE + 1) for more in combinations(beside, count)]
+    sets = [more for count in range(MAX_ADDED + 1) for more in combinations(added, count)]
     chosen = [(viscous, *more) for more in sets]
-    varied = [*beside, viscous] if viscous.name in own else beside
+    varied = [*added, viscous] if viscous.name in own else added
     if viscous in varied:
         chosen += [those for those in sets if those and all(each.name in DAMPING for each in those)]
     plain = tuple(word for name, words in own.items() for word in words if name not in [each.name for each in varied])

@@ -1,4 +1,4 @@
-"""Which model: candidates fitted to one recording and compared by evidence."""
+"""Comparison of models: candidates fitted to one recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.identification.comparison.candidates import Candidate, candidates
 from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend
 from hyperflex.identification.comparison.result import FittedModel, ModelComparison
-from hyperflex.identification.fit.threads import one_thread
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED
+from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis
@@ -56,8 +57,8 @@ def compare_models(
     progress : bool
         Show a bar over the candidates on standard error.
     **options
-        Of :func:`hyperflex.identify`, the same for all candidates: window, train, motion, arm, arcs, origin, torque,
-        torque_noise, loss, lead, ahead.
+        Of :func:`hyperflex.identify`, the same for all candidates: window, train, motion, arm, arc_lengths, origin,
+        torque, torque_noise, loss, lead, ahead.
 
     Returns
     -------
@@ -86,16 +87,16 @@ def compare_models(
             allowed="a recording of markers",
             fix="Leave links out: the angles of a recording belong to one number of links",
         )
-    if links and options.get("arcs") is None:
-        options["arcs"] = np.append(0.0, np.cumsum(rope_guess.length))
+    if links and options.get("arc_lengths") is None:
+        options["arc_lengths"] = np.append(0.0, np.cumsum(rope_guess.length))
     todo = candidates(rope_guess, free, models, links)
     with _bar(len(todo), progress) as report:
         done, stopped = _fit_all(recording, todo, options, report)
     return _compared(todo[: len(done)], done, stopped)
 
 
-def _bar(count: int, wanted: bool) -> AbstractContextManager[Any]:
-    return progress_bar(0.0, float(count), wanted, "comparing models")
+def _bar(count: int, shown: bool) -> AbstractContextManager[Any]:
+    return progress_bar(0.0, float(count), shown, "comparing models")
 
 
 def _fit_all(
@@ -107,7 +108,7 @@ def _fit_all(
     for number, each in enumerate(todo):
         try:
             found = fit(each.guess, each.free, **options)
-            found = _unstuck(fit, each, found, zip(todo, done, strict=False), options)
+            found = _refit_from_nested(fit, each, found, zip(todo, done, strict=False), options)
         except HyperflexError as failure:
             done.append(str(failure))
         except KeyboardInterrupt:
@@ -117,14 +118,14 @@ def _fit_all(
         else:
             done.append(found)
             options = options | {"window": found.settings["window"]}  # the same for all
-            if found.status == "interrupted":
+            if found.message == INTERRUPTED:
                 return done, True
         if report is not None:
             report(number + 1.0)
     return done, False
 
 
-def _unstuck(
+def _refit_from_nested(
     fit: Callable[..., Identification],
     candidate: Candidate,
     found: Identification,
@@ -133,12 +134,12 @@ def _unstuck(
 ) -> Identification:
     """Return a fit that is no worse than those of models within it: where one is better, fitted again from there."""
     for other, before in simpler:
-        if isinstance(before, str) or not other.within(candidate) or found.status == "interrupted":
+        if isinstance(before, str) or not other.nested_in(candidate) or found.message == INTERRUPTED:
             continue
         if before.residual_t.size == found.residual_t.size and WORSE * _cost(before) < _cost(found):
-            start = other.handed_on(candidate, before.rope)
+            start = other.starting_guess(candidate, before.rope)
             again = fit(start, candidate.free, **options | {"window": found.settings["window"]})
-            if again.status == "interrupted" or _cost(again) < _cost(found):
+            if again.message == INTERRUPTED or _cost(again) < _cost(found):
                 found = again
     return found
 
@@ -149,7 +150,7 @@ def _cost(found: Identification) -> float:
 
 def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], stopped: bool) -> ModelComparison:
     """Put the candidates side by side."""
-    whole = [each for each in done if not isinstance(each, str) and each.status == "converged"]
+    whole = [each for each in done if not isinstance(each, str) and each.success]
     fits = [each._basis for each in whole if each._basis is not None]
     scores = dict(zip(map(id, fits), criteria(fits) if fits else [], strict=True))
     models, evidence, unit = [], [], "rad"
@@ -158,20 +159,20 @@ def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], s
             models.append(FittedModel(each.name, each.free, each.guess.n_links, reason=str(found)))
             continue
         basis = found._basis
-        models.append(_judged(each, found, basis, scores.get(id(basis))))
+        models.append(_fitted_model(each, found, basis, scores.get(id(basis))))
         unit = found.unit
-        states = sum(window.guess.size - window.believed.shape[0] for window in basis.windows)
+        states = sum(window.guess.size - window.prior.shape[0] for window in basis.windows)
         unknowns = models[-1].parameters + states
         evidence.append(Evidence(each.name, unknowns, models[-1].bic, found.held_out, models[-1].whiteness))
     preferred, words = recommend(evidence, unit)
-    return ModelComparison(tuple(models), preferred, words, "interrupted" if stopped else "complete", unit)
+    return ModelComparison(tuple(models), preferred, words, INTERRUPTED if stopped else CONVERGED, unit)
 
 
-def _judged(candidate: Candidate, found: Identification, basis: Basis, bic: float | None) -> FittedModel:
+def _fitted_model(candidate: Candidate, found: Identification, basis: Basis, bic: float | None) -> FittedModel:
     """Return a candidate with its figures."""
     reason = "" if bic is not None else "it fits other samples than the rest, so its BIC is another thing"
-    if found.status != "converged":
-        reason = f"the fit is {found.status}"
+    if not found.success:
+        reason = f"the fit is {found.message}"
     return FittedModel(
         candidate.name,
         candidate.free,

@@ -1,4 +1,4 @@
-"""Evidence for one model against another: Schwarz's criterion and held-out prediction, and what they say together."""
+"""Evidence for models: BIC and held-out prediction, and the recommendation from both."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _criterion(one: Basis, tau: float, scale: float) -> float:
         misfit = count * float(np.log(cost / values.sum()))
     else:
         misfit = cost / (tau * scale**2)
-    states = np.array([window.guess.size - window.believed.shape[0] for window in one.windows])
+    states = np.array([window.guess.size - window.prior.shape[0] for window in one.windows])
     known = one.information.known.shape[1]
     of_states = float((states * np.log(np.maximum(values / tau, 1.0))).sum())
     return float(misfit + known * np.log(count) + of_states)

@@ -1,15 +1,16 @@
-"""What a comparison of models gives back: each candidate's figures, which one is preferred, and why."""
+"""Result of a comparison of models: each candidate's figures and the preferred one."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperflex import files
 from hyperflex.files import PathLike
 from hyperflex.identification.comparison.evidence import COLOURED, probability
+from hyperflex.identification.ending import CONVERGED, Ended
 from hyperflex.identification.result import Identification
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class FittedModel:
 
 
 @dataclass(frozen=True, eq=False)
-class ModelComparison:
+class ModelComparison(Ended):
     """Models of a rope compared (made by :func:`hyperflex.compare_models`); ``print`` shows the table and why.
 
     Attributes
@@ -65,7 +66,7 @@ class ModelComparison:
         Name of the model that the evidence prefers; None if none could be fitted.
     recommendation : str
         The same in words, and where the evidence disagrees.
-    status : {"complete", "interrupted"}
+    message : {"converged", "interrupted"}
         Whether all candidates were fitted before Ctrl-C.
     unit : str
         Of the errors: ``rad`` or ``m``.
@@ -74,7 +75,7 @@ class ModelComparison:
     models: tuple[FittedModel, ...]
     preferred: str | None
     recommendation: str
-    status: Literal["complete", "interrupted"]
+    message: str
     unit: str
 
     def __getitem__(self, name: str) -> FittedModel:
@@ -82,6 +83,11 @@ class ModelComparison:
             if model.name == name:
                 return model
         raise KeyError(name)
+
+    @property
+    def success(self) -> bool:
+        """Whether all candidates were fitted and one is preferred."""
+        return self.message == CONVERGED and self.best is not None
 
     @property
     def best(self) -> Identification | None:
@@ -112,7 +118,7 @@ class ModelComparison:
         """Return the table, the preference and the words as plain numbers, lists and strings; None for no number."""
         names = ("name", "links", "parameters", "bic", "fit_rms", "held_out_rms", "whiteness", "reason")
         table = [{name: getattr(m, name) for name in (*names, "free")} for m in self.models]
-        result: dict[str, Any] = {"status": self.status, "preferred": self.preferred, "unit": self.unit}
+        result: dict[str, Any] = self.ending() | {"preferred": self.preferred, "unit": self.unit}
         return dict(files.plain(result | {"recommendation": self.recommendation, "models": table}))
 
     def to_json(self, path: PathLike) -> None:
@@ -123,7 +129,7 @@ class ModelComparison:
         wide = max([5, *(len(model.name) for model in self.models)])
         least = min((m.bic for m in self.models if m.bic is not None), default=0.0)
         head = f"{'model':<{wide}}  links  parameters  BIC over best  fit, m{self.unit}  held out, m{self.unit}  white"
-        lines = [f"Models compared ({self.status})", f"  {head}"]
+        lines = [f"Models compared ({self.message})", f"  {head}"]
         lines += [f"  {_row(model, wide, least, len(self.unit))}" for model in self.models]
         return "\n".join([*lines, f"  {self.recommendation}"])
 

@@ -1,4 +1,4 @@
-"""What to measure where no motion can tell what is wanted."""
+"""Advice on measurements where no candidate motion can tell what is wanted."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from hyperflex.errors import HyperflexError
 from hyperflex.identification.experiment_design.experiments import Experiment
-from hyperflex.identification.experiment_design.fisher_information import Foresight, foresee
+from hyperflex.identification.experiment_design.fisher_information import ExpectedInformation, expected_information
 from hyperflex.identification.model.scale import common_factor
 from hyperflex.model import Arm, Rope
 
@@ -20,7 +20,7 @@ TORQUE_NOISE = (
 
 
 @dataclass(frozen=True)
-class Asked:
+class DesignQuestion:
     """What was asked of ``design``."""
 
     rope: Rope
@@ -30,7 +30,7 @@ class Asked:
     noise: float
 
 
-def instead(asked: Asked, experiments: Sequence[Experiment], seen: Foresight) -> str:
+def advise_alternatives(asked: DesignQuestion, experiments: Sequence[Experiment], seen: ExpectedInformation) -> str:
     """Return in words why no candidate tells what is wanted, and what would.
 
     Parameters
@@ -54,12 +54,12 @@ def instead(asked: Asked, experiments: Sequence[Experiment], seen: Foresight) ->
     return " ".join([f"No candidate can tell {names}: {why} only.", *(text for text in helps if text)])
 
 
-def _common(seen: Foresight) -> bool:
+def _common(seen: ExpectedInformation) -> bool:
     """Tell whether the common factor of all moments and frictions is among what is unknown."""
     return common_factor(seen.parameters, seen.information.x, seen.information.unknown) is not None
 
 
-def _weigh(asked: Asked, experiments: Sequence[Experiment]) -> str:
+def _weigh(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
     """Return what weighing the links would help."""
     kept = tuple(word for word in asked.free if word.partition(":")[0].partition("[")[0] not in WEIGHED)
     own = [word for word in asked.want if word.partition("[")[0] in WEIGHED]
@@ -71,7 +71,7 @@ def _weigh(asked: Asked, experiments: Sequence[Experiment]) -> str:
     return "" if not found else f"Weigh the links and leave {_without(asked.free, kept)} out of free: {found}."
 
 
-def _torque(asked: Asked, experiments: Sequence[Experiment]) -> str:
+def _torque(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
     """Return what a measured motor torque would help."""
     moved = [each for each in experiments if each.motion is not None and each.torque_noise is None]
     if asked.arm is None or not moved:
@@ -84,23 +84,25 @@ def _torque(asked: Asked, experiments: Sequence[Experiment]) -> str:
     return "" if not found else f"Or measure the motor's torque, say to {noise:g} N m: {found}."
 
 
-def _ratio(seen: Foresight) -> str:
+def _ratio(seen: ExpectedInformation) -> str:
     """Return which ratios are known anyway."""
     known = [name for name in ("J/p1", "p/p1", "c/p1") if _tells(seen, name)]
     return f"Known without it are the ratios over the first moment, want={known!r}." if known else ""
 
 
-def _tells(seen: Foresight, name: str) -> bool:
+def _tells(seen: ExpectedInformation, name: str) -> bool:
     spreads = seen.spreads([name])
     return bool(spreads) and all(np.isfinite(sd) for sd, _ in spreads.values())
 
 
-def _best(asked: Asked, experiments: Sequence[Experiment]) -> str:
+def _best(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
     """Return which experiment then tells what is wanted, and how well; empty if none does."""
     scores: dict[str, float] = {}
     for experiment in experiments:
         try:
-            spreads = foresee(asked.rope, experiment, asked.free, asked.arm, asked.noise).spreads(asked.want)
+            spreads = expected_information(asked.rope, experiment, asked.free, asked.arm, asked.noise).spreads(
+                asked.want
+            )
         except HyperflexError:
             continue
         scores[experiment.name] = max(part for _, part in spreads.values())

@@ -1,19 +1,20 @@
-"""Which experiment to make: the one that would tell most about what is wanted."""
+"""Choice of the next experiment: candidates ranked by expected standard deviation."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from hyperflex import checks, files
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.identification.experiment_design.alternatives import Asked, instead
-from hyperflex.identification.experiment_design.experiments import Experiment, motions, variations
-from hyperflex.identification.experiment_design.fisher_information import Foresight, foresee
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, Ended
+from hyperflex.identification.experiment_design.alternatives import DesignQuestion, advise_alternatives
+from hyperflex.identification.experiment_design.experiments import Experiment, default_experiments, variations
+from hyperflex.identification.experiment_design.fisher_information import ExpectedInformation, expected_information
 from hyperflex.identification.model.names import parse
 from hyperflex.model import Arm, Rope
 from hyperflex.simulation.rollouts import progress_bar
@@ -48,8 +49,8 @@ class Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
-    """Experiments ranked by what they would tell (made by :func:`hyperflex.design`); ``print`` shows the table.
+class ExperimentDesign(Ended):
+    """Experiments ranked by what they would tell; ``print`` shows the table.
 
     Attributes
     ----------
@@ -59,14 +60,19 @@ class Design:
         What was wanted.
     advice : str
         In words: which to make, what the others would lose; or what to measure where none can tell.
-    status : {"complete", "interrupted"}
+    message : {"converged", "interrupted"}
         Whether all candidates were looked at before Ctrl-C.
     """
 
     plans: tuple[Plan, ...]
     want: tuple[str, ...]
     advice: str
-    status: Literal["complete", "interrupted"] = "complete"
+    message: str = CONVERGED
+
+    @property
+    def success(self) -> bool:
+        """Whether all candidates were simulated and one can tell what is wanted."""
+        return self.message == CONVERGED and self.best is not None
 
     @property
     def best(self) -> Plan | None:
@@ -81,8 +87,7 @@ class Design:
             e = plan.experiment
             row: dict[str, Any] = {"name": e.name, "rate": e.rate, "duration": e.duration, "markers": e.markers}
             table.append(row | {"sd": plan.sd, "relative": plan.relative, "reason": plan.reason})
-        told = {"status": self.status, "want": self.want, "advice": self.advice, "plans": table}
-        return dict(files.plain(told))
+        return dict(files.plain(self.ending() | {"want": self.want, "advice": self.advice, "plans": table}))
 
     def to_json(self, path: PathLike) -> None:
         """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""
@@ -92,7 +97,7 @@ class Design:
         wide = max([10, *(len(plan.experiment.name) for plan in self.plans)])
         labels = next((list(plan.sd) for plan in self.plans if plan.sd), [])[:SHOWN]
         columns = "".join(f"  {'sd of ' + label:>18}" for label in labels)
-        lines = [f"Experiments for {', '.join(self.want)} ({self.status})"]
+        lines = [f"Experiments for {', '.join(self.want)} ({self.message})"]
         lines.append(f"  {'experiment':<{wide}}  frames/s  time, s  markers  {'relative':>9}{columns}")
         for plan in self.plans:
             e = plan.experiment
@@ -105,7 +110,7 @@ class Design:
         return "\n".join([*lines, f"  {self.advice}"])
 
 
-def design(
+def design_experiment(
     rope: Rope,
     want: str | Sequence[str],
     candidates: Sequence[Experiment] | None = None,
@@ -114,7 +119,7 @@ def design(
     noise: float = 2e-3,
     free: Sequence[str] = ("inertia", "friction"),
     progress: bool = False,
-) -> Design:
+) -> ExperimentDesign:
     """Say which experiment would tell most about some of a rope's parameters.
 
     For each candidate the rope is simulated, seen at the frames, and the standard deviations predicted that a fit with
@@ -142,7 +147,7 @@ def design(
 
     Returns
     -------
-    Design
+    ExperimentDesign
 
     Raises
     ------
@@ -162,17 +167,17 @@ def design(
     >>> rope = hf.Rope(length=[0.3], mass=[0.1], friction=2e-4)
     >>> small = hf.Experiment("small", q0=0.1, duration=4.0)
     >>> large = hf.Experiment("large", q0=0.8, duration=4.0)
-    >>> hf.design(rope, "friction", [small, large]).best.experiment.name
+    >>> hf.design_experiment(rope, "friction", [small, large]).best.experiment.name
     'large'
     """
     words = (want,) if isinstance(want, str) else tuple(want)
     checks.number("noise", noise, sign="positive", unit="m or rad")
     todo = _todo(rope, candidates, arm)
-    asked = Asked(rope, words, tuple(free), arm, noise)
+    asked = DesignQuestion(rope, words, tuple(free), arm, noise)
     parse(rope, free, np.array([0.0, rope.total_length]), moved=True, arm=arm or Arm())  # wrong for one, wrong for all
     plans: list[Plan] = []
-    seen: list[Foresight] = []
-    status: Literal["complete", "interrupted"] = "complete"
+    seen: list[ExpectedInformation] = []
+    message = CONVERGED
     with progress_bar(0.0, len(todo) + (0.0 if candidates is not None else 6.0), progress, "designing") as report:
         try:
             for experiment in _in_turn(todo, plans, vary=candidates is None):
@@ -182,9 +187,9 @@ def design(
         except KeyboardInterrupt:
             if not plans:
                 raise
-            status = "interrupted"
+            message = INTERRUPTED
     ranked = tuple(sorted(plans, key=lambda plan: (plan.score, bool(plan.reason))))
-    return Design(ranked, words, _advice(asked, ranked, seen), status)
+    return ExperimentDesign(ranked, words, _advice(asked, ranked, seen), message)
 
 
 def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) -> list[Experiment]:
@@ -192,7 +197,7 @@ def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) 
     if not isinstance(rope, Rope):
         raise InvalidInput("design takes a Rope", got=type(rope).__name__)
     if candidates is None:
-        return motions(rope, arm)
+        return default_experiments(rope, arm)
     if len(candidates) == 0 or not all(isinstance(each, Experiment) for each in candidates):
         raise InvalidInput("candidates are no experiments", got=candidates, allowed="a list of hyperflex.Experiment")
     return list(candidates)
@@ -207,10 +212,10 @@ def _in_turn(todo: Sequence[Experiment], plans: Sequence[Plan], *, vary: bool) -
             yield from variations(best.experiment)
 
 
-def _plan(asked: Asked, experiment: Experiment, seen: list[Foresight]) -> Plan:
+def _plan(asked: DesignQuestion, experiment: Experiment, seen: list[ExpectedInformation]) -> Plan:
     """Look at one candidate; what is refused for all of them passes through."""
     try:
-        foresight = foresee(asked.rope, experiment, asked.free, asked.arm, asked.noise)
+        foresight = expected_information(asked.rope, experiment, asked.free, asked.arm, asked.noise)
     except HyperflexError as failure:
         return Plan(experiment, {}, {}, str(failure))
     seen.append(foresight)
@@ -220,13 +225,13 @@ def _plan(asked: Asked, experiment: Experiment, seen: list[Foresight]) -> Plan:
     )
 
 
-def _advice(asked: Asked, ranked: Sequence[Plan], seen: Sequence[Foresight]) -> str:
+def _advice(asked: DesignQuestion, ranked: Sequence[Plan], seen: Sequence[ExpectedInformation]) -> str:
     """Return what to do, in words."""
     if all(plan.reason for plan in ranked):
         return "No candidate could be simulated."
     best = ranked[0]
     if not np.isfinite(best.score):
-        return instead(asked, [plan.experiment for plan in ranked if not plan.reason], seen[0])
+        return advise_alternatives(asked, [plan.experiment for plan in ranked if not plan.reason], seen[0])
     worst = max(best.relative, key=lambda name: best.relative[name])
     said = f"Make: {best.experiment.name}. It tells {worst} to {_percent(best.score)}"
     said += f" ({_figure(best.sd[worst])})" if len(best.sd) == 1 else f" and the rest of {', '.join(asked.want)} better"

@@ -1,4 +1,4 @@
-"""Experiments that could be made: how the arm moves, how often and how long one looks, and at how many places."""
+"""Candidate experiments: motion of the arm, frame rate, duration and markers."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Experiment:
         return q0, qd0
 
 
-def motions(rope: Rope, arm: Arm | None) -> list[Experiment]:
+def default_experiments(rope: Rope, arm: Arm | None) -> list[Experiment]:
     """Return the motions tried first: free swings, and with an arm the paper's; all looked at alike."""
     n, hangs = rope.n_links, rope.hanging_angle
     markers = min(n + 1, MARKERS)

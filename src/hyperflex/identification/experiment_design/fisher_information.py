@@ -1,4 +1,4 @@
-"""What an experiment would tell before it is made: the information of its simulated run."""
+"""Fisher information that a simulated experiment has of the parameters."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.experiment_design.experiments import Experiment
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import linearise
-from hyperflex.identification.fit.windows import Window, thin, usual_length
+from hyperflex.identification.fit.windows import Window, decimation_step, usual_length
 from hyperflex.identification.measurements import measure, with_torque
 from hyperflex.identification.model.parameters import Parameter, Parameters
 from hyperflex.identification.model.plant import PRECISION, Plant, pivot_places
-from hyperflex.identification.model.scale import growing
-from hyperflex.identification.pipeline import planned
+from hyperflex.identification.model.scale import in_common_factor
+from hyperflex.identification.pipeline import build_plant
 from hyperflex.identification.uncertainty.covariance import UNKNOWN, Information, ratio_spread, ratios
 from hyperflex.model import Arm, Rope
 from hyperflex.recording import Recording
@@ -28,7 +28,7 @@ FAINT = 1e-3  # a ratio below this part of the largest of its kind is judged by 
 
 
 @dataclass(frozen=True)
-class Foresight:
+class ExpectedInformation:
     """What an experiment would tell about the free parameters of a rope."""
 
     parameters: Parameters
@@ -44,7 +44,7 @@ class Foresight:
         """
         x = self.information.x
         rope = self.parameters.rope(x)
-        sd = self.information.deviations(self.parameters.slopes(x))
+        sd = self.information.deviations(self.parameters.derivatives(x))
         own = {
             p.label: (p.name, float(s), size(p, float(each)))
             for p, s, each in zip(self.parameters.all, sd, x, strict=True)
@@ -76,7 +76,9 @@ def size(parameter: Parameter, x: float) -> float:
     return value if value > 0.0 and parameter.form != "linear" else parameter.width * parameter.scale
 
 
-def foresee(rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | None, noise: float) -> Foresight:
+def expected_information(
+    rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | None, noise: float
+) -> ExpectedInformation:
     """Return what a fit to such a recording would know about the parameters, were the rope the true one.
 
     Windows are cut, states left free and the place of the first joint fitted as ``identify`` does it.
@@ -93,22 +95,22 @@ def foresee(rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | 
     run = simulate(rope, motion, arm=base, duration=float(t[-1]), t_eval=t, tol=tol, q0=q0, qd0=qd0)
     spread = experiment.noise or noise
     if experiment.markers is None:
-        arcs, recording = None, Recording(t, run.q, noise=np.full(1, spread).repeat(rope.n_links))
+        arc_lengths, recording = None, Recording(t, run.q, noise=np.full(1, spread).repeat(rope.n_links))
     else:
-        arcs = np.linspace(0.0, rope.total_length, experiment.markers)
-        places = Markers(arcs).predict(rope, run.q, pivot_places(motion, base, t))
+        arc_lengths = np.linspace(0.0, rope.total_length, experiment.markers)
+        places = Markers(arc_lengths).predict(rope, run.q, pivot_places(motion, base, t))
         recording = Recording(t, places, "markers", np.full(places.shape[1], spread))
     torque = experiment.torque_noise
     if torque is not None and base is None:
         raise InvalidInput("the torque of no motor can be measured", fix="Give a motion, and arm=... to design")
-    plant = planned(recording, rope, free, arcs, None, motion, base, torque=torque is not None)
-    measured = measure(recording, rope, arcs)
+    plant = build_plant(recording, rope, free, arc_lengths, None, motion, base, torque=torque is not None)
+    measured = measure(recording, rope, arc_lengths)
     if torque is not None:
         measured = with_torque(measured, run.motor_torque, torque)
     length = min(usual_length(measured.shape, rope), 1.001 * recording.duration)
-    windows, _ = measured.windows(length, thin(recording, length))
+    windows, _ = measured.windows(length, decimation_step(recording, length))
     states = np.hstack([run.q, run.qd])[np.searchsorted(t, [window.t[0] for window in windows])]
-    return Foresight(plant.parameters, _information(plant, windows, states))
+    return ExpectedInformation(plant.parameters, _information(plant, windows, states))
 
 
 def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Information:
@@ -119,8 +121,8 @@ def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Info
         linear = linearise(plant, window, x, state, np.zeros(window.y.size), Loss())
         rows.append(np.asarray(np.linalg.qr(linear.reduced()[0] * widths, mode="r")))
     _, singular, directions = np.linalg.svd(np.vstack(rows), full_matrices=False)
-    told = singular > UNKNOWN * singular[0]
-    known, unknown = directions[told].T, directions[~told].T
-    covariance = (known / singular[told] ** 2) @ known.T * np.outer(widths, widths)
-    tied = growing(plant.parameters, x, unknown)
+    determined = singular > UNKNOWN * singular[0]
+    known, unknown = directions[determined].T, directions[~determined].T
+    covariance = (known / singular[determined] ** 2) @ known.T * np.outer(widths, widths)
+    tied = in_common_factor(plant.parameters, x, unknown)
     return Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)

@@ -1,4 +1,4 @@
-"""How much a residual counts: squares, or less where it is large, so that outliers do not rule."""
+"""Loss functions of residuals: squares, Huber and Cauchy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shooting: every window has its own initial state, all windows share the parameters; Levenberg and Marquardt's steps.
+"""Multiple shooting: Levenberg-Marquardt steps for parameters and each window's state.
 
 The states of a window touch only that window's residuals, so each step eliminates them window by window (QR) and
 solves a small system for the parameters: cost linear in the number of windows. Derivatives are exact, those of the
@@ -7,7 +7,8 @@ rollouts themselves.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,7 +25,9 @@ SHORT = 1.0  # damping above which a step is so much shortened that its own gain
 ROUGH = 1e-5  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
 STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up
 NEAR, FALL = 1e-2, 0.7  # in scales: farther above its bound a parameter falls by no more than this part of the way
-LEFT = 1e-6  # damping for what the linear model has left to gain: parameters that do not act promise nothing
+PREDICTION_DAMPING = (
+    1e-6  # damping for what the linear model has left to gain: parameters that do not act promise nothing
+)
 Report = Callable[[dict[str, float]], None]
 
 
@@ -36,7 +39,7 @@ class Fit:
     states: list[Array]
     residuals: list[Array]
     loss: Loss = field(default_factory=Loss)
-    beliefs: float = 0.0  # what the states cost by departing from what is believed of a rope's shape
+    prior_cost: float = 0.0  # of the states: sum of squares of the prior's residuals
     converged: bool = False
     interrupted: bool = False
     history: list[dict[str, float]] = field(default_factory=list)
@@ -44,7 +47,7 @@ class Fit:
     @property
     def cost(self) -> float:
         """Sum of squares, or of what the loss makes of them."""
-        return sum(self.loss.cost(r) for r in self.residuals) + self.beliefs
+        return sum(self.loss.cost(r) for r in self.residuals) + self.prior_cost
 
 
 @dataclass(frozen=True)
@@ -72,19 +75,19 @@ class Linear:
 def linearise(plant: Plant, window: Window, x: Array, state: Array, residual: Array, loss: Loss) -> Linear:
     """Return a window's linear model; `residual` (m C,) is what it stands at."""
     weight = loss.weight(residual)
-    seen = plant.slopes(x, window.t, state)
-    belief = window.belief(state)
+    seen = plant.jacobian(x, window.t, state)
+    prior = window.prior_residual(state)
     if seen is None:  # a window on the brink: leave it as it is in this round
         size = residual.size
         return Linear(np.zeros((size, state.size)), np.zeros((size, x.size)), weight * residual, known=False)
     scale = (weight * window.weight.ravel())[:, None]
     by_state, shared = (scale * slope.reshape(residual.size, -1) for slope in (seen.state, seen.shared))
-    if belief.size == 0:
+    if prior.size == 0:
         return Linear(by_state, shared, weight * residual)
     return Linear(
-        np.vstack([by_state, window.believed]),
-        np.vstack([shared, np.zeros((belief.size, x.size))]),
-        np.append(weight * residual, belief),
+        np.vstack([by_state, window.prior]),
+        np.vstack([shared, np.zeros((prior.size, x.size))]),
+        np.append(weight * residual, prior),
     )
 
 
@@ -119,7 +122,7 @@ def fit(
     residuals = _residuals(plant, windows, x, states)
     if residuals is None:
         raise InvalidInput("the rope cannot be simulated from the guess", fix="Give a guess nearer to the real one")
-    best = Fit(x, states, residuals, loss, _beliefs(windows, states))
+    best = Fit(x, states, residuals, loss, _prior_cost(windows, states))
     count = sum(window.values for window in windows)
     lower = np.empty(0) if states_only else plant.parameters.lower
     least = min(1e-4, ENOUGH / count) if enough is None else enough
@@ -137,7 +140,7 @@ def fit(
             if states_only:
                 linear = [Linear(each.state, each.shared[:, :0], each.residual, each.known) for each in linear]
             linear = [each.compact() for each in linear]
-            promised = _promise(best, linear, lower)
+            promised = _predicted_decrease(best, linear, lower)
             damping, free = _improve(plant, windows, best, linear, lower, damping)
             gain = (before - best.cost) / before if before > 0.0 else 0.0
             best.history.append({"round": number, "cost": best.cost, "gain": gain, "damping": damping})
@@ -181,8 +184,8 @@ def _residuals(plant: Plant, windows: Sequence[Window], x: Array, states: Sequen
     return result
 
 
-def _beliefs(windows: Sequence[Window], states: Sequence[Array]) -> float:
-    return sum(float((b := window.belief(state)) @ b) for window, state in zip(windows, states, strict=True))
+def _prior_cost(windows: Sequence[Window], states: Sequence[Array]) -> float:
+    return sum(float((b := window.prior_residual(state)) @ b) for window, state in zip(windows, states, strict=True))
 
 
 @dataclass(frozen=True)
@@ -220,11 +223,11 @@ def least_squares(matrix: Array, right: Array) -> Array:
     return result
 
 
-def _promise(at: Fit, linear: Sequence[Linear], lower: Array) -> float:
+def _predicted_decrease(at: Fit, linear: Sequence[Linear], lower: Array) -> float:
     """Return by how much the squares would fall if the model were linear; inf where no window has derivatives."""
     if not any(each.known for each in linear):
         return float("inf")
-    step = _step(at, linear, lower, LEFT)
+    step = _step(at, linear, lower, PREDICTION_DAMPING)
     gained = 0.0
     for each, state in zip(linear, step.states, strict=True):
         ahead = each.residual + each.state @ state + each.shared @ step.shared
@@ -246,9 +249,9 @@ def _improve(
         states = [state + move for state, move in zip(best.states, step.states, strict=True)]
         residuals = _residuals(plant, windows, x, states)
         if residuals is not None:
-            tried = Fit(x, states, residuals, best.loss, _beliefs(windows, states))
+            tried = Fit(x, states, residuals, best.loss, _prior_cost(windows, states))
             if tried.cost <= before:
-                best.x, best.states, best.residuals, best.beliefs = x, states, residuals, tried.beliefs
+                best.x, best.states, best.residuals, best.prior_cost = x, states, residuals, tried.prior_cost
                 free = damping <= SHORT and any(each.known for each in linear)
                 return max(0.1 * damping, LEAST_DAMPING), free
         damping = max(10.0 * damping, 1e-6)
@@ -278,3 +281,13 @@ def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
     far = ~unbounded & (above > NEAR)
     falling = float((-move[far] / (FALL * above[far])).max()) if far.any() else 0.0
     return move / max(1.0, longest, falling)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep numpy's and scipy's linear algebra on one thread within the block, or the function that this decorates."""
+    import scipy.linalg  # noqa: F401 its own library must be there to be limited
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield

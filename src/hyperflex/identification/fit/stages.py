@@ -1,7 +1,8 @@
-"""From short windows to long ones: short ones forgive a poor guess, long ones tell the most."""
+"""Stages of a fit: delay search, short windows before long ones, restarts of states."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,29 +12,36 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state
-from hyperflex.identification.fit.restarts import restarted
-from hyperflex.identification.fit.windows import FEWEST, Window, cut, thin
+from hyperflex.identification.fit.windows import FEWEST, Window, cut_windows, decimation_step
+from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.recording import Recording
 
 FIRST = 8  # windows so many times shorter come first
 HARDLY = 1e-2  # gain of a round, as a part of the cost, that ends a stage before the last
 STAGE_WINDOWS = 40  # of the short ones, spread over the recording
+DELAY_STEPS = 16  # of the grid on either side of 0, over a window's length
+DELAY_WINDOWS = 4  # that are looked at
+DELAY_ROUNDS = 2  # of fitting their states
+CLEARLY = 0.8  # part of the cost without delay that another must come below
+WORSE = 2.0  # times what a value of the middle window costs, or of noise that is known: worth another start
+BETTER = 0.98  # of its cost: less is another state, not the same one again
+AGAIN = 3  # times at most that all is fitted together after windows have found better states
 
 
 @dataclass(frozen=True)
-class Measured:
-    """What is fitted: channels, the angles that they show, and what is believed of a state (see Window)."""
+class Measurements:
+    """What is fitted: channels, the angles that they show, and the prior of a state (see Window)."""
 
     channels: Recording
     shape: Recording
-    believed: Array | None = None
+    prior: Array | None = None
 
     def windows(self, length: float, step: int = 1) -> tuple[list[Window], int]:
         """Return windows of so many seconds with every `step`-th sample, and how many were left out."""
-        return cut(self.channels.decimate(step), length, self.shape.decimate(step), self.believed)
+        return cut_windows(self.channels.decimate(step), length, self.shape.decimate(step), self.prior)
 
-    def between(self, start: float, end: float) -> Measured:
+    def between(self, start: float, end: float) -> Measurements:
         """Return the samples with ``start <= t < end``, s."""
         return replace(self, channels=self.channels.window(start, end), shape=self.shape.window(start, end))
 
@@ -42,7 +50,7 @@ Done = tuple[Fit, list[Window], dict[str, Any]]
 
 
 def fit_in_stages(
-    plant: Plant, measured: Measured, length: float, usual: float, report: Report, loss: Loss | None = None
+    plant: Plant, measured: Measurements, length: float, usual: float, report: Report, loss: Loss | None = None
 ) -> Done:
     """Fit shorter windows first, then those of the wanted length; return the last fit, its windows and settings.
 
@@ -53,7 +61,7 @@ def fit_in_stages(
     done: list[Done] = []
     lengths = stage_lengths(length, usual, spacing)
     for number, part in enumerate(lengths):
-        step = thin(measured.channels, part)
+        step = decimation_step(measured.channels, part)
         windows, dropped = measured.windows(part, step)
         if part < length:
             windows = windows[:: max(1, len(windows) // STAGE_WINDOWS)]
@@ -67,7 +75,9 @@ def fit_in_stages(
             heard = _with_stage(report, stage)
             found = fit(plant, usable, x, states, loss=loss, enough=enough, report=heard)
             if part == length and not found.interrupted:
-                found = restarted(plant, usable, found, known_noise=measured.channels.noise is not None, report=heard)
+                found = refit_poor_windows(
+                    plant, usable, found, known_noise=measured.channels.noise is not None, report=heard
+                )
         except KeyboardInterrupt:
             if not done:
                 raise
@@ -96,7 +106,7 @@ def stage_lengths(length: float, usual: float, spacing: float) -> list[float]:
 
 def _enough(plant: Plant, windows: list[Window]) -> bool:
     """Tell whether the windows hold more values than there are unknowns."""
-    spare: int = sum(window.values + window.believed.shape[0] - window.guess.size for window in windows)
+    spare: int = sum(window.values + window.prior.shape[0] - window.guess.size for window in windows)
     return spare > len(plant.parameters)
 
 
@@ -131,3 +141,125 @@ def _starts(
             "windows (window=...)."
         )
     return kept, states
+
+
+def search_delay(plant: Plant, measured: Measurements, length: float, loss: Loss) -> float:
+    """Return the delay, s, from which a fit starts: that of least cost on a coarse grid, or 0.0 if hardly less.
+
+    A grid, since the cost has a minimum for each swing.
+
+    Parameters
+    ----------
+    plant : Plant
+        Without torque; its delay is free.
+    measured : Measured
+        What is fitted.
+    length : float
+        Of the windows that are looked at, and greatest delay that is tried on either side, s.
+    loss : Loss
+    """
+    windows = measured.windows(length, decimation_step(measured.channels, length))[0]
+    windows = windows[:: -(-len(windows) // DELAY_WINDOWS)] if windows else []
+    x, states = plant.parameters.start, [window.guess for window in windows]
+    least = begin = _delay_cost(plant, x, windows, states, loss)
+    best = 0.0
+    for delay in length / DELAY_STEPS * np.arange(-DELAY_STEPS, DELAY_STEPS + 1):
+        cost = _delay_cost(plant, with_delay(plant, delay).parameters.start, windows, states, loss)
+        if cost < least:
+            least, best = cost, float(delay)
+    return best if least < CLEARLY * begin else 0.0
+
+
+def with_delay(plant: Plant, delay: float) -> Plant:
+    """Return the same, with a delay that starts from `delay`, s."""
+    every = [replace(each, start=delay) if each.name == "delay" else each for each in plant.parameters.all]
+    parameters = Parameters(plant.parameters.guess, every)
+    torque = plant.motor is not None
+    return Plant(parameters, plant.sensor, plant.motion, plant.arm, torque=torque)
+
+
+def _delay_cost(plant: Plant, x: Array, windows: list[Window], states: list[Array], loss: Loss) -> float:
+    """Return what windows cost at x with states fitted to them; inf where one cannot be simulated."""
+    total = 0.0
+    for window, state in zip(windows, states, strict=True):
+        found = fit_state(plant, x, window, state, loss=loss, rounds=DELAY_ROUNDS)
+        if found is None:
+            return np.inf
+        total += float(np.minimum(found[1] ** 2, 9.0 * np.median(found[1] ** 2)).sum())  # outliers count little
+    return total
+
+
+def refit_poor_windows(
+    plant: Plant, windows: Sequence[Window], found: Fit, *, known_noise: bool, report: Report
+) -> Fit:
+    """Fit again from other states of the windows that fit badly; return the better fit.
+
+    Parameters
+    ----------
+    plant, windows, found
+        What was fitted; `found` has not been interrupted.
+    known_noise : bool
+        Whether the windows' weights are those of declared noise, so that a value should cost about 1.
+    report : callable
+        Called with each round of the fits of all windows together.
+
+    Notes
+    -----
+    Outliers and gaps spoil the first guess of a state, and a joint that sticks in the simulation answers to no small
+    change. Where the simulation of the window before ends is another guess.
+    """
+    for _ in range(AGAIN):
+        states, gained = list(found.states), False
+        for k in poor_windows(windows, found, known_noise=known_noise):
+            better = _better_state(plant, windows, found, states, k)
+            if better is not None:
+                states[k], gained = better, True
+        if not gained:
+            return found
+        again = fit(plant, windows, found.x, states, loss=found.loss, report=report)
+        again.history[:0] = found.history
+        if again.interrupted or again.cost >= found.cost:
+            found.interrupted = again.interrupted
+            return found if again.cost >= found.cost else again
+        found = again
+    return found
+
+
+def poor_windows(windows: Sequence[Window], found: Fit, *, known_noise: bool) -> list[int]:
+    """Return which windows cost much more a value than the median window, or than noise that is known explains."""
+    each = zip(windows, found.states, found.residuals, strict=True)
+    costs = np.array([_window_cost(found, window, state, r) / window.values for window, state, r in each])
+    limit = float(np.median(costs))
+    return [int(k) for k in np.flatnonzero(costs > WORSE * (min(limit, 1.0) if known_noise else limit))]
+
+
+def _window_cost(found: Fit, window: Window, state: Array, residual: Array) -> float:
+    """Return the cost of a window with this state."""
+    prior = window.prior_residual(state)
+    return found.loss.cost(residual) + float(prior @ prior)
+
+
+def _better_state(plant: Plant, windows: Sequence[Window], found: Fit, states: list[Array], k: int) -> Array | None:
+    """Return a state of window k that costs less than the present one, from the best of several starts; else None."""
+    window = windows[k]
+    least, best = BETTER * _window_cost(found, window, found.states[k], found.residuals[k]), None
+    for start in _restart_states(plant, windows, found.x, states, k):
+        tried = fit_state(plant, found.x, window, start, loss=found.loss)
+        if tried is not None and (cost := _window_cost(found, window, *tried)) < least:
+            least, best = BETTER * cost, tried[0]
+    return best
+
+
+def _restart_states(
+    plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array], k: int
+) -> Iterator[Array]:
+    """Yield states to start window k from: the end of the window before, that of the data, and both angles at rest."""
+    window, n = windows[k], states[k].size // 2
+    if k > 0:
+        arrived = plant.propagate(x, float(windows[k - 1].t[0]), states[k - 1], float(window.t[0]))
+        if arrived is not None:
+            turns = 2.0 * np.pi * np.round((window.guess[:n] - arrived[:n]) / (2.0 * np.pi))
+            yield np.append(arrived[:n] + turns, arrived[n:])
+    yield window.guess
+    yield np.append(window.guess[:n], np.zeros(n))
+    yield np.append(states[k][:n], np.zeros(n))

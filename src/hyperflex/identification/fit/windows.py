@@ -1,4 +1,4 @@
-"""Cutting a recording into the short windows that are shot through one by one."""
+"""Windows: short parts of a recording, each with an initial state of its own."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ class Window:
     """What was measured over a short time, and where a fit may begin.
 
     t (m,) s; y (m, C) rad or m, with 0 in gaps; weight (m, C), 1 / rad or 1 / m, 0 in gaps; guess (2n,) of the state at
-    t[0]; believed (r, 2n): combinations of the state that are taken to be 0, each in units of its standard deviation.
+    t[0]; prior (r, 2n): combinations of the state that are taken to be 0, each in units of its standard deviation.
     """
 
     t: Array
     y: Array
     weight: Array
     guess: Array
-    believed: Array
+    prior: Array
 
     @property
     def values(self) -> int:
         """How many values it holds, gaps left out."""
         return int(np.count_nonzero(self.weight))
 
-    def belief(self, state: Array) -> Array:
-        """Return by how much a state departs from what is believed (r,)."""
-        result: Array = self.believed @ state
+    def prior_residual(self, state: Array) -> Array:
+        """Return the residuals (r,) of a state under the prior."""
+        result: Array = self.prior @ state
         return result
 
 
@@ -59,7 +59,7 @@ def usual_length(recording: Recording, rope: Rope) -> float:
     return max(min(PART * period, TURN / fastest if fastest > 0.0 else np.inf), FEWEST * spacing)
 
 
-def holding_enough(length: float, recording: Recording) -> float:
+def with_enough_frames(length: float, recording: Recording) -> float:
     """Return a window length (s), doubled until it holds enough frames: they may be few, or many lost."""
     spacing = float(np.median(np.diff(recording.t)))
     seen = float((~np.isnan(recording.data)).mean(axis=0).min()) * length / spacing
@@ -87,14 +87,14 @@ def _rms_rate(t: Array, angle: Array) -> float:
     return float(np.sqrt((turned**2 / taken).sum() / taken.sum())) if taken.size else 0.0
 
 
-def thin(recording: Recording, length: float) -> int:
+def decimation_step(recording: Recording, length: float) -> int:
     """Return the step of the decimation that leaves at most DENSEST samples a window."""
     spacing = float(np.median(np.diff(recording.t)))
     return max(1, int(length / (spacing * DENSEST)))
 
 
-def cut(
-    recording: Recording, length: float, shape: Recording | None = None, believed: Array | None = None
+def cut_windows(
+    recording: Recording, length: float, shape: Recording | None = None, prior: Array | None = None
 ) -> tuple[list[Window], int]:
     """Cut a recording into windows side by side.
 
@@ -106,7 +106,7 @@ def cut(
         Of each window; its samples lie in [start, start + length).
     shape : Recording, optional
         The angles that it shows, for first states; the recording itself by default.
-    believed : (r, 2n), optional
+    prior : (r, 2n), optional
         See :class:`Window`.
 
     Returns
@@ -120,7 +120,7 @@ def cut(
     weight = np.where(np.isnan(data), 0.0, 1.0 if noise is None else 1.0 / noise)
     y = np.where(np.isnan(data), 0.0, data)
     angles = (shape or recording).data
-    believed = np.zeros((0, 2 * angles.shape[1])) if believed is None else believed
+    prior = np.zeros((0, 2 * angles.shape[1])) if prior is None else prior
     spacing = float(np.median(np.diff(t)))
     number = np.floor((t - t[0]) / length + 1e-6 * spacing / length).astype(int)
     windows, dropped = [], 0
@@ -131,7 +131,7 @@ def cut(
         if known.sum(axis=0).min() < LEAST or span < 0.5 * length or longest_gap(t[rows], known) > BLIND * span:
             dropped += 1
             continue
-        windows.append(Window(t[rows], y[rows], weight[rows], first_state(t[rows], angles[rows]), believed))
+        windows.append(Window(t[rows], y[rows], weight[rows], first_state(t[rows], angles[rows]), prior))
     return windows, dropped
 
 

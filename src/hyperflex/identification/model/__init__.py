@@ -1,1 +1,1 @@
-"""What is fitted: free parameters, and predicted measurements with their derivatives."""
+"""Free parameters, and predicted measurements with their derivatives."""

@@ -1,4 +1,4 @@
-"""The words in which a user names what is free."""
+"""The names in `free`, and the parameters that they stand for."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ORIGIN = 0.1  # scale of the place of the first joint, in lengths of the rope
 
 
 def parse(
-    guess: Rope, free: Sequence[str], arcs: Array | None = None, *, moved: bool = False, arm: Arm | None = None
+    guess: Rope, free: Sequence[str], arc_lengths: Array | None = None, *, moved: bool = False, arm: Arm | None = None
 ) -> list[Parameter]:
     """Return the parameters that the words in `free` stand for.
 
@@ -30,7 +30,7 @@ def parse(
         ``friction:factor`` one factor on all links' guesses; ``friction:taper`` its logarithmic growth along the rope;
         ``tip_mass``, ``gravity_angle``, ``delay``, ``origin_x``, ``origin_y``, ``arm_inertia``, ``arm_friction`` of the
         whole; ``arc[2]`` of a marker.
-    arcs : (K,) array, m, optional
+    arc_lengths : (K,) array, m, optional
         Where markers sit along the rope.
     moved : bool
         Whether the first joint is moved, so that a delay means something.
@@ -49,7 +49,7 @@ def parse(
                 allowed=f"{', '.join(FREE)}; 'friction[2]' for one link, 'friction:shared' for one value of all "
                 "links, 'friction:factor' and 'friction:taper' for laws along the rope",
             )
-        result += _one(guess, label, arcs, moved, arm)
+        result += _one(guess, label, arc_lengths, moved, arm)
     _refuse_twice(result, free)
     return result
 
@@ -73,15 +73,15 @@ def _refuse_twice(chosen: list[Parameter], free: Sequence[str]) -> None:
         )
 
 
-def _one(guess: Rope, label: Label, arcs: Array | None, moved: bool, arm: Arm | None) -> list[Parameter]:
+def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm: Arm | None) -> list[Parameter]:
     """Return the parameters of one word in `free`."""
     name, place, law = label
     if FREE[name].owner == "marker":
-        return _arcs(guess, place, law, arcs)
+        return _arcs(guess, place, law, arc_lengths)
     if FREE[name].owner != "link":
         if place is not None or law:
             raise InvalidInput(f"{name} belongs to the whole rope, or camera", got=f"{name}[{place}]", allowed=name)
-        return [_whole(guess, name, arcs, moved, arm)]
+        return [_whole(guess, name, arc_lengths, moved, arm)]
     n = guess.n_links
     if place is not None and place >= n:
         raise InvalidInput(
@@ -99,13 +99,13 @@ def _one(guess: Rope, label: Label, arcs: Array | None, moved: bool, arm: Arm | 
     return [Parameter(name, (k,), f"{name}[{k}]", float(starts[k]), float(sizes[k])) for k in chosen]
 
 
-def _whole(guess: Rope, name: str, arcs: Array | None, moved: bool, arm: Arm | None) -> Parameter:
+def _whole(guess: Rope, name: str, arc_lengths: Array | None, moved: bool, arm: Arm | None) -> Parameter:
     """Return a parameter that belongs to no link; what starts from 0 gets a typical size as scale."""
     owner = FREE[name].owner
     if owner == "motion" and not moved:
         raise InvalidInput("delay is free, but nothing moves the first joint", fix="Give motion=..., or leave it out")
-    if owner == "camera" and arcs is None:
-        raise InvalidInput(f"{name} is free, but no places are measured", fix="Give arcs=..., or leave it out")
+    if owner == "camera" and arc_lengths is None:
+        raise InvalidInput(f"{name} is free, but no places are measured", fix="Give arc_lengths=..., or leave it out")
     if owner == "arm" and arm is None:
         raise InvalidInput(
             f"{name} is free, but no torque is measured", fix="Give torque=... and arm=..., or leave it out"
@@ -126,15 +126,17 @@ def _whole(guess: Rope, name: str, arcs: Array | None, moved: bool, arm: Arm | N
     return Parameter(name, (), name, start, max(start, size))
 
 
-def _arcs(guess: Rope, marker: int | None, law: str, arcs: Array | None) -> list[Parameter]:
+def _arcs(guess: Rope, marker: int | None, law: str, arc_lengths: Array | None) -> list[Parameter]:
     """Return the places of markers along the rope."""
-    if arcs is None:
-        raise InvalidInput("arc is free, but no places are measured", fix="Give a first guess, arcs=...")
-    if law or (marker is not None and marker >= arcs.size):
-        raise InvalidInput("arc names no marker", got=law or marker, allowed=f"arc, or arc[0] to arc[{arcs.size - 1}]")
-    chosen = range(arcs.size) if marker is None else (marker,)
+    if arc_lengths is None:
+        raise InvalidInput("arc is free, but no places are measured", fix="Give a first guess, arc_lengths=...")
+    if law or (marker is not None and marker >= arc_lengths.size):
+        raise InvalidInput(
+            "arc names no marker", got=law or marker, allowed=f"arc, or arc[0] to arc[{arc_lengths.size - 1}]"
+        )
+    chosen = range(arc_lengths.size) if marker is None else (marker,)
     scale = ORIGIN * guess.total_length
-    return [Parameter("arc", (k,), f"arc[{k}]", float(arcs[k]), scale) for k in chosen]
+    return [Parameter("arc", (k,), f"arc[{k}]", float(arc_lengths[k]), scale) for k in chosen]
 
 
 def scales(guess: Rope, name: str) -> Array:
@@ -174,5 +176,5 @@ def perturbed(rope: Rope, off: Mapping[str, float]) -> Rope:
         return rope
     parameters = Parameters(rope, parse(rope, list(own)))
     x = parameters.start
-    moved = np.maximum(x + np.array(list(own.values())) / parameters.slopes(x), parameters.lower)
+    moved = np.maximum(x + np.array(list(own.values())) / parameters.derivatives(x), parameters.lower)
     return parameters.rope(parameters.rounded(moved))

@@ -1,4 +1,4 @@
-"""What is free, how it is scaled and bounded for the fitter, and how a rope is made of it."""
+"""Free parameters: their scales and bounds for the fit, and the rope with given values."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Parameter:
         """Return the value in SI units; of a law the factor, or the logarithm of the growth."""
         return float(np.exp(x)) if self.form == "log" else self.scale * x
 
-    def slope(self, x: float) -> float:
+    def derivative(self, x: float) -> float:
         """Return d value / d x."""
         return float(np.exp(x)) if self.form == "log" else self.scale
 
@@ -125,9 +125,9 @@ class Parameters:
         """Return the values (P,) in SI units."""
         return np.array([p.value(each) for p, each in zip(self.all, x, strict=True)])
 
-    def slopes(self, x: Array) -> Array:
+    def derivatives(self, x: Array) -> Array:
         """Return d value / d x (P,)."""
-        return np.array([p.slope(each) for p, each in zip(self.all, x, strict=True)])
+        return np.array([p.derivative(each) for p, each in zip(self.all, x, strict=True)])
 
     def single(self, name: str, x: Array, held: float = 0.0) -> float:
         """Return the value of a parameter of the whole, `held` where it is not free."""
@@ -140,7 +140,7 @@ class Parameters:
         for parameter, each in zip(self.all, x, strict=True):
             name, value = parameter.name, parameter.value(each)
             if name == "gravity_angle":
-                changes["gravity"] = turned(self.guess.gravity, value)
+                changes["gravity"] = rotated_gravity(self.guess.gravity, value)
             elif parameter.kind.owner == "rope":
                 changes[name] = value
             elif parameter.kind.owner == "link":
@@ -181,12 +181,12 @@ class Parameters:
             gx, gy = rope.gravity
             return {"gravity": np.array([-gy, gx]) * parameter.scale}
         if parameter.kind.owner != "link":
-            return {name: np.array([parameter.slope(x)])}
+            return {name: np.array([parameter.derivative(x)])}
         if parameter.law != "own":
             change = getattr(rope, name) * (1.0 if parameter.law == "factor" else self.middle)
         else:
             change = np.zeros(rope.n_links)
-            change[list(parameter.links)] = parameter.slope(x)
+            change[list(parameter.links)] = parameter.derivative(x)
         return {name: change} | (self._follow(rope, change) if name == "length" else {})
 
     def _follow(self, rope: Rope, change: Array) -> Part:
@@ -212,7 +212,7 @@ def lumped(rope: Rope) -> tuple[Array, Array]:
     return p, inertia
 
 
-def turned(gravity: Array, angle: float) -> Array:
+def rotated_gravity(gravity: Array, angle: float) -> Array:
     """Return gravity turned by `angle`, so that the rope hangs at its former angle plus `angle`."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * gravity[0] - s * gravity[1], s * gravity[0] + c * gravity[1]])

@@ -1,4 +1,4 @@
-"""What a camera would see of the rope from a given state on, and how that changes with state and parameters."""
+"""Predicted measurements of a window, with derivatives by state and parameters."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PRECISION = 1e-7  # tolerance of a rollout over the rope's length, far below any
 
 
 @dataclass(frozen=True)
-class _At:
+class _Evaluation:
     """All that follows from one x."""
 
     rope: Rope
@@ -36,11 +36,11 @@ class _At:
     sensor: Sensor
     motor: MotorTorque | None
     moving: list[int]  # which parameters move the rope
-    wanted: Wanted  # state first, then those
+    parameter_directions: Wanted  # state first, then those
 
 
 @dataclass(frozen=True)
-class Seen:
+class PredictedChannels:
     """What is seen (m, C), and its derivatives with respect to the state (m, C, 2 n) and the parameters (m, C, P)."""
 
     channels: Array
@@ -74,7 +74,7 @@ class Plant:
         self.motion, self.arm = motion, arm
         self.motor = MotorTorque(arm) if torque and arm is not None else None
         self._setup = Setup(parameters.guess, motion, arm, tol=PRECISION * parameters.guess.total_length)
-        self._last: tuple[bytes, _At | None] = (b"", None)
+        self._last: tuple[bytes, _Evaluation | None] = (b"", None)
 
     def without_torque(self) -> Plant:
         """Return the same without the torque channel."""
@@ -94,7 +94,7 @@ class Plant:
             seen = np.column_stack([seen, at.motor.predict(at.chain, at.drive, t, run.y)])
         return seen if np.isfinite(seen).all() else None
 
-    def carried(self, x: Array, t: float, state: Array, until: float) -> Array | None:
+    def propagate(self, x: Array, t: float, state: Array, until: float) -> Array | None:
         """Return the state (2n,) at `until`, s, that comes of `state` at t; None where the rollout fails."""
         at = self._at(x)
         if at is None:
@@ -105,7 +105,7 @@ class Plant:
             return None
         return np.asarray(run.y[-1, : 2 * n].copy())
 
-    def slopes(self, x: Array, t: Array, state: Array) -> Seen | None:
+    def jacobian(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
         """Return the same with exact derivatives, or None."""
         at = self._at(x)
         if at is None or not np.isfinite(state).all():
@@ -113,21 +113,21 @@ class Plant:
         n, start = at.rope.n_links, (state[: state.size // 2], state[state.size // 2 :])
         try:
             run = recorded(at.chain, at.drive, start, self._limits(at, t), float(t[0]))
-            y, dy = along(run, at.wanted, start, t)
+            y, dy = along(run, at.parameter_directions, start, t)
         except SimulationError:
             return None
-        q, dq = y[:, :n], dy[:, :n, : len(at.wanted.names)]
-        dpivot = np.zeros((t.size, 2, at.wanted.width))
+        q, dq = y[:, :n], dy[:, :n, : len(at.parameter_directions.names)]
+        dpivot = np.zeros((t.size, 2, at.parameter_directions.width))
         if self.sensor.placed:
-            place_changes(at.drive, at.wanted.directions(at.chain, at.drive), t, dpivot)
+            place_changes(at.drive, at.parameter_directions.directions(at.chain, at.drive), t, dpivot)
         dpivot = dpivot[:, :, : dq.shape[2]]
         seen = at.sensor.predict(at.rope, q, self._pivot(at, t))
-        moved = at.sensor.jacobian(at.rope, q, dq, dpivot, at.wanted.lengths(n))
+        moved = at.sensor.jacobian(at.rope, q, dq, dpivot, at.parameter_directions.lengths(n))
         shared = np.zeros((*seen.shape, len(self.parameters)))
         shared[:, :, at.moving] = moved[:, :, 2 * n :]
         self._add_own(at, q, shared)
         if at.motor is not None:
-            torque = self._torque_slopes(at, at.motor, t, y, dy)
+            torque = self._torque_jacobian(at, at.motor, t, y, dy)
             seen = np.column_stack([seen, at.motor.predict(at.chain, at.drive, t, y)])
             moved, shared = (
                 np.concatenate([before, added[:, None]], axis=1)
@@ -135,25 +135,27 @@ class Plant:
             )
         if not (np.isfinite(seen).all() and np.isfinite(moved).all()):
             return None
-        return Seen(seen, moved[:, :, : 2 * n], shared)
+        return PredictedChannels(seen, moved[:, :, : 2 * n], shared)
 
     def residual(self, x: Array, window: Window, state: Array) -> Array | None:
         """Return weighted prediction errors (m C,), 0 in gaps."""
         seen = self.predict(x, window.t, state)
         return None if seen is None else ((seen - window.y) * window.weight).ravel()
 
-    def _add_own(self, at: _At, q: Array, shared: Array) -> None:
+    def _add_own(self, at: _Evaluation, q: Array, shared: Array) -> None:
         """Write the derivatives with respect to the sensor's own values to their columns."""
         own = at.sensor.value_jacobian(at.rope, q)
         for k, parameter in enumerate(self.parameters.all):
             if (place := _place(parameter.name, parameter.links)) is not None:
                 shared[:, :, k] = parameter.scale * own[:, :, place]
 
-    def _torque_slopes(self, at: _At, motor: MotorTorque, t: Array, y: Array, dy: Array) -> tuple[Array, Array]:
+    def _torque_jacobian(
+        self, at: _Evaluation, motor: MotorTorque, t: Array, y: Array, dy: Array
+    ) -> tuple[Array, Array]:
         """Return the derivatives of the motor's torque: (m, 2n + D) as the run's, and (m, P) by the parameters."""
         n = at.rope.n_links
-        parts = at.wanted.parts[2 * n :]
-        moved = motor.jacobian(at.chain, at.drive, parts, t, y, dy[:, :, : len(at.wanted.names)])
+        parts = at.parameter_directions.parts[2 * n :]
+        moved = motor.jacobian(at.chain, at.drive, parts, t, y, dy[:, :, : len(at.parameter_directions.names)])
         shared = np.zeros((t.size, len(self.parameters)))
         shared[:, at.moving] = moved[:, 2 * n :]
         own = motor.value_jacobian(at.chain, at.drive, t, y)
@@ -162,20 +164,20 @@ class Plant:
                 shared[:, k] = parameter.scale * own[:, ARM.index(parameter.name)]
         return moved, shared
 
-    def _limits(self, at: _At, t: Array) -> Limits:
+    def _limits(self, at: _Evaluation, t: Array) -> Limits:
         return limits(self._setup, at.chain, float(t[-1]), 1_000_000)
 
-    def _pivot(self, at: _At, t: Array) -> Array:
+    def _pivot(self, at: _Evaluation, t: Array) -> Array:
         """Return the first joint's places (m, 2)."""
         return pivot_places(at.motion, self.arm, t) if self.sensor.placed else np.zeros((t.size, 2))
 
-    def _at(self, x: Array) -> _At | None:
+    def _at(self, x: Array) -> _Evaluation | None:
         key = x.tobytes()
         if self._last[0] != key:
             self._last = (key, self._prepared(x))
         return self._last[1]
 
-    def _prepared(self, x: Array) -> _At | None:
+    def _prepared(self, x: Array) -> _Evaluation | None:
         """Return what follows from x, or None where x describes no rope."""
         rope = self.parameters.possible(x)
         if rope is None:
@@ -204,7 +206,7 @@ class Plant:
             parts.append(part)
         names = tuple(str(k) for k in range(len(parts)))
         sensor = self.sensor.with_values(own)
-        return _At(
+        return _Evaluation(
             rope, rope.chain(), motion, drive, sensor, motor, [k for k, _ in moving], Wanted(names, tuple(parts))
         )
 

@@ -1,4 +1,4 @@
-"""The common factor of all moments, frictions and stiffnesses: no motion without a known force or torque tells it."""
+"""The common factor of moments, frictions and stiffnesses; unknown without a known force or torque."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def scaling(parameters: Parameters, x: Array) -> Array | None:
         up = x.copy()
         up[k] += step
         columns.append((_scaled(parameters.rope(up)) - now) / step * parameters.widths[k])
-    wanted = np.where(np.arange(now.size) // n == 2, 0.0, now) * weights
+    target = np.where(np.arange(now.size) // n == 2, 0.0, now) * weights
     matrix = np.stack(columns, axis=1) * weights[:, None]
-    found: Array = np.linalg.lstsq(matrix, wanted, rcond=1e-8)[0]
-    away = (matrix @ found - wanted)[: 3 * n]
+    found: Array = np.linalg.lstsq(matrix, target, rcond=1e-8)[0]
+    away = (matrix @ found - target)[: 3 * n]
     length = float(np.linalg.norm(found))
-    if np.linalg.norm(away) > PARALLEL * np.linalg.norm(wanted[: 3 * n]) or length == 0.0:
+    if np.linalg.norm(away) > PARALLEL * np.linalg.norm(target[: 3 * n]) or length == 0.0:
         return None
     return found / length
 
@@ -51,7 +51,7 @@ def common_factor(parameters: Parameters, x: Array, unknown: Array) -> Array | N
     return common
 
 
-def growing(parameters: Parameters, x: Array, unknown: Array) -> Mask:
+def in_common_factor(parameters: Parameters, x: Array, unknown: Array) -> Mask:
     """Return which parameters (P,) stand in an unknown common factor, True also for those at 0.
 
     Such a one does not move along the factor: 0 stays 0. But how far it may be from 0 grows with the factor, so that

@@ -1,1 +1,1 @@
-"""How sure a fit is: noise, covariance, profiles, intervals, bootstrap, prediction bands."""
+"""Uncertainty of a fit: noise, covariance, profile likelihood, intervals, bootstrap."""

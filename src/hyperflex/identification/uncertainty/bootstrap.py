@@ -1,9 +1,8 @@
-"""Parametric bootstrap: recordings simulated from what was found, fitted again, show how far a fit may be off."""
+"""Parametric bootstrap: fits to recordings simulated from a fit."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,17 +10,13 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.threads import one_thread
+from hyperflex.identification.fit.multiple_shooting import fit, one_thread
 from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.intervals import LEVEL, Interval
 from hyperflex.identification.uncertainty.noise import correlations
-from hyperflex.identification.uncertainty.profile import basis_of
 from hyperflex.simulation.rollouts import progress_bar
-
-if TYPE_CHECKING:
-    from hyperflex.identification.result import Identification
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,7 +92,7 @@ def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progres
     with replacement, outliers among them, and taken as white. Each fit starts from the optimum, so that another
     minimum far off is not found. Cost: `count` fits of a few rounds.
     """
-    basis = basis_of(found)
+    basis = found.basis
     count, seed = checks.count("count", count), checks.count("seed", seed, least=0)
     plant, fitted = basis.plant, basis.fit
     seen = [plant.predict(fitted.x, w.t, s) for w, s in zip(basis.windows, fitted.states, strict=True)]
@@ -169,6 +164,6 @@ class _Noise:
 
 
 def _unknowns(basis: Basis) -> int:
-    """Return how many numbers the fit has found: parameters, and states beyond what was believed of them."""
-    states: int = sum(s.size - w.believed.shape[0] for s, w in zip(basis.fit.states, basis.windows, strict=True))
+    """Return how many numbers the fit has found: parameters, and states less the rows of their prior."""
+    states: int = sum(s.size - w.prior.shape[0] for s, w in zip(basis.fit.states, basis.windows, strict=True))
     return states + len(basis.plant.parameters)

@@ -1,4 +1,4 @@
-"""What can be known: singular values, covariance under robust losses and coloured noise, ratios by the delta method."""
+"""Covariance of the parameters: sandwich estimate for robust losses and coloured noise."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from hyperflex.identification.fit.multiple_shooting import Fit, least_squares, l
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters, lumped
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.model.scale import Mask, growing
-from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, autoregression, coloured, correlations
+from hyperflex.identification.model.scale import Mask, in_common_factor
+from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, autoregression, correlated, correlations
 from hyperflex.identification.uncertainty.whiteness import whiteness
 from hyperflex.model import Rope
 from hyperflex.model.properties import RESISTANCES
@@ -76,7 +76,7 @@ class Basis:
     information: Information
 
 
-def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
+def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
     """Return what the fit's windows tell.
 
     Notes
@@ -99,12 +99,12 @@ def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
     mean = max(float(slopes.mean()), LEAST_SENSITIVITY)
     models = _models(plant, windows, fit, mean)
     singular, directions = _svd([model.shared * widths for model in models], total)
-    told = singular > UNKNOWN * singular[0]
-    known, unknown = directions[told].T, directions[~told].T
-    inner = known / singular[told]  # A^+ = inner inner^T
+    determined = singular > UNKNOWN * singular[0]
+    known, unknown = directions[determined].T, directions[~determined].T
+    inner = known / singular[determined]  # A^+ = inner inner^T
     pieces = [model.piece(inner * widths[:, None]) for model in models]
     terms, agrees = autoregression(pieces)
-    absorbed = sum(float((piece.basis * coloured(terms, piece.basis)).sum()) for piece in pieces)
+    absorbed = sum(float((piece.basis * correlated(terms, piece.basis)).sum()) for piece in pieces)
     freedom = max(1.0, slopes.size - absorbed)
     factor = 1.0 + absorbed / slopes.size * float(slopes.var()) / mean**2
     variance = factor**2 * sum(float((p.residual**2).sum()) for p in pieces) / freedom / mean
@@ -127,7 +127,7 @@ def judge(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
         whiteness=whiteness(pieces),
         follow=tuple(model.follow for model in models),
         agrees=agrees,
-        growing=growing(plant.parameters, fit.x, unknown),
+        growing=in_common_factor(plant.parameters, fit.x, unknown),
     )
 
 
@@ -137,7 +137,7 @@ class _Model:
 
     own (M, 2n): orthonormal directions of the state. follow (2n, P): how the state moves with the parameters.
     influence, seen (m, C): psi of the residuals, and 0 in gaps, else 1. The first m C of M rows are the window's
-    values, the rest beliefs.
+    values, the rest the prior.
     """
 
     shared: Array
@@ -154,8 +154,8 @@ class _Model:
     def meat(self, terms: Array) -> Array:
         """Return S^T R S (P, P)."""
         size, shape = self.influence.size, self.influence.shape
-        rows, beliefs = self.shared[:size].reshape(*shape, -1), self.shared[size:]
-        result: Array = np.tensordot(rows, coloured(terms, rows), axes=([0, 1], [0, 1])) + beliefs.T @ beliefs
+        rows, prior = self.shared[:size].reshape(*shape, -1), self.shared[size:]
+        result: Array = np.tensordot(rows, correlated(terms, rows), axes=([0, 1], [0, 1])) + prior.T @ prior
         return result
 
 
@@ -194,9 +194,9 @@ def ratios(rope: Rope, *, every: bool = False) -> dict[str, Array]:
     resistances, ``tau_d/p1`` and ``k/p1`` (m/s^2).
     """
     p, inertia = lumped(rope)
-    told = {each.symbol: getattr(rope, each.name) for each in RESISTANCES}
-    told = {name: value for name, value in told.items() if every or name == "c" or value.any()}
-    return {f"{name}/p1": value / p[0] for name, value in {"J": inertia, "p": p, **told}.items()}
+    resistances = {each.symbol: getattr(rope, each.name) for each in RESISTANCES}
+    resistances = {name: value for name, value in resistances.items() if every or name == "c" or value.any()}
+    return {f"{name}/p1": value / p[0] for name, value in {"J": inertia, "p": p, **resistances}.items()}
 
 
 def ratio_spread(parameters: Parameters, information: Information) -> dict[str, Array]:

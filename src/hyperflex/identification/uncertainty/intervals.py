@@ -1,25 +1,19 @@
-"""Intervals of all parameters: from the covariance where that tells the truth, by profile likelihood where not."""
+"""Confidence intervals of parameters and ratios from their standard deviations."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.fit.multiple_shooting import Report
 from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.profile import BETTER, End, Profile, by_covariance, profiled
-from hyperflex.identification.uncertainty.threshold import felt, quantile
+from hyperflex.identification.uncertainty.threshold import quantile
 
-How = Literal["auto", "covariance", "profile"]
-HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
+End = Literal["crossed", "bound", "open"]
 LEVEL = 0.95
-TIED = 0.1  # correlation with a parameter beside its bound from which the bound is felt
-BENT = 0.1  # part by which the root of the rise may depart from a straight line before the covariance is left
 SIGNED = ("p/p1",)  # ratios that may be negative: a centre of mass behind its joint
-MOST = 4  # profiles that "auto" takes on, each as dear as two or three fits
 
 
 @dataclass(frozen=True)
@@ -46,63 +40,6 @@ class Interval:
         return self.low <= value <= self.high
 
 
-def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Report | None = None) -> dict[str, Interval]:
-    """Return intervals of all free parameters, by label.
-
-    Parameters
-    ----------
-    basis : Basis
-    how : {"auto", "covariance", "profile"}
-        ``auto`` profiles up to four parameters whose covariance is skewed: a non-negative one within four sd of 0,
-        those that correlate with it, and those along which the squares do not rise as a parabola does; of more, those
-        nearest to their bounds in sd.
-    level : float
-        How often they shall hold the truth.
-    report : callable, optional
-        Hears of each round of each profile: what it hears of a fit's rounds, but the stages are the parameters, and
-        ``phase`` is "profile"; and the ``parameter``.
-
-    Notes
-    -----
-    Ctrl-C leaves those from the covariance for what was not profiled yet.
-    """
-    result = {label: from_covariance(basis, which, level) for which, label in enumerate(basis.plant.parameters.labels)}
-    labels = list(result)
-    if how == "covariance":
-        return result
-    try:
-        chosen = _worst(basis) if how == "auto" else list(range(len(labels)))
-        chosen = [k for k in chosen if result[labels[k]].kind != "unknown"]
-        length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
-        for number, k in enumerate(chosen):
-            at = {"phase": "profile", "parameter": labels[k], "window": length, "stage": number, "stages": len(chosen)}
-            found = profiled(basis, k, level, report=None if report is None else _with(report, at))
-            remark = _remark(found)
-            result[labels[k]] = Interval(found.low, found.high, found.kind, found.ends, level, remark)
-    except KeyboardInterrupt:
-        pass
-    return result
-
-
-def _with(report: Report, at: dict[str, Any]) -> Report:
-    return lambda entry: report(entry | at)
-
-
-def _remark(found: Profile) -> str:
-    """Return what a profile met on its way that a reader should know."""
-    if found.gain > BETTER:
-        return (
-            f"Beside {found.name} the squares fall {found.gain:.3g} residual variances below those of this fit: it is "
-            f"not the best one. Fit again from there: rope_guess=profile(found, {found.name!r}).better."
-        )
-    if found.kind == "covariance":
-        return (
-            f"The profile of {found.name} was too dear to follow to its ends: its interval is that of the standard "
-            "deviation."
-        )
-    return ""
-
-
 def from_covariance(basis: Basis, which: int, level: float = LEVEL) -> Interval:
     """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
     information, parameter = basis.information, basis.plant.parameters.all[which]
@@ -111,6 +48,16 @@ def from_covariance(basis: Basis, which: int, level: float = LEVEL) -> Interval:
         return Interval(low, np.inf, "unknown", ("open" if low else "bound", "open"), level)
     low, high, ends = by_covariance(basis, which, level)
     return Interval(low, high, "covariance", ends, level)
+
+
+def by_covariance(basis: Basis, which: int, level: float) -> tuple[float, float, tuple[End, End]]:
+    """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
+    information, parameter = basis.information, basis.plant.parameters.all[which]
+    least, x = float(basis.plant.parameters.lower[which]), float(information.x[which])
+    sd = float(information.deviations(np.ones(information.x.size))[which])
+    half = sd * float(np.sqrt(quantile(level, information.freedom)))
+    end: End = "bound" if x - half < least else "crossed"
+    return parameter.value(max(x - half, least)), parameter.value(x + half), (end, "crossed")
 
 
 def of_ratios(ratios: dict[str, Array], sd: dict[str, Array], freedom: float) -> dict[str, Interval]:
@@ -130,49 +77,3 @@ def of_ratios(ratios: dict[str, Array], sd: dict[str, Array], freedom: float) ->
                 ends: tuple[End, End] = ("bound" if bounded else "crossed", "crossed")
                 result[f"{name}[{k}]"] = Interval(0.0 if bounded else low, high, "covariance", ends)
     return result
-
-
-def skewed(basis: Basis, which: int) -> bool:
-    """Tell whether the covariance does not do for a parameter.
-
-    Beside a bound, its own or that of one it correlates with; or where two sd away, on the straight line along which
-    the covariance sends states and parameters, the squares rise otherwise than by four. Two rollouts of all windows.
-    """
-    information = basis.information
-    covariance, sd = information.covariance, np.sqrt(np.diag(information.covariance))
-    near = np.flatnonzero(felt(covariance, information.x - basis.plant.parameters.lower))
-    if sd[which] == 0.0:
-        return False
-    if any(abs(covariance[which, k]) > TIED * sd[which] * sd[k] for k in near):
-        return True
-    for step in (-2.0, 2.0):
-        move = step * information.plain[:, which] / np.sqrt(information.plain[which, which])
-        rise = _rise(basis, move)
-        if rise is None or abs(np.sqrt(max(rise, 0.0)) / abs(step) - 1.0) > BENT:
-            return True
-    return False
-
-
-def _worst(basis: Basis) -> list[int]:
-    """Return which parameters "auto" profiles."""
-    information = basis.information
-    sd = np.sqrt(np.diag(information.covariance))
-    above = (information.x - basis.plant.parameters.lower) / np.where(sd > 0.0, sd, 1.0)
-    known = np.isfinite(information.deviations(np.ones(sd.size)))
-    chosen: list[int] = []
-    for k in np.argsort(above, kind="stable"):
-        if len(chosen) < MOST and known[k] and skewed(basis, int(k)):
-            chosen.append(int(k))
-    return chosen
-
-
-def _rise(basis: Basis, move: Array) -> float | None:
-    """Return by how much the cost rises, over the residual variance, where x and all states move in a straight line."""
-    found, total = basis.fit, 0.0
-    for window, state, follow in zip(basis.windows, found.states, basis.information.follow, strict=True):
-        moved = state + follow @ move
-        residual = basis.plant.residual(found.x + move, window, moved)
-        if residual is None:
-            return None
-        total += found.loss.cost(residual) + float((belief := window.belief(moved)) @ belief)
-    return (total - found.cost) / basis.information.variance

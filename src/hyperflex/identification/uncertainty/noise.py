@@ -1,4 +1,4 @@
-"""What the residuals are like as noise: how they hang together in time."""
+"""Autoregressive model of the residuals as noise, its order chosen by BIC."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from hyperflex.checks import Array
 
 MOST_TERMS = 8  # of the autoregression
-PATIENCE = 2  # further terms in a row that BIC does not ask for before the search ends
+MAX_WORSE_TERMS = 2  # further terms in a row that BIC does not ask for before the search ends
 NEAR_ONE = 0.995  # greatest size of a partial autocorrelation: beyond it noise would hardly ever return to 0
 LATER = 0.95  # the same for all but the first: tones that hardly die away are no noise
 AGREES = 0.05  # by which autocorrelations may miss those of the residuals before no process is said to leave them
@@ -51,41 +51,41 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     where slow noise is nearly all absorbed, giving back what is missing in full at each round would run away. Lags
     count samples: times are taken as even. Cost: a few Fourier transforms (m, C K) a window.
     """
-    observed = _lagged(pieces)
+    observed = _lagged_products(pieces)
     longest = max(piece.residual.shape[0] for piece in pieces)
     most = min(MOST_TERMS, longest // 4)
     if observed[0] <= 0.0 or most == 0:
         return np.zeros(0), True
-    wanted = observed / observed[0]
+    target = observed / observed[0]
     count = max(2.0, float(sum(piece.seen.sum() - piece.basis.shape[2] for piece in pieces)))
-    response = expected(pieces, most)
-    plain = partial(wanted[: most + 1])
+    response = expected_products(pieces, most)
+    plain = partial_correlations(target[: most + 1])
     parts, least, passed, chosen, gap = np.zeros(0), 0.0, 0, np.zeros(0), 0.0
     for k in range(1, most + 1):
-        parts, misfit = _matched(response[: k + 1], wanted[1 : k + 1], np.append(parts, plain[k - 1]))
+        parts, misfit = _fit_correlations(response[: k + 1], target[1 : k + 1], np.append(parts, plain[k - 1]))
         asked = _bic(parts, count)
         passed = 0 if asked < least else passed + 1
         if passed == 0:
             least, chosen, gap = asked, parts, misfit
-        if passed == PATIENCE:
+        if passed == MAX_WORSE_TERMS:
             break
     if gap <= AGREES:
-        return terms_of(chosen), True
-    return terms_of(plain[: chosen.size]), False
+        return ar_coefficients(chosen), True
+    return ar_coefficients(plain[: chosen.size]), False
 
 
-def partial(correlation: Array) -> Array:
+def partial_correlations(correlation: Array) -> Array:
     """Return the partial autocorrelations (k,) of autocorrelations (k + 1,), by Levinson's recursion."""
     parts, left = np.zeros(0), 1.0
     for k in range(1, correlation.size):
-        terms = terms_of(parts)
+        terms = ar_coefficients(parts)
         part = (correlation[k] - terms @ correlation[k - 1 : 0 : -1]) / left
         parts = np.append(parts, np.clip(part, -NEAR_ONE, NEAR_ONE))
         left *= 1.0 - float(parts[-1]) ** 2
     return parts
 
 
-def terms_of(parts: Array) -> Array:
+def ar_coefficients(parts: Array) -> Array:
     """Return the autoregression (k,) of partial autocorrelations (k,); stationary if all are smaller than 1."""
     terms = np.zeros(0)
     for part in parts:
@@ -111,7 +111,7 @@ def correlations(terms: Array, count: int) -> Array:
     return result
 
 
-def coloured(terms: Array, values: Array) -> Array:
+def correlated(terms: Array, values: Array) -> Array:
     """Return R values (m, ...): R (m, m) are the autocorrelations of an autoregression."""
     if terms.size == 0:
         return values
@@ -139,7 +139,7 @@ def autocorrelation(residuals: Sequence[Array]) -> float:
     return max(1.0, float(1.0 + 2.0 * part[1:end].sum()))
 
 
-def expected(pieces: Sequence[Piece], most: int) -> Array:
+def expected_products(pieces: Sequence[Piece], most: int) -> Array:
     """Return what makes of autocorrelations (m,) the mean of `_lagged` (most + 1,): a matrix (most + 1, m).
 
     For noise of variance 1: the trace over lags of (1 - Q Q^T) R (1 - Q Q^T), Q the basis. R holds each autocorrelation
@@ -161,7 +161,7 @@ def expected(pieces: Sequence[Piece], most: int) -> Array:
             sums = np.fft.irfft(total, 2 * m)
             result[lag, 0] += sums[0]
             result[lag, 1:m] += sums[1:m] + sums[:m:-1]
-            result[lag, lag] += _apart(seen, seen, lag)
+            result[lag, lag] += _lagged_product(seen, seen, lag)
     return result
 
 
@@ -170,20 +170,20 @@ def _bic(parts: Array, count: float) -> float:
     return count * float(np.log(1.0 - parts**2).sum()) + parts.size * float(np.log(count))
 
 
-def _left(response: Array, terms: Array) -> Array:
+def _residual_correlations(response: Array, terms: Array) -> Array:
     """Return the autocorrelations (k,) that residuals show on average; `response` (k + 1, m) as of `expected`."""
     sums = response @ correlations(terms, response.shape[1])
     result: Array = sums[1:] / max(float(sums[0]), 1e-300)
     return result
 
 
-def _matched(response: Array, wanted: Array, start: Array) -> tuple[Array, float]:
-    """Return partial autocorrelations (k,) whose residuals show those wanted (k,), and the greatest miss."""
+def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Array, float]:
+    """Return partial autocorrelations (k,) whose residuals show those target (k,), and the greatest miss."""
     bound = np.append(NEAR_ONE, np.full(start.size - 1, LATER))
     z = np.arctanh(np.clip(start / bound, -0.99, 0.99))
 
     def miss(at: Array) -> Array:
-        return _left(response, terms_of(bound * np.tanh(at))) - wanted
+        return _residual_correlations(response, ar_coefficients(bound * np.tanh(at))) - target
 
     away, damping = miss(z), 1e-3
     for _ in range(ROUNDS):
@@ -202,16 +202,16 @@ def _matched(response: Array, wanted: Array, start: Array) -> tuple[Array, float
     return bound * np.tanh(z), float(np.abs(away).max())
 
 
-def _lagged(pieces: Sequence[Piece]) -> Array:
+def _lagged_products(pieces: Sequence[Piece]) -> Array:
     """Return the sums of products of residuals so many samples apart."""
     longest = max(piece.residual.shape[0] for piece in pieces)
     sums = np.zeros(min(longest, MOST_TERMS + 1))
     for piece in pieces:
         for lag in range(min(sums.size, piece.residual.shape[0])):
-            sums[lag] += _apart(piece.residual, piece.residual, lag)
+            sums[lag] += _lagged_product(piece.residual, piece.residual, lag)
     return sums
 
 
-def _apart(first: Array, second: Array, lag: int) -> float:
+def _lagged_product(first: Array, second: Array, lag: int) -> float:
     """Return the sum of products of values `lag` samples apart; of what is (m, C) or (m, C, K)."""
     return float((first[lag:] * second[: second.shape[0] - lag]).sum())

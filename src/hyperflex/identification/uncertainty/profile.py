@@ -1,9 +1,9 @@
-"""Profile likelihood: how far one parameter can move before the data, all others fitted again, speak against it."""
+"""Profile likelihood: one parameter held at a value, all others fitted again."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -12,14 +12,12 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit
+from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.identification.uncertainty.intervals import End, by_covariance
 from hyperflex.identification.uncertainty.threshold import quantile, threshold
 from hyperflex.model import Rope
 
-if TYPE_CHECKING:
-    from hyperflex.identification.result import Identification
-
-End = Literal["crossed", "bound", "open"]
 FINISH = 1e-2  # gain of a round, in units of the residual variance, below which a point of the profile has settled
 CLOSE = 0.01  # sd to which an end is found
 LONGEST = 3.0  # factor by which a step may grow
@@ -115,12 +113,12 @@ def profile(
     Notes
     -----
     At each value all other parameters and states are fitted again, starting from where the last point leads in a
-    straight line. The rise of the squares is compared with F(1, freedom), or beside a bound with what the bound makes
-    of it (see ``_threshold``); autocorrelation divides it by the factor by which it widens the variance, and robust
-    losses count as :func:`judge` has them. Cost: about three fits of two or three rounds on either side; after a
-    hundred rounds a side is given up.
+    straight line. The rise of the squares is compared with F(1, freedom), or beside a bound with the distribution
+    that the bound leaves (see ``threshold``). Autocorrelation divides it by the factor by which it widens the variance;
+    robust losses count as in :func:`estimate_covariance`. Cost: about three fits of two or three rounds on either side;
+    after a hundred rounds a side is given up.
     """
-    basis = basis_of(found)
+    basis = found.basis
     level = checks.number("level", level, sign="positive")
     if level >= 1.0:
         raise InvalidInput("level is not a probability", got=level, allowed="between 0 and 1, such as 0.95")
@@ -128,14 +126,6 @@ def profile(
     if name not in labels:
         raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(labels))
     return profiled(basis, labels.index(name), level, checks.count("points", points, least=0), progress)
-
-
-def basis_of(found: Identification) -> Basis:
-    """Return the fit that a result keeps."""
-    basis = getattr(found, "_basis", None)
-    if not isinstance(basis, Basis):
-        raise InvalidInput("this result no longer has its fit", fix="Run identify again, in this session")
-    return basis
 
 
 def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Report | None = None) -> Profile:
@@ -146,7 +136,7 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Re
     if unknown or variances[which] <= 0.0:
         least = parameter.value(basis.plant.parameters.lower[which])
         return Profile(parameter.label, least, np.inf, level, ("open", "open"), *np.zeros((3, 0)))
-    walk = _Walk(basis, which, level, report)
+    walk = _ProfileSearch(basis, which, level, report)
     kind: Literal["profile", "covariance"] = "profile"
     try:
         below, first = walk.side(-1.0)
@@ -154,7 +144,7 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Re
         low = parameter.value(below) if np.isfinite(below) or parameter.form == "log" else -np.inf
         high = parameter.value(above) if np.isfinite(above) else np.inf
         ends = first, second
-    except _TooDear:
+    except _BudgetExceeded:
         kind = "covariance"
         low, high, ends = by_covariance(basis, which, level)
     if points:
@@ -171,26 +161,16 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Re
     return Profile(parameter.label, low, high, level, ends, *curve, kind, max(gain, 0.0), better)
 
 
-def by_covariance(basis: Basis, which: int, level: float) -> tuple[float, float, tuple[End, End]]:
-    """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
-    information, parameter = basis.information, basis.plant.parameters.all[which]
-    least, x = float(basis.plant.parameters.lower[which]), float(information.x[which])
-    sd = float(information.deviations(np.ones(information.x.size))[which])
-    half = sd * float(np.sqrt(quantile(level, information.freedom)))
-    end: End = "bound" if x - half < least else "crossed"
-    return parameter.value(max(x - half, least)), parameter.value(x + half), (end, "crossed")
-
-
-class _TooDear(Exception):
+class _BudgetExceeded(Exception):
     """A side has taken all its rounds."""
 
 
-class _Walk:
+class _ProfileSearch:
     """Walks away from the optimum along one parameter, to either side."""
 
     def __init__(self, basis: Basis, which: int, level: float, report: Report | None) -> None:
         self.basis, self.which, self.level, self.report = basis, which, level, report
-        self.left = MOST_ROUNDS
+        self.budget = MOST_ROUNDS
         information, found = basis.information, basis.fit
         self.lower = basis.plant.parameters.lower
         self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
@@ -225,21 +205,21 @@ class _Walk:
         move = x - start.x
         states = [s + f @ move for s, f in zip(start.states, self.basis.information.follow, strict=True)]
         for begin in (states, start.states):
-            if self.left <= 0:
-                raise _TooDear
+            if self.budget <= 0:
+                raise _BudgetExceeded
             try:
-                found = self._fit(x, begin, min(20, self.left), held=(self.which,))
+                found = self._fit(x, begin, min(20, self.budget), held=(self.which,))
             except InvalidInput:
-                self.left -= 1
+                self.budget -= 1
                 continue
-            self.left -= len(found.history)
+            self.budget -= len(found.history)
             self.points.append(self._point(found.x, found.states, found.cost))
             return self.points[-1]
         return None
 
     def side(self, sign: float) -> tuple[float, End]:
         """Return x of the end of the interval below (-1) or above (1) the optimum, and what it is."""
-        self.left = MOST_ROUNDS
+        self.budget = MOST_ROUNDS
         bound = float(self.lower[self.which]) if sign < 0.0 else np.inf
         inside, outside = self.points[0], None
         origin = float(inside.x[self.which])
@@ -278,6 +258,6 @@ class _Walk:
         values = np.array([p.x[self.which] for p in self.points])
         for end in (values.min(), values.max()):
             for value in np.linspace(values[0], end, points + 2)[1:-1]:
-                self.left = MOST_ROUNDS
+                self.budget = MOST_ROUNDS
                 if value != values[0]:
                     self.at(float(value))

@@ -1,4 +1,4 @@
-"""By how much the squares may rise before a value is refused, also beside a bound that parameters cannot cross.
+"""Thresholds of the profile likelihood, also beside bounds (Feldman and Cousins).
 
 Away from bounds the rise over the residual variance follows F(1, freedom). Beside a bound it does not: an estimate
 that noise would push beyond stays at the bound. There the distribution is that of the linear problem with the bounds,
@@ -31,7 +31,7 @@ def quantile(level: float, freedom: float) -> float:
     return float(stdtrit(freedom, upper) if freedom < 1e6 else ndtri(upper)) ** 2
 
 
-def felt(covariance: Array, above: Array) -> Mask:
+def near_bounds(covariance: Array, above: Array) -> Mask:
     """Return which parameters (P,) stand less than NEAR sd `above` their bounds (P,), inf where there is none."""
     sd = np.sqrt(np.diag(covariance))
     result: Mask = (above < NEAR * sd) & (sd > 0.0)
@@ -61,7 +61,7 @@ def threshold(level: float, freedom: float, which: int, covariance: Array, above
     not exactly. About 1 ms a bound that is felt.
     """
     usual = quantile(level, freedom)
-    chosen = np.flatnonzero(felt(covariance, above))
+    chosen = np.flatnonzero(near_bounds(covariance, above))
     others = chosen[chosen != which]
     if chosen.size == 0:
         return usual
@@ -88,29 +88,29 @@ def _draws(count: int, freedom: float) -> tuple[Array, Array]:
     return np.concatenate([half, -half]), np.concatenate([size, size])
 
 
-def _rise(wanted: Array, inverse: Array, limit: Array, *, tested: bool) -> Array:
+def _rise(points: Array, inverse: Array, limit: Array, *, tested: bool) -> Array:
     """Return the least (v - u)^T H (v - u) over v >= limit for each u (N, k); with v[0] = 0 where it is `tested`."""
-    away = np.zeros_like(wanted)  # v - u
+    away = np.zeros_like(points)  # v - u
     free = np.arange(1 if tested else 0, limit.size)
     if tested:
-        away[:, 0] = -wanted[:, 0]
+        away[:, 0] = -points[:, 0]
         if free.size:
             rest = np.linalg.pinv(inverse[1:, 1:], hermitian=True) @ inverse[1:, 0]
-            away[:, 1:] = np.outer(wanted[:, 0], rest)
-    crossing = (wanted + away < limit)[:, free].any(axis=1)
+            away[:, 1:] = np.outer(points[:, 0], rest)
+    crossing = (points + away < limit)[:, free].any(axis=1)
     if crossing.any():
-        away[crossing] = _descend(wanted[crossing], away[crossing], inverse, limit, free)
+        away[crossing] = _descend(points[crossing], away[crossing], inverse, limit, free)
     rise: Array = np.einsum("ni,ij,nj->n", away, inverse, away)
     return rise
 
 
-def _descend(wanted: Array, away: Array, inverse: Array, limit: Array, free: npt.NDArray[np.intp]) -> Array:
+def _descend(points: Array, away: Array, inverse: Array, limit: Array, free: npt.NDArray[np.intp]) -> Array:
     """Return the best v - u (N, k) within the limits, coordinate by coordinate; those not `free` stay."""
     for _ in range(SWEEPS):
         moved = 0.0
         for j in free:
             best = away[:, j] - away @ inverse[:, j] / inverse[j, j]
-            best = np.maximum(best, limit[j] - wanted[:, j])
+            best = np.maximum(best, limit[j] - points[:, j])
             moved = max(moved, float(np.abs(best - away[:, j]).max()))
             away[:, j] = best
         if moved < SETTLED:

@@ -1,4 +1,4 @@
-"""Whether residuals are noise: a portmanteau test that knows what the fit has taken out of them."""
+"""Whiteness of residuals: a portmanteau test and the correlogram."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def whiteness(parts: Sequence[Piece]) -> float:
     if shortest < 2 or not any(part.residual.any() for part in parts):
         return 1.0
     lags = np.arange(1, max(1, min(LAGS, shortest // 4)) + 1)
-    spread = _spread(parts)
+    spread = _channel_covariance(parts)
     away, covariance = np.zeros(lags.size), np.zeros((lags.size, lags.size))
     for part in parts:
         mean, varies = _moments(part, spread, lags)
@@ -46,7 +46,7 @@ def whiteness(parts: Sequence[Piece]) -> float:
     return float(gammaincc(0.5 * lags.size, 0.5 * statistic))
 
 
-def _spread(parts: Sequence[Piece]) -> Array:
+def _channel_covariance(parts: Sequence[Piece]) -> Array:
     """Return the covariance (C, C) of the channels' noise."""
     products = sum(part.residual.T @ part.residual for part in parts)
     pairs = sum(part.seen.T @ part.seen for part in parts)
@@ -91,3 +91,50 @@ def _neighbours(values: Array, lag: int) -> Array:
     result[lag:] += 0.5 * values[:-lag]
     result[:-lag] += 0.5 * values[lag:]
     return result
+
+
+FILLED = 20  # a clock with more ticks than this for each sample would be nearly empty: neighbours are counted instead
+
+
+def correlogram(t: Array, residuals: Array, lags: int) -> tuple[Array, Array, Array]:
+    """Return the autocorrelation of residuals, gaps left out.
+
+    Parameters
+    ----------
+    t : (m,) array, s
+        Increasing.
+    residuals : (m, C) array
+        NaN in gaps.
+    lags : int
+        The greatest lag, in samples.
+
+    Returns
+    -------
+    lag : (L,) array, s
+        From one (usual) step between samples on, at most `lags` of them.
+    correlation : (L, C) array
+        NaN where no two samples are so far apart.
+    band : (L, C) array
+        95 % of the correlations of white residuals lie within plus and minus this.
+
+    Notes
+    -----
+    Samples are put on a clock of the usual step; with steps so uneven that it would stay nearly empty, the lag counts
+    samples.
+    """
+    step = float(np.median(np.diff(t)))
+    tick = np.round((t - t[0]) / step).astype(int)
+    if tick[-1] > FILLED * t.size or np.unique(tick).size < t.size:
+        tick = np.arange(t.size)
+    laid = np.full((tick[-1] + 1, residuals.shape[1]), np.nan)
+    laid[tick] = residuals
+    known = ~np.isnan(laid)
+    filled = np.where(known, laid - np.nanmean(laid, axis=0), 0.0)
+    variance = (filled**2).sum(axis=0) / known.sum(axis=0)
+    number = np.arange(1, min(lags, tick[-1] // 2) + 1)
+    pairs = np.array([(known[k:] & known[:-k]).sum(axis=0) for k in number]).reshape(number.size, -1)
+    sums = np.array([(filled[k:] * filled[:-k]).sum(axis=0) for k in number]).reshape(number.size, -1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = sums / pairs / variance
+        band = 1.96 / np.sqrt(pairs)
+    return step * number, np.where(pairs > 0, correlation, np.nan), np.where(pairs > 0, band, np.nan)

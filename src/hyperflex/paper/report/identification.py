@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperflex.identification import Revision, RevisionProfile
+from hyperflex.identification import IterativeRevision, RevisionProfile
 from hyperflex.paper import identification_results as results
 from hyperflex.paper.identification import (
     FEW,
@@ -205,10 +205,10 @@ def profiles_table() -> TextTable:
     return TextTable(header, tuple(rows))
 
 
-def _ending(found: Revision) -> str:
-    if found.settled_after is None:
-        return f"{found.status} after {len(found.rounds) - 1} revisions"
-    return "never moved" if found.settled_after == 0 else f"settled after {found.settled_after} revisions"
+def _ending(found: IterativeRevision) -> str:
+    if found.converged_after is None:
+        return f"{found.message} after {len(found.rounds) - 1} revisions"
+    return "never moved" if found.converged_after == 0 else f"converged after {found.converged_after} revisions"
 
 
 def _setup_text() -> str:

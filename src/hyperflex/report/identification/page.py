@@ -89,7 +89,7 @@ def identification_page(
         *([_all(view)] if many else []),
     ]
     title = f"{recording.name or 'A recording'}, identified"
-    write_page(path, title, lead(recording, found, found.rope), found.status, sections)
+    write_page(path, title, lead(recording, found, found.rope), found.message, sections)
 
 
 def _verdict(found: Identification) -> Section:
@@ -101,7 +101,7 @@ def _verdict(found: Identification) -> Section:
         (f"{known} of {len(every)}", "free numbers that this motion can tell on their own"),
         (f"{rms / unit.size:.3g} {unit.name}", "left by the fit (rms over all channels)"),
     ]
-    settled = found.status == "converged"
+    settled = found.success
     marks = [
         (settled and sentence.startswith("All free parameters can be known"), sentence) for sentence in found.verdict
     ]
@@ -191,7 +191,7 @@ def _prediction(view: FittedChannels) -> Section:
     title = "Prediction of what the fit has not seen"
     if held is None:
         why = "the recording was fitted to its end, or what was left of it is too short"
-        if found.status == "interrupted":
+        if found.message == "interrupted":
             why = "the fit was interrupted"
         return Section(title, text=(f"Nothing was predicted: {why}.",))
     times = "once" if held.starts.size == 1 else f"{held.starts.size} times, one after the other"

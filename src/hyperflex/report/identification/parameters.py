@@ -100,7 +100,7 @@ def _start(each: Number, found: Identification, guess: Rope) -> float | None:
     if owner in ("camera", "arm"):
         return None
     if owner == "marker":
-        return float(found.settings["arcs"][each.place or 0])
+        return float(found.settings["arc_lengths"][each.place or 0])
     if owner == "motion" or each.name == "gravity_angle":
         return float(found.settings.get(f"{each.name}_from", 0.0))
     own = np.atleast_1d(getattr(guess, each.name))

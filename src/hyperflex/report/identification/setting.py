@@ -79,7 +79,7 @@ def fit_table(found: Identification) -> TextTable:
         ("fitted time", f"{done['fitted_from']:.6g} to {done['fitted_to']:.6g} s"),
         ("windows", f"{done['windows']} of {done['window']:.4g} s, each from a state of its own{left}{picked}"),
         ("loss", _LOSS[done["loss"]]),
-        ("ended", f"{found.status}, after {len(found.history)} rounds and {done['seconds']:.2g} s"),
+        ("ended", f"{found.message}, after {len(found.history)} rounds and {done['seconds']:.2g} s"),
         ("versions", ", ".join([*(f"{name} {version(name)}" for name in _PACKAGES), _python()])),
     ]
     return TextTable(("what", "value"), tuple(rows))
@@ -87,8 +87,8 @@ def fit_table(found: Identification) -> TextTable:
 
 def _markers(found: Identification) -> list[tuple[str, str]]:
     done, rows = found.settings, []
-    if "arcs" in done:
-        rows.append(("markers at", ", ".join(f"{arc:.4g}" for arc in done["arcs"]) + " m along the rope"))
+    if "arc_lengths" in done:
+        rows.append(("markers at", ", ".join(f"{arc:.4g}" for arc in done["arc_lengths"]) + " m along the rope"))
         given = done.get("origin")
         rows.append(("origin", "fitted as well" if given is None else f"({given[0]:.4g}, {given[1]:.4g}) m, as given"))
     return rows

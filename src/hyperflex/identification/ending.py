@@ -1,0 +1,25 @@
+"""How a search ended: success, status and message, as scipy's OptimizeResult has them."""
+
+from __future__ import annotations
+
+CONVERGED, NOT_CONVERGED, INTERRUPTED = "converged", "not converged", "interrupted"
+
+
+class Ended:
+    """A result with a `message`: ``converged``, ``not converged``, or ``interrupted`` (Ctrl-C; the best so far)."""
+
+    message: str
+
+    @property
+    def success(self) -> bool:
+        """Whether the search converged."""
+        return self.message == CONVERGED
+
+    @property
+    def status(self) -> int:
+        """0: success. 1: not converged, or nothing found. 2: ended by Ctrl-C."""
+        return 0 if self.success else 2 if self.message == INTERRUPTED else 1
+
+    def ending(self) -> dict[str, bool | int | str]:
+        """Return success, status and message, for JSON and TOML."""
+        return {"success": self.success, "status": self.status, "message": self.message}
