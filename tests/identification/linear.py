@@ -28,7 +28,7 @@ class Line(Plant):
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         return self.shared @ (x - self.truth) + self.own @ state
 
-    def slopes(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
+    def jacobian(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
         return PredictedChannels(self.shared @ (x - self.truth) + self.own @ state, self.own, self.shared)
 
 

@@ -93,7 +93,7 @@ def test_a_prior_holds_the_state(swing: Array) -> None:
 
 def test_where_the_motion_cannot_be_followed_the_band_is_unknown(swing: Array) -> None:
     class Blind(Plant):
-        def slopes(self, x: Array, t: Array, state: Array) -> None:  # type: ignore[override]
+        def jacobian(self, x: Array, t: Array, state: Array) -> None:  # type: ignore[override]
             return None
 
     model, seen = Blind(plant().parameters), window(swing)

@@ -160,7 +160,7 @@ class Dipped(Line):
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         return super().predict(x, t, state) + self.dip(x) * self.third  # type: ignore[operator]
 
-    def slopes(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
+    def jacobian(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
         shared = self.shared.copy()
         shared[:, :, 0] -= 2.0 * (x[0] - self.at) / self.width**2 * self.dip(x) * self.third
         return PredictedChannels(self.predict(x, t, state), self.own, shared)  # type: ignore[arg-type]
