@@ -24,7 +24,7 @@ from hyperflex.simulation.arguments import whole_setup
 from hyperflex.simulation.commands import COMMANDS, arm_polynomials, set_commands, setup_for, state_directions
 from hyperflex.simulation.contact.runs import STEP as CONTACT_STEP
 from hyperflex.simulation.contact.runs import Beside, finer
-from hyperflex.simulation.contact.start import check_outside
+from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.outcome import failure
 from hyperflex.simulation.restart import resume, state_of
 from hyperflex.simulation.rollouts import TABLES, Interval, finish, limits, prepare
@@ -129,7 +129,7 @@ class Stepper:
         run = prepare(chain, self._interval.drive, self.setup.start(), np.zeros(1), limits(self.setup, chain, 0.0))
         run.t, run.y = run.t[1:], run.y[1:]  # no outputs: a step shows its end
         self._run, self._log = run, np.empty((STEPS, MODES + chain.length.size if can_stick(chain) else JOINT))
-        self._beside = Beside(run, self.setup, None) if self.setup.pegs else None
+        self._beside = Beside(run, self.setup, None) if self.setup.touches else None
         self._channel = TORQUE if command == "torque" else ANGLE
         self._polynomials = (0.0, np.zeros((3, 6)), np.zeros((3, 2)))
         self._seeds: tuple[Array, Directions] | None = None
@@ -204,7 +204,7 @@ class Stepper:
         Raises
         ------
         InvalidInput
-            As :meth:`step`; and of a stepper with pegs, or of a fixed step.
+            As :meth:`step`; and of a stepper with pegs or joint limits, or of a fixed step.
         SimulationError
             As :meth:`step`.
 
@@ -214,8 +214,9 @@ class Stepper:
         (M.19)-(M.25)). Cost O(n^2), for n = 50 some twenty times that of the step.
         """
         refuse_what_is_not_smooth(self.setup)
-        if self.setup.pegs:
-            raise InvalidInput("derivatives are of free flight", got="a stepper with pegs", fix="Make one without")
+        if self.setup.touches:
+            got = "a stepper with pegs or joint limits"
+            raise InvalidInput("derivatives are of free flight", got=got, fix="Make one without")
         arm, steps, begin = self._recorded(state, command, dt)
         run, n = self._run, self._run.chain.length.size
         if self._seeds is None:
@@ -257,7 +258,7 @@ class Stepper:
         if self._beside is not None:
             if CONTACT_STEP not in state.checkpoint:
                 still = self.setup if self.command == "torque" else replace(self.setup, motion=hold_arm(angle))
-                check_outside(still, t, run.progress.y[: run.chain.length.size])
+                check_start(still, t, run.progress.y[: run.chain.length.size])
             self._beside.enter(state)
         angle, rate = (known @ self._polynomials[2]).tolist()
         return angle, rate
