@@ -24,7 +24,7 @@ from hyperflex.simulation.arguments import whole_setup
 from hyperflex.simulation.commands import COMMANDS, arm_polynomials, set_commands, setup_for, state_directions
 from hyperflex.simulation.contact.runs import STEP as CONTACT_STEP
 from hyperflex.simulation.contact.runs import Beside, finer
-from hyperflex.simulation.contact.start import check_outside
+from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.outcome import failure
 from hyperflex.simulation.restart import resume, state_of
 from hyperflex.simulation.rollouts import TABLES, Interval, finish, limits, prepare
@@ -215,9 +215,8 @@ class Stepper:
         """
         refuse_what_is_not_smooth(self.setup)
         if self.setup.touches:
-            raise InvalidInput(
-                "derivatives are of free flight", got="a stepper with pegs or joint limits", fix="Make one without"
-            )
+            got = "a stepper with pegs or joint limits"
+            raise InvalidInput("derivatives are of free flight", got=got, fix="Make one without")
         arm, steps, begin = self._recorded(state, command, dt)
         run, n = self._run, self._run.chain.length.size
         if self._seeds is None:
@@ -259,7 +258,7 @@ class Stepper:
         if self._beside is not None:
             if CONTACT_STEP not in state.checkpoint:
                 still = self.setup if self.command == "torque" else replace(self.setup, motion=hold_arm(angle))
-                check_outside(still, t, run.progress.y[: run.chain.length.size])
+                check_start(still, t, run.progress.y[: run.chain.length.size])
             self._beside.enter(state)
         angle, rate = (known @ self._polynomials[2]).tolist()
         return angle, rate

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import air_loads
-from hyperflex.core.jit import inlined, kernel, lean, shared
+from hyperflex.core.jit import inlined, kernel, lean
 
 Array = npt.NDArray[np.float64]
 
@@ -248,7 +248,7 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
     return fx, fy, moment
 
 
-@shared
+@lean
 def can_stick(chain):  # type: ignore[no-untyped-def]
     """Whether dry friction may hold a joint."""
     return chain.dry.any()

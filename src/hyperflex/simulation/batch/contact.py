@@ -11,7 +11,7 @@ from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.model import Setup
 from hyperflex.simulation.contact.runs import beside
-from hyperflex.simulation.contact.start import check_limits, check_outside
+from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.outcome import conclude
 from hyperflex.simulation.rollouts import limits, prepare, progress_bar
 from hyperflex.simulation.time_budget import INTERRUPTED, OutOfPatience, impatient
@@ -51,8 +51,7 @@ def run_members(
         Time that each member reached, s.
     """
     for m, setup in enumerate(setups):
-        check_outside(setup, who=f"the rope of member {m}")
-        check_limits(setup, who=f"the rope of member {m}")
+        check_start(setup, who=f"the rope of member {m}")
     sizes = {"link": max(s.rope.n_links for s in setups), "axis": 2, "peg": len(setups[0].round_pegs)}
     values = {k: np.full((len(setups), t.size, *(sizes[d] for d in dims)), np.nan) for k, dims in keep.items()}
     names, reached = [INTERRUPTED] * len(setups), np.zeros(len(setups))

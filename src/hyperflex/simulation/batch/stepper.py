@@ -109,6 +109,8 @@ class BatchStepper:
         setups = [setup_for(command, setup) for setup in setups_of(ropes, arm=arm, tol=tol)]
         if members not in (None, len(setups)):
             raise InvalidInput("members and ropes do not fit together", got=members, allowed=f"{len(setups)}")
+        if any(setup.touches for setup in setups):
+            raise InvalidInput("a batch is stepped in free flight", got="ropes with joint limits", fix="Use hf.Stepper")
         self.setups = tuple(setups)
         chains = [setup.chain() for setup in setups]
         drives = [Interval(setup.drive()).drive for setup in setups]

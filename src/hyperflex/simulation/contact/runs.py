@@ -23,7 +23,7 @@ from hyperflex.core.contact.arrays import STICK
 from hyperflex.core.contact.step import new_kept
 from hyperflex.core.integrate.progress import INDEX, MARK, T
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refine_rope
-from hyperflex.simulation.contact.start import check_limits, check_outside
+from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.contact.turning_pegs import coast, spin_energy, starting_spin
 from hyperflex.simulation.rollouts import Rollout, starting_clock
 from hyperflex.trajectory import State
@@ -57,8 +57,6 @@ class Beside:
 
     def __init__(self, run: Rollout, setup: Setup, state: State | None) -> None:
         contacts = setup.contacts()
-        check_outside(setup, run.time, run.progress.y[: run.chain.length.size])
-        check_limits(setup, run.time, run.progress.y[: run.chain.length.size])
         n, m = run.chain.length.size, contacts.x.size
         self.looser = setup.tol / DEFAULT_TOL
         if setup.pegs:
@@ -201,7 +199,11 @@ class Beside:
 
 
 def beside(run: Rollout, setup: Setup, state: State | None) -> Beside:
-    """Make a prepared rollout one beside the pegs of its set-up, and within the limits of its joints."""
+    """Make a prepared rollout one beside the pegs of its set-up, and within the limits of its joints.
+
+    A start inside a peg, or past a limit, is refused.
+    """
+    check_start(setup, run.time, run.progress.y[: run.chain.length.size])
     return Beside(run, setup, state)
 
 

@@ -53,6 +53,12 @@ def check_outside(setup: Setup, t: float = 0.0, q: Array | None = None, who: str
     )
 
 
+def check_start(setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope") -> None:
+    """Refuse a start inside an obstacle or past a joint's limit; arguments as for :func:`check_outside`."""
+    check_outside(setup, t, q, who)
+    check_limits(setup, t, q, who)
+
+
 def check_limits(setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope") -> None:
     """Refuse a start with a joint bent past its limit by more than PASSED; arguments as for :func:`check_outside`.
 
