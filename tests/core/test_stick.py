@@ -127,7 +127,7 @@ COURSES: list[tuple[Course, Course, float, float]] = [
 )
 def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
     value, slope, step, at = COURSES[case]
-    search = events.new_search(0)
+    search = events.new_search(1)
     modes = np.array([locked])
     search.low[:, 0] = value(0.0), slope(0.0)
     events.begin(search)
@@ -151,7 +151,7 @@ def test_a_dip_before_another_joint_s_event_is_found() -> None:
         (lambda t: 0.9 - t, lambda t: -1.0),
         (lambda t: np.cos(2.0 * np.pi * t) + 0.9, lambda t: -2.0 * np.pi * np.sin(2.0 * np.pi * t)),
     ]
-    search = events.new_search(1)
+    search = events.new_search(2)
     locked, step, verdict = np.zeros(2), 1.0, events.AGAIN
     for i, (value, slope) in enumerate(courses):
         search.low[:, i] = value(0.0), slope(0.0)
@@ -178,7 +178,7 @@ def test_a_joint_that_comes_loose_does_not_stop_for_rounding() -> None:
     def slope(t: float) -> float:
         return start + jerk * t * (1.0 - 1.5 * t / end)
 
-    search = events.new_search(1)
+    search = events.new_search(2)
     locked, step, verdict, attempts = np.zeros(2), 0.1, events.AGAIN, 0
     search.low[:, 0] = 0.0, slope(0.0)
     events.begin(search)
@@ -194,7 +194,7 @@ def test_a_joint_that_comes_loose_does_not_stop_for_rounding() -> None:
 
 
 def test_a_step_without_event_is_taken_as_it_is() -> None:
-    search = events.new_search(1)
+    search = events.new_search(2)
     search.low[:, 0], search.low[:, 1] = (1.0, -0.5), (np.inf, 0.0)
     events.begin(search)
     search.here[:, 0], search.here[:, 1] = (0.6, -0.3), (np.inf, 0.0)

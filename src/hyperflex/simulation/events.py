@@ -108,7 +108,7 @@ def tip_speed_peak(*, after: float = -math.inf) -> Event:
 
     Notes
     -----
-    A peak may be a corner: where the arm's acceleration jumps, or a joint with dry friction sticks.
+    A peak may be a corner: where the arm's acceleration jumps, or a joint sticks.
     """
     return Event("tip speed peak", PEAK, (0.0, 0.0, 0.0, 0.0), 1, _after(after))
 

@@ -31,7 +31,7 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "arm_rate": ((), "rad/s", "rate of the arm"),
     "kinetic_energy": ((), "J", "kinetic energy"),
     "potential_energy": ((), "J", "potential energy: gravity and joint stiffness"),
-    "dissipated_energy": ((), "J", "energy lost to friction since the start of the run"),
+    "dissipated_energy": ((), "J", "energy lost to friction and air since the start of the run"),
     "motor_work": (
         (),
         "J",

@@ -80,7 +80,7 @@ def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-unty
 
     Parameters
     ----------
-    t : (m,) times, s; y : (m, 2 n + 2) states; at each, dry friction holds what it can (``modes.decide``)
+    t : (m,) times, s; y : (m, 2 n + 2) states; at each, stiction holds what it can (``slip_modes.decide``)
     qdd : (m, n) out, rad/s^2
     base_out : (m, 9) out, motion of the first joint (``drive.base_state``)
     scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m

@@ -1,6 +1,6 @@
 """The search for the first event of a step, which then ends there.
 
-Every event is a margin that falls from above zero to zero: of each joint with dry friction
+Every event is a margin that falls from above zero to zero: of each joint that may stick
 (``constraint_torques.margins``), of each joint to its limits where a chain has some (``end_conditions.limits``), and in
 the last column of what is to end the run. A margin comes with its slope where that is known.
 """

@@ -22,7 +22,7 @@ class Limits(NamedTuple):
     tol: float  # m, error allowed in the position of any joint, of a step and of SHARE seconds
     lever: Array  # (n,) m, how far a link's angle moves mass: the larger of its length and its radius of gyration
     reach: float  # m, length of the chain
-    fall: float  # J, weight times length, and dry friction: the scale of the chain's energy at rest
+    fall: float  # J, weight times length, and what may stick: the scale of the chain's energy at rest
     fixed: float  # s, fixed Runge-Kutta step; 0.0: extrapolation with error control
     least: int  # order of the extrapolation, also the first
     most: int
@@ -38,10 +38,10 @@ class Progress(NamedTuple):
     grip: Array  # (n,) modes of the joints, as in chain.accelerations
     mark_grip: Array
     clock: Array  # (CLOCK,) see the names below; the mark's time is -inf while no step has been cut
-    log: Array  # (m, 3) or (m, 4 + n) with dry friction: of the first m steps that succeed, see below
+    log: Array  # (m, 3) or (m, 4 + n) with stiction: of the first m steps that succeed, see below
 
 
-# A row of the log: length of the step, s, its end, s, and order; with dry friction also the joint whose change of mode
+# A row of the log: length of the step, s, its end, s, and order; with stiction also the joint whose change of mode
 # ended it, -1 where none did, and the joints' modes meanwhile
 LENGTH, END, DEGREE, JOINT, MODES = range(5)
 # AFTER: first step that succeeded after the last switch, where the motion is least smooth; tried first at the next one

@@ -59,7 +59,7 @@ TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zer
 def error_norm(chain, limits, table, y, error, step, work):  # type: ignore[no-untyped-def]
     """Error of a step in units of what is allowed: of any joint's position, of its velocity, of energy.
 
-    Work and dissipation may err by ENERGY tol / reach of the chain's energy. Without that bound sharp dry friction,
+    Work and dissipation may err by ENERGY tol / reach of the chain's energy. Without that bound sharp friction,
     which hardly moves a joint while it changes sign, would leave the energy balance unchecked. `work` is (6 n,)
     scratch.
     """

@@ -33,7 +33,7 @@ from hyperflex.core.tangent.extrapolation import Room, room_for, spread, step_al
 
 
 class Turning(NamedTuple):
-    """Working arrays of a replay with dry friction."""
+    """Working arrays of a replay with stiction."""
 
     room: Room  # of the step whose length alone changes
     longer: Directions  # a pair without any change of its own

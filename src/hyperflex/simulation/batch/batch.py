@@ -40,7 +40,7 @@ KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
     "q": (("link",), "rad", "absolute link angle"),
     "qd": (("link",), "rad/s", "link rate"),
     "motor_work": ((), "J", "work done by the motor and the moving base since the start"),
-    "dissipated_energy": ((), "J", "energy lost to friction since the start"),
+    "dissipated_energy": ((), "J", "energy lost to friction and air since the start"),
     TURNS: (("peg",), "1", "signed turns about a peg from the first joint to the tip"),
     "peg_angle": (("peg",), "rad", "angle by which a round peg has turned"),
     "peg_rate": (("peg",), "rad/s", "rate of a round peg"),

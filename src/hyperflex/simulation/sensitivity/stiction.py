@@ -22,7 +22,7 @@ def held(chain: Chain, drive: Drive, t: float, q: Array, modes: Array, direction
     chain, drive, directions : Chain, Drive, Directions
     t : float, s
     q : (n,) angles at the start, rad
-    modes : (n,) of the joints in the first step, 0.0 where one sticks; or (0,): there is no dry friction
+    modes : (n,) of the joints in the first step, 0.0 where one sticks; or (0,): none may stick
     start : (2 n, p) derivatives of angles and rates as they are given
 
     Returns
