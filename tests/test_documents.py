@@ -82,3 +82,18 @@ def test_site_builds_and_needs_no_network(tmp_path: Path) -> None:
         assert "arithmatex" not in text, f"{page.name}: LaTeX that was not converted"
         assert not re.search(r"<m[ion]>(&amp;|&|\\\w*)</m[ion]>", text), f"{page.name}: LaTeX within MathML"
         assert not re.search(r'<(script|img|link|iframe)[^>]*(src|href)="?(https?:)?//', text), page.name
+
+
+def glossary_names() -> set[str]:
+    """Return the names in the column "code" of the glossary."""
+    rows = re.findall(r"^\|[^|]*\|([^|]*)\|", (ROOT / "docs" / "glossary.md").read_text("utf-8"), re.M)
+    return {name for row in rows for name in re.findall(r"`(\w+)`", row)}
+
+
+def test_every_public_name_is_in_the_glossary() -> None:
+    assert set(hyperflex.__all__) - glossary_names() == {"__version__"}
+
+
+def test_every_name_in_the_glossary_is_in_the_code() -> None:
+    sources = "\n".join(path.read_text("utf-8") for path in (ROOT / "src").rglob("*.py"))
+    assert {name for name in glossary_names() if not re.search(rf"\b{name}\b", sources)} == set()

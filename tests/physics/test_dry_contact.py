@@ -54,7 +54,7 @@ def test_a_joint_that_sticks_flies_on_as_stuck() -> None:
     rope = hf.Rope.uniform(0.6, 0.04, 6, 0.0025, friction=1e-4, dry_friction=np.append(0.0, np.full(5, 5.0)))
     run = hf.simulate(
         rope,
-        hf.swings(t_move=0.3, t_rest=0.4),
+        hf.arm_swings(t_move=0.3, t_rest=0.4),
         arm=hf.Arm(length=0.1),
         duration=1.5,
         pegs=[hf.Peg(0.15, -0.4, 0.02, 0.2)],

@@ -41,7 +41,7 @@ def test_a_rod_that_falls_on_its_limit_stays_there() -> None:
 
 
 def test_a_fold_that_snaps_keeps_its_angular_momentum() -> None:
-    """Two links on a hinge, without weight: after the impact both turn as one, at L over the inertia of both."""
+    """Two links on a hinge, without weight: the impact leaves both turning as one, at L over the inertia of both."""
     rope = hf.Rope(length=[0.5, 0.3], mass=[0.1, 0.2], max_bend=[np.inf, 0.5], gravity=(0.0, 0.0))
     start, rates = np.array([0.0, 0.0]), np.array([1.0, 6.0])
 
@@ -54,9 +54,13 @@ def test_a_fold_that_snaps_keeps_its_angular_momentum() -> None:
     energy = 0.5 * rates @ inertia(0.0) @ rates
     run = hf.simulate(rope, duration=0.5, q0=start, qd0=rates)
     locked = momentum / inertia(0.5).sum()
-    k = int(np.flatnonzero(run.contact_loss > 0.0)[0])
-    np.testing.assert_allclose(run.qd[k], locked, rtol=0.05)  # up to 10 ms later
-    assert run.contact_loss[k] == pytest.approx(energy - 0.5 * momentum * locked, rel=1e-5)
+    assert run.attrs["contact_impacts"] >= 1
+    # The impact is the only one: then the turning pulls the fold open. The flight is right to 1e-5 m a step.
+    assert run.contact_loss[-1] == pytest.approx(energy - 0.5 * momentum * locked, rel=1e-4)
+    bends = run.q[:, 1] - run.q[:, 0]
+    assert bends.max() == pytest.approx(0.5, abs=5e-3)  # at a sample, up to 5 ms from the impact
+    kept = [(inertia(bend) @ w).sum() for bend, w in zip(bends, run.qd, strict=True)]
+    np.testing.assert_allclose(kept, momentum, rtol=1e-5)
 
 
 @pytest.mark.parametrize("n", [5, 20, 50])
@@ -76,8 +80,8 @@ def test_a_chain_dropped_on_its_limits_loses_energy_and_passes_none(n: int) -> N
 def test_a_cast_with_limits_and_pegs_keeps_the_goals() -> None:
     cable = hf.Rope.uniform(2.0, 0.125, 25, 0.0025, friction=5e-4).with_bend_radius(0.08)
     start, peg = np.linspace(1.2, 2.0, 25), hf.Peg(0.3, -0.9, 0.03, 0.3)
-    motion = hf.swings(t_move=0.73, t_rest=0.53)
-    fine = hf.refined(cable, [peg], arm=hf.Arm(length=0.105))
+    motion = hf.arm_swings(t_move=0.73, t_rest=0.53)
+    fine = hf.refine_rope(cable, [peg], arm=hf.Arm(length=0.105))
     run = hf.simulate(cable, motion, arm=hf.Arm(length=0.105), duration=1.5, pegs=[peg], q0=start)
     assert run.setup.rope == fine
     assert np.abs(run.contact_force).max() > 0.1  # it meets the peg
@@ -91,8 +95,8 @@ def test_a_cast_with_limits_and_pegs_keeps_the_goals() -> None:
 def test_limits_that_are_not_reached_change_nothing() -> None:
     cable = hf.Rope.uniform(2.0, 0.125, 20, 0.0025, friction=5e-4)
     how = {"arm": hf.Arm(length=0.105), "duration": 3.0}
-    free = hf.simulate(cable, hf.swings(), **how)
-    limited = hf.simulate(cable.replace(max_bend=np.append(np.inf, np.full(19, 3.0))), hf.swings(), **how)
+    free = hf.simulate(cable, hf.arm_swings(), **how)
+    limited = hf.simulate(cable.replace(max_bend=np.append(np.inf, np.full(19, 3.0))), hf.arm_swings(), **how)
     assert limited.attrs["contact_steps"] == 0
     # The same steps by the same kernels; the call ends elsewhere, so rounding may differ.
     np.testing.assert_allclose(limited.q, free.q, rtol=0, atol=1e-10)
@@ -124,7 +128,7 @@ def test_mujoco_agrees_with_two_links_on_their_limits() -> None:
 def test_a_bend_radius_stays_when_links_are_cut() -> None:
     rope = hf.Rope.uniform(1.0, 0.06, 10).with_bend_radius(0.05)
     np.testing.assert_allclose(rope.max_bend[1:], 2.0 * math.atan(0.1 / 0.1), rtol=1e-14)
-    fine = hf.refined(rope, [hf.Peg(0.5, -0.5, 0.02)])
+    fine = hf.refine_rope(rope, [hf.Peg(0.5, -0.5, 0.02)])
     again = fine.replace(max_bend=np.inf).with_bend_radius(0.05)
     np.testing.assert_allclose(fine.max_bend, again.max_bend, rtol=1e-12)
     assert fine.n_links > 50
