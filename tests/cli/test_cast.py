@@ -264,11 +264,11 @@ def test_a_rope_of_one_link_is_refused(hyperflex, tmp_path):
     assert "too few links" in err
 
 
-def test_a_rope_with_dry_friction_is_refused(hyperflex, tmp_path):
-    CABLE.replace(dry_friction=1e-4).to_toml(tmp_path / "dry.toml")
-    code, _, err = hyperflex(*arguments(tmp_path / "dry.toml", tmp_path / "out", "--time-budget", "5"))
+def test_a_rope_with_the_printed_friction_is_refused(hyperflex, tmp_path):
+    CABLE.replace(friction_model="printed").to_toml(tmp_path / "printed.toml")
+    code, _, err = hyperflex(*arguments(tmp_path / "printed.toml", tmp_path / "out", "--time-budget", "5"))
     assert code == 2
-    assert "dry friction" in err
+    assert "need joint friction that acts on both links" in err
 
 
 def test_a_file_in_the_way_is_told_before_the_search(hyperflex, rope_file, tmp_path):

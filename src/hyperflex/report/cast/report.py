@@ -55,6 +55,7 @@ class CastReport(PlanReport[CastPlan]):
         "course": "Arm angle, turns, tension and torque over time. Dashed red: the strike. Green: slip is measured.",
         "tug": "The simulated tug that gives the hold force: pull, and slip of the rope on the target.",
     }
+    checks_note: ClassVar = ("Links near the target are cut shorter than the rope's own for both runs.",)
     layout: ClassVar = {"The cast": ("film", "strike"), "Time course": ("course",), "Hold": ("tug",)}
 
     def __init__(self, plan: CastPlan, held: HoldingForce | None, name: str = "cast") -> None:
