@@ -18,7 +18,7 @@ from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import TORQUE, Drive
 from hyperflex.core.integrate import rollout
 from hyperflex.core.integrate.end_conditions import NEVER, Until
-from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNSETTLED, Limits, Progress, T, switched
+from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNSETTLED, Limits, Progress, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import scheme
 from hyperflex.core.jit import announce_compilation
@@ -217,7 +217,7 @@ def controlled(
         interval.set(now, until, TORQUE, [torques[-1], 0.0, 0.0, 0.0, 0.0, 0.0])
         run.limits = run.limits._replace(stop=until)
         code = go()
-        switched(run.progress.clock)
+        restart(run.progress.clock)
     return code, np.array(times), np.array(torques)
 
 

@@ -31,7 +31,7 @@ class Terms(NamedTuple):
 
     begin: float  # s
     tol: float  # m
-    bears: tuple[int, ...]  # as in Chain
+    reaction: tuple[int, ...]  # as in Chain
     fixed: float  # s, a step chosen beforehand; 0.0: error control
     best: Array  # (p + 1,) weights of the columns, as in Scheme
     gap: Array  # in the error estimate
@@ -71,7 +71,7 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
         row[ln.DRAG * k + j] = link[DRAG, i]
         lanes[ln.DRAG * k + j] += link[DRAG, i]
         row[ln.EXTERNAL * k + j] = 0.0
-        row[ln.GRIP * k + j] = 1.0
+        row[ln.SLIP * k + j] = 1.0
         row[ln.LEVER * k + j] = link[LEVER, i]
         row[ln.Q_START * k + j] = members.start[m, i]
         row[ln.W_START * k + j] = members.start[m, n + i]
@@ -184,7 +184,7 @@ def chain_of(members, terms, m, gx, gy):  # type: ignore[no-untyped-def]
         members.whole[m, TIP_MASS],
         gx,
         gy,
-        terms.bears,
+        terms.reaction,
     )
 
 

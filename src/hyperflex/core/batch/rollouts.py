@@ -33,7 +33,7 @@ from hyperflex.core.batch.members import (
     piece,
     save_clock,
 )
-from hyperflex.core.batch.stiction import conclude, look, new_watch, settle_lane
+from hyperflex.core.batch.stiction import assess_lane, decide_lane_modes, finish_lane, new_lane_stiction
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import sincos
 from hyperflex.core.integrate.event_search import AGAIN, EVENT
@@ -138,9 +138,9 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
                 tip[ln.EXTERNAL * k + j] = path[EXTERNAL * k + j]
                 path[SINCE * k + j] += tip[ln.STEP * k + j]
             if s < col - 1:
-                ln.euler(ln.MEMBERS, terms.bears, ln.MORE, lanes, tip, base)
+                ln.euler(ln.MEMBERS, terms.reaction, ln.MORE, lanes, tip, base)
             else:
-                ln.euler(ln.MEMBERS, terms.bears, ln.LAST, lanes, tip, base)
+                ln.euler(ln.MEMBERS, terms.reaction, ln.LAST, lanes, tip, base)
         end_column(ln.MEMBERS, lanes, terms.best[col], terms.gap[col])
         for j in range(k):
             energy[j, 2] += terms.best[col] * lanes[ln.WORK * k + j]
@@ -174,7 +174,7 @@ def write(lanes, n, j, energy, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def judge(terms, tip, j, step):  # type: ignore[no-untyped-def]
+def lane_error(terms, tip, j, step):  # type: ignore[no-untyped-def]
     """Error of lane j's step in units of what is allowed; 0 for a fixed step, inf where it is not finite."""
     k = len(ln.MEMBERS)
     finite = abs(tip[ln.ERR_VX * k + j]) + abs(tip[ln.ERR_VY * k + j]) < np.inf
@@ -213,7 +213,7 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
 
 
 @kernel
-def settle(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def]
+def control_step(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def]
     """Note a step of the error `size` in a lane's clock, where a chain `sticks` or not, and choose the next; a code."""
     order = terms.best.size - 1
     step = lane[WANTED]
@@ -256,7 +256,7 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
     member = np.full(k, -1)
     index = np.zeros(k, dtype=np.int64)
     coming = low
-    sticks, watch = np.zeros(k, dtype=np.bool_), new_watch(n)
+    sticks, friction = np.zeros(k, dtype=np.bool_), new_lane_stiction(n)
     for i in range(1, n + 1):  # idle lanes are swept too: an inertia keeps their numbers finite
         lanes[(i * ln.ROW + ln.INERTIA) * k : (i * ln.ROW + ln.INERTIA + 1) * k] = 1.0
     while True:
@@ -274,7 +274,7 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
             return
         for j in range(k):
             unsettled = sticks[j] and member[j] >= 0 and lane[j, UNSETTLED] == 1.0
-            if unsettled and not settle_lane(members, terms, member[j], lanes, path, j, lane[j], watch):
+            if unsettled and not decide_lane_modes(members, terms, member[j], lanes, path, j, lane[j], friction):
                 codes[member[j] - low], reached[member[j] - low], member[j] = status.FRICTION, lane[j, TIME], -1
         extrapolate_lanes(members, terms, lane, energy, lanes, tip, path)
         for j in range(k):
@@ -282,19 +282,19 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
                 continue
             m = member[j] - low
             end = min(lane[j, END], t_out[index[j]])
-            size = judge(terms, tip, j, lane[j, WANTED])
+            size = lane_error(terms, tip, j, lane[j, WANTED])
             step, verdict = lane[j, WANTED], 0
             if lane[j, RETRY] == 1.0 and size < np.inf:
                 size = min(size, 1.0)  # its longer attempt was good
             if sticks[j] and size <= 1.0:
-                verdict = look(members, terms, member[j], lanes, path, j, lane[j], watch)
+                verdict = assess_lane(members, terms, member[j], lanes, path, j, lane[j], friction)
                 if verdict == AGAIN:
                     continue
-            code = settle(terms, lane[j], end, size, sticks[j])
+            code = control_step(terms, lane[j], end, size, sticks[j])
             if code == status.OK:
                 accept(lanes, n, j, energy)
                 if sticks[j]:
-                    conclude(lanes, n, j, lane[j], energy, step, verdict == EVENT, watch)
+                    finish_lane(lanes, n, j, lane[j], energy, step, verdict == EVENT, friction)
                 if t_out[index[j]] <= lane[j, TIME]:
                     write(lanes, n, j, energy, y_out[m, index[j]])
                     index[j] += 1

@@ -26,11 +26,11 @@ def new_air(n):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def blow(chain, air, motion, base, h):  # type: ignore[no-untyped-def]
+def add_drag_impulses(chain, air, motion, base, h):  # type: ignore[no-untyped-def]
     """Add the air's impulses in a step h to those of the joints in `motion`; `base` (9,) in the middle of the step.
 
     A torque on link i alone is what the joints up to i bear together: each pushes its link, and its parent back. What
-    the first joint bears so, :func:`take` takes off what the rope asks of its base.
+    the first joint bears so, :func:`drag_work` takes off what the rope asks of its base.
     """
     n = motion.w.size
     for i in range(n):
@@ -45,7 +45,7 @@ def blow(chain, air, motion, base, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def take(air, motion, rates, before, after, h):  # type: ignore[no-untyped-def]
+def drag_work(air, motion, rates, before, after, h):  # type: ignore[no-untyped-def]
     """Take the air off the impulses at the first joint; returns the energy that it takes from the rope in the step, J.
 
     `rates` (n,) are those after the step; `before`, `after` (9,) the motion of the first joint.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.contact.step import Kept
+from hyperflex.core.contact.step import ContactMemory
 from hyperflex.core.jit import lean
 
 MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they would be mostly rounding
@@ -31,22 +31,22 @@ class Bounds(NamedTuple):
     budget: int  # steps of one call
 
 
-class Course(NamedTuple):
+class ContactState(NamedTuple):
     """Where a run is; all arrays are changed in place."""
 
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
     clock: Array  # (CLOCK,)
     spin: Array  # (2, m) angles, rad, and rates, rad/s, of the pegs; 0 of fixed ones
-    kept: Kept
+    memory: ContactMemory
 
 
 @lean
-def allowance(bounds, h):  # type: ignore[no-untyped-def]
+def energy_allowance(bounds, h):  # type: ignore[no-untyped-def]
     """Energy that may appear from nowhere in a step, J."""
     return bounds.rate * max(h, SLIGHT) + ROUNDING
 
 
 @lean
-def balanced(surplus, allowed):  # type: ignore[no-untyped-def]
+def energy_balanced(surplus, allowed):  # type: ignore[no-untyped-def]
     """Whether the energy that appears from nowhere in a step, J, or vanishes where it is negative, may do so."""
     return -LOSS * allowed <= surplus <= allowed

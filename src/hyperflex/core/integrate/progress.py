@@ -12,7 +12,7 @@ from hyperflex.core.integrate.end_conditions import Until
 from hyperflex.core.integrate.event_search import Search, new_search
 from hyperflex.core.integrate.steps import extrapolate, runge_kutta
 from hyperflex.core.jit import kernel
-from hyperflex.core.stiction.constraint_torques import Bench, bench
+from hyperflex.core.stiction.constraint_torques import StictionWorkspace, new_stiction_workspace
 
 
 class Limits(NamedTuple):
@@ -35,8 +35,8 @@ class Progress(NamedTuple):
 
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
     mark: Array  # (2 n + 2,) the state before the first step that was cut short to end at `stop`
-    grip: Array  # (n,) modes of the joints, as in chain.accelerations
-    mark_grip: Array
+    slip: Array  # (n,) modes of the joints, as in chain.accelerations
+    mark_slip: Array
     clock: Array  # (CLOCK,) see the names below; the mark's time is -inf while no step has been cut
     log: Array  # (m, 3) or (m, 4 + n) with dry friction: of the first m steps that succeed, see below
 
@@ -57,7 +57,7 @@ INDEX, TAKEN, REJECTED, PENDING, CLOCK = range(2 * MARK, 2 * MARK + 5)
 
 
 @kernel
-def switched(clock):  # type: ignore[no-untyped-def]
+def restart(clock):  # type: ignore[no-untyped-def]
     """Note that the motion switches here: the next step is no longer than what succeeded after the last switch."""
     clock[STEP] = min(clock[STEP], clock[AFTER])
     clock[FRESH] = 1.0
@@ -66,16 +66,16 @@ def switched(clock):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def mark_here(progress):  # type: ignore[no-untyped-def]
+def save_mark(progress):  # type: ignore[no-untyped-def]
     """Remember the state from which an unbroken run would go on (unless an earlier one is remembered)."""
     clock = progress.clock
     if clock[MARK] == -np.inf:
         progress.mark[:] = progress.y
-        progress.mark_grip[:] = progress.grip
+        progress.mark_slip[:] = progress.slip
         clock[MARK : 2 * MARK] = clock[:MARK]
 
 
-class Scratch(NamedTuple):
+class Workspace(NamedTuple):
     """Working arrays of a run."""
 
     out: Array  # (2 n + 2,) state after the step
@@ -86,24 +86,24 @@ class Scratch(NamedTuple):
     base: Array  # (9, lanes)
     lanes: Array  # ((n + 2) ROW lanes,)
     tip: Array  # (ROW lanes,)
-    bench: Bench
+    stiction: StictionWorkspace
     search: Search
     before: Array  # (9,) motion of the first joint at the beginning of a step, and at another time
     after: Array
     between: Array
     alpha: Array  # (n,) accelerations at the beginning of a step
-    locked: Array  # (n + 1,) or, where a joint has limits, (2 n + 1,), as in events.judge
-    power: Array  # (3,) of stuck joints, see stick.stuck_loss
+    locked: Array  # (n + 1,) or, where a joint has limits, (2 n + 1,), as in event_search.assess_step
+    power: Array  # (3,) of stuck joints, see constraint_torques.stuck_loss
 
 
 @kernel
-def scratch(chain):  # type: ignore[no-untyped-def]
+def new_workspace(chain):  # type: ignore[no-untyped-def]
     """Working arrays for a chain, its parameters loaded into the lanes."""
     n = chain.length.size
     m = 2 * n + 1 if chain.max_bend.min() < np.inf else n + 1
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
-    return Scratch(
+    return Workspace(
         np.empty(2 * n + 2),
         np.zeros((2, 2 * n + 2)),
         np.empty((3, 2 * n + 2)),
@@ -112,7 +112,7 @@ def scratch(chain):  # type: ignore[no-untyped-def]
         np.zeros((9, len(ln.COLUMNS))),
         lanes,
         tip,
-        bench(n),
+        new_stiction_workspace(n),
         new_search(m),
         np.empty(9),
         np.empty(9),
@@ -124,11 +124,11 @@ def scratch(chain):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def advance(chain, drive, part, table, fixed, t, step, y, grip, out, room):  # type: ignore[no-untyped-def]
-    """Take one step of the wanted integrator from y at t to `out`; `room` is a Scratch, its lanes know `grip`."""
+def advance(chain, drive, part, table, fixed, t, step, y, slip, out, workspace):  # type: ignore[no-untyped-def]
+    """Take one step of the chosen integrator from y at t to `out`; the lanes of `workspace` know `slip`."""
+    work, lanes, tip = workspace.stiction.work, workspace.lanes, workspace.tip
     if fixed > 0.0:
-        runge_kutta(chain, drive, part, t, step, y, grip, out, room.stage, room.bench.work)
+        runge_kutta(chain, drive, part, t, step, y, slip, out, workspace.stage, work)
     else:
-        extrapolate(
-            chain, drive, part, table, t, step, y, out, room.errors, room.lanes, room.tip, room.base, room.bench.work
-        )
+        base = workspace.base
+        extrapolate(chain, drive, part, table, t, step, y, out, workspace.errors, lanes, tip, base, work)

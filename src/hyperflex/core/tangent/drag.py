@@ -95,7 +95,7 @@ def inward(row, k, j, d, longer):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def along(width, lanes, air, links):  # type: ignore[no-untyped-def]
+def tangent_drag(width, lanes, air, links):  # type: ignore[no-untyped-def]
     """Write the changes of the torques to RHS of the links in `lanes`, for changes of their angles and rates there.
 
     Parameters

@@ -19,7 +19,7 @@ from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.identification.fit.threads import one_thread
 from hyperflex.model import Rope, Setup
 from hyperflex.recording import Recording
-from hyperflex.simulation import Slopes, angles
+from hyperflex.simulation import AngleJacobian, angles
 
 RevisionProfile = Literal["response", "calculated", "measured", "measured rates"]
 
@@ -216,10 +216,10 @@ class _Revision:
     def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: RevisionProfile, most: int) -> None:
         self.measured, self.guess, self.rates, self.profile, self.most = measured, guess, rates, profile, most
         self.interrupted = False
-        self.slopes = None
+        self.jacobian = None
         if profile == "response":
             wanted = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
-            self.slopes = Slopes(Setup(guess), wanted)
+            self.jacobian = AngleJacobian(Setup(guess), wanted)
 
     def rope(self, values: Array) -> Rope:
         """Return the guess with one J and one eta (2,) for all links."""
@@ -245,7 +245,7 @@ class _Revision:
     def parameters(self, at: Round) -> tuple[Array, Array]:
         """Identify J and eta (step 4 of Fig. 4); return them and their standard deviations (2,)."""
         rope = self.rope(np.array([at.inertia, at.friction]))
-        return self.by_torques(rope, at) if self.slopes is None else self.by_response(self.slopes, rope, at)
+        return self.by_torques(rope, at) if self.jacobian is None else self.by_response(self.jacobian, rope, at)
 
     def by_torques(self, rope: Rope, at: Round) -> tuple[Array, Array]:
         """Solve (6) with a mixture of measured and calculated motion."""
@@ -258,9 +258,9 @@ class _Revision:
         found = regression(rope, q, qd, qdd, UNKNOWNS).solve()
         return np.maximum(found.values, 0.0), found.sd
 
-    def by_response(self, slopes: Slopes, rope: Rope, at: Round) -> tuple[Array, Array]:
+    def by_response(self, jacobian: AngleJacobian, rope: Rope, at: Round) -> tuple[Array, Array]:
         """Fit the changes of angles that changes of J and eta make, the initial state free, to what is left of them."""
-        q, _, dq, _ = slopes(self.measured.t, at.q, at.qd, rope)
+        q, _, dq, _ = jacobian(self.measured.t, at.q, at.qd, rope)
         known = np.isfinite(self.measured.data)
         left, matrix = (self.measured.data - q)[known], dq[known]
         scale = np.sqrt((matrix**2).sum(axis=0))

@@ -19,8 +19,8 @@ from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.sensors import Angles, MotorTorque, Sensor
 from hyperflex.simulation.rollouts import finish, limits, prepare
-from hyperflex.simulation.sensitivity.directions import Wanted
-from hyperflex.simulation.sensitivity.sensitivity import along, recorded
+from hyperflex.simulation.sensitivity.directions import ParameterDirections
+from hyperflex.simulation.sensitivity.sensitivity import forward_derivatives, record_steps
 
 PRECISION = 1e-7  # tolerance of a rollout over the rope's length, far below any measured angle's error
 
@@ -36,7 +36,7 @@ class _At:
     sensor: Sensor
     motor: MotorTorque | None
     moving: list[int]  # which parameters move the rope
-    wanted: Wanted  # state first, then those
+    wrt: ParameterDirections  # state first, then those
 
 
 @dataclass(frozen=True)
@@ -112,17 +112,17 @@ class Plant:
             return None
         n, start = at.rope.n_links, (state[: state.size // 2], state[state.size // 2 :])
         try:
-            run = recorded(at.chain, at.drive, start, self._limits(at, t), float(t[0]))
-            y, dy = along(run, at.wanted, start, t)
+            run = record_steps(at.chain, at.drive, start, self._limits(at, t), float(t[0]))
+            y, dy = forward_derivatives(run, at.wrt, start, t)
         except SimulationError:
             return None
-        q, dq = y[:, :n], dy[:, :n, : len(at.wanted.names)]
-        dpivot = np.zeros((t.size, 2, at.wanted.width))
+        q, dq = y[:, :n], dy[:, :n, : len(at.wrt.names)]
+        dpivot = np.zeros((t.size, 2, at.wrt.width))
         if self.sensor.placed:
-            place_changes(at.drive, at.wanted.directions(at.chain, at.drive), t, dpivot)
+            place_changes(at.drive, at.wrt.directions(at.chain, at.drive), t, dpivot)
         dpivot = dpivot[:, :, : dq.shape[2]]
         seen = at.sensor.predict(at.rope, q, self._pivot(at, t))
-        moved = at.sensor.jacobian(at.rope, q, dq, dpivot, at.wanted.lengths(n))
+        moved = at.sensor.jacobian(at.rope, q, dq, dpivot, at.wrt.lengths(n))
         shared = np.zeros((*seen.shape, len(self.parameters)))
         shared[:, :, at.moving] = moved[:, :, 2 * n :]
         self._add_own(at, q, shared)
@@ -152,8 +152,8 @@ class Plant:
     def _torque_slopes(self, at: _At, motor: MotorTorque, t: Array, y: Array, dy: Array) -> tuple[Array, Array]:
         """Return the derivatives of the motor's torque: (m, 2n + D) as the run's, and (m, P) by the parameters."""
         n = at.rope.n_links
-        parts = at.wanted.parts[2 * n :]
-        moved = motor.jacobian(at.chain, at.drive, parts, t, y, dy[:, :, : len(at.wanted.names)])
+        parts = at.wrt.parts[2 * n :]
+        moved = motor.jacobian(at.chain, at.drive, parts, t, y, dy[:, :, : len(at.wrt.names)])
         shared = np.zeros((t.size, len(self.parameters)))
         shared[:, at.moving] = moved[:, 2 * n :]
         own = motor.value_jacobian(at.chain, at.drive, t, y)
@@ -204,9 +204,8 @@ class Plant:
             parts.append(part)
         names = tuple(str(k) for k in range(len(parts)))
         sensor = self.sensor.with_values(own)
-        return _At(
-            rope, rope.chain(), motion, drive, sensor, motor, [k for k, _ in moving], Wanted(names, tuple(parts))
-        )
+        wrt, own_links = ParameterDirections(names, tuple(parts)), [k for k, _ in moving]
+        return _At(rope, rope.chain(), motion, drive, sensor, motor, own_links, wrt)
 
 
 def _place(name: str, markers: tuple[int, ...]) -> int | None:
