@@ -1,4 +1,4 @@
-"""The paper's equations (1)-(3): arm and rope as one underactuated chain, partly linearised.
+"""The paper's equations (1)-(3): mass matrix, bias and partial linearization.
 
 Coordinates are absolute angles, the arm's (index a) before the rope's (index u): with the arm's inertia and friction,
 M [a; u] + bias = [tau; 0], where bias gathers the centrifugal, potential and friction terms, C + P - F.

@@ -1,4 +1,4 @@
-"""What hyperflex raises. Every message says what was wrong, the value got, what is allowed and what to do."""
+"""Exceptions of hyperflex. Every message says what was wrong, the value got, what is allowed and what to do."""
 
 from __future__ import annotations
 

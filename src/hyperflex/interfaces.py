@@ -1,4 +1,4 @@
-"""What controllers, planners and estimators ask of each other: a rope's state, whatever tells it, and a motor."""
+"""Interfaces between control, planning and estimation: rope state, state source, motor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Names of a package that are loaded on first use (PEP 562), so that its import stays quick."""
+"""Lazy loading of a package's names on first use (PEP 562)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The law of a joint: torque, slopes, derivatives and power, once for kernels, lanes, derivatives, contact and numpy.
+"""Joint law: friction and spring torque, their linearization, derivatives and power.
+
+Used alike by kernels, lanes, derivatives, contact and numpy.
 
 A joint is (viscous, dry, stiffness, rest): N m s/rad, N m, N m/rad, rad. Its torque at the relative angle phi and rate
 omega, slipping in the sense chi (1, -1, or 0 where it is stuck), is the sum of friction and spring (M.6)::

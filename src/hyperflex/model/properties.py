@@ -1,4 +1,4 @@
-"""Each physical property once: its name, unit, bounds and kernel field; how it is fitted, cut, and told to people.
+"""Table of physical properties: name, unit, bounds, kernel field, how each is fitted.
 
 A new property of the links is a row here, an argument of :class:`hyperflex.model.Rope` and a field of
 ``core.chain.Chain``; files, identification, the comparison of models, derivatives and reports read the row.

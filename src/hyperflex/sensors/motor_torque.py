@@ -1,4 +1,4 @@
-"""Motor torque as a measured channel: what the arm and the rope ask of the motor, and how that changes."""
+"""Motor torque as a measured channel, with its derivatives."""
 
 from __future__ import annotations
 

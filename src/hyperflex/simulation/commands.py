@@ -1,4 +1,4 @@
-"""What commands an arm in an interval of time: its acceleration, its angle or the motor's torque."""
+"""Commands of the arm in an interval: acceleration, angle or motor torque."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Chaos made visible: how fast small errors grow along a run, and until when it can be compared point by point."""
+"""Predictability: growth of small errors and the largest Lyapunov exponent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a finished rollout shows: energies checked, status codes turned into errors with advice, a Trajectory made."""
+"""The outcome of a rollout: energy check, errors with advice, and the Trajectory."""
 
 from __future__ import annotations
 

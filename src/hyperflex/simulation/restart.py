@@ -1,4 +1,4 @@
-"""Where a run stands, saved and gone on from."""
+"""Checkpoints: save the state of a run and resume from it."""
 
 from __future__ import annotations
 

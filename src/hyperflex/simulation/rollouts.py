@@ -1,4 +1,4 @@
-"""The one door to core's rollouts: from a set-up to arrays, with status codes turned into errors that advise."""
+"""Rollouts of a set-up: kernel arrays, step control, progress, torque callbacks."""
 
 from __future__ import annotations
 

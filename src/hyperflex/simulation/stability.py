@@ -1,4 +1,4 @@
-"""How long a step of the explicit check integrator may be."""
+"""Stability limit of the explicit Runge-Kutta integrator."""
 
 from __future__ import annotations
 

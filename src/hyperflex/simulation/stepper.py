@@ -1,4 +1,4 @@
-"""A run taken one interval at a time: a filter, a controller or an environment gives a command for each."""
+"""Stepper: a run taken one interval at a time, with a command for each."""
 
 from __future__ import annotations
 

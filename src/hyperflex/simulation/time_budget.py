@@ -1,4 +1,4 @@
-"""What breaks a run off before its end: its processor time, or Ctrl-C."""
+"""Time budget of a run: processor time, and Ctrl-C."""
 
 from __future__ import annotations
 

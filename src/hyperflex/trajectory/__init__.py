@@ -1,4 +1,4 @@
-"""Trajectories: what a rollout leaves behind, and its NetCDF file."""
+"""Trajectories and their NetCDF files."""
 
 from hyperflex.trajectory.netcdf import read_trajectory
 from hyperflex.trajectory.run import State, Trajectory, swept

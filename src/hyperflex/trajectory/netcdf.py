@@ -1,4 +1,4 @@
-"""Trajectories in NetCDF-4 files: the run in the root group, the state to go on from in the group ``state``."""
+"""Trajectories in NetCDF-4 files. The run is in the root group, the state to go on from in the group ``state``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a rollout leaves behind: labelled arrays, energies, the set-up that made them and the state to go on from."""
+"""A trajectory: labelled arrays, energies, the set-up, and the state to resume from."""
 
 from __future__ import annotations
 

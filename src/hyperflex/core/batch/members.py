@@ -1,4 +1,4 @@
-"""The members of a batch: their parameters, their drives, and how they enter a lane."""
+"""Members of a batch: parameters, drives, and how a member enters a lane."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many rollouts side by side: each lane runs a member of its own, with its own step, and takes the next one when done.
+"""Batch rollouts: each lane runs one member with its own step and then takes the next.
 
 No number of one lane ever enters another, so a member's result does not depend on its neighbours or on the threads.
 """

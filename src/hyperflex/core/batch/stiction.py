@@ -1,4 +1,4 @@
-"""Dry friction in the lanes of a batch: each lane settles its joints and shortens its own steps (see ``stick``)."""
+"""Dry friction in the lanes of a batch: modes, events and shortened steps of each lane."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The planar chain of rigid links: its parameters, the O(n) sweep, energies and mass-matrix entries.
+"""Articulated-body algorithm of the planar chain (Featherstone), energies, mass matrix.
 
 Absolute link angles q: 0 hangs down, positive towards +x; d = (sin q, -cos q) points from a link's motor-side joint to
 its far joint, n = (cos q, sin q). Joint i joins link i - 1 to link i; the parent of link 0 is the arm or the wall.

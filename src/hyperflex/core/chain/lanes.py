@@ -1,4 +1,4 @@
-"""The sweep in SIMD lanes: chains side by side, each taking its own linearly implicit Euler step.
+"""The articulated-body sweep in SIMD lanes, with linearly implicit Euler steps.
 
 A single rollout puts the columns of its extrapolation table into the lanes (:data:`COLUMNS`); a batch puts whole
 rollouts there (:data:`MEMBERS`). All lane data lie in one flat array of n + 2 rows: row 0 is the parent (arm or wall),

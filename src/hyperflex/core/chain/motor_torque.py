@@ -1,4 +1,4 @@
-"""Torque of the motor that moves a prescribed arm, as far as the rope asks for it."""
+"""Base reactions of the rope: the load on the motor of a prescribed arm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Air drag in a step beside obstacles: the air's torques in the middle of the step act through the joints, (M.34)."""
+"""Impulses of air drag in a contact step (M.34)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a run beside pegs is, and what bounds it."""
+"""State and bounds of a rollout with contact."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joints within a step: dry friction with true stick, and limits of the bend, one-sided and inelastic.
+"""Joints in a contact step: dry friction with stiction, and inelastic bend limits.
 
 Both are one law between the relative rate of a joint after the step and its angular impulse L, a staircase that only
 falls (a maximal monotone graph): at the lower limit any L above that of friction, then the friction of a joint that

@@ -1,4 +1,4 @@
-"""Which contacts and joints are open, stick or slip, and the impulses that go with it: Coulomb's law with true stick.
+"""Contact solver: an active-set search for open, stick and slip with proximal impulses.
 
 A wrapped rope that sticks is hyperstatic: many impulses give the same motion. The proximal method (an augmented
 Lagrangian) takes those nearest to the last step's, P = P0 - M v with a mass M far above the rope's, and projects them

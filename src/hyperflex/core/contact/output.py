@@ -1,4 +1,4 @@
-"""What a run beside pegs writes at its samples."""
+"""Outputs of a rollout with contact."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One contact of the sweep: the velocity of its point, and its rows, which answer that velocity by an impulse."""
+"""One contact: the velocity of its point and its impulse as a term of the sweep."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The run loop beside pegs: steps that end where a link touches, impacts, and a guard on the energy."""
+"""Run loop with contact: steps that end at touchdown, impacts, and an energy check."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One step of a rope in contact: Moreau and Jean's, with angles in the middle of a step and rates at its ends."""
+"""One contact step of the Moreau-Jean scheme: angles at its middle, rates at its ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pegs that turn: their rates after a step, together with the rope's.
+"""Pegs that turn on an axle: their rates after a step, solved together with the rope.
 
 A contact sees the tangential velocity of its point less that of the peg, ``reach`` times the peg's rate, and its
 tangential impulse turns the peg with the same lever: contacts act on the rope's axis, so peg and rope exchange no more

@@ -1,4 +1,4 @@
-"""What a run looks like between its steps, and everything that is seen at its samples."""
+"""Dense output: Hermite interpolation within a step, and what is observed at a sample."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a step does not see of the air: drag has a kink where a link begins to move the other way across, (M.35)."""
+"""Error of a step by drag reversal, the kink of quadratic drag (M.35)."""
 
 from __future__ import annotations
 

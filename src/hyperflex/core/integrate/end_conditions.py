@@ -1,4 +1,4 @@
-"""What may end a run: a reading of the state whose fall from above zero to zero is the event, or a joint's limit."""
+"""Event functions that may end a run, and margins of the joint limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How joints slip or stick where a run stands, and the step that ends at the next event."""
+"""Event location: the step that ends at the first event, and the modes after it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search for the first event of a step, which then ends there.
+"""Root search for the first event of a step.
 
 Every event is a margin that falls from above zero to zero: of each joint with dry friction
 (``constraint_torques.margins``), of each joint to its limits where a chain has some (``end_conditions.limits``), and in

@@ -1,4 +1,4 @@
-"""Where a run is, what bounds it, and the step that takes it further."""
+"""State, bounds and workspace of a rollout."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The run loop: error control, restarts at switches, output between steps, a mark to go on from."""
+"""Run loop of a rollout: error control, restarts at switches, dense output."""
 
 from __future__ import annotations
 

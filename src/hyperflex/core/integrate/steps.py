@@ -1,4 +1,7 @@
-"""One step of each integrator. The state y (2 n + 2,) holds angles, rates, work put in and energy dissipated."""
+"""One step of each integrator: extrapolated implicit Euler, Runge-Kutta.
+
+The state y (2 n + 2,) holds angles, rates, work put in and energy dissipated.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dry friction with true stick: what joints bear, and how far each is from a change between slipping and sticking.
+"""Constraint torques of stuck joints, and margins to a change of mode (M.16).
 
 A slipping joint feels a constant torque against its sense of slipping. A stuck joint turns with its parent and bears
 whatever torque that takes, up to its dry friction (M.16). The modes, `slip`, are frozen within a step; a change is an

@@ -1,4 +1,4 @@
-"""Which joints slip and which stick at an instant, where dry friction holds what it can (M.16)."""
+"""Slip modes of joints with dry friction: an active-set search (M.16)."""
 
 from __future__ import annotations
 

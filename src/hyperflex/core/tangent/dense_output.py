@@ -1,4 +1,4 @@
-"""Outputs within a step of a replay: the polynomial through its beginning, middle and end, with derivatives."""
+"""Tangent of the dense output: outputs within a step, with derivatives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Derivatives where joints stick, and of steps that end where a joint changes its mode.
+"""Event sensitivity: derivatives of stuck joints and of steps that end at an event.
 
 A stuck joint keeps its angle in every direction. A step that ends at an event is as long as it takes the event's margin
 to fall to zero (core/integrate/event_search.py), so its length has a derivative: less that of the margin over the

@@ -1,4 +1,4 @@
-"""An extrapolated step together with its derivatives in any number of directions, in the lanes of its columns."""
+"""Tangent of an extrapolated step, for any number of directions."""
 
 from __future__ import annotations
 

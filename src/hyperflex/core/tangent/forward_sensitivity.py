@@ -1,4 +1,4 @@
-"""A run gone through again along its recorded steps, with its derivatives in any number of directions.
+"""Forward sensitivity of a recorded run, for any number of directions.
 
 The steps stay what they were, so the result is the derivative of the very numbers that the run gave: each step keeps
 its length but for one that ends at a switch, at an event or at an output, whose time depends on a direction.

@@ -1,4 +1,4 @@
-"""Derivatives of one linearly implicit Euler step, two directions at a time, in the lanes of the step itself.
+"""Tangent of one linearly implicit Euler step, two directions at a time.
 
 A direction is a change of the state, of the parameters, of the base's motion or of the step's length. What follows
 from it to first order obeys the step's own equations with another right-hand side, (M.19)-(M.22), so the factors that

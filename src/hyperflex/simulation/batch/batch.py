@@ -1,4 +1,4 @@
-"""Many rollouts at once: members side by side in SIMD lanes, blocks of members on threads."""
+"""Batch rollouts: members in SIMD lanes, blocks of members on threads."""
 
 from __future__ import annotations
 

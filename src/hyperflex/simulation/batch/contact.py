@@ -1,4 +1,4 @@
-"""Many rollouts beside pegs or with joint limits: each as :func:`simulate` runs it, members on threads."""
+"""Contact batch: members with pegs or joint limits, one by one on threads."""
 
 from __future__ import annotations
 

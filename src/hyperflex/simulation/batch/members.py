@@ -1,4 +1,4 @@
-"""The members of a batch: from ropes, motions and starts, one for all or one each, to the arrays that lanes need."""
+"""Members of a batch: from ropes, motions and starts to the arrays of the lanes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs beside pegs or with joint limits: free flight by extrapolation, contact by its own stepper, and the hand-over.
+"""Runs with pegs or joint limits: free flight, contact steps, and the hand-over.
 
 A flight is so short that no joint can reach a peg meanwhile, as far as the speeds at its ends tell; where they rose by
 more than was allowed for, it is flown again by the stepper for contacts. A flight ends where a joint reaches its limit.

@@ -1,4 +1,4 @@
-"""What to differentiate by: names and mappings, checked once, and the arrays that the kernels take."""
+"""Parameter directions: names and mappings, checked, as kernel arrays."""
 
 from __future__ import annotations
 

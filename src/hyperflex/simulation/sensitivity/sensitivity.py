@@ -1,4 +1,4 @@
-"""Exact derivatives of rollouts with respect to the start, the rope, the arm and the motion."""
+"""Exact derivatives of rollouts by the start, the rope, the arm and the motion."""
 
 from __future__ import annotations
 

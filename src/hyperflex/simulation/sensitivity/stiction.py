@@ -1,4 +1,4 @@
-"""What becomes of a change of the start where joints stick: their friction stops it at once."""
+"""Stiction projection: derivatives of the start where joints stick."""
 
 from __future__ import annotations
 
