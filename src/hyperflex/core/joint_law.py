@@ -7,7 +7,8 @@ omega, slipping in the sense chi (1, -1, or 0 where it is stuck), is the sum of 
 
     F = -viscous omega - dry chi,        G = -stiffness (phi - rest)
 
-``share`` is sigma of (M.7), the part of the friction that the parent feels: 1.0, or 0.0 as the paper prints it. All
+``reaction_factor`` is sigma of (M.7), the part of the friction that acts on the parent: 1.0, or 0.0 as the paper
+prints it. All
 functions take numbers or numpy arrays; a new law of friction or of a spring changes this file and no other.
 """
 

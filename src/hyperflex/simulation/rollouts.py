@@ -18,7 +18,7 @@ from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import TORQUE, Drive
 from hyperflex.core.integrate import rollout
 from hyperflex.core.integrate.end_conditions import NEVER, Until
-from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNSETTLED, Limits, Progress, T, restart
+from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import scheme
 from hyperflex.core.jit import announce_compilation
@@ -104,7 +104,7 @@ def prepare(
 def starting_clock(t: float) -> Array:
     """Return the clock (MARK,) of a run that begins at time t, s."""
     clock = np.zeros(MARK)
-    clock[T], clock[STEP], clock[AFTER], clock[UNSETTLED] = t, FIRST_STEP, np.inf, 1.0
+    clock[T], clock[STEP], clock[AFTER], clock[UNDECIDED] = t, FIRST_STEP, np.inf, 1.0
     return clock
 
 

@@ -222,14 +222,14 @@ class Stepper:
             self._seeds = state_directions(self.command, run.chain, run.drive)
         start, seeds = self._seeds
         set_commands(self.command, seeds, self._polynomials[1])
-        y, slopes = np.zeros((2, 2 * n + 2)), np.zeros((2, *start.shape))
+        y, jacobian = np.zeros((2, 2 * n + 2)), np.zeros((2, *start.shape))
         y[0] = begin
         times = np.array([run.drive.breaks[0], run.time])
         begins = stiction_projection(run.chain, run.drive, times[0], begin[:n], steps[0, MODES:], seeds, start)
         forward_sensitivity.forward_sensitivities(
-            run.chain, run.drive, TABLES, steps, times[0], begins, seeds, times, y, slopes
+            run.chain, run.drive, TABLES, steps, times[0], begins, seeds, times, y, jacobian
         )
-        moved = slopes[1]
+        moved = jacobian[1]
         if self.command != "torque":  # the arm is no link of the chain: what it does follows from the command alone
             rows = np.zeros((2, moved.shape[1]))
             rows[:, [0, n + 1, 2 * n + 2]] = self._polynomials[2].T

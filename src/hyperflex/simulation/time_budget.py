@@ -14,7 +14,7 @@ INTERRUPTED = "interrupted"  # and of one that Ctrl-C ended
 
 
 class TimeBudgetExceeded(Exception):
-    """Raised within a run when its time is over; never leaves the library."""
+    """Raised within a run when its time budget is spent; never leaves the library."""
 
 
 def enforce_budget(report: Callable[[float], None] | None, seconds: float | None) -> Callable[[float], None] | None:

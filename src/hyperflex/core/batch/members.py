@@ -43,7 +43,7 @@ LENGTH, MASS, COM, INERTIA, VISCOUS, DRY, STIFFNESS, REST, DRAG, MAX_BEND, LEVER
 TIP_MASS, GRAVITY_X, GRAVITY_Y, ARM_LENGTH, TORQUE_LIMIT = range(5)
 # a lane's clock, s: as in rollout, with the piece of the drive that holds and the step wanted next
 # RETRY: 1.0 while a step is being shortened to end at an event
-TIME, STEP, AFTER, FRESH, LAST, SIZE, UNSETTLED, CHATTER, ORIGIN, END, WANTED, RETRY, CLOCK = range(13)
+TIME, STEP, AFTER, RESTARTED, LAST, SIZE, UNDECIDED, CHATTER, ORIGIN, END, NEXT_STEP, RETRY, CLOCK = range(13)
 # What moves the first joints, in lanes: slot * k + lane. Coefficients of four channels, what hardly changes, the time
 # since the piece began; then the torque on link 0 and what ``drive.base_state`` gives, less gravity
 COEF, ARM, GX, GY, LIMIT, SINCE, EXTERNAL, BASE, PATH = 0, 24, 25, 26, 27, 28, 29, 30, 39

@@ -17,17 +17,17 @@ from hyperflex.core.batch.members import (
     DRY,
     END,
     EXTERNAL,
-    FRESH,
     LAST,
+    NEXT_STEP,
     ORIGIN,
     PATH,
+    RESTARTED,
     RETRY,
     SINCE,
     SIZE,
     STEP,
     TIME,
-    UNSETTLED,
-    WANTED,
+    UNDECIDED,
     base_motion,
     enter,
     piece,
@@ -120,7 +120,7 @@ def measure(width, lanes, tip):  # type: ignore[no-untyped-def]
 
 @kernel
 def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: ignore[no-untyped-def]
-    """One extrapolated step in every lane, of the length WANTED; results stay in the sums of `lanes` and `energy`."""
+    """One extrapolated step of length NEXT_STEP in every lane; the result is in the sums of `lanes` and `energy`."""
     k = len(ln.MEMBERS)
     order = terms.best.size - 1
     base = path[BASE * k :].reshape(9, k)
@@ -128,7 +128,7 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
     for col in range(1, order + 1):
         begin_column(ln.MEMBERS, lanes, col == 1)
         for j in range(k):
-            tip[ln.STEP * k + j] = lane[j, WANTED] / col
+            tip[ln.STEP * k + j] = lane[j, NEXT_STEP] / col
             lanes[ln.WORK * k + j] = 0.0
             lanes[ln.LOST * k + j] = 0.0
             path[SINCE * k + j] = lane[j, TIME] - lane[j, ORIGIN]
@@ -188,13 +188,13 @@ def lane_error(terms, tip, j, step):  # type: ignore[no-untyped-def]
 
 @kernel
 def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[no-untyped-def]
-    """Choose the length of every lane's next step (WANTED); returns the number of lanes at work."""
+    """Choose the length of every lane's next step (NEXT_STEP); returns the number of lanes at work."""
     busy = 0
     for j in range(member.size):
         if member[j] >= 0 and lane[j, RETRY] == 1.0:  # its step is being shortened
             busy += 1
             continue
-        lane[j, WANTED] = 0.0
+        lane[j, NEXT_STEP] = 0.0
         if member[j] < 0:
             continue
         busy += 1
@@ -202,13 +202,13 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
         if t >= lane[j, END]:
             piece(members, member[j], t, path, j, lane[j])
             lane[j, STEP] = min(lane[j, STEP], lane[j, AFTER])
-            lane[j, FRESH] = lane[j, UNSETTLED] = 1.0
+            lane[j, RESTARTED] = lane[j, UNDECIDED] = 1.0
             lane[j, LAST] = 0.0
         left = min(lane[j, END], t_out[index[j]]) - t
         if terms.fixed > 0.0:
-            lane[j, WANTED] = min(terms.fixed, left)
+            lane[j, NEXT_STEP] = min(terms.fixed, left)
         else:
-            lane[j, WANTED] = fitted(min(lane[j, STEP], LARGEST_STEP), left)
+            lane[j, NEXT_STEP] = fitted(min(lane[j, STEP], LARGEST_STEP), left)
     return busy
 
 
@@ -216,16 +216,16 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
 def control_step(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def]
     """Note a step of the error `size` in a lane's clock, where a chain `sticks` or not, and choose the next; a code."""
     order = terms.best.size - 1
-    step = lane[WANTED]
+    step = lane[NEXT_STEP]
     if size <= 1.0:
         lane[TIME] = end if step >= end - lane[TIME] else lane[TIME] + step
         faint = sticks and is_rounding(size, terms.tol, step, terms.rounding)
         grown = MOST * step if faint else longer(step, size, lane[LAST], lane[SIZE], order)
         lane[STEP] = max(grown, lane[STEP]) if step < lane[STEP] else grown
         lane[LAST], lane[SIZE] = 0.0 if faint else step, size
-        if lane[FRESH] == 1.0:
+        if lane[RESTARTED] == 1.0:
             lane[AFTER] = lane[STEP]
-            lane[FRESH] = 0.0
+            lane[RESTARTED] = 0.0
         return status.OK
     if terms.fixed > 0.0:
         return status.NOT_FINITE
@@ -273,7 +273,7 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
                     reached[member[j] - low] = lane[j, TIME]
             return
         for j in range(k):
-            unsettled = sticks[j] and member[j] >= 0 and lane[j, UNSETTLED] == 1.0
+            unsettled = sticks[j] and member[j] >= 0 and lane[j, UNDECIDED] == 1.0
             if unsettled and not decide_lane_modes(members, terms, member[j], lanes, path, j, lane[j], friction):
                 codes[member[j] - low], reached[member[j] - low], member[j] = status.FRICTION, lane[j, TIME], -1
         extrapolate_lanes(members, terms, lane, energy, lanes, tip, path)
@@ -282,8 +282,8 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
                 continue
             m = member[j] - low
             end = min(lane[j, END], t_out[index[j]])
-            size = lane_error(terms, tip, j, lane[j, WANTED])
-            step, verdict = lane[j, WANTED], 0
+            size = lane_error(terms, tip, j, lane[j, NEXT_STEP])
+            step, verdict = lane[j, NEXT_STEP], 0
             if lane[j, RETRY] == 1.0 and size < np.inf:
                 size = min(size, 1.0)  # its longer attempt was good
             if sticks[j] and size <= 1.0:

@@ -11,15 +11,15 @@ from hyperflex.core.batch.members import (
     BASE,
     CHATTER,
     EXTERNAL,
-    FRESH,
     LAST,
+    NEXT_STEP,
     ORIGIN,
+    RESTARTED,
     RETRY,
     SINCE,
     STEP,
     TIME,
-    UNSETTLED,
-    WANTED,
+    UNDECIDED,
     base_motion,
     chain_of,
 )
@@ -45,7 +45,7 @@ from hyperflex.core.stiction.slip_modes import decide_modes
 class LaneStiction(NamedTuple):
     """What is kept for each of k lanes between the attempts of a step, and working arrays."""
 
-    span: Array  # (k, 4) and so on as in events.Search
+    span: Array  # (k, 4) and so on as in event_search.Search
     low: Array  # (k, 2, n + 1)
     high: Array
     here: Array
@@ -53,7 +53,7 @@ class LaneStiction(NamedTuple):
     alpha: Array  # (k, n) accelerations at the beginning of the step
     power: Array  # (k, 3) of stuck joints
     slip: Array  # (k, n)
-    locked: Array  # (k, n + 1) as in events.judge
+    locked: Array  # (k, n + 1) as in event_search.assess_step
     start: Array  # (k, 2 n + 2) angles and rates at the beginning of the step, the last two not used
     out: Array  # (k, 2 n + 2) and at its end
     before: Array  # (k, 9) motion of the first joint, less gravity, at the beginning of the step
@@ -120,19 +120,19 @@ def decide_lane_modes(members, terms, m, lanes, path, j, lane, friction):  # typ
         lanes[((i + 1) * ln.ROW + ln.SLIP) * k + j] = slip[i]
         lanes[((i + 1) * ln.ROW + ln.W_START) * k + j] = rates[i]
         friction.locked[j, i] = 1.0 - slip[i] * slip[i]
-    lane[UNSETTLED] = 0.0
+    lane[UNDECIDED] = 0.0
     return good
 
 
 @kernel
 def assess_lane(members, terms, m, lanes, path, j, lane, friction):  # type: ignore[no-untyped-def]
-    """Judge the step of lane j, of the length WANTED: a verdict of ``events.judge``; with AGAIN, WANTED is shorter."""
+    """Assess the step of lane j as ``event_search.assess_step`` does; with AGAIN, NEXT_STEP is shorter."""
     k, n = len(ln.MEMBERS), members.links.shape[2]
     chain, tools = chain_without_gravity(members, terms, m), friction.workspace
     start, out, slip = friction.start[j], friction.out[j], friction.slip[j]
     before, after = friction.before[j], friction.after
     search = Search(friction.span[j], friction.low[j], friction.high[j], friction.here[j], friction.middle[j])
-    since, step, widen = lane[TIME] - lane[ORIGIN], lane[WANTED], tolerance_factor(lane[CHATTER], n)
+    since, step, widen = lane[TIME] - lane[ORIGIN], lane[NEXT_STEP], tolerance_factor(lane[CHATTER], n)
     until = (lane[TIME] + step) - lane[ORIGIN]  # as the next step will reckon it
     if lane[RETRY] == 0.0:
         for i in range(n):
@@ -162,13 +162,13 @@ def assess_lane(members, terms, m, lanes, path, j, lane, friction):  # type: ign
     if verdict == EVENT:
         stop_joints(chain, slip, search.here, out, after)
     lane[RETRY] = 1.0 if verdict == AGAIN else 0.0
-    lane[WANTED] = length
+    lane[NEXT_STEP] = length
     return verdict
 
 
 @kernel
 def finish_lane(lanes, n, j, lane, energy, step, event, friction):  # type: ignore[no-untyped-def]
-    """Make the judged end of lane j's step, of the length `step`, the start of its next one."""
+    """Make the end of lane j's step, of the length `step`, the start of its next one."""
     k = len(ln.MEMBERS)
     for i in range(n):
         lanes[((i + 1) * ln.ROW + ln.Q_START) * k + j] = friction.out[j, i]
@@ -181,7 +181,7 @@ def finish_lane(lanes, n, j, lane, energy, step, event, friction):  # type: igno
     power[:] = 0.0
     if event:
         lane[STEP] = min(lane[STEP], lane[AFTER])
-        lane[FRESH] = lane[UNSETTLED] = 1.0
+        lane[RESTARTED] = lane[UNDECIDED] = 1.0
         lane[LAST] = 0.0
     if event and step < QUICK:
         lane[CHATTER] += 1.0

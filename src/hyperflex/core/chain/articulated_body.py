@@ -36,7 +36,7 @@ class Chain(NamedTuple):
     tip_mass: float
     gx: float
     gy: float
-    reaction: tuple[int, ...]  # as many entries as links bear a joint's friction: MUTUAL or PRINTED
+    reaction: tuple[int, ...]  # as many entries as links bear a joint's friction: MUTUAL or ONE_SIDED
 
     @property
     def joints(self) -> tuple[Array, Array, Array, Array]:

@@ -12,16 +12,16 @@ MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they woul
 SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step however short: rounding of large forces
 LOSS = 10.0  # how many times more energy may vanish in a step than appear
 
-# T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
-# found that obey the law. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest
-# penetration, m. FORCED: steps taken though their energy rose by more than is allowed. APPEARED: energy that came from
-# nowhere, J. DUE: 1.0 where a link touches, or a joint its limit, and an impact is due. BENT: greatest angle of a joint
-# past its limit, rad.
-T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST, DEEPEST, FORCED, APPEARED, DUE, BENT, CLOCK = range(14)
+# T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps whose contact problem was
+# not solved. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest penetration, m.
+# FORCED: steps taken though their energy balance is off. ENERGY_GAIN: energy that came from nowhere, J. IMPACT_DUE: 1.0
+# where a link touches or a joint reaches its limit, and an impact is due. BEND: greatest angle past a joint limit, rad.
+T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST = range(8)
+DEEPEST, FORCED, ENERGY_GAIN, IMPACT_DUE, BEND, CLOCK = range(8, 14)
 
 
 class Bounds(NamedTuple):
-    """What bounds a run beside pegs."""
+    """Bounds of a rollout with contact."""
 
     stop: float  # s
     step: float  # s, longest step
@@ -32,7 +32,7 @@ class Bounds(NamedTuple):
 
 
 class ContactState(NamedTuple):
-    """Where a run is; all arrays are changed in place."""
+    """State of a rollout with contact; all arrays are changed in place."""
 
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
     clock: Array  # (CLOCK,)

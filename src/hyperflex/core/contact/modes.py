@@ -118,7 +118,7 @@ def centrifugal(chain, motion, h, gx, gy):  # type: ignore[no-untyped-def]
 
 @lean
 def solve_round(chain, found, impulses, motion, held, spin, heavy, change):  # type: ignore[no-untyped-def]
-    """Solve for the changes of the rates with the present modes; then as ``judge_modes``, whose answer it returns."""
+    """Solve for the changes of the rates with the present modes; then as ``update_modes``, whose answer it returns."""
     write_modes(found, impulses, motion, held, heavy)
     fx, fy, moment = changes(
         chain,

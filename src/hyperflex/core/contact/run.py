@@ -11,11 +11,11 @@ from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import (
-    APPEARED,
-    BENT,
+    BEND,
     DEEPEST,
-    DUE,
+    ENERGY_GAIN,
     FORCED,
+    IMPACT_DUE,
     IMPACTS,
     INDEX,
     LOST,
@@ -57,7 +57,7 @@ SINKING = 1.02  # times the greatest depth until then, which a step may have: wh
 
 @lean
 def accept_step(state, workspace, h, rounds, least):  # type: ignore[no-untyped-def]
-    """Take the step to ``workspace.out``."""
+    """Accept the step to ``workspace.out``."""
     y, clock, account = state.y, state.clock, workspace.account
     n = workspace.motion.w.size
     for i in range(2 * n):
@@ -66,7 +66,7 @@ def accept_step(state, workspace, h, rounds, least):  # type: ignore[no-untyped-
     y[2 * n + 1] += account[FRICTION] + account[CONTACT]
     clock[LOST] += account[CONTACT]
     clock[DEEPEST] = max(clock[DEEPEST], -least)
-    clock[BENT] = max(clock[BENT], -workspace.bend[0])
+    clock[BEND] = max(clock[BEND], -workspace.bend[0])
     clock[TAKEN] += 1.0
     if rounds < 0:
         clock[UNSOLVED] += 1.0
@@ -82,7 +82,7 @@ def accept_step(state, workspace, h, rounds, least):  # type: ignore[no-untyped-
 
 @lean
 def clear_memory(memory):  # type: ignore[no-untyped-def]
-    """Forget the modes and forces of the last step."""
+    """Clear the modes and forces of the last step."""
     memory.heavy[0] = 0.0
     for i in range(memory.mode.shape[0]):
         for p in range(memory.mode.shape[1]):
@@ -93,7 +93,7 @@ def clear_memory(memory):  # type: ignore[no-untyped-def]
 
 @lean
 def impact(chain, drive, part, pegs, pull, state, workspace, nothing):  # type: ignore[no-untyped-def]
-    """Let the links that touch a peg come to rest on it, or bounce, in no time; `nothing` is a Kept without contacts.
+    """Let the links that touch a peg come to rest on it, or bounce, in no time; `nothing` is an empty ContactMemory.
 
     Newton's restitution with friction may give energy; where it does, nothing bounces.
     """
@@ -103,7 +103,7 @@ def impact(chain, drive, part, pegs, pull, state, workspace, nothing):  # type: 
         least, rounds = try_step(chain, drive, part, pegs, pull, t, 0.0, y, nothing, workspace, True, 0.0, True)
     accept_step(state, workspace, 0.0, rounds, least)
     state.clock[IMPACTS] += 1.0
-    state.clock[DUE] = 0.0
+    state.clock[IMPACT_DUE] = 0.0
 
 
 @lean
@@ -128,7 +128,7 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
     Parameters
     ----------
     chain, drive, part, pegs, pull, bounds, state, workspace : as for :func:`run` and :func:`try_step`
-    nothing : Kept, with nothing in it
+    nothing : ContactMemory, empty
     h, wanted : s, first step to try, and the one that the run would take next
     struck : bool, an impact was made already at this instant
     had : J, energy before the step, NaN if it is not known
@@ -168,7 +168,7 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
         surplus = has - had + workspace.account[FRICTION] + workspace.account[CONTACT] - workspace.account[WORK]
         good = energy_balanced(surplus, allowed) and rounds > 0 and h <= longest
         good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])
-        good = good and (workspace.bend[0] > -BEYOND or -workspace.bend[0] <= SINKING * clock[BENT])
+        good = good and (workspace.bend[0] > -BEYOND or -workspace.bend[0] <= SINKING * clock[BEND])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
             return h, wanted, least, touch, rounds, surplus, has, good
         if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
@@ -185,7 +185,7 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
 
     Parameters
     ----------
-    chain, drive, pegs, bounds, state : Chain, Drive, Pegs, Bounds, Course
+    chain, drive, pegs, bounds, state : Chain, Drive, Pegs, Bounds, ContactState
     pull : (2,) force on the tip beside gravity, N
     t_out : (k,) increasing times, s; y_out : (k, 2 n + 2) out, as in ``rollout.run``
     seen_out : (k, 3 n + 4 + 2 m) out: ``see``, energy lost to contact, J, angles, rad, and rates, rad/s, of the m pegs
@@ -211,7 +211,7 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
             break
         if t >= part.end:
             part = segment(drive, t)
-        struck = clock[DUE] == 1.0
+        struck = clock[IMPACT_DUE] == 1.0
         if struck:
             impact(chain, drive, part, pegs, pull, state, workspace, nothing)
             had = math.nan
@@ -228,14 +228,14 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
             return status.NOT_FINITE
         if not good:
             clock[FORCED] += 1.0
-        clock[APPEARED] += surplus
+        clock[ENERGY_GAIN] += surplus
         if clock[INDEX] < t_out.size:
             account = workspace.account
             had = has - surplus + account[FRICTION] + account[CONTACT] - account[WORK]
             write(chain, drive, part, pegs, pull, bounds, state, workspace, aside, h, had, t_out, y_out, seen_out)
         had = has
         accept_step(state, workspace, h, rounds, least)
-        clock[DUE] = 1.0 if touch <= 1.001 * h else 0.0
+        clock[IMPACT_DUE] = 1.0 if touch <= 1.001 * h else 0.0
         clock[T] = end if h >= end - t else t + h
         clock[STEP] = wanted * GROWTH if abs(surplus) < EASY * energy_allowance(bounds, h) else wanted
         if least > bounds.clear and workspace.bend[1] > bounds.slack and clock[T] < bounds.stop:
@@ -245,7 +245,7 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
 
 @kernel
 def clearance(chain, drive, pegs, t, y):  # type: ignore[no-untyped-def]
-    """What is left at time t until rope and pegs, or joints and their limits, meet; y as in ``Course``.
+    """What is left at time t until rope and pegs, or joints and their limits, meet; y as in ``ContactState``.
 
     Returns
     -------

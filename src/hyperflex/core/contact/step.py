@@ -29,11 +29,13 @@ NEAR = 1e-4  # m, gap below which a link is watched even at rest
 BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
-FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints, air, axles; contacts, limits; put in; J
+FRICTION, CONTACT, WORK = range(
+    3
+)  # of ContactWorkspace.account, J: lost in joints, air, axles; in contacts, limits; put in
 
 
 class ContactMemory(NamedTuple):
-    """What the last step leaves for the next, by link and peg or by joint, and of its search for modes."""
+    """Contact forces and modes of the last step, the warm start of the next; by link and peg or by joint."""
 
     normal: Array  # (n, m) N
     tangent: Array
@@ -101,7 +103,7 @@ def new_contact_workspace(chain, pegs, rate, longest):  # type: ignore[no-untype
 
 @kernel
 def new_contact_memory(n, pegs):  # type: ignore[no-untyped-def]
-    """Nothing kept yet."""
+    """An empty memory."""
     return ContactMemory(
         np.zeros((n, pegs)),
         np.zeros((n, pegs)),
@@ -204,7 +206,7 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
 
 @lean
 def warm_start(memory, found, impulses, h):  # type: ignore[no-untyped-def]
-    """Start from the modes and forces of the last step."""
+    """Warm start: modes and forces of the last step."""
     impulses.heavy[0] = memory.heavy[0]
     for c in range(found.total[0]):
         i, p = found.link[c], found.peg[c]
@@ -215,7 +217,7 @@ def warm_start(memory, found, impulses, h):  # type: ignore[no-untyped-def]
 
 @lean
 def save_memory(memory, found, impulses, held, h):  # type: ignore[no-untyped-def]
-    """Keep modes and forces for the next step; `held` are the Joints."""
+    """Save modes and forces for the next step; `held` are the Joints."""
     for i in held.which:
         memory.torque[i], memory.bent[i] = held.of[IMPULSE, i] / h, held.mode[i]
     memory.heavy[0] = impulses.heavy[0]
@@ -237,7 +239,7 @@ def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, b
     ----------
     chain, drive, part, pegs : Chain, Drive, Segment that holds t..t + h, Pegs
     pull : (2,) force on the tip beside gravity, N
-    memory, workspace : Kept (not changed), Desk, on which the rates of the pegs before the step are
+    memory, workspace : ContactMemory (not changed), ContactWorkspace with the rates of the pegs before the step
     push : bool, whether contacts may push the rope out of a peg
     bounce : float, part of the restitution that takes place in an impact
     struck : bool, an impact was made already at time t

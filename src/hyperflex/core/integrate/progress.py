@@ -16,7 +16,7 @@ from hyperflex.core.stiction.constraint_torques import StictionWorkspace, new_st
 
 
 class Limits(NamedTuple):
-    """What bounds a run."""
+    """Bounds of a rollout."""
 
     stop: float  # s, run until here
     tol: float  # m, error allowed in the position of any joint, of a step and of SHARE seconds
@@ -31,7 +31,7 @@ class Limits(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """Where a run is; all arrays are changed in place."""
+    """State of a rollout; all arrays are changed in place."""
 
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
     mark: Array  # (2 n + 2,) the state before the first step that was cut short to end at `stop`
@@ -45,14 +45,14 @@ class Progress(NamedTuple):
 # ended it, -1 where none did, and the joints' modes meanwhile
 LENGTH, END, DEGREE, JOINT, MODES = range(5)
 # AFTER: first step that succeeded after the last switch, where the motion is least smooth; tried first at the next one
-# FRESH: 1.0 from a switch (or an event) until a step has succeeded behind it
+# RESTARTED: 1.0 from a switch (or an event) until a step has succeeded behind it
 # LAST, SIZE: length and error of the last step that succeeded since the last switch; LAST is 0.0 where there is none
-# UNSETTLED: 1.0 where the modes of the joints are to be decided anew
+# UNDECIDED: 1.0 where the modes of the joints are to be decided anew
 # CHATTER: events in a row that ended very short steps
 # ORDER: of the extrapolation, for the next step; taken into the limits
 # MARK: where these nine stand again as they were at the mark
 # PENDING: margin of what is to end the run at the end of the last step, 0.0 where it is not watched
-T, STEP, AFTER, FRESH, LAST, SIZE, UNSETTLED, CHATTER, ORDER, MARK = range(10)
+T, STEP, AFTER, RESTARTED, LAST, SIZE, UNDECIDED, CHATTER, ORDER, MARK = range(10)
 INDEX, TAKEN, REJECTED, PENDING, CLOCK = range(2 * MARK, 2 * MARK + 5)
 
 
@@ -60,14 +60,14 @@ INDEX, TAKEN, REJECTED, PENDING, CLOCK = range(2 * MARK, 2 * MARK + 5)
 def restart(clock):  # type: ignore[no-untyped-def]
     """Note that the motion switches here: the next step is no longer than what succeeded after the last switch."""
     clock[STEP] = min(clock[STEP], clock[AFTER])
-    clock[FRESH] = 1.0
+    clock[RESTARTED] = 1.0
     clock[LAST] = 0.0
-    clock[UNSETTLED] = 1.0
+    clock[UNDECIDED] = 1.0
 
 
 @kernel
 def save_mark(progress):  # type: ignore[no-untyped-def]
-    """Remember the state from which an unbroken run would go on (unless an earlier one is remembered)."""
+    """Save the state from which an uninterrupted run would go on, unless one is saved already."""
     clock = progress.clock
     if clock[MARK] == -np.inf:
         progress.mark[:] = progress.y
@@ -79,7 +79,7 @@ class Workspace(NamedTuple):
     """Working arrays of a run."""
 
     out: Array  # (2 n + 2,) state after the step
-    errors: Array  # (2, 2 n + 2), as in steppers.extrapolate
+    errors: Array  # (2, 2 n + 2), as in steps.extrapolate
     ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives
     dys: Array
     stage: Array  # (3, 2 n + 2)

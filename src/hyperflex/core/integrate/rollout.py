@@ -17,17 +17,17 @@ from hyperflex.core.integrate.event_location import find_event, update_modes
 from hyperflex.core.integrate.progress import (
     AFTER,
     CHATTER,
-    FRESH,
     INDEX,
     JOINT,
     LAST,
     MODES,
     ORDER,
     REJECTED,
+    RESTARTED,
     SIZE,
     STEP,
     TAKEN,
-    UNSETTLED,
+    UNDECIDED,
     T,
     advance,
     new_workspace,
@@ -121,9 +121,9 @@ def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, want
         clock[ORDER], grown = cheapest(tables, limits.least, limits.most, order, step, lower_size, grown)
     clock[STEP] = max(grown, clock[STEP]) if step < wanted else grown
     clock[LAST], clock[SIZE] = step if clock[ORDER] == order and not faint else 0.0, size
-    if clock[FRESH] == 1.0:
+    if clock[RESTARTED] == 1.0:
         clock[AFTER] = clock[STEP]
-        clock[FRESH] = 0.0
+        clock[RESTARTED] = 0.0
 
 
 @kernel
@@ -162,7 +162,7 @@ def write_between(chain, drive, part, table, fixed, progress, step, workspace, t
     ys, dys = workspace.ys, workspace.dys
     ys[0], ys[2] = y, workspace.out
     first = int(clock[INDEX])
-    while fixed == 0.0 and clock[FRESH] == 1.0 and clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+    while fixed == 0.0 and clock[RESTARTED] == 1.0 and clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
         index = int(clock[INDEX])
         advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, slip, y_out[index], workspace)
         clock[INDEX] += 1
@@ -226,9 +226,9 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             break
         if t >= part.end:
             part = segment(drive, t)
-        if sticks and clock[UNSETTLED] == 1.0 and not update_modes(chain, drive, part, progress, workspace):
+        if sticks and clock[UNDECIDED] == 1.0 and not update_modes(chain, drive, part, progress, workspace):
             return status.FRICTION
-        clock[UNSETTLED] = 0.0
+        clock[UNDECIDED] = 0.0
         end, wanted, step = next_step(limits, part, clock)
         cut = step >= end - t
         if step < wanted and limits.stop < part.end:

@@ -1,8 +1,8 @@
 """Constraint torques of stuck joints, and margins to a change of mode (M.16).
 
-A slipping joint feels a constant torque against its sense of slipping. A stuck joint turns with its parent and bears
-whatever torque that takes, up to its dry friction (M.16). The modes, `slip`, are frozen within a step; a change is an
-event, and a step ends exactly there. Which modes hold at an instant is decided in ``slip_modes``.
+A slipping joint has a constant friction torque against its sense of slipping. A stuck joint turns with its parent; its
+constraint torque is at most the dry friction (M.16). The modes, `slip`, are constant within a step. A change of mode is
+an event, and a step ends exactly there. Which modes hold at an instant is decided in ``slip_modes``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class StictionWorkspace(NamedTuple):
     """Working arrays for one chain of n links."""
 
     alpha: Array  # (n,)
-    load: Array  # (n,) friction torque that each joint bears, N m
+    load: Array  # (n,) friction torque of each joint, N m
     slack: Array  # (n,) by how much a torque must exceed dry friction to count, N m
     work: Array  # (6 n,)
     state: Array  # (2 n,) angles and rates in the middle of a step
@@ -45,7 +45,7 @@ def new_stiction_workspace(n):  # type: ignore[no-untyped-def]
 
 @kernel
 def constraint_torques(chain, q, w, slip, base, torque, workspace):  # type: ignore[no-untyped-def]
-    """Accelerations, and the torque that friction must give at each joint; two passes, O(n).
+    """Accelerations, and the friction torque of each joint, also of stuck ones; two passes, O(n).
 
     Newton's and Euler's equations link by link, from the tip: independent of the elimination in the sweep. Arguments as
     in ``chain.accelerations``; results in ``workspace.alpha``, ``workspace.load``, ``workspace.slack`` of `workspace`.
@@ -86,25 +86,25 @@ def constraint_torques(chain, q, w, slip, base, torque, workspace):  # type: ign
 
 @kernel
 def chatter_allowance(n):  # type: ignore[no-untyped-def]
-    """Quick events that n joints may need which slip at next to no rate: each sticks, comes loose and sticks again."""
+    """Quick events that are normal for n joints at rates near zero: each may stick, slip and stick again."""
     return 4.0 * n + 4.0
 
 
 @kernel
 def tolerance_factor(chatter, n):  # type: ignore[no-untyped-def]
-    """Factor on SLACK and NOISE after so many quick events: more than the usual are chatter."""
+    """Factor on SLACK and NOISE after `chatter` quick events; above 1.0 beyond ``chatter_allowance``."""
     return 10.0 ** min(WIDEST, max(0.0, chatter - chatter_allowance(n)))
 
 
 @kernel
 def chatter_exceeded(chatter, n):  # type: ignore[no-untyped-def]
-    """Whether so many quick events are chatter that widening does not end."""
+    """Whether wider tolerances have not ended the chatter after so many quick events."""
     return chatter > chatter_allowance(n) + HOPELESS
 
 
 @kernel
 def widened_count(chatter, n):  # type: ignore[no-untyped-def]
-    """Count of quick events at which that factor is ten times as large as at `chatter`."""
+    """Count of quick events at which ``tolerance_factor`` is ten times that at `chatter`."""
     return max(chatter, chatter_allowance(n)) + 1.0
 
 
@@ -116,10 +116,10 @@ def at_rest(rate, up):  # type: ignore[no-untyped-def]
 
 @kernel
 def margins(chain, q, w, slip, base, torque, widen, workspace, out):  # type: ignore[no-untyped-def]
-    """How far each joint is from a change of its mode.
+    """Margin of each joint to a change of its mode, and its slope.
 
     ``out`` (2, n): of a slipping joint the relative rate in its sense, rad/s, and how fast that grows, rad/s^2; of a
-    stuck one the torque that it could bear beside its load, N m, and nothing; inf where there is no dry friction.
+    stuck one its dry friction less its load, N m, and 0.0; inf without dry friction.
     """
     constraint_torques(chain, q, w, slip, base, torque, workspace)
     for i in range(q.size):
@@ -133,7 +133,7 @@ def margins(chain, q, w, slip, base, torque, widen, workspace, out):  # type: ig
 
 @kernel
 def project_stuck(chain, slip, q, base_before, out, base):  # type: ignore[no-untyped-def]
-    """Take rounding off stuck joints: rates of ``out`` (2 n + 2,) become the parents', angles between links stay.
+    """Project ``out`` (2 n + 2,) onto stuck joints: rates become the parents', angles between links stay.
 
     `q` (n or more,) are the angles at an earlier instant since which no mode has changed, with its base (9,).
     """
@@ -155,7 +155,7 @@ def stops(margin, i):  # type: ignore[no-untyped-def]
 
 @kernel
 def stop_joints(chain, slip, margin, out, base):  # type: ignore[no-untyped-def]
-    """Give joints that have just stopped slipping their parents' rates; stuck ones beyond them follow."""
+    """Set the rates of joints that have just stopped, and of stuck ones, to those of their parents."""
     n = slip.size
     for i in range(n):
         if chain.dry[i] > 0.0 and (slip[i] == 0.0 or stops(margin, i)):

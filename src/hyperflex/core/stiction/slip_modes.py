@@ -22,7 +22,7 @@ CALM = 1e-8  # rad/s, slower than this a joint that chatters may be brought to r
 
 @kernel
 def decide_modes(chain, q, w, base, torque, chatter, slip, before, workspace):  # type: ignore[no-untyped-def]
-    """Decide the modes after an event, or at a start; takes for rounding what would otherwise go on for ever.
+    """Decide the modes after an event or at a start; where joints chatter, with wider tolerances.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def decide_modes(chain, q, w, base, torque, chatter, slip, before, workspace):  
 
 @kernel
 def stop_slow_joints(chain, w, base, still):  # type: ignore[no-untyped-def]
-    """Bring joints with dry friction to rest in `w` (n,) that turn by no more than `still`, rad/s."""
+    """Set the rates in `w` (n,) of dry joints slower than `still`, rad/s, to those of their parents."""
     for i in range(w.size):
         up = w[i - 1] if i > 0 else base[3]
         if chain.dry[i] > 0.0 and abs(w[i] - up) <= still:
@@ -61,13 +61,13 @@ def stop_slow_joints(chain, w, base, still):  # type: ignore[no-untyped-def]
 
 @kernel
 def find_modes(chain, q, w, base, torque, widen, slip, workspace):  # type: ignore[no-untyped-def]
-    """Find the modes at an instant: `slip` (n,) out, and accelerations and loads that go with them in `workspace`.
+    """Find the modes at an instant, to `slip` (n,), with their accelerations and loads in `workspace`.
 
     Parameters
     ----------
     chain, q, w, base, torque : as in ``chain.accelerations``
     widen : float
-        Factor on what a torque must exceed dry friction by; 1.0 unless joints chatter.
+        Factor on the tolerance of the dry friction; 1.0 unless joints chatter.
 
     Returns
     -------
@@ -98,11 +98,11 @@ def find_modes(chain, q, w, base, torque, widen, slip, workspace):  # type: igno
 
 @kernel
 def active_set_search(chain, q, w, base, torque, widen, resting, moved, slip, workspace):  # type: ignore[no-untyped-def]
-    """Change the modes of the `resting` joints at rest, all held in `slip` at first, until they obey the law.
+    """Active-set search: change the modes of the `resting` joints, all stuck at first, until they obey (M.16).
 
-    The one that breaks the law most is changed, a stuck one whose torque exceeds its dry friction to slip, a slipping
+    The joint that violates (M.16) most is changed, a stuck one whose torque exceeds its dry friction to slip, a slipping
     one that would turn against its sense to stick. For friction that acts on both links this is a convex problem, and
-    from a turn on the first that breaks the law is changed, a rule that ends. Returns False where it did not; `moved`
+    after some turns the first violation is changed instead, a rule that ends. Returns False where it did not; `moved`
     (n,) is 1.0 for each joint that was changed.
     """
     max_changes = 2 * resting + 8
@@ -120,7 +120,7 @@ def active_set_search(chain, q, w, base, torque, widen, resting, moved, slip, wo
 
 @kernel
 def worst_violation(chain, q, w, base, torque, widen, slip, workspace, any_will_do):  # type: ignore[no-untyped-def]
-    """Return the joint at rest that breaks the law most, or the first that does if any will do; -1: none."""
+    """Return the joint at rest that violates (M.16) most, or with `any_will_do` the first; -1: none."""
     constraint_torques(chain, q, w, slip, base, torque, workspace)
     largest = abs(base[2])
     for i in range(q.size):
@@ -141,17 +141,17 @@ def worst_violation(chain, q, w, base, torque, widen, slip, workspace, any_will_
 
 @kernel
 def continuation(chain, q, w, base, torque, moved, slip, workspace):  # type: ignore[no-untyped-def]
-    """Find modes of those joints at rest that have `moved` (n,), by following them from no dry friction in them to all.
+    """Find modes of the joints at rest that have `moved` (n,), by continuation from no dry friction to all of it.
 
     The other joints at rest are held, whatever that takes. Without friction each that has moved slips as it is pulled.
     As the friction grows, in proportion to `part`, the modes change one by one, and between two changes all loads and
-    accelerations are linear in it. The way may lead back for a while, where what lets a joint slip is what holds it,
-    but it cannot end: loads that obey the law solve a variational inequality on a box, and there are some for any
+    accelerations are linear in it. The path may turn back for a while, but it cannot end: loads that obey (M.16) solve a
+    variational inequality on a box, which has a solution for any
     friction (Hartman and Stampacchia 1966, doi:10.1007/BF02392210).
 
     Returns
     -------
-    bool : False where rounding led astray.
+    bool : False where rounding has broken the path.
     """
     n = q.size
     none, full = np.empty((2, n)), np.empty((2, n))
@@ -183,10 +183,10 @@ def continuation(chain, q, w, base, torque, moved, slip, workspace):  # type: ig
 
 @kernel
 def continuation_margins(chain, q, w, base, torque, moved, part, slip, workspace, out):  # type: ignore[no-untyped-def]
-    """How far each joint that has moved is from a change of its mode, if it has only a part of its dry friction.
+    """Margins of the joints that have moved, with only a part of their dry friction.
 
-    ``out`` (2, n): of a slipping joint its relative acceleration in its sense, rad/s^2, and 1.0; of a stuck one what it
-    could bear beside its load in either sense, N m; 1.0 of any other.
+    ``out`` (2, n): of a slipping joint its relative acceleration in its sense, rad/s^2, and 1.0; of a stuck one its
+    dry friction less its load in either sense, N m; 1.0 of any other.
     """
     dry = chain.dry * (1.0 - (1.0 - part) * moved)
     out[:] = 1.0
@@ -216,7 +216,7 @@ def continuation_margins(chain, q, w, base, torque, moved, part, slip, workspace
 
 @kernel
 def first_breakpoint(none, full, part, way):  # type: ignore[no-untyped-def]
-    """How far from `part` the first of the margins (2, n), given at 0 and at 1, falls to zero; which, on which side."""
+    """Distance from `part` to the first zero of the margins (2, n), given at 0 and 1; its joint and side."""
     far, at, at_side = np.inf, -1, 0
     for i in range(none.shape[1]):
         for side in range(2):

@@ -75,7 +75,7 @@ def base_changes(drive, part, t, late, directions, moved):  # type: ignore[no-un
 
 @kernel
 def project_stuck_tangent(slip, before, moved_before, moved, values):  # type: ignore[no-untyped-def]
-    """Take rounding off derivatives (2 n, p) of stuck joints, as ``stick.hold`` off the state; `before` are earlier."""
+    """Project derivatives (2 n, p) onto stuck joints, as ``project_stuck`` does the state; `before` are earlier."""
     n = slip.size
     for i in range(n):
         if slip[i] == 0.0:

@@ -177,7 +177,7 @@ def sum_columns(store, values):  # type: ignore[no-untyped-def]
 
 @kernel
 def tangent_step(chain, drive, part, table, t, step, y, out, directions, result, workspace):  # type: ignore[no-untyped-def]
-    """One extrapolated step, as ``steppers.extrapolate``, with the derivatives of its result.
+    """One extrapolated step, as ``steps.extrapolate``, with the derivatives of its result.
 
     Parameters
     ----------
@@ -185,7 +185,8 @@ def tangent_step(chain, drive, part, table, t, step, y, out, directions, result,
     t, step : float, s
     y, out : (2 n + 2,) state before the step, and after it (out)
     result : (2 n, p) out, derivatives of the angles and rates after the step
-    workspace : Room; ``store`` holds the derivatives before the step, ``shift`` and ``change`` those of t and `step`
+    workspace : TangentWorkspace
+        ``store`` holds the derivatives before the step, ``shift`` and ``change`` those of t and `step`
     """
     workspace.stretch[:] = workspace.change / step
     out[:] = y

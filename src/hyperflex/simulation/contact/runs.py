@@ -38,12 +38,12 @@ CLEAR = 0.03  # m, gap at which a rope that was in contact has left, where it is
 APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/rad
 BUDGET = 250  # steps between two looks at progress and Ctrl-C; some take milliseconds
 STEP = "contact_step"
-# in a state's checkpoint, in the order of ``contact.step.Kept``
+# in a state's checkpoint, in the order of ``contact.step.ContactMemory``
 KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_heavy", "joint_torque", "joint_mode")
 
 
 class ContactRun:
-    """A rollout beside pegs, or of a rope whose joints have limits.
+    """A rollout with pegs, or of a rope whose joints have limits.
 
     Parameters
     ----------
@@ -75,12 +75,12 @@ class ContactRun:
         """Begin anew at the state that the run stands at; forces and modes of contacts are those of `state`, if any."""
         contact, saved = self.contact, {} if state is None else state.checkpoint
         contact.clock[:] = 0.0
-        contact.clock[at.STEP], contact.clock[at.DUE] = self.longest, 1.0
+        contact.clock[at.STEP], contact.clock[at.IMPACT_DUE] = self.longest, 1.0
         contact.spin[:] = starting_spin(self.setup, state)
         for name, array in zip(KEPT, contact.memory, strict=True):
             array[:] = saved[name] if np.shape(saved.get(name, ())) == array.shape else 0
         if STEP in saved and np.array_equal(saved["y"], contact.y):
-            contact.clock[at.STEP], contact.clock[at.DUE] = min(float(saved[STEP]), self.longest), 0.0
+            contact.clock[at.STEP], contact.clock[at.IMPACT_DUE] = min(float(saved[STEP]), self.longest), 0.0
 
     def finish(self, report: Callable[[float], None] | None = None) -> int:
         """Run to the end and return the status code; `report` hears of the simulated time now and then."""
@@ -130,7 +130,7 @@ class ContactRun:
         for array in self.contact.memory:
             array[:] = 0
         if code == status.LIMIT:
-            self.contact.clock[at.DUE] = 1.0
+            self.contact.clock[at.IMPACT_DUE] = 1.0
             return status.LEFT
         return status.RUNNING if run.time < stop else status.OK
 
@@ -193,8 +193,8 @@ class ContactRun:
             "contact_unsolved": float(clock[at.UNSOLVED]),
             "contact_impacts": float(clock[at.IMPACTS]),
             "contact_deepest": float(clock[at.DEEPEST]),
-            "limit_passed": float(clock[at.BENT]),
-            "energy_appeared": float(clock[at.APPEARED]),
+            "limit_passed": float(clock[at.BEND]),
+            "energy_appeared": float(clock[at.ENERGY_GAIN]),
             "free_flights": float(self.flights),
             "free_time": self.flown,
         }
@@ -228,7 +228,7 @@ def _own(values: Iterable[Any]) -> Iterator[Any]:
 
 
 class ContactSamples(NamedTuple):
-    """What contact makes of a run at its samples."""
+    """Contact outputs of a run at its samples."""
 
     free: npt.NDArray[np.bool_]  # (T,) samples in free flight
     qdd: Array  # (T, n) rad/s^2; NaN there
