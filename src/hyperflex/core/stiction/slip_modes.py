@@ -100,7 +100,7 @@ def find_modes(chain, q, w, base, torque, widen, slip, workspace):  # type: igno
 def active_set_search(chain, q, w, base, torque, widen, resting, moved, slip, workspace):  # type: ignore[no-untyped-def]
     """Active-set search: change the modes of the `resting` joints, all stuck at first, until they obey (M.16).
 
-    The joint that violates (M.16) most is changed, a stuck one whose torque exceeds its dry friction to slip, a slipping
+    The joint that violates (M.16) most changes, a stuck one whose torque exceeds its dry friction to slip, a slipping
     one that would turn against its sense to stick. For friction that acts on both links this is a convex problem, and
     after some turns the first violation is changed instead, a rule that ends. Returns False where it did not; `moved`
     (n,) is 1.0 for each joint that was changed.
@@ -145,9 +145,9 @@ def continuation(chain, q, w, base, torque, moved, slip, workspace):  # type: ig
 
     The other joints at rest are held, whatever that takes. Without friction each that has moved slips as it is pulled.
     As the friction grows, in proportion to `part`, the modes change one by one, and between two changes all loads and
-    accelerations are linear in it. The path may turn back for a while, but it cannot end: loads that obey (M.16) solve a
-    variational inequality on a box, which has a solution for any
-    friction (Hartman and Stampacchia 1966, doi:10.1007/BF02392210).
+    accelerations are linear in it. The path may turn back for a while, but it cannot end: such loads solve a
+    variational inequality on a box, which has a solution for any friction (Hartman and Stampacchia 1966,
+    doi:10.1007/BF02392210).
 
     Returns
     -------
