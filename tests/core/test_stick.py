@@ -23,7 +23,7 @@ def test_what_stuck_joints_bear_is_the_multiplier_of_the_constraint(n: int, reac
     links, state, slip = random_links(n, 3, reaction=reaction, air=True), random_state(n, 3), random_grip(n, 4)
     workspace = stick.new_stiction_workspace(n)
     stick.constraint_torques(chain_of(links), state.q, state.w, slip, state.base, 0.03, workspace)
-    answer = dense.accelerations(links, *state, torque=0.03, slip=slip)
+    answer = dense.accelerations(links, *state, torque=0.03, grip=slip)
     stuck = slip == 0.0
     # Torques are sums of n forces of the size m a times lengths; the accelerations are right to 1e-12 of the largest.
     scale = np.abs(answer.alpha).max() * (links.mass.sum() + links.tip_mass) * links.length.sum() ** 2
@@ -40,7 +40,7 @@ def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n: int) -> None:
     for seed in range(12):
         links, state = random_links(n, seed, air=True), random_state(n, seed)
         state = State(state.q, np.full(n, state.base[3]), state.base)
-        held = np.abs(dense.accelerations(links, *state, slip=np.zeros(n)).held).astype(float)
+        held = np.abs(dense.accelerations(links, *state, grip=np.zeros(n)).held).astype(float)
         links = links._replace(dry=held * np.random.default_rng(seed).uniform(0.4, 1.6, n))
         slip, workspace = np.zeros(n), stick.new_stiction_workspace(n)
         assert modes.find_modes(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, slip, workspace)
@@ -51,7 +51,7 @@ def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n: int) -> None:
 
 def obeys_the_law(links: Links, state: State, slip: Real) -> bool:
     """Whether modes of a chain all of whose joints are at rest obey Coulomb's law, by the dense equations."""
-    answer = dense.accelerations(links, *state, dtype=float, slip=slip)
+    answer = dense.accelerations(links, *state, dtype=float, grip=slip)
     turning = np.diff(answer.alpha, prepend=state.base[2])
     slack = 1e-9 * np.abs(answer.alpha).max()  # of two ways to solve for accelerations
     stuck = slip == 0.0
@@ -67,7 +67,7 @@ def test_friction_without_reaction_leaves_lawful_modes_as_well(n: int, seeds: in
         rng = np.random.default_rng(seed)
         links, base = random_links(n, seed, reaction=0.0), random_state(n, seed).base
         state = State(rng.uniform(-np.pi, np.pi, n), np.full(n, base[3]), base)
-        held = np.abs(dense.accelerations(links, *state, slip=np.zeros(n)).held).astype(float)
+        held = np.abs(dense.accelerations(links, *state, grip=np.zeros(n)).held).astype(float)
         links = links._replace(dry=held * rng.uniform(0.1, 1.2, n))
         chain, slip, workspace = chain_of(links), np.zeros(n), stick.new_stiction_workspace(n)
         known = (chain, state.q, state.w, state.base, 0.0)

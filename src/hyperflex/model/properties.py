@@ -101,7 +101,7 @@ FREE = {each.name: each for each in _TABLE if each.form}  # what can be fitted
 
 
 class Ratio(NamedTuple):
-    """What a motion without known forces tells of the rope, over p of link 0: in words, and its unit."""
+    """Ratio that a motion without known forces determines, over p of link 0: its description and unit."""
 
     words: str
     unit: str

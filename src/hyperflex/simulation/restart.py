@@ -123,7 +123,7 @@ def state_of(
 
 
 def fingerprint(run: Rollout, setup: Setup) -> float:
-    """Return a number that tells whether two runs integrate the same thing in the same way."""
+    """Return a fingerprint of what is integrated and how; equal for runs that can be resumed from each other."""
     digest = hashlib.sha256()
     for part in (*run.chain, *run.drive, run.limits.tol, run.limits.fixed, setup.torque_driven):
         digest.update(np.ascontiguousarray(part).tobytes())

@@ -146,7 +146,7 @@ def end_at_event(run: Rollout) -> None:
 
 
 def finish(run: Rollout, report: Callable[[float], None] | None = None) -> int:
-    """Run to the end and return the status code; `report` hears of the simulated time between budgets."""
+    """Run to the end and return the status code; `report` is called with the simulated time between budgets."""
     code = status.RUNNING
     run.progress.clock[MARK] = -np.inf
     while code == status.RUNNING:

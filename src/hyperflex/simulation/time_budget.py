@@ -25,7 +25,7 @@ def enforce_budget(report: Callable[[float], None] | None, seconds: float | None
     Parameters
     ----------
     report : callable, optional
-        Hears of the simulated time.
+        Called with the simulated time.
     seconds : float, optional
         Of processor time, so that a busy machine ends no run; None waits for ever.
     """

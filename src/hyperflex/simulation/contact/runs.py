@@ -83,7 +83,7 @@ class ContactRun:
             contact.clock[at.STEP], contact.clock[at.IMPACT_DUE] = min(float(saved[STEP]), self.longest), 0.0
 
     def finish(self, report: Callable[[float], None] | None = None) -> int:
-        """Run to the end and return the status code; `report` hears of the simulated time now and then."""
+        """Run to the end and return the status code; `report` is called with the simulated time now and then."""
         code = status.RUNNING
         for own, given in zip(self.system[1][:3], self.run.drive[:3], strict=True):  # it may have been written anew
             own[:] = given

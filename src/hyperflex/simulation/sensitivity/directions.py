@@ -64,7 +64,7 @@ class ParameterDirections:
         return np.stack([part.get("length", np.zeros(n)) for part in self.parts], axis=1)
 
     def with_faint_terms(self, chain: Chain) -> Chain:
-        """The chain itself, with a trace of what a run without any leaves out, where a direction changes it."""
+        """The chain, with FAINT dry friction or drag where a direction changes one that is zero."""
         for each in (each for each in LINKS if each.least):
             now, faint = getattr(chain, each.field), np.zeros(chain.length.size)
             for part in self.parts:
