@@ -11,7 +11,7 @@ from cast import cable
 from clock import NOTE, alternately
 
 import hyperflex as hf
-from hyperflex.simulation import Slopes, angles
+from hyperflex.simulation import AngleJacobian, angles
 
 LINKS, TOL, DURATION = 50, 1e-5, 10.0
 OUTPUTS = {"the end alone": 2, "every 33 ms": 301, "every 10 ms": 1001}
@@ -32,7 +32,7 @@ def measure(quick: bool, repeats: int, _peers: dict[str, ModuleType]) -> list[di
     rows = []
     for outputs, count in list(OUTPUTS.items())[: 1 if quick else None]:
         t = np.linspace(0.0, DURATION, count)
-        slopes = {what: Slopes(setup, names) for what, names in WRT.items()}
+        slopes = {what: AngleJacobian(setup, names) for what, names in WRT.items()}
 
         def plain(t: Any = t) -> Any:
             return angles(rope, t, q0, qd0, motion=motion, arm=arm, tol=TOL)[0]
@@ -55,7 +55,7 @@ def check(rope: hf.Rope, motion: hf.Motion, arm: hf.Arm, q0: Any, qd0: Any) -> N
     """Compare a derivative with a difference of two tight runs."""
     t = np.linspace(0.0, 2.0, 21)
     setup = hf.Setup(rope, motion, arm, duration=2.0, tol=1e-9)
-    slope = Slopes(setup, "q0[0]")(t, q0, qd0)[2][:, :, 0]
+    slope = AngleJacobian(setup, "q0[0]")(t, q0, qd0)[2][:, :, 0]
     nudge = SPACING * np.eye(LINKS)[0]
     near, far = (angles(rope, t, q, qd0, motion=motion, arm=arm, tol=1e-9)[0] for q in (q0, q0 + nudge))
     want = (far - near) / SPACING

@@ -12,22 +12,22 @@ from scipy.optimize import brentq
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.chain.drive import Segment, base_state, segment
-from hyperflex.core.chain.lanes import COLUMNS, load, rows, set_grip
+from hyperflex.core.chain.lanes import COLUMNS, load, rows, set_slip
 from hyperflex.core.integrate import steps as steppers
 from hyperflex.core.integrate.progress import JOINT, LENGTH, MODES
 from hyperflex.core.stiction.constraint_torques import QUICK
 from hyperflex.simulation.rollouts import TABLES, Rollout, limits
-from hyperflex.simulation.sensitivity.directions import Wanted, wanted
-from hyperflex.simulation.sensitivity.sensitivity import along, recorded
+from hyperflex.simulation.sensitivity.directions import ParameterDirections, parameter_directions
+from hyperflex.simulation.sensitivity.sensitivity import forward_derivatives, record_steps
 from tests.reference import dense
 
 # an eighth-order difference: its truncation is far below the rounding, which is some 1e-15 over the spacing
 STENCIL = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
 
 
-def run_of(it: hf.Setup, ways: Wanted | None = None) -> Rollout:
-    chain = ways.felt(it.chain()) if ways else it.chain()
-    return recorded(chain, it.drive(), it.start(), limits(it, chain, it.duration))
+def run_of(it: hf.Setup, ways: ParameterDirections | None = None) -> Rollout:
+    chain = ways.with_faint_terms(it.chain()) if ways else it.chain()
+    return record_steps(chain, it.drive(), it.start(), limits(it, chain, it.duration))
 
 
 class Frozen:
@@ -35,7 +35,7 @@ class Frozen:
 
     def __init__(self, run: Rollout, it: hf.Setup) -> None:
         self.chain, self.drive, self.run, n = it.chain(), it.drive(), run, it.chain().length.size
-        self.links = dense.Links(*self.chain[:-1], reaction=len(self.chain.bears) - 1.0)
+        self.links = dense.Links(*self.chain[:-1], reaction=len(self.chain.reaction) - 1.0)
         self.lanes, self.tip = rows(COLUMNS, n)
         load(COLUMNS, self.chain, self.lanes, self.tip)
         self.stop = run.limits.stop
@@ -83,7 +83,7 @@ class Frozen:
         for row in steps:
             length, end, order, grip = row[0], row[1], int(row[2]), row[MODES:]
             part, before = segment(self.drive, self.t), segment(self.run.drive, old)
-            set_grip(COLUMNS, self.lanes, grip)
+            set_slip(COLUMNS, self.lanes, grip)
             joint = int(row[JOINT])
             if end >= before.end or end >= self.stop:
                 length = (part.end if end >= before.end else self.stop) - self.t
@@ -109,16 +109,16 @@ def times_of(run: Rollout) -> Array:
 def check(make: Callable[[float], hf.Setup], wrt: Any, size: float) -> Rollout:
     """Compare with differences of a spacing of `size`; 1e-7 of the greatest, which is the rounding of differences."""
     it = make(0.0)
-    ways = wanted(it, wrt)
+    ways = parameter_directions(it, wrt)
     run, n = run_of(it, ways), it.chain().length.size
     times = times_of(run)
-    _, dy = along(run, ways, it.start(), times)
+    _, dy = forward_derivatives(run, ways, it.start(), times)
 
     def followed(x: float) -> Array:
         other, moved = copy.copy(run), make(x)
         other.chain, other.drive = moved.chain(), moved.drive()
         other.progress = run.progress._replace(log=Frozen(run, moved).log())
-        return along(other, ways, moved.start(), times)[0][:, : 2 * n]
+        return forward_derivatives(other, ways, moved.start(), times)[0][:, : 2 * n]
 
     want = np.zeros((times.size, 2 * n))
     for k, weight in STENCIL.items():

@@ -83,12 +83,12 @@ def test_what_does_not_fit_is_refused(what: dict[str, object], words: str) -> No
 def test_a_member_that_takes_too_long_has_failed() -> None:
     ropes, motions = family()
     how = {"pegs": PEGS, "q0": np.full(10, 1.2), "t_eval": [0.1, DURATION], "keep": ("tip",), **HOW}
-    batch = hf.simulate_batch(ropes, motions, patience=1e-6, **how)
-    assert batch.status == ("out of patience",) * 3
+    batch = hf.simulate_batch(ropes, motions, time_budget=1e-6, **how)
+    assert batch.status == ("time budget exceeded",) * 3
     assert np.isnan(batch.tip[:, -1]).all()
     assert (batch.reached < DURATION).all()
-    assert set(hf.simulate_batch(ropes, motions, patience=1e3, **how).status) == {"ok"}
-    with pytest.raises(InvalidInput, match="patience has the wrong sign"):
-        hf.simulate_batch(ropes, motions, patience=-1.0, **how)
+    assert set(hf.simulate_batch(ropes, motions, time_budget=1e3, **how).status) == {"ok"}
+    with pytest.raises(InvalidInput, match="time_budget has the wrong sign"):
+        hf.simulate_batch(ropes, motions, time_budget=-1.0, **how)
     with pytest.raises(InvalidInput, match="beside pegs"):
-        hf.simulate_batch(ropes, motions, patience=1.0, arm=ARM, duration=0.1)
+        hf.simulate_batch(ropes, motions, time_budget=1.0, arm=ARM, duration=0.1)

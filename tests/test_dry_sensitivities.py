@@ -12,7 +12,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.integrate.progress import JOINT, MODES
-from hyperflex.simulation import Slopes
+from hyperflex.simulation import AngleJacobian
 from tests.frozen import check
 
 DURATION = 1.4
@@ -175,7 +175,7 @@ def test_no_dry_friction_yet_is_differentiated_towards_more() -> None:
 
 def test_prepared_slopes_take_another_dry_friction_each_time() -> None:
     it, times = setup(5), np.linspace(0.0, 1.0, 21)
-    slopes = Slopes(it, ["dry_friction", "friction[2]", "q0[0]"])
+    slopes = AngleJacobian(it, ["dry_friction", "friction[2]", "q0[0]"])
     for values in (rope(5).dry_friction, 0.3 * rope(5).dry_friction, np.zeros(5)):
         other = rope(5, dry_friction=values)
         q, qd, dq, dqd = slopes(times, it.q0, it.qd0, other)

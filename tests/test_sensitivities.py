@@ -14,10 +14,10 @@ import pytest
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.chain.drive import segment
-from hyperflex.simulation import Slopes
+from hyperflex.simulation import AngleJacobian
 from hyperflex.simulation.rollouts import Rollout, limits
-from hyperflex.simulation.sensitivity.directions import wanted
-from hyperflex.simulation.sensitivity.sensitivity import along, recorded
+from hyperflex.simulation.sensitivity.directions import parameter_directions
+from hyperflex.simulation.sensitivity.sensitivity import forward_derivatives, record_steps
 
 N, DURATION = 6, 1.6
 # none at a switch, where the derivative is one-sided; some within the step behind one, which is sampled in its own way
@@ -50,7 +50,7 @@ def setup(**changes: Any) -> hf.Setup:
 
 
 def run_of(it: hf.Setup) -> Rollout:
-    return recorded(it.chain(), it.drive(), it.start(), limits(it, it.chain(), it.duration))
+    return record_steps(it.chain(), it.drive(), it.start(), limits(it, it.chain(), it.duration))
 
 
 def retimed(run: Rollout, it: hf.Setup) -> Array:
@@ -73,14 +73,14 @@ def followed(run: Rollout, it: hf.Setup) -> Array:
     other = copy.copy(run)
     other.chain, other.drive = it.chain(), it.drive()
     other.progress = run.progress._replace(log=retimed(run, it))
-    return along(other, wanted(it, "q0[0]"), it.start(), TIMES)[0][:, : 2 * N]
+    return forward_derivatives(other, parameter_directions(it, "q0[0]"), it.start(), TIMES)[0][:, : 2 * N]
 
 
 def check(make: Callable[[float], hf.Setup], wrt: Any, size: float) -> None:
     """Compare with differences of a spacing of `size`; 1e-7 of the greatest, which is the rounding of differences."""
     it = make(0.0)
     run = run_of(it)
-    _, dy = along(run, wanted(it, wrt), it.start(), TIMES)
+    _, dy = forward_derivatives(run, parameter_directions(it, wrt), it.start(), TIMES)
     want = np.zeros((TIMES.size, 2 * N))
     for k, weight in STENCIL.items():
         want += weight * (followed(run, make(k * size)) - followed(run, make(-k * size))) / size
@@ -221,7 +221,7 @@ def test_period_of_a_pendulum_against_its_length() -> None:
 def test_prepared_slopes_equal_the_whole_and_take_another_rope() -> None:
     it = setup()
     names = ["friction", "q0[0]", "motion.t_rest"]
-    slopes = Slopes(it, names)
+    slopes = AngleJacobian(it, names)
     other = rope(friction=2e-3)
     for given in (None, other):
         q, qd, dq, dqd = slopes(TIMES, it.q0, it.qd0, given)

@@ -11,7 +11,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.core.integrate.progress import JOINT, MODES
-from hyperflex.simulation import Slopes
+from hyperflex.simulation import AngleJacobian
 from tests.frozen import check
 
 TIMES, TORQUES = np.array([0.0, 0.2, 0.5, 0.7, 1.0]), np.array([0.0, 0.06, -0.05, -0.04, 0.05])
@@ -102,7 +102,7 @@ def test_states_are_those_of_the_run_and_prepared_slopes_have_the_arm_first() ->
     whole, run = hf.sensitivities(it, t_eval=times, wrt=names), hf.simulate(it, t_eval=times)
     for name in ("q", "qd", "tip", "arm_angle", "arm_rate"):
         np.testing.assert_allclose(getattr(whole, name), getattr(run, name), rtol=0.0, atol=1e-11)
-    q, qd, dq, dqd = Slopes(it, names)(times, *it.start(), it.rope)
+    q, qd, dq, dqd = AngleJacobian(it, names)(times, *it.start(), it.rope)
     np.testing.assert_array_equal(q, np.column_stack([whole.arm_angle, whole.q]))
     np.testing.assert_array_equal(qd, np.column_stack([whole.arm_rate, whole.qd]))
     np.testing.assert_array_equal(dq[:, 1:], whole.dq)

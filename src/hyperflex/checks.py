@@ -1,4 +1,4 @@
-"""Checks of arguments, shared by every module that takes them from a user (model, motion, recording, simulate, files).
+"""Checks of user arguments, shared by all modules.
 
 Each returns the value in the form that the package works with, or raises :class:`hyperflex.errors.InvalidInput`.
 """

@@ -1,4 +1,4 @@
-"""The paper's equations (1)-(3): arm and rope as one underactuated chain, partly linearised.
+"""The paper's equations (1)-(3): mass matrix, bias and partial linearization.
 
 Coordinates are absolute angles, the arm's (index a) before the rope's (index u): with the arm's inertia and friction,
 M [a; u] + bias = [tau; 0], where bias gathers the centrifugal, potential and friction terms, C + P - F.
@@ -15,12 +15,12 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain import articulated_body as core
 from hyperflex.core.chain.drive import ANGLE, TORQUE
-from hyperflex.core.stiction.constraint_torques import bench
-from hyperflex.core.stiction.slip_modes import decide
+from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
+from hyperflex.core.stiction.slip_modes import find_modes
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.simulation.commands import arm_polynomials, set_commands, setup_for, state_directions
 from hyperflex.simulation.rollouts import Interval
-from hyperflex.simulation.sensitivity.sensitivity import acceleration_slopes
+from hyperflex.simulation.sensitivity.sensitivity import acceleration_jacobian
 from hyperflex.simulation.stepper import Stepper
 
 
@@ -163,7 +163,7 @@ def linearize(
     interval.set(0.0, 1.0, TORQUE if command == "torque" else ANGLE, known @ powers)
     start, seeds = state_directions(command, chain, interval.drive)
     set_commands(command, seeds, powers)
-    slopes = acceleration_slopes(chain, interval.drive, setup.start(), seeds, start)
+    slopes = acceleration_jacobian(chain, interval.drive, setup.start(), seeds, start)
     n, size = chain.length.size, 2 * rope.n_links + 2
     result = np.zeros((size, size + 1))
     result[: size // 2, size // 2 : size] = np.eye(size // 2)
@@ -208,8 +208,8 @@ def bias(
     result = np.empty(angles.size)
     sense = np.sign(np.diff(rates, prepend=0.0))
     chain = chain._replace(dry=np.where(sense == 0.0, 0.0, chain.dry))
-    grip = np.where(sense == 0.0, 1.0, sense)
-    core.accelerations(chain, angles, rates, grip, np.zeros(7), 0.0, 0.0, result, np.empty(6 * angles.size))
+    slip = np.where(sense == 0.0, 1.0, sense)
+    core.accelerations(chain, angles, rates, slip, np.zeros(7), 0.0, 0.0, result, np.empty(6 * angles.size))
     mass = np.empty((angles.size, angles.size))
     core.mass_matrix(chain, angles, mass)
     return np.asarray(-mass @ result)
@@ -236,12 +236,12 @@ def partial_linearization(
     angles = checks.array("q", q, (rope.n_links,), unit="rad")
     rates = checks.array("qd", qd, (rope.n_links,), unit="rad/s")
     angle, rate = checks.number("arm_angle", arm_angle), checks.number("arm_rate", arm_rate)
-    grip = np.ones(rope.n_links)
+    slip = np.ones(rope.n_links)
     if rope.dry_friction.any():
         base = _base(arm, angle, rate, 0.0)
-        decide(rope.chain(), angles, rates, base, 0.0, 1.0, grip, bench(rope.n_links))
-    rest = _driven(rope, arm, angles, rates, angle, rate, 0.0, grip)
-    unit = _driven(rope, arm, angles, rates, angle, rate, 1.0, grip)
+        find_modes(rope.chain(), angles, rates, base, 0.0, 1.0, slip, new_stiction_workspace(rope.n_links))
+    rest = _driven(rope, arm, angles, rates, angle, rate, 0.0, slip)
+    unit = _driven(rope, arm, angles, rates, angle, rate, 1.0, slip)
     return PartialLinearization(rest[0], unit[0] - rest[0], unit[1] - rest[1], rest[1])
 
 
@@ -278,14 +278,14 @@ def _base(arm: Arm, angle: float, rate: float, acceleration: float) -> Array:
 
 
 def _driven(
-    rope: Rope, arm: Arm, q: Array, qd: Array, angle: float, rate: float, acceleration: float, grip: Array
+    rope: Rope, arm: Arm, q: Array, qd: Array, angle: float, rate: float, acceleration: float, slip: Array
 ) -> tuple[Array, float]:
-    """Rope accelerations (n,) and motor torque under a given acceleration of the arm; `grip` (n,) as in core."""
+    """Rope accelerations (n,) and motor torque under a given acceleration of the arm; `slip` (n,) as in core."""
     n = rope.n_links
     cos, sin = np.cos(angle), np.sin(angle)
     base = _base(arm, angle, rate, acceleration)
     qdd = np.empty(n)
-    fx, fy, moment = core.accelerations(rope.chain(), q, qd, grip, base, 0.0, 0.0, qdd, np.empty(6 * n))
+    fx, fy, moment = core.accelerations(rope.chain(), q, qd, slip, base, 0.0, 0.0, qdd, np.empty(6 * n))
     own = arm.shaft_torque(rope.gravity, np.array(angle), np.array(rate), np.zeros(()))
     own += (arm.inertia + arm.mass * arm.com**2) * acceleration
     return qdd, float(own + moment + arm.length * (cos * fx + sin * fy))

@@ -1,4 +1,4 @@
-"""What controllers, planners and estimators ask of each other: a rope's state, whatever tells it, and a motor."""
+"""Interfaces between control, planning and estimation: rope state, state source, motor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hyperflex.motion import Motion
 
 @dataclass(frozen=True, eq=False)
 class RopeState:
-    """What a controller is told of the rope.
+    """State of the rope as a controller knows it.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class RopeState:
 
 
 class StateSource(Protocol):
-    """Whatever tells the state of a rope while it moves: a simulation, a camera with an estimator."""
+    """Source of a rope's state while it moves: a simulation, or a camera with an estimator."""
 
     def state(self, t: float, motion: Motion) -> RopeState:
         """Return the state at an instant, from whatever has been seen until then.
@@ -45,7 +45,7 @@ class StateSource(Protocol):
 
 
 class Motor(Protocol):
-    """Whatever turns an arm: a simulated servo, later a real one."""
+    """Motor that turns an arm: a simulated servo, or a real one."""
 
     def set_motion(self, motion: Motion, at: float) -> None:
         """Ask for a motion from a time on.

@@ -1,4 +1,4 @@
-"""How a rope is wound round a peg, and how well it holds: measures on a trajectory, and a tug."""
+"""Winding measures of a trajectory: turns about a peg, tension, slip, and a tug test."""
 
 from __future__ import annotations
 

@@ -26,8 +26,8 @@ class Sweep(NamedTuple):
 def chain_of(links: Any) -> kernels.Chain:
     """The kernel's parameters from the reference's (same names, but for who bears the friction)."""
     values = links._asdict()
-    bears = kernels.MUTUAL if values.pop("reaction") == 1.0 else kernels.PRINTED
-    return kernels.Chain(**values, bears=bears)
+    reaction = kernels.MUTUAL if values.pop("reaction") == 1.0 else kernels.ONE_SIDED
+    return kernels.Chain(**values, reaction=reaction)
 
 
 def senses(state: State) -> Real:

@@ -9,7 +9,7 @@ import hyperflex as hf
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
 from hyperflex.core.contact.joints import ANY
-from hyperflex.core.contact.step import attempt, keep, new_desk, new_kept
+from hyperflex.core.contact.step import new_contact_memory, new_contact_workspace, save_memory, try_step
 from tests.reference import dense
 from tests.reference.joint_impulses import rates_after
 
@@ -25,15 +25,15 @@ def taken(rope: hf.Rope, q: dense.Real, w: dense.Real, h: float) -> tuple[dense.
     """Rates (n,) after a step h from q, w, whether it was solved, and its account of energies."""
     setup, n = hf.Setup(rope), rope.n_links
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
-    desk, pegs = new_desk(chain, setup.contacts(), 1e-6, STEP), setup.contacts()
+    workspace, pegs = new_contact_workspace(chain, setup.contacts(), 1e-6, STEP), setup.contacts()
     y = np.concatenate([q, w])
-    kept = new_kept(n, 0)
-    call = chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, kept, desk
-    _, rounds = attempt(*call, True, 0.0, True)
+    memory = new_contact_memory(n, 0)
+    call = chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, memory, workspace
+    _, rounds = try_step(*call, True, 0.0, True)
     for _ in range(5 if h > 0.0 else 0):  # the same step again, from its own impulses: what is left dies out
-        keep(kept, desk.found, desk.impulses, desk.held, h)
-        _, rounds = attempt(*call, True, 0.0, True)
-    return desk.out[n:].copy(), rounds, desk.account.copy()
+        save_memory(memory, workspace.found, workspace.impulses, workspace.held, h)
+        _, rounds = try_step(*call, True, 0.0, True)
+    return workspace.out[n:].copy(), rounds, workspace.account.copy()
 
 
 def mass_matrix(rope: hf.Rope, q: dense.Real) -> dense.Real:

@@ -31,10 +31,10 @@ def test_a_step_in_every_lane_is_the_dense_implicit_step(
     for j, state in enumerate(states):
         link[:, ln.Q, j], link[:, ln.W, j], base[:7, j] = state
         link[:, ln.SIN, j], link[:, ln.COS, j] = np.sin(state.q), np.cos(state.q)
-        link[:, ln.GRIP, j] = modes[j]
+        link[:, ln.SLIP, j] = modes[j]
         base[:2, j] -= chain.gx, chain.gy
     end[ln.STEP], end[ln.EXTERNAL] = steps, torques
-    ln.euler(width, chain.bears, ln.MORE, flat, tip, base)
+    ln.euler(width, chain.reaction, ln.MORE, flat, tip, base)
     for j, (state, h, torque) in enumerate(zip(states, steps, torques, strict=True)):
         want = dense.accelerations(links, *state, torque=torque, h=h, grip=modes[j])
         w_end = state.w + h * np.asarray(want.alpha, float)

@@ -20,17 +20,17 @@ from tests.reference.stick import lawful
 @pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
 @pytest.mark.parametrize("n", [1, 2, 5, 20])
 def test_what_stuck_joints_bear_is_the_multiplier_of_the_constraint(n: int, reaction: float) -> None:
-    links, state, grip = random_links(n, 3, reaction=reaction, air=True), random_state(n, 3), random_grip(n, 4)
-    room = stick.bench(n)
-    stick.bear(chain_of(links), state.q, state.w, grip, state.base, 0.03, room)
-    answer = dense.accelerations(links, *state, torque=0.03, grip=grip)
-    stuck = grip == 0.0
+    links, state, slip = random_links(n, 3, reaction=reaction, air=True), random_state(n, 3), random_grip(n, 4)
+    workspace = stick.new_stiction_workspace(n)
+    stick.constraint_torques(chain_of(links), state.q, state.w, slip, state.base, 0.03, workspace)
+    answer = dense.accelerations(links, *state, torque=0.03, grip=slip)
+    stuck = slip == 0.0
     # Torques are sums of n forces of the size m a times lengths; the accelerations are right to 1e-12 of the largest.
     scale = np.abs(answer.alpha).max() * (links.mass.sum() + links.tip_mass) * links.length.sum() ** 2
-    np.testing.assert_allclose(room.load[stuck], answer.held[stuck], rtol=0, atol=float(1e-12 * scale))
+    np.testing.assert_allclose(workspace.load[stuck], answer.held[stuck], rtol=0, atol=float(1e-12 * scale))
     parents = np.append(state.base[3], state.w[:-1])
-    slipping = (-links.viscous * (state.w - parents) - links.dry * grip)[~stuck]
-    np.testing.assert_allclose(room.load[~stuck], slipping, rtol=0, atol=float(1e-12 * scale))
+    slipping = (-links.viscous * (state.w - parents) - links.dry * slip)[~stuck]
+    np.testing.assert_allclose(workspace.load[~stuck], slipping, rtol=0, atol=float(1e-12 * scale))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
@@ -42,21 +42,21 @@ def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n: int) -> None:
         state = State(state.q, np.full(n, state.base[3]), state.base)
         held = np.abs(dense.accelerations(links, *state, grip=np.zeros(n)).held).astype(float)
         links = links._replace(dry=held * np.random.default_rng(seed).uniform(0.4, 1.6, n))
-        grip, room = np.zeros(n), stick.bench(n)
-        assert modes.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
-        np.testing.assert_array_equal(grip, lawful(links, *state))
-        kinds |= set(grip)
+        slip, workspace = np.zeros(n), stick.new_stiction_workspace(n)
+        assert modes.find_modes(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, slip, workspace)
+        np.testing.assert_array_equal(slip, lawful(links, *state))
+        kinds |= set(slip)
     assert len(kinds) == 3 or n == 1
 
 
-def obeys_the_law(links: Links, state: State, grip: Real) -> bool:
+def obeys_the_law(links: Links, state: State, slip: Real) -> bool:
     """Whether modes of a chain all of whose joints are at rest obey Coulomb's law, by the dense equations."""
-    answer = dense.accelerations(links, *state, dtype=float, grip=grip)
+    answer = dense.accelerations(links, *state, dtype=float, grip=slip)
     turning = np.diff(answer.alpha, prepend=state.base[2])
     slack = 1e-9 * np.abs(answer.alpha).max()  # of two ways to solve for accelerations
-    stuck = grip == 0.0
+    stuck = slip == 0.0
     held = (np.abs(answer.held[stuck]) <= links.dry[stuck] * (1.0 + 1e-9)).all()
-    return bool(held and (grip[~stuck] * turning[~stuck] >= -slack).all())
+    return bool(held and (slip[~stuck] * turning[~stuck] >= -slack).all())
 
 
 @pytest.mark.parametrize(("n", "seeds"), [(1, 20), (2, 60), (5, 40), (12, 20)])
@@ -69,13 +69,15 @@ def test_friction_without_reaction_leaves_lawful_modes_as_well(n: int, seeds: in
         state = State(rng.uniform(-np.pi, np.pi, n), np.full(n, base[3]), base)
         held = np.abs(dense.accelerations(links, *state, grip=np.zeros(n)).held).astype(float)
         links = links._replace(dry=held * rng.uniform(0.1, 1.2, n))
-        chain, grip, room = chain_of(links), np.zeros(n), stick.bench(n)
+        chain, slip, workspace = chain_of(links), np.zeros(n), stick.new_stiction_workspace(n)
         known = (chain, state.q, state.w, state.base, 0.0)
-        assert modes.decide(*known, 1.0, grip, room)
-        assert obeys_the_law(links, state, grip)
-        stubborn += not modes.improve(*known, 1.0, n, np.zeros(n), np.zeros(n), room)
-        assert modes.follow(*known, np.ones(n), grip, room)  # all of them, not only those that would not come right
-        assert obeys_the_law(links, state, grip)
+        assert modes.find_modes(*known, 1.0, slip, workspace)
+        assert obeys_the_law(links, state, slip)
+        stubborn += not modes.active_set_search(*known, 1.0, n, np.zeros(n), np.zeros(n), workspace)
+        assert modes.continuation(
+            *known, np.ones(n), slip, workspace
+        )  # all of them, not only those that would not come right
+        assert obeys_the_law(links, state, slip)
     assert stubborn > 0 or n == 1
 
 
@@ -83,32 +85,32 @@ def test_events_that_change_nothing_are_rounding_and_chatter_has_an_end() -> Non
     n = 3
     links, state = random_links(n, 1), random_state(n, 1)
     state = State(state.q, np.full(n, state.base[3]), state.base)
-    grip, room = np.zeros(n), stick.bench(n)
+    slip, workspace = np.zeros(n), stick.new_stiction_workspace(n)
     known = (chain_of(links), state.q, state.w, state.base, 0.0)
-    assert modes.decide(*known, 1.0, grip, room)
+    assert modes.find_modes(*known, 1.0, slip, workspace)
 
     def settled(chatter: float, before: Real) -> tuple[bool, float]:
-        answer: tuple[bool, float] = modes.settled(*known, chatter, before.copy(), np.zeros(n), room)
+        answer: tuple[bool, float] = modes.decide_modes(*known, chatter, before.copy(), np.zeros(n), workspace)
         return answer
 
-    assert settled(0.0, grip) == (True, 0.0)  # the first event may change nothing
-    good, chatter = settled(1.0, grip)
+    assert settled(0.0, slip) == (True, 0.0)  # the first event may change nothing
+    good, chatter = settled(1.0, slip)
     assert good
-    assert stick.widened(chatter, n) == pytest.approx(10.0)
-    assert settled(1.0, grip + 1.0) == (True, 1.0)
-    assert stick.widened(stick.usual(n) + 26.0, n) == 1e8  # and no more
-    assert settled(stick.usual(n) + stick.HOPELESS, grip)[0]
-    assert not settled(stick.usual(n) + 1.0 + stick.HOPELESS, grip)[0]
+    assert stick.tolerance_factor(chatter, n) == pytest.approx(10.0)
+    assert settled(1.0, slip + 1.0) == (True, 1.0)
+    assert stick.tolerance_factor(stick.chatter_allowance(n) + 26.0, n) == 1e8  # and no more
+    assert settled(stick.chatter_allowance(n) + stick.HOPELESS, slip)[0]
+    assert not settled(stick.chatter_allowance(n) + 1.0 + stick.HOPELESS, slip)[0]
     state.w[:] += 2e-10 * np.arange(1, n + 1)  # rest, where limits are wider by a thousand
-    settled(stick.usual(n) + 3.0, grip)
+    settled(stick.chatter_allowance(n) + 3.0, slip)
     np.testing.assert_array_equal(state.w, state.base[3])
 
 
 def test_a_joint_that_turns_slips_whatever_its_load() -> None:
     links, state = random_links(5, 1), random_state(5, 1)
-    grip, room = np.zeros(5), stick.bench(5)
-    assert modes.decide(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, grip, room)
-    np.testing.assert_array_equal(grip, np.sign(np.diff(state.w, prepend=state.base[3])))
+    slip, workspace = np.zeros(5), stick.new_stiction_workspace(5)
+    assert modes.find_modes(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, slip, workspace)
+    np.testing.assert_array_equal(slip, np.sign(np.diff(state.w, prepend=state.base[3])))
 
 
 Course = Callable[[float], float]
@@ -130,14 +132,14 @@ def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
     search = events.new_search(1)
     modes = np.array([locked])
     search.low[:, 0] = value(0.0), slope(0.0)
-    events.begin(search)
+    events.begin_search(search)
     search.middle[:, 0] = value(0.5 * step), slope(0.5 * step)
     attempts = 0
     verdict = events.AGAIN
     while verdict == events.AGAIN:
         search.here[:, 0] = value(step), slope(step)
         taken = step
-        verdict, step = events.judge(modes, search, step)
+        verdict, step = events.assess_step(modes, search, step)
         attempts += 1
     assert verdict == events.EVENT
     assert at <= taken + 1e-15
@@ -155,14 +157,14 @@ def test_a_dip_before_another_joint_s_event_is_found() -> None:
     locked, step, verdict = np.zeros(2), 1.0, events.AGAIN
     for i, (value, slope) in enumerate(courses):
         search.low[:, i] = value(0.0), slope(0.0)
-    events.begin(search)
+    events.begin_search(search)
     for i, (value, slope) in enumerate(courses):
         search.middle[:, i] = value(0.5), slope(0.5)
     while verdict == events.AGAIN:
         for i, (value, slope) in enumerate(courses):
             search.here[:, i] = value(step), slope(step)
         taken = step
-        verdict, step = events.judge(locked, search, step)
+        verdict, step = events.assess_step(locked, search, step)
     assert verdict == events.EVENT
     assert taken == pytest.approx(np.arccos(-0.9) / (2.0 * np.pi), abs=2 * stick.INSTANT)
 
@@ -181,12 +183,12 @@ def test_a_joint_that_comes_loose_does_not_stop_for_rounding() -> None:
     search = events.new_search(2)
     locked, step, verdict, attempts = np.zeros(2), 0.1, events.AGAIN, 0
     search.low[:, 0] = 0.0, slope(0.0)
-    events.begin(search)
+    events.begin_search(search)
     search.middle[:, 0] = value(0.5 * step), slope(0.5 * step)
     while verdict == events.AGAIN:
         search.here[:, 0] = value(step), slope(step)
         taken = step
-        verdict, step = events.judge(locked, search, step)
+        verdict, step = events.assess_step(locked, search, step)
         attempts += 1
     assert verdict == events.EVENT
     assert taken == pytest.approx(end + 2.0 * start / jerk, abs=2 * stick.INSTANT)
@@ -196,6 +198,6 @@ def test_a_joint_that_comes_loose_does_not_stop_for_rounding() -> None:
 def test_a_step_without_event_is_taken_as_it_is() -> None:
     search = events.new_search(2)
     search.low[:, 0], search.low[:, 1] = (1.0, -0.5), (np.inf, 0.0)
-    events.begin(search)
+    events.begin_search(search)
     search.here[:, 0], search.here[:, 1] = (0.6, -0.3), (np.inf, 0.0)
-    assert events.judge(np.zeros(2), search, 1.0) == (events.DONE, 1.0)
+    assert events.assess_step(np.zeros(2), search, 1.0) == (events.DONE, 1.0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import MUTUAL, PRINTED, Chain
+from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
 from hyperflex.core.tangent import air as dg
 from hyperflex.core.tangent import step as tg
 from tests.reference import dense
@@ -82,7 +82,7 @@ def slope(links: Any, state: State, torque: float, h: float, it: Direction) -> R
 
 
 def chain_of(links: Any, bears: tuple[int, ...]) -> Chain:
-    return Chain(*(getattr(links, name) for name in Chain._fields[:-1]), bears=bears)
+    return Chain(*(getattr(links, name) for name in Chain._fields[:-1]), reaction=bears)
 
 
 def seeds_of(links: Any, it: Direction) -> Real:
@@ -112,15 +112,15 @@ def kernel_slopes(
     (flat, tip), base = ln.rows(ln.COLUMNS, n), np.tile(np.append(state.base, [0.0, 0.0])[:, None], K)
     rows = flat.reshape(n + 2, ln.ROW, K)
     ln.load(ln.COLUMNS, chain, flat, tip)
-    ln.set_grip(ln.COLUMNS, flat, grip)
+    ln.set_slip(ln.COLUMNS, flat, grip)
     rows[1 : n + 1, ln.Q], rows[1 : n + 1, ln.W] = state.q[:, None], state.w[:, None]
     rows[1 : n + 1, ln.SIN], rows[1 : n + 1, ln.COS] = np.sin(state.q)[:, None], np.cos(state.q)[:, None]
     base[0] -= chain.gx
     base[1] -= chain.gy
     rows[n + 1, ln.STEP], rows[n + 1, ln.EXTERNAL] = STEPS, torque
-    tg.remember(ln.COLUMNS, flat)
-    ln.euler(ln.COLUMNS, chain.bears, ln.MORE, flat, tip, base)
-    tg.prepare(ln.COLUMNS, chain.bears, flat)
+    tg.save_trig(ln.COLUMNS, flat)
+    ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, flat, tip, base)
+    tg.prepare(ln.COLUMNS, chain.reaction, flat)
     air = np.zeros((n + 2) * dg.ROW * K)
     dg.begin(ln.COLUMNS, flat, base, air)
     for d, it in enumerate(pair):
@@ -133,11 +133,11 @@ def kernel_slopes(
         rows[n + 1, tg.BX + d] = it.tip_mass * rows[n, ln.PX]
         rows[n + 1, tg.BY + d] = it.tip_mass * rows[n, ln.PY]
     if simple:
-        tg.step_state(ln.COLUMNS, chain.bears, flat)
+        tg.step_state(ln.COLUMNS, chain.reaction, flat)
     else:
         links_seeds = np.stack([seeds_of(links, it) for it in pair])
-        dg.along(ln.COLUMNS, flat, air, links_seeds)
-        tg.step_all(ln.COLUMNS, chain.bears, flat, links_seeds, np.array([it.stretch for it in pair]))
+        dg.tangent_drag(ln.COLUMNS, flat, air, links_seeds)
+        tg.step_all(ln.COLUMNS, chain.reaction, flat, links_seeds, np.array([it.stretch for it in pair]))
     slots = [[tg.DQ + d, tg.DW + d, tg.ALPHA + d] for d in range(2)]
     return np.array([[rows[1 : n + 1, slot, j].T.ravel() for slot in slots] for j in range(K)])
 
@@ -153,7 +153,7 @@ def compare(got: Real, links: Any, state: State, torque: float, pair: list[Direc
             np.testing.assert_allclose(got[j, d], want, rtol=0.0, atol=atol, err_msg=what)
 
 
-@pytest.mark.parametrize(("reaction", "bears"), [(1.0, MUTUAL), (0.0, PRINTED)], ids=["relative", "printed"])
+@pytest.mark.parametrize(("reaction", "bears"), [(1.0, MUTUAL), (0.0, ONE_SIDED)], ids=["relative", "printed"])
 @pytest.mark.parametrize("n", [1, 2, 7])
 def test_tangent_is_the_derivative_of_the_dense_step(n: int, reaction: float, bears: tuple[int, ...]) -> None:
     state, grip = random_state(n, 5), np.ones(n)

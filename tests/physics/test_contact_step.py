@@ -12,7 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
 from hyperflex.core.contact.modes import STIFF
-from hyperflex.core.contact.step import attempt, keep, new_desk, new_kept
+from hyperflex.core.contact.step import new_contact_memory, new_contact_workspace, save_memory, try_step
 from tests.reference.wrapping import laid
 
 RADIUS, TOP, DEEP, STEP = 0.05, 0.4, 5e-5, 1e-4  # m, m, m, s
@@ -48,12 +48,12 @@ def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(push: bool) 
     w = np.random.default_rng(5).normal(0.0, 3.0, rope.n_links)
     w -= np.linalg.pinv(change[inside]) @ (change[inside] @ w)  # along the peg
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
-    kept = new_kept(rope.n_links, 1)
-    desk, pegs = new_desk(chain, setup.contacts(), 1e-6, 1e-4), setup.contacts()
+    memory = new_contact_memory(rope.n_links, 1)
+    workspace, pegs = new_contact_workspace(chain, setup.contacts(), 1e-6, 1e-4), setup.contacts()
     y = np.concatenate([q, w, np.zeros(2)])
-    attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, kept, desk, push, 0.0, True)
-    after, change = gaps(rope, RADIUS, base, desk.out[: rope.n_links])
-    leaving = (change @ desk.out[rope.n_links :])[inside & np.isfinite(after)]
+    try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, memory, workspace, push, 0.0, True)
+    after, change = gaps(rope, RADIUS, base, workspace.out[: rope.n_links])
+    leaving = (change @ workspace.out[rope.n_links :])[inside & np.isfinite(after)]
     bend = 0.5 * STEP * np.abs(w).max() ** 2 * length  # m/s, of that order is what the step allows for
     assert bend > 1e-3
     assert leaving.min() > (1e-3 if push else 0.0) - 0.01 * bend
@@ -79,12 +79,12 @@ def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> No
     rope, still = hf.Rope.uniform(0.5, 0.05, 10, friction=1e-4), hf.moving_pivot([0.0, 1.0], [0.0] * 2, [0.0] * 2)
     setup = hf.Setup(rope, still, pegs=[hf.Peg(1.0, 1.0, 0.05)])
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
-    pegs, kept = setup.contacts(), new_kept(10, 1)
-    desk, y = new_desk(chain, pegs, 1e-6, 1e-4), np.zeros(22)
-    kept.heavy[0], known = 1e-3 * rope.total_mass, []
+    pegs, memory = setup.contacts(), new_contact_memory(10, 1)
+    workspace, y = new_contact_workspace(chain, pegs, 1e-6, 1e-4), np.zeros(22)
+    memory.heavy[0], known = 1e-3 * rope.total_mass, []
     for _ in range(60):
-        attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, kept, desk, True, 0.0, True)
-        keep(kept, desk.found, desk.impulses, desk.held, STEP)
-        known.append(kept.heavy[0])
+        try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, memory, workspace, True, 0.0, True)
+        save_memory(memory, workspace.found, workspace.impulses, workspace.held, STEP)
+        known.append(memory.heavy[0])
     assert np.all(np.diff(known) >= 0.0)
     assert known[-1] == pytest.approx(STIFF * rope.total_mass, rel=1e-12)

@@ -136,7 +136,7 @@ def test_looking_up_between_steps_leaves_no_trace(dry: float) -> None:
             finish(rollout)
             marks.append(
                 np.concatenate(
-                    [rollout.progress.clock[:8], rollout.progress.y, rollout.progress.mark, rollout.progress.mark_grip]
+                    [rollout.progress.clock[:8], rollout.progress.y, rollout.progress.mark, rollout.progress.mark_slip]
                 )
             )
         np.testing.assert_array_equal(marks[0], marks[1], err_msg=f"stop at {stop} s")

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 import hyperflex as hf
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
-from hyperflex.core.contact.step import attempt, new_desk, new_kept
+from hyperflex.core.contact.step import new_contact_memory, new_contact_workspace, try_step
 from hyperflex.winding import measure_winding, rope_slip
 from tests.reference.wrapping import ARM, laid
 
@@ -183,14 +183,14 @@ def test_a_peg_takes_the_angular_momentum_that_contacts_give_it(h: float) -> Non
     setup = hf.Setup(rope, still, q0=q0, pegs=[peg, hf.Peg(1.0, 1.0, 0.1)])
     pegs, n = setup.contacts(), rope.n_links
     chain, drive = Chain(*writable(setup.chain())), Drive(*writable(setup.drive()))
-    desk, kept = new_desk(chain, pegs, 1e-6, 1e-4), new_kept(n, 2)
-    desk.spin.before[0] = 0.3
+    workspace, memory = new_contact_workspace(chain, pegs, 1e-6, 1e-4), new_contact_memory(n, 2)
+    workspace.spin.before[0] = 0.3
     y = np.concatenate([q0, np.full(n, 2.0)])
-    attempt(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, kept, desk, True, 0.0, True)
-    impulses, found = desk.impulses, desk.found
+    try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, memory, workspace, True, 0.0, True)
+    impulses, found = workspace.impulses, workspace.found
     held = impulses.mode[: found.total[0]] != 0
     assert held.sum() > 5
     torque = -pegs.reach[0] * impulses.tangent[: found.total[0]][held].sum()
-    assert 1e-4 * (desk.spin.after[0] - 0.3) == pytest.approx(torque, rel=1e-9)
+    assert 1e-4 * (workspace.spin.after[0] - 0.3) == pytest.approx(torque, rel=1e-9)
     assert abs(torque) > 1e-9  # rounding is 1e-20
-    assert desk.spin.after[1] == 0.0
+    assert workspace.spin.after[1] == 0.0

@@ -1,4 +1,6 @@
-"""Compiled kernels on disk: one file for each kernel and types of arguments, in a folder for each state of its sources.
+"""Disk cache of compiled kernels.
+
+One file for each kernel and argument types, in a folder for each state of its sources.
 
 Numba's own cache does not notice an edit in *another* file. Here a kernel's folder is named by a hash of its module and
 of every module of this package which that one imports, directly or through others: an edit recompiles what depends on

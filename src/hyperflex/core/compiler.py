@@ -1,4 +1,4 @@
-"""How numba compiles a kernel here: the one place that uses what numba does not promise to keep.
+"""How numba compiles a kernel. The one place that uses what numba does not promise to keep.
 
 A kernel that Python calls is a *door*, one that kernels call a *part*; the same function may be both. Numba alone
 optimises each kernel, makes machine code of it and wraps it for Python, and does so again for all it calls within each

@@ -1,4 +1,4 @@
-"""The decorators of kernels: the one place with numba's options."""
+"""Decorators of kernels: the one place with numba's options."""
 
 from __future__ import annotations
 

@@ -1,11 +1,14 @@
-"""The law of a joint: torque, slopes, derivatives and power, once for kernels, lanes, derivatives, contact and numpy.
+"""Joint law: friction and spring torque, their linearization, derivatives and power.
+
+Used alike by kernels, lanes, derivatives, contact and numpy.
 
 A joint is (viscous, dry, stiffness, rest): N m s/rad, N m, N m/rad, rad. Its torque at the relative angle phi and rate
 omega, slipping in the sense chi (1, -1, or 0 where it is stuck), is the sum of friction and spring (M.6)::
 
     F = -viscous omega - dry chi,        G = -stiffness (phi - rest)
 
-``share`` is sigma of (M.7), the part of the friction that the parent feels: 1.0, or 0.0 as the paper prints it. All
+``reaction_factor`` is sigma of (M.7), the part of the friction that acts on the parent: 1.0, or 0.0 as the paper
+prints it. All
 functions take numbers or numpy arrays; a new law of friction or of a spring changes this file and no other.
 """
 
@@ -15,10 +18,10 @@ from hyperflex.core.jit import shared
 
 
 @shared
-def friction(joint, rate, grip):  # type: ignore[no-untyped-def]
-    """Friction torque F of a joint at a relative rate, rad/s, in the sense `grip`; N m."""
+def friction(joint, rate, slip):  # type: ignore[no-untyped-def]
+    """Friction torque F of a joint at a relative rate, rad/s, in the sense `slip`; N m."""
     viscous, dry, _, _ = joint
-    return -viscous * rate - dry * grip
+    return -viscous * rate - dry * slip
 
 
 @shared
@@ -37,36 +40,36 @@ def spring_energy(joint, angle):  # type: ignore[no-untyped-def]
 
 
 @shared
-def power(joint, share, w, up, grip):  # type: ignore[no-untyped-def]
+def power(joint, reaction_factor, w, up, slip):  # type: ignore[no-untyped-def]
     """Power that friction takes from a link that turns at w and from its parent that turns at `up`, rad/s; W."""
-    return -friction(joint, w - up, grip) * (w - share * up)
+    return -friction(joint, w - up, slip) * (w - reaction_factor * up)
 
 
 @shared
-def slopes(joint, share, by_rate, by_angle):  # type: ignore[no-untyped-def]
+def jacobian(joint, reaction_factor, by_rate, by_angle):  # type: ignore[no-untyped-def]
     """What joint torque falls by, on the link and on its parent, where rate and angle grow by these; N m.
 
     An implicit joint (M.13) takes its torque at the end of a step h, where an acceleration of 1 rad/s^2 has made the
     rate larger by h and the angle by h^2: ``slopes(joint, share, h, h * h)`` are kappa and kappa'.
     """
     viscous, _, stiffness, _ = joint
-    return by_rate * viscous + by_angle * stiffness, share * (by_rate * viscous) + by_angle * stiffness
+    return by_rate * viscous + by_angle * stiffness, reaction_factor * (by_rate * viscous) + by_angle * stiffness
 
 
 @shared
-def torques(joint, share, angle, rate, grip, h):  # type: ignore[no-untyped-def]
+def torques(joint, reaction_factor, angle, rate, slip, h):  # type: ignore[no-untyped-def]
     """T on the link, T_back on its parent, N m, and kappa, kappa_back, kg m^2, as ``link_step`` wants them (M.13).
 
     `angle`, rad, and `rate`, rad/s, are relative; h > 0 makes the joint implicit over a step of so many seconds.
     """
-    own = friction(joint, rate, grip)
+    own = friction(joint, rate, slip)
     bent = spring(joint, angle + h * rate)
-    kappa, kappa_back = slopes(joint, share, h, h * h)
-    return own + bent, share * own + bent, kappa, kappa_back
+    kappa, kappa_back = jacobian(joint, reaction_factor, h, h * h)
+    return own + bent, reaction_factor * own + bent, kappa, kappa_back
 
 
 @shared
-def variation(joint, seed, share, bend, rate, change, grip, h, stretch):  # type: ignore[no-untyped-def]
+def variation(joint, seed, reaction_factor, bend, rate, change, slip, h, stretch):  # type: ignore[no-untyped-def]
     """Change of the torques on link and parent (N m) by changes of the joint and of an implicit step's length, (M.22).
 
     Parameters
@@ -78,6 +81,6 @@ def variation(joint, seed, share, bend, rate, change, grip, h, stretch):  # type
     """
     viscous, dry, stiffness, rest = seed
     stiff, _, soft, _ = joint
-    own = -dry * grip - viscous * (rate + h * change) - stretch * h * stiff * change
+    own = -dry * slip - viscous * (rate + h * change) - stretch * h * stiff * change
     bent = -stiffness * bend + soft * rest - stretch * h * soft * (rate + 2.0 * h * change)
-    return own + bent, share * own + bent
+    return own + bent, reaction_factor * own + bent

@@ -1,4 +1,4 @@
-"""What is simulated: rope, arm, pegs and set-up; frozen, validated, in and out of TOML."""
+"""The model: rope, arm, obstacles and set-up, validated and in TOML."""
 
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle, round_places

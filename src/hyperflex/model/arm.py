@@ -1,4 +1,4 @@
-"""The arm that the motor turns, and its place in the chain where a torque drives it."""
+"""The arm: its inertia and friction, and its link in the chain under a given torque."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a rope may touch: pegs, walls and grounds together, as a file holds them and as the kernels take them."""
+"""Obstacles together: pegs, walls and grounds in files and as kernel arrays."""
 
 from __future__ import annotations
 

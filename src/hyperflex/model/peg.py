@@ -1,4 +1,4 @@
-"""Round pegs that a rope may touch and wind round, fixed or turning on an axle."""
+"""Round pegs, fixed or turning on an axle."""
 
 from __future__ import annotations
 

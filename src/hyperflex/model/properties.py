@@ -1,4 +1,4 @@
-"""Each physical property once: its name, unit, bounds and kernel field; how it is fitted, cut, and told to people.
+"""Table of physical properties: name, unit, bounds, kernel field, how each is fitted.
 
 A new property of the links is a row here, an argument of :class:`hyperflex.model.Rope` and a field of
 ``core.chain.Chain``; files, identification, the comparison of models, derivatives and reports read the row.
@@ -101,7 +101,7 @@ FREE = {each.name: each for each in _TABLE if each.form}  # what can be fitted
 
 
 class Ratio(NamedTuple):
-    """What a motion without known forces tells of the rope, over p of link 0: in words, and its unit."""
+    """Ratio that a motion without known forces determines, over p of link 0: its description and unit."""
 
     words: str
     unit: str

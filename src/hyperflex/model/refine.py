@@ -1,4 +1,4 @@
-"""Shorter links where a rope may wind round a peg, and the same rope otherwise."""
+"""Refinement of a rope's links where it may wind round a peg."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
-from hyperflex.core.chain.articulated_body import MUTUAL, PRINTED, Chain
+from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
 from hyperflex.errors import InvalidInput
 from hyperflex.model.properties import LINKS
 from hyperflex.model.rope_table import MOST_LINKS, from_table, to_table
@@ -283,7 +283,7 @@ class Rope:
             tip_mass=self.tip_mass,
             gx=float(self.gravity[0]),
             gy=float(self.gravity[1]),
-            bears=MUTUAL if self.friction_model == "relative" else PRINTED,
+            reaction=MUTUAL if self.friction_model == "relative" else ONE_SIDED,
         )
 
     def table(self) -> dict[str, Any]:

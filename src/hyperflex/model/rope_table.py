@@ -1,4 +1,4 @@
-"""The ``[rope]`` table of a TOML file, and the per-link properties that it may hold."""
+"""The ``[rope]`` table of a TOML file."""
 
 from __future__ import annotations
 

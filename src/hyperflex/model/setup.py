@@ -1,4 +1,4 @@
-"""A whole simulation set-up, in TOML and out, and what the kernels need of it."""
+"""A simulation set-up: rope, arm, motion, obstacles, start, and its TOML file."""
 
 from __future__ import annotations
 

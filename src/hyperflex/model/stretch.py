@@ -1,4 +1,4 @@
-"""The same rope with links of other lengths: what of a uniform link goes with its length."""
+"""The same rope with links of other lengths."""
 
 from __future__ import annotations
 

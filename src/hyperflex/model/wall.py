@@ -1,4 +1,4 @@
-"""Straight obstacles: walls with two ends, and the ground, which has none."""
+"""Straight obstacles: walls with two ends, and the ground."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arm motions: piecewise polynomials of time, each with the instants at which its acceleration jumps."""
+"""Arm motions: piecewise polynomials of time with their switching times."""
 
 from hyperflex.motion.half_turns import arm_strokes
 from hyperflex.motion.lag import lagged

@@ -1,4 +1,4 @@
-"""Half turns of the arm that start at chosen instants: the paper's swings with free rests."""
+"""Half turns of the arm at chosen times: the paper's swings with free rests."""
 
 from __future__ import annotations
 

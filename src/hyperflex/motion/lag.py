@@ -1,4 +1,4 @@
-"""What becomes of a motion on its way through a motor that lags: a first-order filter of the arm angle."""
+"""A motion behind a motor with lag: a first-order filter of the arm angle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A motion: arm angle, pivot position and motor torque as piecewise polynomials of time."""
+"""A motion: arm angle, pivot position and motor torque as piecewise polynomials."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ready-made motions: hold, move, the paper's swings, and motions through measured samples."""
+"""Ready-made motions: hold, move, the paper's swings, and measured samples."""
 
 from __future__ import annotations
 

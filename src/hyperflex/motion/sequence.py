@@ -1,4 +1,4 @@
-"""Moves of the arm from angle to angle with rests in between: what a cast is made of."""
+"""Sequences of arm moves with rests in between, as a cast uses them."""
 
 from __future__ import annotations
 

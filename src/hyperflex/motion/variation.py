@@ -1,4 +1,4 @@
-"""How a motion changes with its own parameters: exact derivatives of its breaks and coefficients."""
+"""Derivatives of a motion by its parameters: of its breaks and coefficients."""
 
 from __future__ import annotations
 

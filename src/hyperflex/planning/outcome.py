@@ -133,7 +133,7 @@ def verify_cast(
             tol=tol,
             contact_step=contact_step,
             t_eval=t,
-            patience=time_budget,
+            time_budget=time_budget,
         )
     except SimulationError as error:
         nan, message = float("nan"), f"the simulation failed ({error.status})"

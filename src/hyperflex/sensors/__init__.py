@@ -1,4 +1,4 @@
-"""What is measured of a rope, as a function of its state, with derivatives: for identification and filters."""
+"""Sensor models with derivatives, for identification and filters."""
 
 from __future__ import annotations
 

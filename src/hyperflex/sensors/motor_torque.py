@@ -1,4 +1,4 @@
-"""Motor torque as a measured channel: what the arm and the rope ask of the motor, and how that changes."""
+"""Motor torque as a measured channel, with its derivatives."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class MotorTorque:
 
     def predict(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
         """Return the torque (m,), N m, at times t (m,) and states y (m, 2n or more)."""
-        return self._torque(chain, drive, t, y, self._grip(chain, drive, t, y))
+        return self._torque(chain, drive, t, y, self._slip(chain, drive, t, y))
 
     def jacobian(self, chain: Chain, drive: Drive, parts: tuple[Part, ...], t: Array, y: Array, dy: Array) -> Array:
         """Return its derivatives (m, 2n + P): by the start's state, and by the parameters whose changes are `parts`.
@@ -80,7 +80,7 @@ class MotorTorque:
         dy : (m, 2n, 2n + P) array
             Derivatives of angles and rates along the same directions.
         """
-        grip = self._grip(chain, drive, t, y)
+        slip = self._slip(chain, drive, t, y)
         n = chain.length.size
         by_state = np.empty((t.size, 2 * n))
         for i in range(2 * n):
@@ -88,12 +88,12 @@ class MotorTorque:
             up, down = y.copy(), y.copy()
             up[:, i] += step
             down[:, i] -= step
-            change = self._torque(chain, drive, t, up, grip) - self._torque(chain, drive, t, down, grip)
+            change = self._torque(chain, drive, t, up, slip) - self._torque(chain, drive, t, down, slip)
             by_state[:, i] = change / (2.0 * step)
         result: Array = np.einsum("mi,mid->md", by_state, dy)
         for k, part in enumerate(parts):
             ends = [
-                self._torque(_moved(chain, part, step), _shifted(drive, part, step), t, y, grip)
+                self._torque(_moved(chain, part, step), _shifted(drive, part, step), t, y, slip)
                 for step in (ANGLE_STEP, -ANGLE_STEP)
             ]
             result[:, 2 * n + k] += (ends[0] - ends[1]) / (2.0 * ANGLE_STEP)
@@ -104,20 +104,20 @@ class MotorTorque:
         seen = self._seen(chain, drive, t, y, np.ones((t.size, chain.length.size)))
         return np.stack([seen[:, 3], seen[:, 2]], axis=1)
 
-    def _torque(self, chain: Chain, drive: Drive, t: Array, y: Array, grip: Array) -> Array:
-        rope, angle, rate, acceleration = self._seen(chain, drive, t, y, grip).T
+    def _torque(self, chain: Chain, drive: Drive, t: Array, y: Array, slip: Array) -> Array:
+        rope, angle, rate, acceleration = self._seen(chain, drive, t, y, slip).T
         return np.asarray(rope + self.arm.shaft_torque(np.array([chain.gx, chain.gy]), angle, rate, acceleration))
 
     @staticmethod
-    def _grip(chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
-        grip = np.ones((t.size, chain.length.size))
-        core.senses(chain, drive, t, y, grip)
-        return grip
+    def _slip(chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
+        slip = np.ones((t.size, chain.length.size))
+        core.senses(chain, drive, t, y, slip)
+        return slip
 
     @staticmethod
-    def _seen(chain: Chain, drive: Drive, t: Array, y: Array, grip: Array) -> Array:
+    def _seen(chain: Chain, drive: Drive, t: Array, y: Array, slip: Array) -> Array:
         result = np.empty((t.size, 4))
-        core.reactions(chain, drive, t, y, grip, result)
+        core.reactions(chain, drive, t, y, slip, result)
         return result
 
 

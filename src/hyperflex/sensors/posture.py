@@ -1,4 +1,4 @@
-"""What is seen of a rope's posture: link angles, or places of markers along it."""
+"""Posture sensors: link angles, or positions of markers along the rope."""
 
 from __future__ import annotations
 

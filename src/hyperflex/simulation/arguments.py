@@ -1,4 +1,4 @@
-"""What a user gives to a run: a whole set-up or its parts, and times to look at."""
+"""Arguments of a run: a set-up or its parts, and output times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What commands an arm in an interval of time: its acceleration, its angle or the motor's torque."""
+"""Commands of the arm in an interval: acceleration, angle or motor torque."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hyperflex.core.tangent.directions import Directions
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup
 from hyperflex.motion import torque_profile
-from hyperflex.simulation.sensitivity.directions import Wanted
+from hyperflex.simulation.sensitivity.directions import ParameterDirections
 
 COMMANDS = ("acceleration", "angle", "torque")
 
@@ -68,7 +68,7 @@ def state_directions(command: str, chain: Chain, drive: Drive) -> tuple[Array, D
     n, by = chain.length.size, {"coef": np.ones((1, 4, 6))}
     q, qd = ([{name: row} for row in np.eye(n)] for name in ("q0", "qd0"))
     parts = [*q, *qd, by] if command == "torque" else [by, *q, by, *qd, by]
-    wanted = Wanted(tuple(map(str, range(len(parts)))), tuple(parts))
+    wanted = ParameterDirections(tuple(map(str, range(len(parts)))), tuple(parts))
     return wanted.start(n), wanted.directions(chain, drive._replace(coef=by["coef"]))  # all that may ever move
 
 

@@ -1,4 +1,4 @@
-"""Events that end a run exactly where they happen: ``simulate(..., until=tip_crosses((0.0, 0.0), (1.0, 0.0)))``."""
+"""Events that end a run where they happen, as in ``until=tip_crosses((0.0, 0.0), (1.0, 0.0))``."""
 
 from __future__ import annotations
 

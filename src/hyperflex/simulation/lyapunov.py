@@ -1,4 +1,4 @@
-"""Chaos made visible: how fast small errors grow along a run, and until when it can be compared point by point."""
+"""Predictability: growth of small errors and the largest Lyapunov exponent."""
 
 from __future__ import annotations
 
@@ -169,8 +169,8 @@ def predictability(
     --------
     >>> import hyperflex as hf
     >>> rods = hf.Rope(length=[0.5, 0.5], mass=[0.1, 0.1])
-    >>> chaos = hf.predictability(rods, duration=4.0, q0=[3.0, 2.5], tol=1e-6)
-    >>> bool(chaos.exponent() > 1.0), bool(chaos.horizon(1e-3) < 4.0)
+    >>> growth = hf.predictability(rods, duration=4.0, q0=[3.0, 2.5], tol=1e-6)
+    >>> bool(growth.exponent() > 1.0), bool(chaos.horizon(1e-3) < 4.0)
     (True, True)
     """
     setup = setup_of(rope, motion, arm, duration, q0, qd0, tol, "duration, nudges, seed, sample_time")

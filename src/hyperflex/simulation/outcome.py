@@ -1,4 +1,4 @@
-"""What a finished rollout shows: energies checked, status codes turned into errors with advice, a Trajectory made."""
+"""The outcome of a rollout: energy check, errors with advice, and the Trajectory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hyperflex.core import status
 from hyperflex.core.integrate import dense_output as output
 from hyperflex.errors import SimulationError
 from hyperflex.model import Setup
-from hyperflex.simulation.contact.runs import split
+from hyperflex.simulation.contact.runs import split_samples
 from hyperflex.simulation.contact.turning_pegs import shown, spin_energy
 from hyperflex.simulation.restart import final_state, state_of
 from hyperflex.simulation.rollouts import Rollout, balanced, least_scale, starting_clock, stored
@@ -76,7 +76,7 @@ def _balanced_rows(run: Rollout, setup: Setup) -> tuple[int, float | None]:
     output.observe(run.chain, run.drive, t, y, np.empty((t.size, n)), np.empty((t.size, 9)), scalars)
     held = stored(run.chain, y[:, :n])
     if run.seen is not None and run.spin is not None:
-        rates = np.concatenate([split(run.seen[: run.done], n).spin, run.spin[None]])[:, 1]
+        rates = np.concatenate([split_samples(run.seen[: run.done], n).spin, run.spin[None]])[:, 1]
         scalars[:, 0] += spin_energy(setup, rates)
     good = int(balanced(least_scale(setup.rope), scalars[:, 0], scalars[:, 1], held, y[:, 2 * n], y[:, 2 * n + 1]))
     return min(good, run.done), None if good == t.size else float(t[good])
@@ -85,7 +85,7 @@ def _balanced_rows(run: Rollout, setup: Setup) -> tuple[int, float | None]:
 def _state_at(run: Rollout, setup: Setup, count: int) -> State:
     """State of the last output that holds; a run that goes on from it begins anew there."""
     row = max(count, 1) - 1
-    spin = None if run.seen is None else split(run.seen[row : row + 1], run.chain.length.size).spin[0]
+    spin = None if run.seen is None else split_samples(run.seen[row : row + 1], run.chain.length.size).spin[0]
     return state_of(run, setup, run.y[row], starting_clock(float(run.t[row])), spin)
 
 
@@ -97,7 +97,7 @@ def _trajectory(run: Rollout, setup: Setup, skip: int, count: int, name: str, me
     qdd, base, scalars = np.empty((count, n)), np.empty((count, 9)), np.empty((count, 5))
     output.observe(run.chain, run.drive, t, y, qdd, base, scalars)
     q, qd = y[:, :n], y[:, n : 2 * n]
-    contact = None if run.seen is None else split(run.seen[skip : skip + count], n)
+    contact = None if run.seen is None else split_samples(run.seen[skip : skip + count], n)
     if contact is not None:  # in free flight what (1) gives stands
         touched = ~contact.free
         qdd[touched], scalars[touched, 2:] = contact.qdd[touched], contact.load[touched]

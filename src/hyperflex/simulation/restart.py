@@ -1,4 +1,4 @@
-"""Where a run stands, saved and gone on from."""
+"""Checkpoints: save the state of a run and resume from it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.integrate.progress import MARK, STEP, T, switched
+from hyperflex.core.integrate.progress import MARK, STEP, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup
@@ -36,15 +36,15 @@ def resume(run: Rollout, state: State, setup: Setup) -> None:
             allowed=f"a clock of {MARK} numbers",
             fix="Give its q and qd: State(t=..., q=..., qd=...)",
         )
-    run.progress.grip[:] = 1.0
+    run.progress.slip[:] = 1.0
     as_saved = saved and _matches(saved, state, own)
     if as_saved and "fingerprint" in saved and saved["fingerprint"] == fingerprint(run, setup):
-        y[:], run.progress.grip[:] = saved["mark"], saved["mark_grip"]
+        y[:], run.progress.slip[:] = saved["mark"], saved["mark_slip"]
         clock[:MARK] = saved["mark_clock"]
     elif as_saved:
         y[:] = saved["y"]
         clock[:MARK] = saved["clock"]
-        switched(clock)
+        restart(clock)
     else:  # made or changed by hand: a torque-driven arm starts where the state says, or else the set-up
         if own:
             y[0] = setup.arm_angle0 if state.arm_angle is None else state.arm_angle
@@ -68,12 +68,12 @@ def _matches(saved: dict[str, Any], state: State, own: int) -> bool:
 
 def final_state(run: Rollout, setup: Setup) -> State:
     """Return where a run stands, with the mark from which it can go on bit for bit."""
-    y, mark, grip, mark_grip, clock, _ = run.progress
+    y, mark, slip, mark_slip, clock, _ = run.progress
     if clock[MARK] == -np.inf:  # no step was cut: the run stands where one ended
-        mark, mark_grip, clock[MARK : 2 * MARK] = y, grip, clock[:MARK]
+        mark, mark_slip, clock[MARK : 2 * MARK] = y, slip, clock[:MARK]
     marked: dict[str, Any] = {
         "mark": mark.copy(),
-        "mark_grip": mark_grip.copy(),
+        "mark_slip": mark_slip.copy(),
         "mark_clock": clock[MARK : 2 * MARK].copy(),
     }
     return state_of(run, setup, y, clock[:MARK], run.spin, fingerprint=fingerprint(run, setup), **marked, **run.kept)
@@ -123,7 +123,7 @@ def state_of(
 
 
 def fingerprint(run: Rollout, setup: Setup) -> float:
-    """Return a number that tells whether two runs integrate the same thing in the same way."""
+    """Return a fingerprint of what is integrated and how; equal for runs that can be resumed from each other."""
     digest = hashlib.sha256()
     for part in (*run.chain, *run.drive, run.limits.tol, run.limits.fixed, setup.torque_driven):
         digest.update(np.ascontiguousarray(part).tobytes())

@@ -1,4 +1,4 @@
-"""The one door to core's rollouts: from a set-up to arrays, with status codes turned into errors that advise."""
+"""Rollouts of a set-up: kernel arrays, step control, progress, torque callbacks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import TORQUE, Drive
 from hyperflex.core.integrate import rollout
 from hyperflex.core.integrate.end_conditions import NEVER, Until
-from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNSETTLED, Limits, Progress, T, switched
+from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import scheme
 from hyperflex.core.jit import announce_compilation
@@ -104,7 +104,7 @@ def prepare(
 def starting_clock(t: float) -> Array:
     """Return the clock (MARK,) of a run that begins at time t, s."""
     clock = np.zeros(MARK)
-    clock[T], clock[STEP], clock[AFTER], clock[UNSETTLED] = t, FIRST_STEP, np.inf, 1.0
+    clock[T], clock[STEP], clock[AFTER], clock[UNDECIDED] = t, FIRST_STEP, np.inf, 1.0
     return clock
 
 
@@ -146,7 +146,7 @@ def end_at_event(run: Rollout) -> None:
 
 
 def finish(run: Rollout, report: Callable[[float], None] | None = None) -> int:
-    """Run to the end and return the status code; `report` hears of the simulated time between budgets."""
+    """Run to the end and return the status code; `report` is called with the simulated time between budgets."""
     code = status.RUNNING
     run.progress.clock[MARK] = -np.inf
     while code == status.RUNNING:
@@ -217,7 +217,7 @@ def controlled(
         interval.set(now, until, TORQUE, [torques[-1], 0.0, 0.0, 0.0, 0.0, 0.0])
         run.limits = run.limits._replace(stop=until)
         code = go()
-        switched(run.progress.clock)
+        restart(run.progress.clock)
     return code, np.array(times), np.array(torques)
 
 

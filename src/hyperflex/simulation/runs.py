@@ -20,7 +20,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.simulation.arguments import needed, output_times, whole_setup
-from hyperflex.simulation.contact.runs import beside, finer
+from hyperflex.simulation.contact.runs import contact_run, refine_arguments
 from hyperflex.simulation.events import Event
 from hyperflex.simulation.outcome import conclude, failure
 from hyperflex.simulation.restart import resume
@@ -35,7 +35,7 @@ from hyperflex.simulation.rollouts import (
     prepare,
     progress_bar,
 )
-from hyperflex.simulation.time_budget import INTERRUPTED, OutOfPatience, impatient, too_slow
+from hyperflex.simulation.time_budget import INTERRUPTED, TimeBudgetExceeded, budget_error, enforce_budget
 from hyperflex.simulation.time_budget import NAME as TOO_SLOW
 from hyperflex.trajectory import State, Trajectory
 
@@ -63,7 +63,7 @@ def simulate(
     tip_force: npt.ArrayLike = (0.0, 0.0),
     refine: bool = True,
     throw: bool = True,
-    patience: float | None = None,
+    time_budget: float | None = None,
     progress: bool = False,
 ) -> Trajectory:
     """Simulate a rope on a moving arm, on a torque-driven arm, or hanging from a point.
@@ -71,7 +71,7 @@ def simulate(
     Parameters
     ----------
     rope : Rope or Setup
-        The rope; or a whole set-up, and then only `duration`, `t_eval`, `state`, `until`, `throw`, `patience` and
+        The rope; or a whole set-up, and then only `duration`, `t_eval`, `state`, `until`, `throw`, `time_budget` and
         `progress` may be given beside it.
     motion : Motion, optional
         Prescribed motion of the arm, or of the point that the rope hangs from (``moving_point``).
@@ -123,8 +123,8 @@ def simulate(
     throw : bool
         False returns the part that holds, with its ``status`` and ``message``, where True raises. Ctrl-C then ends the
         run with the status "interrupted".
-    patience : float, optional
-        Processor time, s, after which the run ends as a failure ("out of patience"). It is looked at between some
+    time_budget : float, optional
+        Processor time, s, after which the run ends as a failure ("time budget exceeded"). It is looked at between some
         hundred steps; with a torque callback not at all. By default a run takes as long as it takes.
     progress : bool
         Show a progress bar on standard error.
@@ -166,7 +166,7 @@ def simulate(
     )
     if isinstance(rope, Rope):
         if pegs and refine:
-            rope, q0, qd0, state = finer(rope, tuple(pegs), arm, q0, qd0, state)
+            rope, q0, qd0, state = refine_arguments(rope, tuple(pegs), arm, q0, qd0, state)
         setup = Setup(
             rope,
             motion,
@@ -197,15 +197,15 @@ def simulate(
         if control is not None and control_rate is not None:
             code, setup = _controlled(run, setup, state, control, control_rate)
         else:
-            code = _finished(run, setup, state, (begin, begin + length), patience, progress)
+            code = _finished(run, setup, state, (begin, begin + length), time_budget, progress)
         name = status.NAMES[code]
     except KeyboardInterrupt:
         if throw:
             raise
         code, name = status.RUNNING, INTERRUPTED
-    except OutOfPatience:
+    except TimeBudgetExceeded:
         if throw:
-            raise too_slow(run.time) from None
+            raise budget_error(run.time) from None
         code, name = status.RUNNING, TOO_SLOW
     event = None
     if code == status.REACHED and until is not None:
@@ -228,18 +228,18 @@ def _finished(
     setup: Setup,
     state: State | None,
     span: tuple[float, float],
-    patience: float | None,
+    time_budget: float | None,
     progress: bool,
 ) -> int:
     """Run to the end of a span, s, and return the status code."""
     with progress_bar(*span, progress) as bar:
-        return runner(run, setup, state)(impatient(bar, patience))
+        return runner(run, setup, state)(enforce_budget(bar, time_budget))
 
 
 def runner(run: Rollout, setup: Setup, state: State | None) -> Callable[..., int]:
     """Return what runs to the end, in contact or without: called with what to report to, it returns the code."""
     free = not setup.touches or run.limits.until.kind != NEVER.kind
-    return partial(finish, run) if free else beside(run, setup, state).finish
+    return partial(finish, run) if free else contact_run(run, setup, state).finish
 
 
 def angles(

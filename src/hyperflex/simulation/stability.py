@@ -1,4 +1,4 @@
-"""How long a step of the explicit check integrator may be."""
+"""Stability limit of the explicit Runge-Kutta integrator."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def runge_kutta_limit(chain: Chain) -> float:
     relative = np.eye(n) - np.eye(n, k=-1)
 
     def resistance(by_rate: float, by_angle: float) -> Array:
-        own, back = joint_law.slopes(chain.joints, len(chain.bears) - 1.0, by_rate, by_angle)
+        own, back = joint_law.jacobian(chain.joints, len(chain.reaction) - 1.0, by_rate, by_angle)
         return np.asarray((np.diag(own) - np.diag(back[1:], k=1)) @ relative)
 
     weight = math.hypot(chain.gx, chain.gy) * first_moment(chain)

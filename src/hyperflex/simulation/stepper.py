@@ -1,4 +1,4 @@
-"""A run taken one interval at a time: a filter, a controller or an environment gives a command for each."""
+"""Stepper: a run taken one interval at a time, with a command for each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import can_stick
 from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.integrate.progress import JOINT, MARK, MODES, REJECTED, TAKEN
-from hyperflex.core.tangent import forward_sensitivity as replay
+from hyperflex.core.tangent import forward_sensitivity
 from hyperflex.core.tangent.directions import Directions
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
@@ -23,13 +23,13 @@ from hyperflex.motion import hold_arm
 from hyperflex.simulation.arguments import whole_setup
 from hyperflex.simulation.commands import COMMANDS, arm_polynomials, set_commands, setup_for, state_directions
 from hyperflex.simulation.contact.runs import STEP as CONTACT_STEP
-from hyperflex.simulation.contact.runs import Beside, finer
+from hyperflex.simulation.contact.runs import ContactRun, refine_arguments
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.outcome import failure
 from hyperflex.simulation.restart import resume, state_of
 from hyperflex.simulation.rollouts import TABLES, Interval, finish, limits, prepare
-from hyperflex.simulation.sensitivity.directions import refuse_what_is_not_smooth
-from hyperflex.simulation.sensitivity.stiction import held
+from hyperflex.simulation.sensitivity.directions import check_smooth
+from hyperflex.simulation.sensitivity.stiction import stiction_projection
 from hyperflex.trajectory import State
 
 STEPS = 64  # noted at first for a derivative; an interval with more of them is run again with room for all
@@ -122,14 +122,14 @@ class Stepper:
             {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
         )
         if isinstance(rope, Rope):
-            rope = finer(rope, tuple(pegs), arm, None, None, None)[0] if refine and pegs else rope
+            rope = refine_arguments(rope, tuple(pegs), arm, None, None, None)[0] if refine and pegs else rope
             setup = Setup(rope, None, arm, tol=tol, pegs=tuple(pegs), contact_step=contact_step, tip_force=tip_force)  # type: ignore[arg-type]
         self.setup = setup_for(command, setup)
         chain, self._interval = self.setup.chain(), Interval(self.setup.drive())
         run = prepare(chain, self._interval.drive, self.setup.start(), np.zeros(1), limits(self.setup, chain, 0.0))
         run.t, run.y = run.t[1:], run.y[1:]  # no outputs: a step shows its end
         self._run, self._log = run, np.empty((STEPS, MODES + chain.length.size if can_stick(chain) else JOINT))
-        self._beside = Beside(run, self.setup, None) if self.setup.touches else None
+        self._contact_run = ContactRun(run, self.setup, None) if self.setup.touches else None
         self._channel = TORQUE if command == "torque" else ANGLE
         self._polynomials = (0.0, np.zeros((3, 6)), np.zeros((3, 2)))
         self._seeds: tuple[Array, Directions] | None = None
@@ -213,7 +213,7 @@ class Stepper:
         Exact for the computed step, not differences; one-sided where joints stick (see :func:`hyperflex.sensitivities`,
         (M.19)-(M.25)). Cost O(n^2), for n = 50 some twenty times that of the step.
         """
-        refuse_what_is_not_smooth(self.setup)
+        check_smooth(self.setup)
         if self.setup.touches:
             got = "a stepper with pegs or joint limits"
             raise InvalidInput("derivatives are of free flight", got=got, fix="Make one without")
@@ -223,12 +223,14 @@ class Stepper:
             self._seeds = state_directions(self.command, run.chain, run.drive)
         start, seeds = self._seeds
         set_commands(self.command, seeds, self._polynomials[1])
-        y, slopes = np.zeros((2, 2 * n + 2)), np.zeros((2, *start.shape))
+        y, jacobian = np.zeros((2, 2 * n + 2)), np.zeros((2, *start.shape))
         y[0] = begin
         times = np.array([run.drive.breaks[0], run.time])
-        begins = held(run.chain, run.drive, times[0], begin[:n], steps[0, MODES:], seeds, start)
-        replay.replay(run.chain, run.drive, TABLES, steps, times[0], begins, seeds, times, y, slopes)
-        moved = slopes[1]
+        begins = stiction_projection(run.chain, run.drive, times[0], begin[:n], steps[0, MODES:], seeds, start)
+        forward_sensitivity.forward_sensitivities(
+            run.chain, run.drive, TABLES, steps, times[0], begins, seeds, times, y, jacobian
+        )
+        moved = jacobian[1]
         if self.command != "torque":  # the arm is no link of the chain: what it does follows from the command alone
             rows = np.zeros((2, moved.shape[1]))
             rows[:, [0, n + 1, 2 * n + 2]] = self._polynomials[2].T
@@ -255,16 +257,16 @@ class Stepper:
         known, t = np.array([angle, rate, u]), run.time
         run.limits = run.limits._replace(stop=t + span)
         self._interval.set(t, t + span, self._channel, known @ self._polynomials[1])
-        if self._beside is not None:
+        if self._contact_run is not None:
             if CONTACT_STEP not in state.checkpoint:
                 still = self.setup if self.command == "torque" else replace(self.setup, motion=hold_arm(angle))
                 check_start(still, t, run.progress.y[: run.chain.length.size])
-            self._beside.enter(state)
+            self._contact_run.enter(state)
         angle, rate = (known @ self._polynomials[2]).tolist()
         return angle, rate
 
     def _finish(self) -> None:
-        code = finish(self._run) if self._beside is None else self._beside.finish()
+        code = finish(self._run) if self._contact_run is None else self._contact_run.finish()
         if code != status.OK:
             raise failure(code, self._run)
 

@@ -1,4 +1,4 @@
-"""What breaks a run off before its end: its processor time, or Ctrl-C."""
+"""Time budget of a run: processor time, and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from hyperflex import checks
 from hyperflex.core.jit import compiling
 from hyperflex.errors import SimulationError
 
-NAME = "out of patience"  # status of a run that took too long
+NAME = "time budget exceeded"  # status of a run that took too long
 INTERRUPTED = "interrupted"  # and of one that Ctrl-C ended
 
 
-class OutOfPatience(Exception):
-    """Raised within a run when its time is over; never leaves the library."""
+class TimeBudgetExceeded(Exception):
+    """Raised within a run when its time budget is spent; never leaves the library."""
 
 
-def impatient(report: Callable[[float], None] | None, seconds: float | None) -> Callable[[float], None] | None:
-    """Return what a run reports to: `report`, if any, until its thread has worked for `seconds`; OutOfPatience then.
+def enforce_budget(report: Callable[[float], None] | None, seconds: float | None) -> Callable[[float], None] | None:
+    """Return what a run reports to: `report`, and TimeBudgetExceeded once its thread has worked for `seconds`.
 
     What passes between two reports does not count if kernels were compiled meanwhile: that is no fault of the run.
 
     Parameters
     ----------
     report : callable, optional
-        Hears of the simulated time.
+        Called with the simulated time.
     seconds : float, optional
         Of processor time, so that a busy machine ends no run; None waits for ever.
     """
     if seconds is None:
         return report
-    left = checks.number("patience", seconds, sign="positive", unit="s")
+    left = checks.number("time_budget", seconds, sign="positive", unit="s")
     last, compiled = time.thread_time(), compiling()
 
     def heard(t: float) -> None:
@@ -43,12 +43,12 @@ def impatient(report: Callable[[float], None] | None, seconds: float | None) -> 
             left -= now - last
         last = now
         if left < 0.0:
-            raise OutOfPatience
+            raise TimeBudgetExceeded
 
     return heard
 
 
-def too_slow(t: float) -> SimulationError:
+def budget_error(t: float) -> SimulationError:
     """Return the error of a run that had come to `t`, s, when its time was over."""
     message = f"stopped at t = {t:.6g} s ({NAME}): its processor time was over. Allow more, or loosen tol."
     return SimulationError(message, status=NAME, time=t)

@@ -1,1 +1,1 @@
-"""Many rollouts side by side in SIMD lanes."""
+"""Batch rollouts in SIMD lanes."""

@@ -1,4 +1,4 @@
-"""The members of a batch: their parameters, their drives, and how they enter a lane."""
+"""Members of a batch: parameters, drives, and how a member enters a lane."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Terms(NamedTuple):
 
     begin: float  # s
     tol: float  # m
-    bears: tuple[int, ...]  # as in Chain
+    reaction: tuple[int, ...]  # as in Chain
     fixed: float  # s, a step chosen beforehand; 0.0: error control
     best: Array  # (p + 1,) weights of the columns, as in Scheme
     gap: Array  # in the error estimate
@@ -42,7 +42,7 @@ LENGTH, LEVER = Chain._fields.index("length"), Chain._fields.index("tip_mass")  
 TIP_MASS, GRAVITY_X, GRAVITY_Y, ARM_LENGTH, TORQUE_LIMIT = range(5)
 # a lane's clock, s: as in rollout, with the piece of the drive that holds and the step wanted next
 # RETRY: 1.0 while a step is being shortened to end at an event
-TIME, STEP, AFTER, FRESH, LAST, SIZE, UNSETTLED, CHATTER, ORIGIN, END, WANTED, RETRY, CLOCK = range(13)
+TIME, STEP, AFTER, RESTARTED, LAST, SIZE, UNDECIDED, CHATTER, ORIGIN, END, NEXT_STEP, RETRY, CLOCK = range(13)
 # What moves the first joints, in lanes: slot * k + lane. Coefficients of four channels, what hardly changes, the time
 # since the piece began; then the torque on link 0 and what ``drive.base_state`` gives, less gravity
 COEF, ARM, GX, GY, LIMIT, SINCE, EXTERNAL, BASE, PATH = 0, 24, 25, 26, 27, 28, 29, 30, 39
@@ -152,7 +152,7 @@ def base_motion(width, path):  # type: ignore[no-untyped-def]
 @kernel
 def chain_of(members, terms, m, gx, gy):  # type: ignore[no-untyped-def]
     """Chain of member m in the gravity (gx, gy), m/s^2."""
-    return chain_of_rows(members.links[m], members.whole[m, TIP_MASS], gx, gy, terms.bears)
+    return chain_of_rows(members.links[m], members.whole[m, TIP_MASS], gx, gy, terms.reaction)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Many rollouts side by side: each lane runs a member of its own, with its own step, and takes the next one when done.
+"""Batch rollouts: each lane runs one member with its own step and then takes the next.
 
 No number of one lane ever enters another, so a member's result does not depend on its neighbours or on the threads.
 """
@@ -16,24 +16,24 @@ from hyperflex.core.batch.members import (
     CLOCK,
     END,
     EXTERNAL,
-    FRESH,
     LAST,
+    NEXT_STEP,
     ORIGIN,
     PATH,
+    RESTARTED,
     RETRY,
     SINCE,
     SIZE,
     STEP,
     TIME,
-    UNSETTLED,
-    WANTED,
+    UNDECIDED,
     base_motion,
     chain_of,
     enter,
     piece,
     save_clock,
 )
-from hyperflex.core.batch.stiction import conclude, look, new_watch, settle_lane
+from hyperflex.core.batch.stiction import assess_lane, decide_lane_modes, finish_lane, new_lane_stiction
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import can_stick, sincos
 from hyperflex.core.integrate.event_search import AGAIN, EVENT
@@ -120,7 +120,7 @@ def measure(width, lanes, tip):  # type: ignore[no-untyped-def]
 
 @kernel
 def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: ignore[no-untyped-def]
-    """One extrapolated step in every lane, of the length WANTED; results stay in the sums of `lanes` and `energy`."""
+    """One extrapolated step of length NEXT_STEP in every lane; the result is in the sums of `lanes` and `energy`."""
     k = len(ln.MEMBERS)
     order = terms.best.size - 1
     base = path[BASE * k :].reshape(9, k)
@@ -128,7 +128,7 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
     for col in range(1, order + 1):
         begin_column(ln.MEMBERS, lanes, col == 1)
         for j in range(k):
-            tip[ln.STEP * k + j] = lane[j, WANTED] / col
+            tip[ln.STEP * k + j] = lane[j, NEXT_STEP] / col
             lanes[ln.WORK * k + j] = 0.0
             lanes[ln.LOST * k + j] = 0.0
             path[SINCE * k + j] = lane[j, TIME] - lane[j, ORIGIN]
@@ -138,9 +138,9 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
                 tip[ln.EXTERNAL * k + j] = path[EXTERNAL * k + j]
                 path[SINCE * k + j] += tip[ln.STEP * k + j]
             if s < col - 1:
-                ln.euler(ln.MEMBERS, terms.bears, ln.MORE, lanes, tip, base)
+                ln.euler(ln.MEMBERS, terms.reaction, ln.MORE, lanes, tip, base)
             else:
-                ln.euler(ln.MEMBERS, terms.bears, ln.LAST, lanes, tip, base)
+                ln.euler(ln.MEMBERS, terms.reaction, ln.LAST, lanes, tip, base)
         end_column(ln.MEMBERS, lanes, terms.best[col], terms.gap[col])
         for j in range(k):
             energy[j, 2] += terms.best[col] * lanes[ln.WORK * k + j]
@@ -174,7 +174,7 @@ def write(lanes, n, j, energy, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def judge(terms, tip, j, step):  # type: ignore[no-untyped-def]
+def lane_error(terms, tip, j, step):  # type: ignore[no-untyped-def]
     """Error of lane j's step in units of what is allowed; 0 for a fixed step, inf where it is not finite."""
     k = len(ln.MEMBERS)
     finite = abs(tip[ln.ERR_VX * k + j]) + abs(tip[ln.ERR_VY * k + j]) < np.inf
@@ -188,13 +188,13 @@ def judge(terms, tip, j, step):  # type: ignore[no-untyped-def]
 
 @kernel
 def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[no-untyped-def]
-    """Choose the length of every lane's next step (WANTED); returns the number of lanes at work."""
+    """Choose the length of every lane's next step (NEXT_STEP); returns the number of lanes at work."""
     busy = 0
     for j in range(member.size):
         if member[j] >= 0 and lane[j, RETRY] == 1.0:  # its step is being shortened
             busy += 1
             continue
-        lane[j, WANTED] = 0.0
+        lane[j, NEXT_STEP] = 0.0
         if member[j] < 0:
             continue
         busy += 1
@@ -202,30 +202,30 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
         if t >= lane[j, END]:
             piece(members, member[j], t, path, j, lane[j])
             lane[j, STEP] = min(lane[j, STEP], lane[j, AFTER])
-            lane[j, FRESH] = lane[j, UNSETTLED] = 1.0
+            lane[j, RESTARTED] = lane[j, UNDECIDED] = 1.0
             lane[j, LAST] = 0.0
         left = min(lane[j, END], t_out[index[j]]) - t
         if terms.fixed > 0.0:
-            lane[j, WANTED] = min(terms.fixed, left)
+            lane[j, NEXT_STEP] = min(terms.fixed, left)
         else:
-            lane[j, WANTED] = fitted(min(lane[j, STEP], LARGEST_STEP), left)
+            lane[j, NEXT_STEP] = fitted(min(lane[j, STEP], LARGEST_STEP), left)
     return busy
 
 
 @kernel
-def settle(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def]
+def control_step(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def]
     """Note a step of the error `size` in a lane's clock, where a chain `sticks` or not, and choose the next; a code."""
     order = terms.best.size - 1
-    step = lane[WANTED]
+    step = lane[NEXT_STEP]
     if size <= 1.0:
         lane[TIME] = end if step >= end - lane[TIME] else lane[TIME] + step
         faint = sticks and is_rounding(size, terms.tol, step, terms.rounding)
         grown = MOST * step if faint else longer(step, size, lane[LAST], lane[SIZE], order)
         lane[STEP] = max(grown, lane[STEP]) if step < lane[STEP] else grown
         lane[LAST], lane[SIZE] = 0.0 if faint else step, size
-        if lane[FRESH] == 1.0:
+        if lane[RESTARTED] == 1.0:
             lane[AFTER] = lane[STEP]
-            lane[FRESH] = 0.0
+            lane[RESTARTED] = 0.0
         return status.OK
     if terms.fixed > 0.0:
         return status.NOT_FINITE
@@ -256,7 +256,7 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
     member = np.full(k, -1)
     index = np.zeros(k, dtype=np.int64)
     coming = low
-    sticks, watch = np.zeros(k, dtype=np.bool_), new_watch(n)
+    sticks, friction = np.zeros(k, dtype=np.bool_), new_lane_stiction(n)
     for i in range(1, n + 1):  # idle lanes are swept too: an inertia keeps their numbers finite
         lanes[(i * ln.ROW + ln.INERTIA) * k : (i * ln.ROW + ln.INERTIA + 1) * k] = 1.0
     while True:
@@ -274,8 +274,8 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
                     reached[member[j] - low] = lane[j, TIME]
             return
         for j in range(k):
-            unsettled = sticks[j] and member[j] >= 0 and lane[j, UNSETTLED] == 1.0
-            if unsettled and not settle_lane(members, terms, member[j], lanes, path, j, lane[j], watch):
+            unsettled = sticks[j] and member[j] >= 0 and lane[j, UNDECIDED] == 1.0
+            if unsettled and not decide_lane_modes(members, terms, member[j], lanes, path, j, lane[j], friction):
                 codes[member[j] - low], reached[member[j] - low], member[j] = status.FRICTION, lane[j, TIME], -1
         extrapolate_lanes(members, terms, lane, energy, lanes, tip, path)
         for j in range(k):
@@ -283,19 +283,19 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
                 continue
             m = member[j] - low
             end = min(lane[j, END], t_out[index[j]])
-            size = judge(terms, tip, j, lane[j, WANTED])
-            step, verdict = lane[j, WANTED], 0
+            size = lane_error(terms, tip, j, lane[j, NEXT_STEP])
+            step, verdict = lane[j, NEXT_STEP], 0
             if lane[j, RETRY] == 1.0 and size < np.inf:
                 size = min(size, 1.0)  # its longer attempt was good
             if sticks[j] and size <= 1.0:
-                verdict = look(members, terms, member[j], lanes, path, j, lane[j], watch)
+                verdict = assess_lane(members, terms, member[j], lanes, path, j, lane[j], friction)
                 if verdict == AGAIN:
                     continue
-            code = settle(terms, lane[j], end, size, sticks[j])
+            code = control_step(terms, lane[j], end, size, sticks[j])
             if code == status.OK:
                 accept(lanes, n, j, energy)
                 if sticks[j]:
-                    conclude(lanes, n, j, lane[j], energy, step, verdict == EVENT, watch)
+                    finish_lane(lanes, n, j, lane[j], energy, step, verdict == EVENT, friction)
                 if t_out[index[j]] <= lane[j, TIME]:
                     write(lanes, n, j, energy, y_out[m, index[j]])
                     index[j] += 1

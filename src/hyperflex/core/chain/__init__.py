@@ -1,1 +1,1 @@
-"""The chain of rigid links: articulated-body algorithm, SIMD lanes, prescribed motion and motor torque."""
+"""The chain of rigid links: articulated-body algorithm, SIMD lanes, drive, drag."""

@@ -1,4 +1,4 @@
-"""Air drag of a link: quadratic in the velocity across it, and integrated exactly along it, (M.29)-(M.32).
+"""Air drag of a link, quadratic in its normal velocity (M.29)-(M.32).
 
 A link of drag c, kg/m^2, feels the force -c |v| v a length against the velocity v across it, which is u at its
 motor-side joint and grows to u + w l at its far joint. With S = |u| + |u + w l| and xi = (2 u + w l) / S no integral

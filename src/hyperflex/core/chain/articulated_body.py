@@ -1,4 +1,4 @@
-"""The planar chain of rigid links: its parameters, the O(n) sweep, energies and mass-matrix entries.
+"""Articulated-body algorithm of the planar chain (Featherstone), energies, mass matrix.
 
 Absolute link angles q: 0 hangs down, positive towards +x; d = (sin q, -cos q) points from a link's motor-side joint to
 its far joint, n = (cos q, sin q). Joint i joins link i - 1 to link i; the parent of link 0 is the arm or the wall.
@@ -36,7 +36,7 @@ class Chain(NamedTuple):
     tip_mass: float
     gx: float
     gy: float
-    bears: tuple[int, ...]  # as many entries as links bear a joint's friction: MUTUAL or PRINTED
+    reaction: tuple[int, ...]  # as many entries as links bear a joint's friction: MUTUAL or ONE_SIDED
 
     @property
     def joints(self) -> tuple[Array, Array, Array, Array]:
@@ -46,7 +46,7 @@ class Chain(NamedTuple):
 
 # The compiler knows the length of a tuple, so each friction model gets kernels of its own.
 MUTUAL = (0, 0)  # the link and its parent
-PRINTED = (0,)  # the link alone, as printed in the paper's (4)
+ONE_SIDED = (0,)  # the link alone, as printed in the paper's (4)
 
 _ONE_OVER_PI = 1.0 / math.pi
 _ROUND = 6755399441055744.0  # 1.5 * 2**52: adding and taking it away rounds to the nearest integer
@@ -89,7 +89,7 @@ def sincos(x):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def link_step(link, joint, free, share, sin, cos, rate2, beyond):  # type: ignore[no-untyped-def]
+def link_step(link, joint, free, reaction_factor, sin, cos, rate2, beyond):  # type: ignore[no-untyped-def]
     """One link of the sweep from tip to motor, (M.8)-(M.12).
 
     Parameters
@@ -99,7 +99,7 @@ def link_step(link, joint, free, share, sin, cos, rate2, beyond):  # type: ignor
         Joint torque T - kappa (alpha - alpha_up) on this link, N m; the part ``_back`` of it acts on the parent.
     free : float
         1.0; 0.0 for a stuck joint, which bears any torque, so that alpha = alpha_up.
-    share : float
+    reaction_factor : float
         Part of the torque of a stuck joint that acts on the parent: 1.0, or 0.0 for the printed friction model.
     sin, cos, rate2 : float
         Of this link's angle; its squared angular rate.
@@ -134,7 +134,7 @@ def link_step(link, joint, free, share, sin, cos, rate2, beyond):  # type: ignor
     inv = free / (((own + kappa) + cross) + (lc * lx + ls * ly))
     lock = 1.0 - free
     k = kappa * inv + lock
-    k_back = kappa_back * inv + share * lock
+    k_back = kappa_back * inv + reaction_factor * lock
     hx = rate2 * (ls * axx - lc * axy) - bx
     hy = rate2 * (ls * ayx - lc * ayy) - by
     r = torque - beta + (lc * hx + ls * hy) + rate2 * (ls * ux - lc * uy)
@@ -175,10 +175,10 @@ def sines(q, out, at):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def chain_of_rows(rows, tip_mass, gx, gy, bears):  # type: ignore[no-untyped-def]
+def chain_of_rows(rows, tip_mass, gx, gy, reaction):  # type: ignore[no-untyped-def]
     """Chain from its properties of links, `rows` (10 or more, n), in the order of its fields, and the rest."""
     links = (rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8], rows[9])
-    return Chain(*links, tip_mass, gx, gy, bears)
+    return Chain(*links, tip_mass, gx, gy, reaction)
 
 
 @kernel
@@ -194,14 +194,14 @@ def joint_of(chain, i):  # type: ignore[no-untyped-def]
 
 
 @lean
-def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ignore[no-untyped-def]
+def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ignore[no-untyped-def]
     """Angular accelerations of all links by one sweep to the motor and one back; O(n).
 
     Parameters
     ----------
     chain : Chain
     q, w : (n,) angles, rad, and rates, rad/s
-    grip : (n,) sense in which each joint slips, 1.0 or -1.0; 0.0: it is stuck. Without dry friction 1.0
+    slip : (n,) sense in which each joint slips, 1.0 or -1.0; 0.0: it is stuck. Without dry friction 1.0
     base : (7,) acceleration x, y of the first joint, m/s^2; alpha, rate, angle of the parent; velocity x, y, m/s
     torque : float, external torque on link 0, N m
     h : float, 0.0 for the exact accelerations of (1); a step, s, for implicit joints (M.13)
@@ -213,7 +213,7 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
     (Fx, Fy, N) : force on the rope at its first joint, N, and torque through that joint without `torque`, N m.
     """
     n = q.size
-    share = len(chain.bears) - 1.0
+    reaction_factor = len(chain.reaction) - 1.0
     sines(q, work, 4 * n)
     air_x, air_y, _ = air_loads(chain, w, base, work, 0, 4)
     zero = 0.0
@@ -222,14 +222,16 @@ def accelerations(chain, q, w, grip, base, torque, h, alpha, work):  # type: ign
         i = n - 1 - way
         angle = q[i] - (q[i - 1] if i > 0 else base[4])
         rate = w[i] - (w[i - 1] if i > 0 else base[3])
-        t, t_back, kappa, kappa_back = joint_law.torques(joint_of(chain, i), share, angle, rate, grip[i], h)
+        t, t_back, kappa, kappa_back = joint_law.torques(joint_of(chain, i), reaction_factor, angle, rate, slip[i], h)
         t += work[4 * i] + (torque if i == 0 else 0.0)
         ma = chain.mass[i] * chain.com[i]
         link = (chain.length[i], ma, chain.inertia[i] + ma * chain.com[i], chain.mass[i])
         joint = (t, t_back, kappa, kappa_back)
-        if share == 1.0:
+        if reaction_factor == 1.0:
             at = mutual(at)
-        at, back = link_step(link, joint, grip[i] * grip[i], share, work[4 * n + i], work[5 * n + i], w[i] * w[i], at)
+        at, back = link_step(
+            link, joint, slip[i] * slip[i], reaction_factor, work[4 * n + i], work[5 * n + i], w[i] * w[i], at
+        )
         o = 4 * i
         work[o], work[o + 1], work[o + 2], work[o + 3], _ = back
     px = base[0] - chain.gx
@@ -255,13 +257,13 @@ def can_stick(chain):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def lost_power(chain, w, grip, base, work):  # type: ignore[no-untyped-def]
+def lost_power(chain, w, slip, base, work):  # type: ignore[no-untyped-def]
     """Power that friction and the air take from the chain, W; arguments as ``accelerations`` takes and leaves them."""
     _, _, power = air_loads(chain, w, base, work, 0, 4)
-    share = len(chain.bears) - 1.0
+    reaction_factor = len(chain.reaction) - 1.0
     up = base[3]
     for i in range(w.size):
-        power += joint_law.power(joint_of(chain, i), share, w[i], up, grip[i])
+        power += joint_law.power(joint_of(chain, i), reaction_factor, w[i], up, slip[i])
         up = w[i]
     return power
 

@@ -1,4 +1,4 @@
-"""What moves the chain: arm angle, pivot position and motor torque as piecewise polynomials of time."""
+"""Drive of the chain: arm angle, pivot and motor torque as piecewise polynomials."""
 
 from __future__ import annotations
 

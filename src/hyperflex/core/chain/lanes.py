@@ -1,4 +1,4 @@
-"""The sweep in SIMD lanes: chains side by side, each taking its own linearly implicit Euler step.
+"""The articulated-body sweep in SIMD lanes, with linearly implicit Euler steps.
 
 A single rollout puts the columns of its extrapolation table into the lanes (:data:`COLUMNS`); a batch puts whole
 rollouts there (:data:`MEMBERS`). All lane data lie in one flat array of n + 2 rows: row 0 is the parent (arm or wall),
@@ -33,7 +33,7 @@ MORE, LAST = (0,), ()
 # parameters of a link
 LENGTH, MA, INERTIA, MASS, VISCOUS, STIFFNESS, REST, DRY = range(8)
 # state, with the sense of slipping (0: stuck); sine, cosine; (r inv, ex inv, ey inv, k, inv) for the way back; step
-GRIP, Q, W, SIN, COS, RD, EX, EY, KD, INV, STEP = range(8, 19)
+SLIP, Q, W, SIN, COS, RD, EX, EY, KD, INV, STEP = range(8, 19)
 # on the way to the motor: the answer at the motor-side joint; AYX, UX and UY are not used where friction is mutual
 AXX, AXY, AYX, AYY, FX, FY, BX, BY, UX, UY, S, BETA = range(19, 31)
 # on the way back: acceleration of the far joint (less gravity), and of the link; `advance` hands them on
@@ -95,17 +95,17 @@ def load_lane(width, j, chain, lanes, tip):  # type: ignore[no-untyped-def]
         row[DRAG * k + j] = chain.drag[i]
         lanes[DRAG * k + j] += chain.drag[i]
         row[EXTERNAL * k + j] = 0.0
-        row[GRIP * k + j] = 1.0
+        row[SLIP * k + j] = 1.0
     tip[MASS * k + j] = chain.tip_mass
 
 
 @kernel
-def set_grip(width, lanes, grip):  # type: ignore[no-untyped-def]
+def set_slip(width, lanes, slip):  # type: ignore[no-untyped-def]
     """Set how each joint slips in every lane, (n,) as in ``chain.accelerations``."""
     k = len(width)
-    for i in range(grip.size):
+    for i in range(slip.size):
         for j in range(k):
-            lanes[((i + 1) * ROW + GRIP) * k + j] = grip[i]
+            lanes[((i + 1) * ROW + SLIP) * k + j] = slip[i]
 
 
 @inlined
@@ -120,17 +120,17 @@ def joint_in(row, k, j):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def load_joint(row, k, j, h, external, share):  # type: ignore[no-untyped-def]
+def load_joint(row, k, j, h, external, reaction_factor):  # type: ignore[no-untyped-def]
     """Torque and slope of a link's joint as ``link_step`` takes them, and the friction work of the step."""
-    joint, grip = joint_in(row, k, j), row[(AT + GRIP) * k + j]
+    joint, slip = joint_in(row, k, j), row[(AT + SLIP) * k + j]
     w, up = row[(AT + W) * k + j], row[(UP + W) * k + j]
     angle = row[(AT + Q) * k + j] - row[(UP + Q) * k + j]
-    t, t_back, kappa, kappa_back = joint_law.torques(joint, share, angle, w - up, grip, h)
-    return (t + external, t_back, kappa, kappa_back), h * joint_law.power(joint, share, w, up, grip)
+    t, t_back, kappa, kappa_back = joint_law.torques(joint, reaction_factor, angle, w - up, slip, h)
+    return (t + external, t_back, kappa, kappa_back), h * joint_law.power(joint, reaction_factor, w, up, slip)
 
 
 @inlined
-def load_answer(row, k, j, share, at):  # type: ignore[no-untyped-def]
+def load_answer(row, k, j, reaction_factor, at):  # type: ignore[no-untyped-def]
     """Answer of the row at offset ``at``, as ``link_step`` takes that of the link beyond."""
     answer = (
         row[(at + AXX) * k + j],
@@ -146,11 +146,11 @@ def load_answer(row, k, j, share, at):  # type: ignore[no-untyped-def]
         row[(at + S) * k + j],
         row[(at + BETA) * k + j],
     )
-    return mutual(answer) if share == 1.0 else answer
+    return mutual(answer) if reaction_factor == 1.0 else answer
 
 
 @inlined
-def store_answer(row, k, j, share, at, answer):  # type: ignore[no-untyped-def]
+def store_answer(row, k, j, reaction_factor, at, answer):  # type: ignore[no-untyped-def]
     """Keep an answer in the row at offset ``at``."""
     row[(at + AXX) * k + j] = answer[0]
     row[(at + AXY) * k + j] = answer[1]
@@ -161,7 +161,7 @@ def store_answer(row, k, j, share, at, answer):  # type: ignore[no-untyped-def]
     row[(at + BY) * k + j] = answer[7]
     row[(at + S) * k + j] = answer[10]
     row[(at + BETA) * k + j] = answer[11]
-    if share == 0.0:  # else they are AXY, FX and FY
+    if reaction_factor == 0.0:  # else they are AXY, FX and FY
         row[(at + AYX) * k + j] = answer[2]
         row[(at + UX) * k + j] = answer[8]
         row[(at + UY) * k + j] = answer[9]
@@ -206,18 +206,18 @@ def air(width, lanes, base):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def sweep(width, bears, lanes, tip):  # type: ignore[no-untyped-def]
+def sweep(width, reaction, lanes, tip):  # type: ignore[no-untyped-def]
     """From tip to motor: the answer of the chain at each joint (M.8)-(M.13), and the friction work of the step.
 
     One large loop body on purpose: LLVM unrolls small loops over so few lanes before it looks for packed instructions.
     """
     k = len(width)
     one_place = k > len(COLUMNS)
-    share = len(bears) - 1.0
+    reaction_factor = len(reaction) - 1.0
     n = lanes.size // (ROW * k) - 2
     for j in range(k):
         mass = tip[MASS * k + j]
-        store_answer(tip, k, j, share, 0, (mass, 0.0, 0.0, mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        store_answer(tip, k, j, reaction_factor, 0, (mass, 0.0, 0.0, mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
         tip[DISSIPATED * k + j] = 0.0
     for way in range(n):
         i = n - way
@@ -226,20 +226,20 @@ def sweep(width, bears, lanes, tip):  # type: ignore[no-untyped-def]
         far, near = (0, 0) if one_place else (DOWN, AT)
         for j in range(k):
             h = answers[(far + STEP) * k + j]
-            joint, lost = load_joint(row, k, j, h, row[(AT + EXTERNAL) * k + j], share)
+            joint, lost = load_joint(row, k, j, h, row[(AT + EXTERNAL) * k + j], reaction_factor)
             link = (
                 row[(AT + LENGTH) * k + j],
                 row[(AT + MA) * k + j],
                 row[(AT + INERTIA) * k + j],
                 row[(AT + MASS) * k + j],
             )
-            grip = row[(AT + GRIP) * k + j]
+            slip = row[(AT + SLIP) * k + j]
             w = row[(AT + W) * k + j]
             sin = row[(AT + SIN) * k + j]
             cos = row[(AT + COS) * k + j]
-            beyond = load_answer(answers, k, j, share, far)
-            at, back = link_step(link, joint, grip * grip, share, sin, cos, w * w, beyond)
-            store_answer(answers, k, j, share, near, at)
+            beyond = load_answer(answers, k, j, reaction_factor, far)
+            at, back = link_step(link, joint, slip * slip, reaction_factor, sin, cos, w * w, beyond)
+            store_answer(answers, k, j, reaction_factor, near, at)
             row[(AT + RD) * k + j] = back[0]
             row[(AT + EX) * k + j] = back[1]
             row[(AT + EY) * k + j] = back[2]
@@ -286,12 +286,12 @@ def advance(width, more, lanes, tip):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def euler(width, bears, more, lanes, tip, base):  # type: ignore[no-untyped-def]
+def euler(width, reaction, more, lanes, tip, base):  # type: ignore[no-untyped-def]
     """One linearly implicit Euler step in every lane, each of its own length.
 
     Parameters
     ----------
-    width, bears : tuples whose lengths are the number of lanes, k, and of links that bear a joint's friction
+    width, reaction : tuples whose lengths are the number of lanes, k, and of links that bear a joint's friction
     more : MORE or LAST
     lanes : ((n + 2) ROW k,), advanced in place; WORK and LOST of row 0 grow
     tip : (ROW k,) the last row, see :func:`rows`; EXTERNAL (N m) and STEP (s) are read from it
@@ -306,7 +306,7 @@ def euler(width, bears, more, lanes, tip, base):  # type: ignore[no-untyped-def]
         lanes[(ROW + EXTERNAL) * k + j] = tip[EXTERNAL * k + j]
     if top[DRAG * k : (DRAG + 1) * k].any():
         air(width, lanes, base)
-    sweep(width, bears, lanes, tip)
+    sweep(width, reaction, lanes, tip)
     one_place = k > len(COLUMNS)
     answers = tip if one_place else lanes[ROW * k : 2 * ROW * k]
     start = answers if one_place else top
@@ -315,7 +315,7 @@ def euler(width, bears, more, lanes, tip, base):  # type: ignore[no-untyped-def]
         px = base[0, j]
         py = base[1, j]
         up = base[2, j]
-        axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = load_answer(answers, k, j, len(bears) - 1.0, 0)
+        axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = load_answer(answers, k, j, len(reaction) - 1.0, 0)
         fx = axx * px + axy * py + fx * up + bx - top[FX * k + j]
         fy = ayx * px + ayy * py + fy * up + by - top[FY * k + j]
         moment = ux * px + uy * py + s * up + beta

@@ -1,4 +1,4 @@
-"""Torque of the motor that moves a prescribed arm, as far as the rope asks for it."""
+"""Base reactions of the rope: the load on the motor of a prescribed arm."""
 
 from __future__ import annotations
 
@@ -7,33 +7,33 @@ import numpy as np
 from hyperflex.core.chain.articulated_body import accelerations, can_stick
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.jit import kernel
-from hyperflex.core.stiction.constraint_torques import bench
-from hyperflex.core.stiction.slip_modes import decide
+from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
+from hyperflex.core.stiction.slip_modes import find_modes
 
 
 @kernel
-def senses(chain, drive, t, y, grip):  # type: ignore[no-untyped-def]
-    """Sense in which each joint slips, 1.0 or -1.0, or 0.0 where it sticks, to `grip` (m, n); t (m,), y (m, 2 n)."""
+def senses(chain, drive, t, y, slip):  # type: ignore[no-untyped-def]
+    """Sense in which each joint slips, 1.0 or -1.0, or 0.0 where it sticks, to `slip` (m, n); t (m,), y (m, 2 n)."""
     n = chain.length.size
     sticks = can_stick(chain)
-    base, room = np.empty(9), bench(n)
+    base, workspace = np.empty(9), new_stiction_workspace(n)
     for k in range(t.size):
         torque = base_state(drive, segment(drive, t[k]), t[k], base)
         up = base[3]
         for i in range(n):
-            grip[k, i] = -1.0 if y[k, n + i] < up else 1.0
+            slip[k, i] = -1.0 if y[k, n + i] < up else 1.0
             up = y[k, n + i]
         if sticks:
-            decide(chain, y[k, :n], y[k, n : 2 * n], base[:7], torque, 1.0, grip[k], room)
+            find_modes(chain, y[k, :n], y[k, n : 2 * n], base[:7], torque, 1.0, slip[k], workspace)
 
 
 @kernel
-def reactions(chain, drive, t, y, grip, out):  # type: ignore[no-untyped-def]
+def reactions(chain, drive, t, y, slip, out):  # type: ignore[no-untyped-def]
     """What the rope asks of the motor at given states, and the motion of the arm there.
 
     Parameters
     ----------
-    t : (m,) times, s; y : (m, 2 n or more) angles and rates; grip : (m, n), see :func:`senses`
+    t : (m,) times, s; y : (m, 2 n or more) angles and rates; slip : (m, n), see :func:`senses`
     out : (m, 4) out: torque about the shaft, N m; angle, rate and acceleration of the arm, rad, rad/s, rad/s^2
     """
     n = chain.length.size
@@ -41,7 +41,7 @@ def reactions(chain, drive, t, y, grip, out):  # type: ignore[no-untyped-def]
     for k in range(t.size):
         torque = base_state(drive, segment(drive, t[k]), t[k], base)
         q, w = y[k, :n], y[k, n : 2 * n]
-        fx, fy, moment = accelerations(chain, q, w, grip[k], base[:7], torque, 0.0, alpha, work)
+        fx, fy, moment = accelerations(chain, q, w, slip[k], base[:7], torque, 0.0, alpha, work)
         pull = drive.arm_length * (np.cos(base[4]) * fx + np.sin(base[4]) * fy)
         out[k, 0] = moment + torque + pull
         out[k, 1], out[k, 2], out[k, 3] = base[4], base[3], base[2]

@@ -1,4 +1,4 @@
-"""Air drag in a step beside obstacles: the air's torques in the middle of the step act through the joints, (M.34)."""
+"""Impulses of air drag in a contact step (M.34)."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def new_air(n):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def blow(chain, air, motion, base, h):  # type: ignore[no-untyped-def]
-    """Add the air's impulses in a step h to those of the joints in `motion`; `base` (9,) in the middle of the step.
+def add_drag_impulses(chain, air, motion, base, h):  # type: ignore[no-untyped-def]
+    """Add the impulses of air drag in a step h to those of the joints in `motion`; `base` (9,) in its middle.
 
-    A torque on link i alone is what the joints up to i bear together: each pushes its link, and its parent back. What
-    the first joint bears so, :func:`take` takes off what the rope asks of its base.
+    A torque on link i alone equals torques of all joints up to i, each on its link and back on its parent. What
+    the first joint bears so, :func:`drag_work` takes off what the rope asks of its base.
     """
     n = motion.w.size
     for i in range(n):
@@ -45,8 +45,8 @@ def blow(chain, air, motion, base, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def take(air, motion, rates, before, after, h):  # type: ignore[no-untyped-def]
-    """Take the air off the impulses at the first joint; returns the energy that it takes from the rope in the step, J.
+def drag_work(air, motion, rates, before, after, h):  # type: ignore[no-untyped-def]
+    """Subtract the drag from the impulses at the first joint; returns the energy lost to drag in the step, J.
 
     `rates` (n,) are those after the step; `before`, `after` (9,) the motion of the first joint.
     """

@@ -1,4 +1,4 @@
-"""Arrays of the search for modes: impulses of contacts and of joints, and the motion that they change."""
+"""Arrays of the contact solver: impulses of contacts and joints, and the rates."""
 
 from __future__ import annotations
 

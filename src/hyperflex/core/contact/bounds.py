@@ -1,27 +1,27 @@
-"""Where a run beside pegs is, and what bounds it."""
+"""State and bounds of a rollout with contact."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.contact.step import Kept
+from hyperflex.core.contact.step import ContactMemory
 from hyperflex.core.jit import lean
 
 MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they would be mostly rounding
 SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step however short: rounding of large forces
 LOSS = 10.0  # how many times more energy may vanish in a step than appear
 
-# T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps for which no modes were
-# found that obey the law. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest
-# penetration, m. FORCED: steps taken though their energy rose by more than is allowed. APPEARED: energy that came from
-# nowhere, J. DUE: 1.0 where a link touches, or a joint its limit, and an impact is due. BENT: greatest angle of a joint
-# past its limit, rad.
-T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST, DEEPEST, FORCED, APPEARED, DUE, BENT, CLOCK = range(14)
+# T: time, s. STEP: next step, s. INDEX: next output. TAKEN, REJECTED: steps. UNSOLVED: steps whose contact problem was
+# not solved. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest penetration, m.
+# FORCED: steps taken though their energy balance is off. ENERGY_GAIN: energy that came from nowhere, J. IMPACT_DUE: 1.0
+# where a link touches or a joint reaches its limit, and an impact is due. BEND: greatest angle past a joint limit, rad.
+T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST = range(8)
+DEEPEST, FORCED, ENERGY_GAIN, IMPACT_DUE, BEND, CLOCK = range(8, 14)
 
 
 class Bounds(NamedTuple):
-    """What bounds a run beside pegs."""
+    """Bounds of a rollout with contact."""
 
     stop: float  # s
     step: float  # s, longest step
@@ -31,22 +31,22 @@ class Bounds(NamedTuple):
     budget: int  # steps of one call
 
 
-class Course(NamedTuple):
-    """Where a run is; all arrays are changed in place."""
+class ContactState(NamedTuple):
+    """State of a rollout with contact; all arrays are changed in place."""
 
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
     clock: Array  # (CLOCK,)
     spin: Array  # (2, m) angles, rad, and rates, rad/s, of the pegs; 0 of fixed ones
-    kept: Kept
+    memory: ContactMemory
 
 
 @lean
-def allowance(bounds, h):  # type: ignore[no-untyped-def]
+def energy_allowance(bounds, h):  # type: ignore[no-untyped-def]
     """Energy that may appear from nowhere in a step, J."""
     return bounds.rate * max(h, SLIGHT) + ROUNDING
 
 
 @lean
-def balanced(surplus, allowed):  # type: ignore[no-untyped-def]
+def energy_balanced(surplus, allowed):  # type: ignore[no-untyped-def]
     """Whether the energy that appears from nowhere in a step, J, or vanishes where it is negative, may do so."""
     return -LOSS * allowed <= surplus <= allowed

@@ -1,4 +1,4 @@
-"""Where a rope is near obstacles: the closest point of each link, its gap, and how fast the gap closes.
+"""Gap functions: closest point of each link to an obstacle, gap and closing speed.
 
 A link touches a peg with its axis at the distance ``reach`` (peg radius plus rope radius) from the peg's centre. Of a
 straight face only the joints can come near, so each link answers for the joint at its end; the ends of a face are pegs

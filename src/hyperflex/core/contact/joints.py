@@ -1,4 +1,4 @@
-"""Joints within a step: dry friction with true stick, and limits of the bend, one-sided and inelastic.
+"""Joints in a contact step: dry friction with stiction, and inelastic bend limits.
 
 Both are one law between the relative rate of a joint after the step and its angular impulse L, a staircase that only
 falls (a maximal monotone graph): at the lower limit any L above that of friction, then the friction of a joint that
@@ -28,7 +28,7 @@ from hyperflex.core.contact.arrays import (
     STICK,
     UPPER,
 )
-from hyperflex.core.integrate.end_conditions import to_limit
+from hyperflex.core.integrate.end_conditions import limit_gap
 from hyperflex.core.jit import lean
 
 ANY = 1e9  # rad/s, bound of a rate that nothing holds
@@ -41,7 +41,7 @@ SOON = 0.01  # s, for which the present rate counts in what is left of a gap
 
 
 @lean
-def law(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no-untyped-def]
+def joint_mode(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no-untyped-def]
     """Angular impulse of a joint in a mode, N m s, and the mode that it should have; start is L0, mass is M, kg m^2.
 
     `bound` is that of dry friction, N m s; `lower`, `upper` are bounds of the `rate`, rad/s.
@@ -73,46 +73,46 @@ def law(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no-untype
 
 
 @lean
-def watch_joints(chain, desk, kept, h, struck):  # type: ignore[no-untyped-def]
+def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-untyped-def]
     """Say what each joint may do in a step `h`, s, and begin with the modes and torques of the last step.
 
-    A gap to a limit may be closed, not more. As for contacts (``step.watch``), a joint that closes faster than
-    ``desk.brisk`` is left free, and ``desk.touch`` tells when it is there; in an impact (h = 0.0) those that are there
-    are held.
+    A gap to a limit may be closed, not more. As for contacts (``step.find_contacts``), a joint that closes faster than
+    ``workspace.brisk`` is left free, and ``workspace.touch`` is the time until it is there; in an impact (h = 0.0)
+    those that are there are held.
     """
-    motion, held, of = desk.motion, desk.held, desk.held.of
+    motion, held, of = workspace.motion, workspace.held, workspace.held.of
     for i in held.which:
-        bend = desk.q[i] - (desk.q[i - 1] if i > 0 else desk.base[1, 4]) - chain.rest[i]
-        rate = motion.w[i] - (motion.w[i - 1] if i > 0 else desk.base[0, 3])
+        bend = workspace.q[i] - (workspace.q[i - 1] if i > 0 else workspace.base[1, 4]) - chain.rest[i]
+        rate = motion.w[i] - (motion.w[i - 1] if i > 0 else workspace.base[0, 3])
         of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
         of[FREE, i], of[FREE + 1, i] = motion.joint[i, 0], motion.joint[i, 1]
-        of[HIGHEST, i] = allowed_rate(desk, chain.max_bend[i] - bend, rate, h, struck)
-        of[LOWEST, i] = -allowed_rate(desk, chain.max_bend[i] + bend, -rate, h, struck)
-        of[START, i] = RELAXED * h * kept.torque[i]
-        held.mode[i] = first_mode(kept.bent[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i])
+        of[HIGHEST, i] = allowed_rate(workspace, chain.max_bend[i] - bend, rate, h, struck)
+        of[LOWEST, i] = -allowed_rate(workspace, chain.max_bend[i] + bend, -rate, h, struck)
+        of[START, i] = RELAXED * h * memory.torque[i]
+        held.mode[i] = initial_joint_mode(memory.bent[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i])
 
 
 @lean
-def allowed_rate(desk, gap, closing, h, struck):  # type: ignore[no-untyped-def]
+def allowed_rate(workspace, gap, closing, h, struck):  # type: ignore[no-untyped-def]
     """Greatest rate, rad/s, at which a gap, rad in the middle of a step, may close that closes at `closing` before."""
     if h == 0.0:
         return 0.0 if gap <= 2.0 * REACHED else ANY
     if gap >= ANY:
         return ANY
     away = gap + 0.5 * h * closing  # at the beginning of the step
-    if closing > desk.brisk and (away > REACHED or not struck):
-        desk.touch[0] = min(desk.touch[0], 0.0 if away <= REACHED else away / closing)
+    if closing > workspace.brisk and (away > REACHED or not struck):
+        workspace.touch[0] = min(workspace.touch[0], 0.0 if away <= REACHED else away / closing)
         return ANY
     return max(gap, 0.0) / h
 
 
 @lean
-def first_mode(kept, rate, lower, upper, bound):  # type: ignore[no-untyped-def]
-    """Mode of a joint to begin the search with, from the one that was kept."""
-    mode = kept
+def initial_joint_mode(last, rate, lower, upper, bound):  # type: ignore[no-untyped-def]
+    """Mode of a joint to begin the search with, from that of the last step."""
+    mode = last
     if bound == 0.0:
-        mode = kept if kept >= UPPER else OPEN
-    elif kept == OPEN:
+        mode = last if last >= UPPER else OPEN
+    elif last == OPEN:
         mode = STICK if abs(rate) <= SLOW else AHEAD if rate > 0.0 else BACK
     if mode in (STICK, AHEAD) and upper <= 0.0:
         return UPPER
@@ -122,7 +122,7 @@ def first_mode(kept, rate, lower, upper, bound):  # type: ignore[no-untyped-def]
 
 
 @lean
-def put_joints(motion, held, heavy):  # type: ignore[no-untyped-def]
+def write_joints(motion, held, heavy):  # type: ignore[no-untyped-def]
     """Write the joints, with their present modes, to ``motion.joint``; `heavy` is M of the contacts, kg."""
     of, joint = held.of, motion.joint
     for i in held.which:
@@ -137,7 +137,7 @@ def put_joints(motion, held, heavy):  # type: ignore[no-untyped-def]
 
 
 @lean
-def judge_joints(motion, held, heavy, change):  # type: ignore[no-untyped-def]
+def update_joint_modes(motion, held, heavy, change):  # type: ignore[no-untyped-def]
     """Read rates and impulses off the changes of the rates; with `change`, change the modes that break the law.
 
     Returns how many broke it.
@@ -147,7 +147,7 @@ def judge_joints(motion, held, heavy, change):  # type: ignore[no-untyped-def]
         rate = of[BEFORE, i] + motion.change[i] - (motion.change[i - 1] if i > 0 else motion.base[2])
         mass = heavy * of[LEVER, i] * of[LEVER, i]
         of[AFTER, i] = rate
-        of[IMPULSE, i], wanted = law(
+        of[IMPULSE, i], wanted = joint_mode(
             held.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i], of[START, i], mass
         )
         if wanted != held.mode[i]:
@@ -158,8 +158,8 @@ def judge_joints(motion, held, heavy, change):  # type: ignore[no-untyped-def]
 
 
 @lean
-def proceed_joints(held, heavy):  # type: ignore[no-untyped-def]
-    """As ``modes.proceed`` for the joints: residual velocity, m/s, and the energy that it stands for, J."""
+def update_joint_multipliers(held, heavy):  # type: ignore[no-untyped-def]
+    """As ``modes.update_multipliers`` for the joints: residual velocity, m/s, and the energy that it stands for, J."""
     of = held.of
     worst = given = 0.0
     for i in held.which:
@@ -176,7 +176,7 @@ def proceed_joints(held, heavy):  # type: ignore[no-untyped-def]
 
 
 @lean
-def let_go(held):  # type: ignore[no-untyped-def]
+def release_joints(held):  # type: ignore[no-untyped-def]
     """Where no modes are found: limits hold nothing, and friction acts against the rates before the step."""
     of = held.of
     for i in held.which:
@@ -184,7 +184,7 @@ def let_go(held):  # type: ignore[no-untyped-def]
 
 
 @lean
-def taken_by_joints(held):  # type: ignore[no-untyped-def]
+def joint_losses(held):  # type: ignore[no-untyped-def]
     """Energy that dry friction and limits took in a step, J: impulses times mean rates."""
     of, friction, limits = held.of, 0.0, 0.0
     for i in held.which:
@@ -197,7 +197,7 @@ def taken_by_joints(held):  # type: ignore[no-untyped-def]
 
 
 @lean
-def room_to_bend(chain, q, w, angle, rate):  # type: ignore[no-untyped-def]
+def bend_clearance(chain, q, w, angle, rate):  # type: ignore[no-untyped-def]
     """Smallest gap of a joint to its limit, rad, and the smallest that is left SOON; infinite where none has limits.
 
     `q`, `w` (n or more,) are angles, rad, and rates, rad/s, of the links, `angle` and `rate` those of the parent of the
@@ -206,7 +206,7 @@ def room_to_bend(chain, q, w, angle, rate):  # type: ignore[no-untyped-def]
     least = left = math.inf
     for i in range(chain.length.size):
         if chain.max_bend[i] < math.inf:
-            gap, opening = to_limit(chain, i, q[i] - angle, w[i] - rate)
+            gap, opening = limit_gap(chain, i, q[i] - angle, w[i] - rate)
             least, left = min(least, gap), min(left, gap + SOON * min(opening, 0.0))
         angle, rate = q[i], w[i]
     return least, left

@@ -1,4 +1,4 @@
-"""Which contacts and joints are open, stick or slip, and the impulses that go with it: Coulomb's law with true stick.
+"""Contact solver: an active-set search for open, stick and slip with proximal impulses.
 
 A wrapped rope that sticks is hyperstatic: many impulses give the same motion. The proximal method (an augmented
 Lagrangian) takes those nearest to the last step's, P = P0 - M v with a mass M far above the rope's, and projects them
@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
-from hyperflex.core.contact.joints import judge_joints, let_go, proceed_joints, put_joints
-from hyperflex.core.contact.point import hold, velocity
+from hyperflex.core.contact.joints import release_joints, update_joint_modes, update_joint_multipliers, write_joints
+from hyperflex.core.contact.point import add_contact_impulse, velocity
 from hyperflex.core.contact.sweep import changes, clear
 from hyperflex.core.contact.turning_pegs import turn_pegs
 from hyperflex.core.jit import lean
@@ -33,10 +33,10 @@ INSTANT = 1e-6  # s, an impact may give as much as a step of this length
 
 
 @lean
-def put(found, impulses, motion, held, heavy):  # type: ignore[no-untyped-def]
+def write_modes(found, impulses, motion, held, heavy):  # type: ignore[no-untyped-def]
     """Write contacts and joints, in their present modes, to ``motion.touch`` and ``motion.joint``; `heavy` is M, kg."""
     n = motion.w.size
-    put_joints(motion, held, heavy)
+    write_joints(motion, held, heavy)
     for c in range(found.total[0]):
         if impulses.mode[c] == OPEN:
             continue
@@ -46,17 +46,17 @@ def put(found, impulses, motion, held, heavy):  # type: ignore[no-untyped-def]
         vy = motion.speed[1, i] + motion.turned[1, i] + s * motion.trig[i] * motion.w[i]
         pn = impulses.normal0[c] - heavy * (vx * nx + vy * ny + impulses.target[c])
         pt = impulses.tangent0[c] - heavy * (vy * nx - vx * ny + impulses.lean[c])
-        hold(found, impulses, motion, c, heavy, pn, pt)
+        add_contact_impulse(found, impulses, motion, c, heavy, pn, pt)
 
 
 @lean
-def judge_modes(found, impulses, motion, held, spin, heavy, change):  # type: ignore[no-untyped-def]
+def update_modes(found, impulses, motion, held, spin, heavy, change):  # type: ignore[no-untyped-def]
     """Read velocities and impulses off the changes of the rates; with `change`, change the modes that break the law.
 
     What slips sticks again where P0 - M v is back inside the cone, by the same measure by which what sticks leaves it:
     were it asked whether the velocity turns, P0 outside the cone would let neither hold. Returns how many broke it.
     """
-    broke = judge_joints(motion, held, heavy, change)
+    broke = update_joint_modes(motion, held, heavy, change)
     for c in range(found.total[0]):
         vn, vt = velocity(found, motion, c)
         vt -= spin.reach[found.peg[c]] * spin.after[found.peg[c]]
@@ -117,9 +117,9 @@ def centrifugal(chain, motion, h, gx, gy):  # type: ignore[no-untyped-def]
 
 
 @lean
-def round_of(chain, found, impulses, motion, held, spin, heavy, change):  # type: ignore[no-untyped-def]
-    """Solve for the changes of the rates with the present modes; then as ``judge_modes``, whose answer it returns."""
-    put(found, impulses, motion, held, heavy)
+def solve_round(chain, found, impulses, motion, held, spin, heavy, change):  # type: ignore[no-untyped-def]
+    """Solve for the changes of the rates with the present modes; then as ``update_modes``, whose answer it returns."""
+    write_modes(found, impulses, motion, held, heavy)
     fx, fy, moment = changes(
         chain,
         motion.trig,
@@ -136,7 +136,7 @@ def round_of(chain, found, impulses, motion, held, spin, heavy, change):  # type
     if spin.which.size > 0:
         turn_pegs(chain, found, impulses, motion, held, spin, heavy)
     clear(motion.touch, found.link, found.total[0])
-    return judge_modes(found, impulses, motion, held, spin, heavy, change)
+    return update_modes(found, impulses, motion, held, spin, heavy, change)
 
 
 @lean
@@ -148,7 +148,7 @@ def search(chain, found, impulses, motion, held, spin, h, heavy):  # type: ignor
     most = ROUNDS + held.which.size
     for turn in range(most):
         moved = centrifugal(chain, motion, h, chain.gx, chain.gy)
-        broke = round_of(chain, found, impulses, motion, held, spin, heavy, True)
+        broke = solve_round(chain, found, impulses, motion, held, spin, heavy, True)
         if broke == 0 and moved <= settled:
             return turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
@@ -178,13 +178,13 @@ def restore(found, impulses, held):  # type: ignore[no-untyped-def]
 
 
 @lean
-def proceed(found, impulses, held, heavy):  # type: ignore[no-untyped-def]
+def update_multipliers(found, impulses, held, heavy):  # type: ignore[no-untyped-def]
     """Store a solution for M = `heavy`, kg, and let the next one start from it.
 
     Returns its residual, m/s, and the energy that the residual stands for, J.
     """
     store(found, impulses, held)
-    worst, given = proceed_joints(held, heavy)
+    worst, given = update_joint_multipliers(held, heavy)
     for c in range(found.total[0]):
         pn, pt = impulses.normal[c], impulses.tangent[c]
         if impulses.mode[c] != OPEN:
@@ -236,7 +236,7 @@ def solve(chain, found, impulses, motion, held, spin, h, whole):  # type: ignore
                 break
             heavy = math.sqrt(heavy * last)
             continue
-        (residual, given), last = proceed(found, impulses, held, heavy), heavy
+        (residual, given), last = update_multipliers(found, impulses, held, heavy), heavy
         if residual > SLIGHT:
             heavy = min(GROW * heavy, STIFFEST * whole)
             continue
@@ -247,12 +247,12 @@ def solve(chain, found, impulses, motion, held, spin, h, whole):  # type: ignore
     if rounds < 0:
         restore(found, impulses, held)
         if last == 0.0:  # nothing was found at all: let go
-            let_go(held)
+            release_joints(held)
             for c in range(found.total[0]):
                 impulses.mode[c] = OPEN
         motion.change[:] = 0.0
         for _ in range(SETTLING):
             centrifugal(chain, motion, h, chain.gx, chain.gy)
-            round_of(chain, found, impulses, motion, held, spin, last if last > 0.0 else heavy, False)
+            solve_round(chain, found, impulses, motion, held, spin, last if last > 0.0 else heavy, False)
     impulses.heavy[0] = min(RECOVERING * last, STIFF * whole)
     return total if residual <= SLIGHT else -total

@@ -1,17 +1,17 @@
-"""What a run beside pegs writes at its samples."""
+"""Outputs of a rollout with contact."""
 
 from __future__ import annotations
 
 from hyperflex.core.contact.arrays import OPEN
-from hyperflex.core.contact.bounds import INDEX, LOST, MOMENT, T, allowance, balanced
-from hyperflex.core.contact.step import CONTACT, FRICTION, WORK, attempt, energy
+from hyperflex.core.contact.bounds import INDEX, LOST, MOMENT, T, energy_allowance, energy_balanced
+from hyperflex.core.contact.step import CONTACT, FRICTION, WORK, energy, try_step
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.jit import lean
 
 
 @lean
-def part_way(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, x, had):  # type: ignore[no-untyped-def]
-    """Take the part x of the step of the desk to the desk `aside`; False if the run would not take such a step.
+def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside, h, x, had):  # type: ignore[no-untyped-def]
+    """Take the part x of the step of `workspace` to `aside`; False if the run would not take such a step.
 
     The rates are off the straight line between the ends of a step by a term of second order, and their energy with
     them, so a sample within a step is a shorter step. `had` is the energy before it, J.
@@ -19,57 +19,57 @@ def part_way(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, x, 
     if x * h <= MOMENT:
         return False
     for i in range(aside.trend.size):
-        aside.trend[i] = desk.trend[i]
+        aside.trend[i] = workspace.trend[i]
     for p in range(aside.spin.before.size):
-        aside.spin.before[p] = desk.spin.before[p]
-    t, y = course.clock[T], course.y
-    _, rounds = attempt(chain, drive, part, pegs, pull, t, x * h, y, course.kept, aside, True, 0.0, True)
+        aside.spin.before[p] = workspace.spin.before[p]
+    t, y = state.clock[T], state.y
+    _, rounds = try_step(chain, drive, part, pegs, pull, t, x * h, y, state.memory, aside, True, 0.0, True)
     taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]
     has = energy(chain, aside.out, aside.base[2]) + turning_energy(aside.spin, aside.spin.after)
-    return rounds > 0 and balanced(has - had + taken, allowance(bounds, h))
+    return rounds > 0 and energy_balanced(has - had + taken, energy_allowance(bounds, h))
 
 
 @lean
-def put_down(desk, h, x, course, k, y_out, seen_out):  # type: ignore[no-untyped-def]
-    """Write the part x of the step on the desk, of length h, as output k: rates straight between its ends."""
-    y, clock, change = course.y, course.clock, desk.motion.change
+def write_sample(workspace, h, x, state, k, y_out, seen_out):  # type: ignore[no-untyped-def]
+    """Write the part x of the step in `workspace`, of length h, as output k: rates straight between its ends."""
+    y, clock, change = state.y, state.clock, workspace.motion.change
     n = change.size
     for i in range(n):
         y_out[k, i] = y[i] + x * h * (y[n + i] + 0.5 * x * change[i])
         y_out[k, n + i] = y[n + i] + x * change[i]
-    y_out[k, 2 * n] = y[2 * n] + x * desk.account[WORK]
-    y_out[k, 2 * n + 1] = y[2 * n + 1] + x * (desk.account[FRICTION] + desk.account[CONTACT])
-    seen_out[k, 3 * n + 3] = clock[LOST] + x * desk.account[CONTACT]
-    o, m = 3 * n + 4, desk.spin.reach.size
+    y_out[k, 2 * n] = y[2 * n] + x * workspace.account[WORK]
+    y_out[k, 2 * n + 1] = y[2 * n + 1] + x * (workspace.account[FRICTION] + workspace.account[CONTACT])
+    seen_out[k, 3 * n + 3] = clock[LOST] + x * workspace.account[CONTACT]
+    o, m = 3 * n + 4, workspace.spin.reach.size
     for p in range(m):
-        more = desk.spin.after[p] - desk.spin.before[p]
-        seen_out[k, o + p] = course.spin[0, p] + x * h * (desk.spin.before[p] + 0.5 * x * more)
-        seen_out[k, o + m + p] = desk.spin.before[p] + x * more
+        more = workspace.spin.after[p] - workspace.spin.before[p]
+        seen_out[k, o + p] = state.spin[0, p] + x * h * (workspace.spin.before[p] + 0.5 * x * more)
+        seen_out[k, o + m + p] = workspace.spin.before[p] + x * more
 
 
 @lean
-def write(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, had, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
-    """Write the outputs within the step to ``desk.out``, which had the energy `had` before it, J."""
-    clock = course.clock
+def write(chain, drive, part, pegs, pull, bounds, state, workspace, aside, h, had, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
+    """Write the outputs within the step to ``workspace.out``, which had the energy `had` before it, J."""
+    clock = state.clock
     while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= clock[T] + h:
         k = int(clock[INDEX])
         x = (t_out[k] - clock[T]) / h
-        if x < 1.0 and part_way(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, x, had):
-            put_down(aside, x * h, 1.0, course, k, y_out, seen_out)
+        if x < 1.0 and partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside, h, x, had):
+            write_sample(aside, x * h, 1.0, state, k, y_out, seen_out)
         else:
-            put_down(desk, h, x, course, k, y_out, seen_out)
-        see(desk, h, seen_out[k])
+            write_sample(workspace, h, x, state, k, y_out, seen_out)
+        step_means(workspace, h, seen_out[k])
         clock[INDEX] += 1
 
 
 @lean
-def see(desk, h, out):  # type: ignore[no-untyped-def]
+def step_means(workspace, h, out):  # type: ignore[no-untyped-def]
     """Means over a step, to the first 3 n + 3 entries of ``out``.
 
     Accelerations, rad/s^2; forces of the pegs on the links, first x, then y, N; force on the rope at its first joint,
     x and y, N, and torque through that joint, N m.
     """
-    found, impulses, motion = desk.found, desk.impulses, desk.motion
+    found, impulses, motion = workspace.found, workspace.impulses, workspace.motion
     n = motion.w.size
     for i in range(n):
         out[i] = motion.change[i] / h

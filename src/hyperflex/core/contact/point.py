@@ -1,4 +1,4 @@
-"""One contact of the sweep: the velocity of its point, and its rows, which answer that velocity by an impulse."""
+"""One contact: the velocity of its point and its impulse as a term of the sweep."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hyperflex.core.jit import lean
 
 
 @lean
-def hold(found, impulses, motion, c, heavy, pn, pt):  # type: ignore[no-untyped-def]
+def add_contact_impulse(found, impulses, motion, c, heavy, pn, pt):  # type: ignore[no-untyped-def]
     """Add contact c, in its present mode, to ``motion.touch``: impulses pn, pt, N s, at rest; `heavy` is M, kg.
 
     What slips has the tangential impulse that goes with the normal one; pt is of no account then.
@@ -20,14 +20,14 @@ def hold(found, impulses, motion, c, heavy, pn, pt):  # type: ignore[no-untyped-
         b = (heavy, 0.0, 0.0, heavy)
         add_contact(motion.touch, i, s, sin, cos, b, (pn * nx - pt * ny, pn * ny + pt * nx))
     else:
-        drag = drag_of(found, impulses, c)
+        drag = friction_ratio(found, impulses, c)
         fx, fy = nx - drag * ny, ny + drag * nx
         b = (heavy * fx * nx, heavy * fx * ny, heavy * fy * nx, heavy * fy * ny)
         add_contact(motion.touch, i, s, sin, cos, b, (pn * fx, pn * fy))
 
 
 @lean
-def drag_of(found, impulses, c):  # type: ignore[no-untyped-def]
+def friction_ratio(found, impulses, c):  # type: ignore[no-untyped-def]
     """Tangential impulse of a contact that slips, in parts of the normal one."""
     return -found.mu[c] if impulses.mode[c] == AHEAD else found.mu[c]
 

@@ -1,4 +1,4 @@
-"""The run loop beside pegs: steps that end where a link touches, impacts, and a guard on the energy."""
+"""Run loop with contact: steps that end at touchdown, impacts, and an energy check."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import (
-    APPEARED,
-    BENT,
+    BEND,
     DEEPEST,
-    DUE,
+    ENERGY_GAIN,
     FORCED,
+    IMPACT_DUE,
     IMPACTS,
     INDEX,
     LOST,
@@ -25,21 +25,21 @@ from hyperflex.core.contact.bounds import (
     TAKEN,
     UNSOLVED,
     T,
-    allowance,
-    balanced,
+    energy_allowance,
+    energy_balanced,
 )
 from hyperflex.core.contact.gaps import find, joints, new_contacts, speeds
-from hyperflex.core.contact.joints import BEYOND, room_to_bend
+from hyperflex.core.contact.joints import BEYOND, bend_clearance
 from hyperflex.core.contact.output import write
 from hyperflex.core.contact.step import (
     CONTACT,
     FRICTION,
     WORK,
-    attempt,
     energy,
-    keep,
-    new_desk,
-    new_kept,
+    new_contact_memory,
+    new_contact_workspace,
+    save_memory,
+    try_step,
 )
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.integrate.step_size import fitted
@@ -56,63 +56,63 @@ SINKING = 1.02  # times the greatest depth until then, which a step may have: wh
 
 
 @lean
-def commit(course, desk, h, rounds, least):  # type: ignore[no-untyped-def]
-    """Take the step to ``desk.out``."""
-    y, clock, account = course.y, course.clock, desk.account
-    n = desk.motion.w.size
+def accept_step(state, workspace, h, rounds, least):  # type: ignore[no-untyped-def]
+    """Accept the step to ``workspace.out``."""
+    y, clock, account = state.y, state.clock, workspace.account
+    n = workspace.motion.w.size
     for i in range(2 * n):
-        y[i] = desk.out[i]
+        y[i] = workspace.out[i]
     y[2 * n] += account[WORK]
     y[2 * n + 1] += account[FRICTION] + account[CONTACT]
     clock[LOST] += account[CONTACT]
     clock[DEEPEST] = max(clock[DEEPEST], -least)
-    clock[BENT] = max(clock[BENT], -desk.bend[0])
+    clock[BEND] = max(clock[BEND], -workspace.bend[0])
     clock[TAKEN] += 1.0
     if rounds < 0:
         clock[UNSOLVED] += 1.0
-    for p in desk.spin.which:
-        course.spin[0, p] += 0.5 * h * (desk.spin.before[p] + desk.spin.after[p])
-        course.spin[1, p] = desk.spin.before[p] = desk.spin.after[p]
+    for p in workspace.spin.which:
+        state.spin[0, p] += 0.5 * h * (workspace.spin.before[p] + workspace.spin.after[p])
+        state.spin[1, p] = workspace.spin.before[p] = workspace.spin.after[p]
     long = h > MOMENT
     for i in range(n):
-        desk.trend[i] = desk.motion.change[i] / h if long else 0.0
+        workspace.trend[i] = workspace.motion.change[i] / h if long else 0.0
     if long:
-        keep(course.kept, desk.found, desk.impulses, desk.held, h)
+        save_memory(state.memory, workspace.found, workspace.impulses, workspace.held, h)
 
 
 @lean
-def forget(kept):  # type: ignore[no-untyped-def]
-    """Forget the modes and forces of the last step."""
-    kept.heavy[0] = 0.0
-    for i in range(kept.mode.shape[0]):
-        for p in range(kept.mode.shape[1]):
-            kept.normal[i, p] = kept.tangent[i, p] = 0.0
-            kept.mode[i, p] = OPEN
-        kept.torque[i], kept.bent[i] = 0.0, OPEN
+def clear_memory(memory):  # type: ignore[no-untyped-def]
+    """Clear the modes and forces of the last step."""
+    memory.heavy[0] = 0.0
+    for i in range(memory.mode.shape[0]):
+        for p in range(memory.mode.shape[1]):
+            memory.normal[i, p] = memory.tangent[i, p] = 0.0
+            memory.mode[i, p] = OPEN
+        memory.torque[i], memory.bent[i] = 0.0, OPEN
 
 
 @lean
-def impact(chain, drive, part, pegs, pull, course, desk, nothing):  # type: ignore[no-untyped-def]
-    """Let the links that touch a peg come to rest on it, or bounce, in no time; `nothing` is a Kept without contacts.
+def impact(chain, drive, part, pegs, pull, state, workspace, nothing):  # type: ignore[no-untyped-def]
+    """Let the links that touch a peg come to rest on it, or bounce, in no time; `nothing` is an empty ContactMemory.
 
     Newton's restitution with friction may give energy; where it does, nothing bounces.
     """
-    t, y = course.clock[T], course.y
-    least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, True, 1.0, True)
-    if pegs.bounce.any() and desk.account[CONTACT] < 0.0:
-        least, rounds = attempt(chain, drive, part, pegs, pull, t, 0.0, y, nothing, desk, True, 0.0, True)
-    commit(course, desk, 0.0, rounds, least)
-    course.clock[IMPACTS] += 1.0
-    course.clock[DUE] = 0.0
+    t, y = state.clock[T], state.y
+    least, rounds = try_step(chain, drive, part, pegs, pull, t, 0.0, y, nothing, workspace, True, 1.0, True)
+    if pegs.bounce.any() and workspace.account[CONTACT] < 0.0:
+        least, rounds = try_step(chain, drive, part, pegs, pull, t, 0.0, y, nothing, workspace, True, 0.0, True)
+    accept_step(state, workspace, 0.0, rounds, least)
+    state.clock[IMPACTS] += 1.0
+    state.clock[IMPACT_DUE] = 0.0
 
 
 @lean
-def too_fast(chain, pegs, desk):  # type: ignore[no-untyped-def]
+def longest_safe_step(chain, pegs, workspace):  # type: ignore[no-untyped-def]
     """Longest step, s, in which no link near a peg moves by more than SAFE of the smallest reach."""
-    speed = desk.motion.speed
+    speed = workspace.motion.speed
     fastest = 0.0
-    for c in range(desk.found.total[0]):
-        i = desk.found.link[c]
+    for c in range(workspace.found.total[0]):
+        i = workspace.found.link[c]
         for j in range(i, i + 2):
             fastest = max(fastest, abs(speed[0, j]), abs(speed[1, j]))
     smallest = np.inf
@@ -122,13 +122,13 @@ def too_fast(chain, pegs, desk):  # type: ignore[no-untyped-def]
 
 
 @lean
-def choose(chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wanted, struck, had):  # type: ignore[no-untyped-def]
-    """Try a step, and shorter ones, until one will do; it is left on the desk.
+def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothing, h, wanted, struck, had):  # type: ignore[no-untyped-def]
+    """Try a step, and shorter ones, until one will do; it is left in `workspace`.
 
     Parameters
     ----------
-    chain, drive, part, pegs, pull, bounds, course, desk : as for :func:`run` and :func:`attempt`
-    nothing : Kept, with nothing in it
+    chain, drive, part, pegs, pull, bounds, state, workspace : as for :func:`run` and :func:`try_step`
+    nothing : ContactMemory, empty
     h, wanted : s, first step to try, and the one that the run would take next
     struck : bool, an impact was made already at this instant
     had : J, energy before the step, NaN if it is not known
@@ -142,33 +142,33 @@ def choose(chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wan
     surplus, has : J, energy from nowhere, and energy after the step
     good : bool, False where the shortest step had to be taken as it was
     """
-    y, clock, t = course.y, course.clock, course.clock[T]
+    y, clock, t = state.y, state.clock, state.clock[T]
     shortest = min(SHORTEST * bounds.step, h)
     push, anew, back, stale = True, False, False, np.inf
     while True:
-        begin = nothing if anew else course.kept
-        least, rounds = attempt(chain, drive, part, pegs, pull, t, h, y, begin, desk, push, 0.0, struck)
-        touch = desk.touch[0]
+        begin = nothing if anew else state.memory
+        least, rounds = try_step(chain, drive, part, pegs, pull, t, h, y, begin, workspace, push, 0.0, struck)
+        touch = workspace.touch[0]
         if touch == 0.0:
-            impact(chain, drive, part, pegs, pull, course, desk, nothing)
+            impact(chain, drive, part, pegs, pull, state, workspace, nothing)
             struck, had = True, math.nan
             continue
         if touch < 0.999 * h:
             h = max(touch, BRIEF)
             shortest = min(shortest, h)
             continue
-        allowed = allowance(bounds, h)
-        if push and desk.account[CONTACT] < -GENEROUS * allowed:
+        allowed = energy_allowance(bounds, h)
+        if push and workspace.account[CONTACT] < -GENEROUS * allowed:
             push = False
             continue
-        longest = too_fast(chain, pegs, desk)
+        longest = longest_safe_step(chain, pegs, workspace)
         if math.isnan(had):
-            had = energy(chain, y, desk.base[0]) + turning_energy(desk.spin, desk.spin.before)
-        has = energy(chain, desk.out, desk.base[2]) + turning_energy(desk.spin, desk.spin.after)
-        surplus = has - had + desk.account[FRICTION] + desk.account[CONTACT] - desk.account[WORK]
-        good = balanced(surplus, allowed) and rounds > 0 and h <= longest
+            had = energy(chain, y, workspace.base[0]) + turning_energy(workspace.spin, workspace.spin.before)
+        has = energy(chain, workspace.out, workspace.base[2]) + turning_energy(workspace.spin, workspace.spin.after)
+        surplus = has - had + workspace.account[FRICTION] + workspace.account[CONTACT] - workspace.account[WORK]
+        good = energy_balanced(surplus, allowed) and rounds > 0 and h <= longest
         good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])
-        good = good and (desk.bend[0] > -BEYOND or -desk.bend[0] <= SINKING * clock[BENT])
+        good = good and (workspace.bend[0] > -BEYOND or -workspace.bend[0] <= SINKING * clock[BEND])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
             return h, wanted, least, touch, rounds, surplus, has, good
         if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
@@ -180,12 +180,12 @@ def choose(chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wan
 
 
 @kernel
-def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
+def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
     """Run until ``bounds.stop`` or until the budget is spent.
 
     Parameters
     ----------
-    chain, drive, pegs, bounds, course : Chain, Drive, Pegs, Bounds, Course
+    chain, drive, pegs, bounds, state : Chain, Drive, Pegs, Bounds, ContactState
     pull : (2,) force on the tip beside gravity, N
     t_out : (k,) increasing times, s; y_out : (k, 2 n + 2) out, as in ``rollout.run``
     seen_out : (k, 3 n + 4 + 2 m) out: ``see``, energy lost to contact, J, angles, rad, and rates, rad/s, of the m pegs
@@ -194,12 +194,15 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
     -------
     int : OK, RUNNING (call again), LEFT (no link is near a peg, no joint near its limit), or why it failed
     """
-    clock, kept = course.clock, course.kept
+    clock, memory = state.clock, state.memory
     n, m = chain.length.size, pegs.x.size
     rate, longest = bounds.rate, bounds.step
-    desk, aside = new_desk(chain, pegs, rate, longest), new_desk(chain, pegs, rate, longest)
-    desk.spin.before[:] = course.spin[1]
-    nothing = new_kept(n, m)
+    workspace, aside = (
+        new_contact_workspace(chain, pegs, rate, longest),
+        new_contact_workspace(chain, pegs, rate, longest),
+    )
+    workspace.spin.before[:] = state.spin[1]
+    nothing = new_contact_memory(n, m)
     part = segment(drive, clock[T])
     had = math.nan  # energy before the step, where it is known
     for _ in range(bounds.budget):
@@ -208,46 +211,46 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
             break
         if t >= part.end:
             part = segment(drive, t)
-        struck = clock[DUE] == 1.0
+        struck = clock[IMPACT_DUE] == 1.0
         if struck:
-            impact(chain, drive, part, pegs, pull, course, desk, nothing)
+            impact(chain, drive, part, pegs, pull, state, workspace, nothing)
             had = math.nan
         end = min(part.end, bounds.stop)
         wanted = min(clock[STEP], bounds.step)
         h = fitted(wanted, end - t)
-        h, wanted, least, touch, rounds, surplus, has, good = choose(
-            chain, drive, part, pegs, pull, bounds, course, desk, nothing, h, wanted, struck, had
+        h, wanted, least, touch, rounds, surplus, has, good = choose_step(
+            chain, drive, part, pegs, pull, bounds, state, workspace, nothing, h, wanted, struck, had
         )
         if not (abs(surplus) < np.inf):
-            if kept.mode.any() or kept.bent.any():  # begin anew, from nothing
-                forget(kept)
+            if memory.mode.any() or memory.bent.any():  # begin anew, from nothing
+                clear_memory(memory)
                 continue
             return status.NOT_FINITE
         if not good:
             clock[FORCED] += 1.0
-        clock[APPEARED] += surplus
+        clock[ENERGY_GAIN] += surplus
         if clock[INDEX] < t_out.size:
-            account = desk.account
+            account = workspace.account
             had = has - surplus + account[FRICTION] + account[CONTACT] - account[WORK]
-            write(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, had, t_out, y_out, seen_out)
+            write(chain, drive, part, pegs, pull, bounds, state, workspace, aside, h, had, t_out, y_out, seen_out)
         had = has
-        commit(course, desk, h, rounds, least)
-        clock[DUE] = 1.0 if touch <= 1.001 * h else 0.0
+        accept_step(state, workspace, h, rounds, least)
+        clock[IMPACT_DUE] = 1.0 if touch <= 1.001 * h else 0.0
         clock[T] = end if h >= end - t else t + h
-        clock[STEP] = wanted * GROWTH if abs(surplus) < EASY * allowance(bounds, h) else wanted
-        if least > bounds.clear and desk.bend[1] > bounds.slack and clock[T] < bounds.stop:
+        clock[STEP] = wanted * GROWTH if abs(surplus) < EASY * energy_allowance(bounds, h) else wanted
+        if least > bounds.clear and workspace.bend[1] > bounds.slack and clock[T] < bounds.stop:
             return status.LEFT
     return status.RUNNING if clock[T] < bounds.stop else status.OK
 
 
 @kernel
 def clearance(chain, drive, pegs, t, y):  # type: ignore[no-untyped-def]
-    """What is left at time t until rope and pegs, or joints and their limits, meet; y as in ``Course``.
+    """What is left at time t until rope and pegs, or joints and their limits, meet; y as in ``ContactState``.
 
     Returns
     -------
     gap, speed : float, smallest gap between rope and pegs, m, and the greatest speed of a joint, m/s
-    left : float, rad, as ``joints.room_to_bend`` gives it
+    left : float, rad, as ``joints.bend_clearance`` gives it
     """
     n = chain.length.size
     base, trig = np.empty(9), np.empty(2 * n)
@@ -259,5 +262,5 @@ def clearance(chain, drive, pegs, t, y):  # type: ignore[no-untyped-def]
     fastest = 0.0
     for i in range(n + 1):
         fastest = max(fastest, math.hypot(speed[0, i], speed[1, i]))
-    _, left = room_to_bend(chain, y[:n], y[n : 2 * n], base[4], base[3])
+    _, left = bend_clearance(chain, y[:n], y[n : 2 * n], base[4], base[3])
     return find(chain, pegs, y[:n], trig, xy, np.zeros(n), found), fastest, left

@@ -1,4 +1,4 @@
-"""One step of a rope in contact: Moreau and Jean's, with angles in the middle of a step and rates at its ends."""
+"""One contact step of the Moreau-Jean scheme: angles at its middle, rates at its ends."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import Array, energies, joint_of, sines
 from hyperflex.core.chain.drive import base_state
-from hyperflex.core.contact.air import Air, blow, new_air, take
+from hyperflex.core.contact.air import Air, add_drag_impulses, drag_work, new_air
 from hyperflex.core.contact.arrays import IMPULSE, OPEN, Impulses, Joints, Motion, new_impulses, new_joints, new_motion
 from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joints, nearest, new_contacts, speeds
-from hyperflex.core.contact.joints import BEYOND, room_to_bend, taken_by_joints, watch_joints
+from hyperflex.core.contact.joints import BEYOND, bend_clearance, bound_joint_rates, joint_losses
 from hyperflex.core.contact.modes import solve
-from hyperflex.core.contact.turning_pegs import Spin, begin, lost_in_bearings, new_spin
+from hyperflex.core.contact.turning_pegs import Spin, lost_in_bearings, new_spin, prepare_spin
 from hyperflex.core.jit import kernel, lean
 
 FAST, FALL = 0.01, 50.0  # m/s, m/s^2; what closes faster than that, and than a step may make it, does so in an impact
@@ -29,11 +29,13 @@ NEAR = 1e-4  # m, gap below which a link is watched even at rest
 BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
-FRICTION, CONTACT, WORK = range(3)  # of Desk.account: energy taken by joints, air, axles; contacts, limits; put in; J
+FRICTION, CONTACT, WORK = range(
+    3
+)  # of ContactWorkspace.account, J: lost in joints, air, axles; in contacts, limits; put in
 
 
-class Kept(NamedTuple):
-    """What the last step leaves for the next, by link and peg or by joint, and of its search for modes."""
+class ContactMemory(NamedTuple):
+    """Contact forces and modes of the last step, the warm start of the next; by link and peg or by joint."""
 
     normal: Array  # (n, m) N
     tangent: Array
@@ -43,7 +45,7 @@ class Kept(NamedTuple):
     bent: Index  # (n,) their modes
 
 
-class Desk(NamedTuple):
+class ContactWorkspace(NamedTuple):
     """Working arrays of the stepper for a chain of n links."""
 
     found: Contacts
@@ -70,11 +72,11 @@ class Desk(NamedTuple):
 
 
 @kernel
-def new_desk(chain, pegs, rate, longest):  # type: ignore[no-untyped-def]
+def new_contact_workspace(chain, pegs, rate, longest):  # type: ignore[no-untyped-def]
     """Working arrays for a chain, the Pegs `pegs` and steps up to `longest`, s; energy may appear at `rate`, W."""
     n = chain.length.size
     most = n * pegs.reach.size
-    return Desk(
+    return ContactWorkspace(
         new_contacts(most),
         new_impulses(most, GIFT * rate),
         new_motion(n),
@@ -100,9 +102,9 @@ def new_desk(chain, pegs, rate, longest):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def new_kept(n, pegs):  # type: ignore[no-untyped-def]
-    """Nothing kept yet."""
-    return Kept(
+def new_contact_memory(n, pegs):  # type: ignore[no-untyped-def]
+    """An empty memory."""
+    return ContactMemory(
         np.zeros((n, pegs)),
         np.zeros((n, pegs)),
         np.zeros((n, pegs), np.int64),
@@ -113,7 +115,7 @@ def new_kept(n, pegs):  # type: ignore[no-untyped-def]
 
 
 @lean
-def load_joints(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped-def]
+def joint_impulses(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped-def]
     """Angular impulses of the joints: implicit friction, springs at the mean of the angles before and after.
 
     `q` (n,) are angles in the middle of the step, `w` (n,) rates before; `base` (3, 9); ``joint`` (n, 2) out.
@@ -123,12 +125,12 @@ def load_joints(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped
         angle = q[i] - (q[i - 1] if i > 0 else base[1, 4])
         law = joint_of(chain, i)
         joint[i, 0] = h * (joint_law.friction(law, rate, 0.0) + joint_law.spring(law, angle))
-        joint[i, 1], _ = joint_law.slopes(law, 1.0, h, 0.25 * h * h)
+        joint[i, 1], _ = joint_law.jacobian(law, 1.0, h, 0.25 * h * h)
     joint[0, 0] += h * torque
 
 
 @lean
-def rates_at(found, motion, c):  # type: ignore[no-untyped-def]
+def velocity_before(found, motion, c):  # type: ignore[no-untyped-def]
     """Velocity of the point of contact c before the step, m/s: along its normal, and along its tangent."""
     n = motion.w.size
     i = found.link[c]
@@ -139,7 +141,7 @@ def rates_at(found, motion, c):  # type: ignore[no-untyped-def]
 
 
 @lean
-def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-untyped-def]
+def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
 
     A gap may be closed, not more. Where the rope turns, gaps change by a term of second order, which is allowed for as
@@ -148,94 +150,96 @@ def watch(chain, pegs, kept, desk, h, push, bounce, struck):  # type: ignore[no-
     was made already (`struck`), a link that touches is held by the step, however it moves: only links further away may
     be left free.
     """
-    found, impulses, motion = desk.found, desk.impulses, desk.motion
+    found, impulses, motion = workspace.found, workspace.impulses, workspace.motion
     n = motion.w.size
-    desk.touch[0] = np.inf
+    workspace.touch[0] = np.inf
     for i in range(n):
         a = max(abs(motion.speed[0, i]), abs(motion.speed[1, i]))
         b = max(abs(motion.speed[0, i + 1]), abs(motion.speed[1, i + 1]))
-        desk.margin[i] = NEAR + 1.5 * FASTER * h * max(a, b)
-    least = find(chain, pegs, desk.q, motion.trig, desk.xy, desk.margin, found)
+        workspace.margin[i] = NEAR + 1.5 * FASTER * h * max(a, b)
+    least = find(chain, pegs, workspace.q, motion.trig, workspace.xy, workspace.margin, found)
     count = found.total[0]
     if count == 0:
         return least
     if h == 0.0:
         for c in range(count):
-            closing, _ = rates_at(found, motion, c)
+            closing, _ = velocity_before(found, motion, c)
             impulses.target[c] = FREE
             if found.gap[c] <= 2.0 * TOUCH:
-                impulses.target[c] = bounce * pegs.bounce[found.peg[c]] * (closing if closing < -desk.fast else 0.0)
+                impulses.target[c] = (
+                    bounce * pegs.bounce[found.peg[c]] * (closing if closing < -workspace.fast else 0.0)
+                )
             impulses.lean[c] = 0.0
         return least
     for i in range(n):
-        desk.ahead_q[i] = desk.q[i] + h * motion.w[i]
-    sines(desk.ahead_q, desk.ahead_trig, 0)
-    x = desk.base[1, 7] + h * desk.base[0, 5]  # as the joints' velocities, which are those before the step
-    y = desk.base[1, 8] + h * desk.base[0, 6]
-    joints(chain, desk.ahead_trig, x, y, desk.ahead)
-    speeds(chain, desk.ahead_trig, motion.w, desk.base[0, 5], desk.base[0, 6], desk.ahead_speed)
+        workspace.ahead_q[i] = workspace.q[i] + h * motion.w[i]
+    sines(workspace.ahead_q, workspace.ahead_trig, 0)
+    x = workspace.base[1, 7] + h * workspace.base[0, 5]  # as the joints' velocities, which are those before the step
+    y = workspace.base[1, 8] + h * workspace.base[0, 6]
+    joints(chain, workspace.ahead_trig, x, y, workspace.ahead)
+    speeds(chain, workspace.ahead_trig, motion.w, workspace.base[0, 5], workspace.base[0, 6], workspace.ahead_speed)
     for c in range(count):
         i, p = found.link[c], found.peg[c]
-        closing, sliding = rates_at(found, motion, c)
+        closing, sliding = velocity_before(found, motion, c)
         impulses.lean[c] = 0.0
         away = found.gap[c] - 0.5 * h * closing  # at the beginning of the step
-        if closing < -desk.fast and (away > TOUCH or not struck):
+        if closing < -workspace.fast and (away > TOUCH or not struck):
             impulses.target[c] = FREE
-            desk.touch[0] = min(desk.touch[0], 0.0 if away <= TOUCH else -away / closing)
+            workspace.touch[0] = min(workspace.touch[0], 0.0 if away <= TOUCH else -away / closing)
             continue
-        turned, tx, ty = desk.ahead_trig, desk.ahead[0], desk.ahead[1]
+        turned, tx, ty = workspace.ahead_trig, workspace.ahead[0], workspace.ahead[1]
         link = (tx[i], ty[i], tx[i + 1], ty[i + 1], chain.length[i], turned[i], turned[n + i])
         s, gap, nx, ny = nearest(link, (pegs.x[p], pegs.y[p], pegs.ux[p], pegs.uy[p], pegs.span[p], pegs.reach[p]))
         bend = 0.0
         if found.gap[c] < NEAR and gap < NOWHERE:
             bend = max(-BEND, min(gap - found.gap[c] - h * closing, BEND))
             lever = s * motion.w[i]
-            wx = desk.ahead_speed[0, i] + lever * desk.ahead_trig[n + i]
-            wy = desk.ahead_speed[1, i] + lever * desk.ahead_trig[i]
+            wx = workspace.ahead_speed[0, i] + lever * workspace.ahead_trig[n + i]
+            wy = workspace.ahead_speed[1, i] + lever * workspace.ahead_trig[i]
             impulses.lean[c] = 0.5 * ((wy * nx - wx * ny) - sliding)
         out = RECOVERY if push else 0.0
         if found.gap[c] > -DEEP:
-            out = min(out, PUSH / (abs(kept.normal[i, p]) + SLIGHT_FORCE))
+            out = min(out, PUSH / (abs(memory.normal[i, p]) + SLIGHT_FORCE))
         impulses.target[c] = max(found.gap[c] / h, -out) + bend / h
     return least
 
 
 @lean
-def recall(kept, found, impulses, h):  # type: ignore[no-untyped-def]
-    """Start from the modes and forces of the last step."""
-    impulses.heavy[0] = kept.heavy[0]
+def warm_start(memory, found, impulses, h):  # type: ignore[no-untyped-def]
+    """Warm start: modes and forces of the last step."""
+    impulses.heavy[0] = memory.heavy[0]
     for c in range(found.total[0]):
         i, p = found.link[c], found.peg[c]
-        impulses.mode[c] = kept.mode[i, p]
-        impulses.normal0[c] = RELAXED * h * kept.normal[i, p]
-        impulses.tangent0[c] = RELAXED * h * kept.tangent[i, p]
+        impulses.mode[c] = memory.mode[i, p]
+        impulses.normal0[c] = RELAXED * h * memory.normal[i, p]
+        impulses.tangent0[c] = RELAXED * h * memory.tangent[i, p]
 
 
 @lean
-def keep(kept, found, impulses, held, h):  # type: ignore[no-untyped-def]
-    """Keep modes and forces for the next step; `held` are the Joints."""
+def save_memory(memory, found, impulses, held, h):  # type: ignore[no-untyped-def]
+    """Save modes and forces for the next step; `held` are the Joints."""
     for i in held.which:
-        kept.torque[i], kept.bent[i] = held.of[IMPULSE, i] / h, held.mode[i]
-    kept.heavy[0] = impulses.heavy[0]
-    for i in range(kept.mode.shape[0]):
-        for p in range(kept.mode.shape[1]):
-            kept.normal[i, p] = kept.tangent[i, p] = 0.0
-            kept.mode[i, p] = OPEN
+        memory.torque[i], memory.bent[i] = held.of[IMPULSE, i] / h, held.mode[i]
+    memory.heavy[0] = impulses.heavy[0]
+    for i in range(memory.mode.shape[0]):
+        for p in range(memory.mode.shape[1]):
+            memory.normal[i, p] = memory.tangent[i, p] = 0.0
+            memory.mode[i, p] = OPEN
     for c in range(found.total[0]):
         i, p = found.link[c], found.peg[c]
-        kept.mode[i, p] = impulses.mode[c]
-        kept.normal[i, p], kept.tangent[i, p] = impulses.normal[c] / h, impulses.tangent[c] / h
+        memory.mode[i, p] = impulses.mode[c]
+        memory.normal[i, p], memory.tangent[i, p] = impulses.normal[c] / h, impulses.tangent[c] / h
 
 
 @lean
-def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, struck):  # type: ignore[no-untyped-def]
-    """Take a step from y (2 n or more,) at time t to ``desk.out``; h = 0.0: an impact, in which nothing else acts.
+def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, bounce, struck):  # type: ignore[no-untyped-def]
+    """Take a step from y (2 n or more,) at time t to ``workspace.out``; h = 0.0: an impact, in which nothing else acts.
 
     Parameters
     ----------
     chain, drive, part, pegs : Chain, Drive, Segment that holds t..t + h, Pegs
     pull : (2,) force on the tip beside gravity, N
-    kept, desk : Kept (not changed), Desk, on which the rates of the pegs before the step are
+    memory, workspace : ContactMemory (not changed), ContactWorkspace with the rates of the pegs before the step
     push : bool, whether contacts may push the rope out of a peg
     bounce : float, part of the restitution that takes place in an impact
     struck : bool, an impact was made already at time t
@@ -245,7 +249,7 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, s
     least : float, smallest gap in the middle of the step, m
     rounds : int, of the search for the modes; negative if it failed
     """
-    motion, base = desk.motion, desk.base
+    motion, base = workspace.motion, workspace.base
     n = motion.w.size
     torque = base_state(drive, part, t + 0.5 * h, base[1])
     base_state(drive, part, t, base[0])
@@ -254,63 +258,65 @@ def attempt(chain, drive, part, pegs, pull, t, h, y, kept, desk, push, bounce, s
     for i in range(n):
         whole += chain.mass[i]
         motion.w[i] = y[n + i]
-        desk.q[i] = y[i] + 0.5 * h * y[n + i]
-        motion.change[i] = h * desk.trend[i]
+        workspace.q[i] = y[i] + 0.5 * h * y[n + i]
+        motion.change[i] = h * workspace.trend[i]
     motion.rho[:] = 0.0
-    sines(desk.q, motion.trig, 0)
-    joints(chain, motion.trig, base[1, 7], base[1, 8], desk.xy)
+    sines(workspace.q, motion.trig, 0)
+    joints(chain, motion.trig, base[1, 7], base[1, 8], workspace.xy)
     speeds(chain, motion.trig, motion.w, base[0, 5], base[0, 6], motion.speed)
-    load_joints(chain, desk.q, motion.w, base, h, torque, motion.joint)
-    blow(chain, desk.air, motion, base[1], h)
+    joint_impulses(chain, workspace.q, motion.w, base, h, torque, motion.joint)
+    add_drag_impulses(chain, workspace.air, motion, base[1], h)
     motion.base[0] = base[2, 5] - base[0, 5] - h * chain.gx
     motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
     motion.base[2] = base[2, 3] - base[0, 3]
     motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
-    least = watch(chain, pegs, kept, desk, h, push, bounce, struck)
-    watch_joints(chain, desk, kept, h, struck)
-    recall(kept, desk.found, desk.impulses, h)
-    begin(desk.spin, motion, h)
-    rounds = solve(chain, desk.found, desk.impulses, motion, desk.held, desk.spin, h, whole)
+    least = find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck)
+    bound_joint_rates(chain, workspace, memory, h, struck)
+    warm_start(memory, workspace.found, workspace.impulses, h)
+    prepare_spin(workspace.spin, motion, h)
+    rounds = solve(chain, workspace.found, workspace.impulses, motion, workspace.held, workspace.spin, h, whole)
     for i in range(n):
         rate = motion.w[i] + motion.change[i]
-        desk.out[i] = desk.q[i] + 0.5 * h * rate
-        desk.out[n + i] = rate
-    desk.bend[0], desk.bend[1] = room_to_bend(chain, desk.out[:n], desk.out[n:], base[2, 4], base[2, 3])
-    settle_account(chain, desk, torque, h)
+        workspace.out[i] = workspace.q[i] + 0.5 * h * rate
+        workspace.out[n + i] = rate
+    bend, out = workspace.bend, workspace.out
+    bend[0], bend[1] = bend_clearance(chain, out[:n], out[n:], base[2, 4], base[2, 3])
+    energy_account(chain, workspace, torque, h)
     return least, rounds
 
 
 @lean
-def settle_account(chain, desk, torque, h):  # type: ignore[no-untyped-def]
+def energy_account(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
     """Energy that joints, air, axles and contacts took in a step, and work put in: impulses times mean velocities."""
-    motion, base, found, impulses, spin = desk.motion, desk.base, desk.found, desk.impulses, desk.spin
+    motion, base, spin = workspace.motion, workspace.base, workspace.spin
+    found, impulses = workspace.found, workspace.impulses
     n = motion.w.size
     taken = 0.0
     for i in range(n):
         before = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
-        after = desk.out[n + i] - (desk.out[n + i - 1] if i > 0 else base[2, 3])
+        after = workspace.out[n + i] - (workspace.out[n + i - 1] if i > 0 else base[2, 3])
         taken -= h * joint_law.friction(joint_of(chain, i), after, 0.0) * 0.5 * (before + after)
-    taken += take(desk.air, motion, desk.out[n:], base[0], base[2], h)
-    rubbed, limited = taken_by_joints(desk.held)
-    desk.account[FRICTION] = taken + rubbed + lost_in_bearings(spin)
+    taken += drag_work(workspace.air, motion, workspace.out[n:], base[0], base[2], h)
+    rubbed, limited = joint_losses(workspace.held)
+    workspace.account[FRICTION] = taken + rubbed + lost_in_bearings(spin)
     taken = limited
     for c in range(found.total[0]):
         if impulses.mode[c] == OPEN:
             continue
-        closing, sliding = rates_at(found, motion, c)
+        closing, sliding = velocity_before(found, motion, c)
         sliding -= spin.reach[found.peg[c]] * spin.before[found.peg[c]]
         taken -= 0.5 * impulses.normal[c] * (closing + impulses.vn[c])
         taken -= 0.5 * impulses.tangent[c] * (sliding + impulses.vt[c])
-    desk.account[CONTACT] = taken
+    workspace.account[CONTACT] = taken
     work = 0.5 * (motion.load[0] * (base[0, 5] + base[2, 5]) + motion.load[1] * (base[0, 6] + base[2, 6]))
     work += 0.5 * motion.load[2] * (base[0, 3] + base[2, 3])
-    work += 0.5 * h * torque * (motion.w[0] + desk.out[n])
+    work += 0.5 * h * torque * (motion.w[0] + workspace.out[n])
     vx, vy = base[2, 5], base[2, 6]
     for i in range(n):
-        vx += chain.length[i] * motion.trig[n + i] * desk.out[n + i]
-        vy += chain.length[i] * motion.trig[i] * desk.out[n + i]
+        vx += chain.length[i] * motion.trig[n + i] * workspace.out[n + i]
+        vy += chain.length[i] * motion.trig[i] * workspace.out[n + i]
     work += 0.5 * (motion.tip[0] * (motion.speed[0, n] + vx) + motion.tip[1] * (motion.speed[1, n] + vy))
-    desk.account[WORK] = work
+    workspace.account[WORK] = work
 
 
 @lean

@@ -1,4 +1,4 @@
-"""The O(n) sweep for changes of the rates within a step, with contacts as implicit forces on the links.
+"""Articulated-body sweep for changes of rates, with contacts as implicit forces.
 
 A contact with fixed mode answers the velocity of its point by an impulse P = C - B v, where B is so large that v stays
 next to nothing. That is one more linear term on its link, so the sweep solves rope and all contacts at once, with no

@@ -1,4 +1,4 @@
-"""Pegs that turn: their rates after a step, together with the rope's.
+"""Pegs that turn on an axle: their rates after a step, solved together with the rope.
 
 A contact sees the tangential velocity of its point less that of the peg, ``reach`` times the peg's rate, and its
 tangential impulse turns the peg with the same lever: contacts act on the rope's axis, so peg and rope exchange no more
@@ -16,7 +16,7 @@ import numpy as np
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.arrays import OPEN, STICK
 from hyperflex.core.contact.gaps import Index
-from hyperflex.core.contact.point import drag_of, hold, velocity
+from hyperflex.core.contact.point import add_contact_impulse, friction_ratio, velocity
 from hyperflex.core.contact.sweep import changes, clear
 from hyperflex.core.jit import kernel, lean
 
@@ -81,7 +81,7 @@ def coasting(inertia, bearing, h):  # type: ignore[no-untyped-def]
 
 
 @lean
-def begin(spin, motion, h):  # type: ignore[no-untyped-def]
+def prepare_spin(spin, motion, h):  # type: ignore[no-untyped-def]
     """Prepare a step h, s; 0.0: an impact."""
     for p in spin.which:
         spin.stay[p], spin.heavy[p] = coasting(spin.inertia[p], spin.bearing[p], h)
@@ -91,7 +91,7 @@ def begin(spin, motion, h):  # type: ignore[no-untyped-def]
 
 
 @lean
-def answer(chain, found, impulses, motion, spin, heavy, k):  # type: ignore[no-untyped-def]
+def peg_response(chain, found, impulses, motion, spin, heavy, k):  # type: ignore[no-untyped-def]
     """Find what a rate of 1 rad/s of turning peg k alone does to the rope, with the present modes; `heavy` is M, kg."""
     p, n = spin.which[k], motion.w.size
     clear(motion.touch, found.link, found.total[0])
@@ -100,7 +100,7 @@ def answer(chain, found, impulses, motion, spin, heavy, k):  # type: ignore[no-u
         if impulses.mode[c] != OPEN:
             here = impulses.mode[c] == STICK and found.peg[c] == p
             sticks = sticks or here
-            hold(found, impulses, motion, c, heavy, 0.0, heavy * spin.reach[p] if here else 0.0)
+            add_contact_impulse(found, impulses, motion, c, heavy, 0.0, heavy * spin.reach[p] if here else 0.0)
     if not sticks:
         spin.change[k] = spin.load[k] = 0.0
         spin.place[k] = 0.0
@@ -112,7 +112,7 @@ def answer(chain, found, impulses, motion, spin, heavy, k):  # type: ignore[no-u
 
 
 @lean
-def enter(found, impulses, motion, spin, heavy, c):  # type: ignore[no-untyped-def]
+def add_peg_equation(found, impulses, motion, spin, heavy, c):  # type: ignore[no-untyped-def]
     """Enter the tangential impulse of contact c into the equation of its peg, at present rates and per rad/s of each.
 
     ``motion`` holds the rope's answer to pegs at rest.
@@ -121,7 +121,7 @@ def enter(found, impulses, motion, spin, heavy, c):  # type: ignore[no-untyped-d
     i, k, lever = found.link[c], spin.row[found.peg[c]], spin.reach[found.peg[c]]
     nx, ny = found.nx[c], found.ny[c]
     vn, vt = velocity(found, motion, c)
-    sticks, drag = impulses.mode[c] == STICK, drag_of(found, impulses, c)
+    sticks, drag = impulses.mode[c] == STICK, friction_ratio(found, impulses, c)
     if sticks:
         pt = impulses.tangent0[c] - heavy * (vt + impulses.lean[c])
         spin.system[k, k] += lever * heavy * lever
@@ -167,13 +167,13 @@ def turn_pegs(chain, found, impulses, motion, held, spin, heavy):  # type: ignor
         spin.joint[i, 1] = motion.joint[i, 1]
     for k in range(last):
         p = spin.which[k]
-        answer(chain, found, impulses, motion, spin, heavy, k)
+        peg_response(chain, found, impulses, motion, spin, heavy, k)
         spin.system[k] = 0.0
         spin.system[k, k] = spin.heavy[p]
         spin.system[k, last] = spin.heavy[p] * spin.stay[p] * spin.before[p]
     for c in range(found.total[0]):
         if impulses.mode[c] != OPEN and spin.row[found.peg[c]] >= 0:
-            enter(found, impulses, motion, spin, heavy, c)
+            add_peg_equation(found, impulses, motion, spin, heavy, c)
     eliminate(spin.system)
     for k in range(last):
         rate = spin.system[k, last]

@@ -1,1 +1,1 @@
-"""Integration in free flight: extrapolated steps, error control, events, dense output."""
+"""Integration without contact: extrapolated steps, error control, events, dense output."""

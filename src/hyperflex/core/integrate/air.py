@@ -1,4 +1,4 @@
-"""What a step does not see of the air: drag has a kink where a link begins to move the other way across, (M.35)."""
+"""Error of a step by drag reversal, the kink of quadratic drag (M.35)."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ def unseen(chain, before, after, step, order):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def air_size(chain, drive, part, limits, table, t, step, y, room):  # type: ignore[no-untyped-def]
-    """Error of the step from y to ``room.out`` that the air makes unseen, in units of what is allowed."""
-    base, trig, ends = room.after, room.bench.work, np.empty((2, 2, chain.length.size))
+def air_size(chain, drive, part, limits, table, t, step, y, workspace):  # type: ignore[no-untyped-def]
+    """Error of the step from y to ``workspace.out`` that the air makes unseen, in units of what is allowed."""
+    base, trig, ends = workspace.after, workspace.stiction.work, np.empty((2, 2, chain.length.size))
     for k in range(2):
         base_state(drive, part, min(t + k * step, part.end), base)
-        across_ends(chain, room.out if k == 1 else y, base, trig, ends[k])
+        across_ends(chain, workspace.out if k == 1 else y, base, trig, ends[k])
     error = unseen(chain, ends[0], ends[1], step, table.order)
     return error * lasting(step) / allowed(limits.tol, step, table.rounding)

@@ -1,4 +1,4 @@
-"""What a run looks like between its steps, and everything that is seen at its samples."""
+"""Dense output: Hermite interpolation within a step, and what is observed at a sample."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from hyperflex.core.chain.articulated_body import Array, accelerations, can_stick, energies
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.jit import kernel
-from hyperflex.core.stiction.constraint_torques import bench
-from hyperflex.core.stiction.slip_modes import decide
+from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
+from hyperflex.core.stiction.slip_modes import find_modes
 
 
 def _hermite(derivatives: int) -> Array:
@@ -80,21 +80,21 @@ def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-unty
 
     Parameters
     ----------
-    t : (m,) times, s; y : (m, 2 n + 2) states; at each, stiction holds what it can (``slip_modes.decide``)
+    t : (m,) times, s; y : (m, 2 n + 2) states; at each, stiction holds what it can (``slip_modes.find_modes``)
     qdd : (m, n) out, rad/s^2
     base_out : (m, 9) out, motion of the first joint (``drive.base_state``)
     scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m
     """
     n = chain.length.size
     sticks = can_stick(chain)
-    grip, room = np.ones(n), bench(n)
+    slip, workspace = np.ones(n), new_stiction_workspace(n)
     for k in range(t.size):
         base = base_out[k]
         torque = base_state(drive, segment(drive, t[k]), t[k], base)
         q, w = y[k, :n], y[k, n : 2 * n]
         if sticks:
-            decide(chain, q, w, base[:7], torque, 1.0, grip, room)
-        fx, fy, moment = accelerations(chain, q, w, grip, base[:7], torque, 0.0, qdd[k], room.work)
+            find_modes(chain, q, w, base[:7], torque, 1.0, slip, workspace)
+        fx, fy, moment = accelerations(chain, q, w, slip, base[:7], torque, 0.0, qdd[k], workspace.work)
         kinetic, potential = energies(chain, q, w, (base[7], base[8], base[5], base[6], base[4], base[3]))
         scalars[k, 0], scalars[k, 1] = kinetic, potential
         scalars[k, 2], scalars[k, 3], scalars[k, 4] = fx, fy, moment + torque

@@ -1,4 +1,4 @@
-"""What may end a run: a reading of the state whose fall from above zero to zero is the event, or a joint's limit."""
+"""Event functions that may end a run, and margins of the joint limits."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def tip_motion(chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
 
 
 @lean
-def reading(until, chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
+def event_value(until, chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
     """Reading of a state and its slope (0.0 for PEAK, where it is not known).
 
     CROSSES: distance beyond the line, m. PEAK: less half the growth of the squared tip speed, m^2/s^3. PHASE: distance
@@ -68,7 +68,7 @@ def reading(until, chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
 
 
 @lean
-def to_limit(chain, i, angle, rate):  # type: ignore[no-untyped-def]
+def limit_gap(chain, i, angle, rate):  # type: ignore[no-untyped-def]
     """Gap of joint i, at a relative angle and rate, to the nearer of its limits, rad, and how fast the gap grows."""
     bend = angle - chain.rest[i]
     return chain.max_bend[i] - abs(bend), -rate if bend > 0.0 else rate
@@ -80,12 +80,12 @@ def limits(chain, q, w, base, out):  # type: ignore[no-untyped-def]
     n = q.size
     up, up_rate = base[4], base[3]
     for i in range(n):
-        out[0, n + i], out[1, n + i] = to_limit(chain, i, q[i] - up, w[i] - up_rate)
+        out[0, n + i], out[1, n + i] = limit_gap(chain, i, q[i] - up, w[i] - up_rate)
         up, up_rate = q[i], w[i]
 
 
 @lean
-def arm(until, value, slope, t):  # type: ignore[no-untyped-def]
+def watched_sense(until, value, slope, t):  # type: ignore[no-untyped-def]
     """Sense in which a reading is watched from the beginning of a step: margin = sense * reading; 0.0: not watched."""
     if until.kind == NOTHING or t < until.after:
         return 0.0
@@ -97,7 +97,7 @@ def arm(until, value, slope, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def right_side(until, chain, q, w, base):  # type: ignore[no-untyped-def]
+def on_right_side(until, chain, q, w, base):  # type: ignore[no-untyped-def]
     """False where a phase is passed on the opposite ray, half a turn away."""
     if until.kind != PHASE:
         return True

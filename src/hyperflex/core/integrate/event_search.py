@@ -1,4 +1,4 @@
-"""The search for the first event of a step, which then ends there.
+"""Root search for the first event of a step.
 
 Every event is a margin that falls from above zero to zero: of each joint that may stick
 (``constraint_torques.margins``), of each joint to its limits where a chain has some (``end_conditions.limits``), and in
@@ -20,7 +20,7 @@ LOW, HIGH, TRIES, SIDE = range(4)  # of Search.span: s, s, attempts so far, end 
 LOOKS = 16  # at a margin's course within a step
 GLANCES = 3  # attempts that are searched for hidden events; later ones only if they end at an event
 SOON = 0.125  # part of a span: where a margin grows at first, a cubic's zero before this is but a joint that came loose
-PATIENCE = 40  # attempts after which the span is halved, whatever the margins say; twice that ends the search
+MAX_ATTEMPTS = 40  # attempts after which the span is halved, whatever the margins say; twice that ends the search
 
 
 class Search(NamedTuple):
@@ -41,7 +41,7 @@ def new_search(m):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def begin(search):  # type: ignore[no-untyped-def]
+def begin_search(search):  # type: ignore[no-untyped-def]
     """Forget earlier attempts; ``low`` holds the margins at the beginning of the step."""
     span = search.span
     span[LOW], span[HIGH], span[TRIES], span[SIDE] = 0.0, np.inf, 0.0, 0.0
@@ -49,18 +49,18 @@ def begin(search):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def course(low, high, i, length, x):  # type: ignore[no-untyped-def]
+def margin_polynomial(low, high, i, length, x):  # type: ignore[no-untyped-def]
     """Margin i at the part x in (0, 1] of an interval, s, divided by x: the cubic through both ends' (value, slope)."""
     v0, s0, v1, s1 = low[0, i], low[1, i] * length, high[0, i], high[1, i] * length
     return (v0 / x + s0) + x * (3.0 * (v1 - v0) - 2.0 * s0 - s1 + x * (2.0 * (v0 - v1) + s0 + s1))
 
 
 @kernel
-def falls(low, high, i, length):  # type: ignore[no-untyped-def]
+def first_zero(low, high, i, length):  # type: ignore[no-untyped-def]
     """First part of an interval at which the course of margin i is at or below zero, its beginning aside; 1.0: none."""
     before, at = 0.0, 0.0
     for k in range(1, LOOKS + 1):
-        if course(low, high, i, length, k / LOOKS) <= 0.0:
+        if margin_polynomial(low, high, i, length, k / LOOKS) <= 0.0:
             at = k / LOOKS
             break
         before = k / LOOKS
@@ -68,7 +68,7 @@ def falls(low, high, i, length):  # type: ignore[no-untyped-def]
         return 1.0
     for _ in range(52):
         x = 0.5 * (before + at)
-        if course(low, high, i, length, x) > 0.0:
+        if margin_polynomial(low, high, i, length, x) > 0.0:
             before = x
         else:
             at = x
@@ -76,7 +76,7 @@ def falls(low, high, i, length):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def hidden(locked, search, length):  # type: ignore[no-untyped-def]
+def hidden_event(locked, search, length):  # type: ignore[no-untyped-def]
     """Part of the length, s, from LOW to the end of an attempt at which an event may hide; else 1.0.
 
     Margins with slopes by the cubics through both ends and the middle, those of stuck joints by the parabola. Those
@@ -85,17 +85,17 @@ def hidden(locked, search, length):  # type: ignore[no-untyped-def]
     part = 1.0
     for i in range(locked.size):
         v0, v1, vm = search.low[0, i], search.here[0, i], search.middle[0, i]
-        if v0 == np.inf or v1 == np.inf or late(locked, search.here, i):
+        if v0 == np.inf or v1 == np.inf or is_past(locked, search.here, i):
             continue
         if locked[i] == 0.0:
             for k in range(1, LOOKS):
                 x = k / LOOKS
                 if vm == np.inf:
-                    value = course(search.low, search.here, i, length, x)
+                    value = margin_polynomial(search.low, search.here, i, length, x)
                 elif x <= 0.5:
-                    value = course(search.low, search.middle, i, 0.5 * length, 2.0 * x)
+                    value = margin_polynomial(search.low, search.middle, i, 0.5 * length, 2.0 * x)
                 else:
-                    value = course(search.middle, search.here, i, 0.5 * length, 2.0 * x - 1.0)
+                    value = margin_polynomial(search.middle, search.here, i, 0.5 * length, 2.0 * x - 1.0)
                 if value < 0.0:
                     part = min(part, x)
         elif vm < 0.0:
@@ -109,7 +109,7 @@ def hidden(locked, search, length):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def late(locked, margin, i):  # type: ignore[no-untyped-def]
+def is_past(locked, margin, i):  # type: ignore[no-untyped-def]
     """Whether margin i says that its event has happened; one that hardly differs from zero must not be growing."""
     if locked[i] == 0.0 and i < locked.size - 1 and margin[1, i] > 0.0:
         return margin[0, i] < -STILL
@@ -117,16 +117,16 @@ def late(locked, margin, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def first_late(locked, margin):  # type: ignore[no-untyped-def]
+def first_past(locked, margin):  # type: ignore[no-untyped-def]
     """Return the first margin that says that its event has happened, -1: none."""
     for i in range(locked.size):
-        if late(locked, margin, i):
+        if is_past(locked, margin, i):
             return i
     return -1
 
 
 @kernel
-def judge(locked, search, step):  # type: ignore[no-untyped-def]
+def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
     """Judge an attempt of the length `step`, s, whose margins are in ``search.here``.
 
     Parameters
@@ -149,14 +149,14 @@ def judge(locked, search, step):  # type: ignore[no-untyped-def]
     over = False
     near = True
     for i in range(locked.size):
-        if late(locked, search.here, i):
+        if is_past(locked, search.here, i):
             over = True
             near = near and locked[i] == 0.0 and search.here[0, i] >= INSTANT * search.here[1, i]
     clear = not over and span[HIGH] == np.inf
-    ends = clear or (over and (near or step - span[LOW] <= INSTANT or span[TRIES] > 2 * PATIENCE))
+    ends = clear or (over and (near or step - span[LOW] <= INSTANT or span[TRIES] > 2 * MAX_ATTEMPTS))
     at = step
-    if step > QUICK and (span[TRIES] <= GLANCES or (ends and over and span[TRIES] <= PATIENCE)):
-        at = span[LOW] + hidden(locked, search, step - span[LOW]) * (step - span[LOW])
+    if step > QUICK and (span[TRIES] <= GLANCES or (ends and over and span[TRIES] <= MAX_ATTEMPTS)):
+        at = span[LOW] + hidden_event(locked, search, step - span[LOW]) * (step - span[LOW])
     if ends and at >= step:
         return EVENT if over else DONE, step
     search.middle[:] = np.inf  # it tells of this attempt's
@@ -175,11 +175,11 @@ def judge(locked, search, step):  # type: ignore[no-untyped-def]
     else:
         span[LOW] = step
         search.low[:] = search.here
-    return AGAIN, at if at < step else estimate(locked, search)
+    return AGAIN, at if at < step else estimate_event_time(locked, search)
 
 
 @kernel
-def estimate(locked, search):  # type: ignore[no-untyped-def]
+def estimate_event_time(locked, search):  # type: ignore[no-untyped-def]
     """Where in the span the first event should lie, s."""
     span = search.span
     length = span[HIGH] - span[LOW]
@@ -187,15 +187,15 @@ def estimate(locked, search):  # type: ignore[no-untyped-def]
         return span[HIGH]
     at = 1.0
     for i in range(locked.size):
-        if late(locked, search.high, i):
+        if is_past(locked, search.high, i):
             low, high = max(search.low[0, i], 0.0), search.high[0, i]
             if locked[i] == 1.0:
                 x = low / (low - high)
             else:
-                x = falls(search.low, search.high, i, length)
+                x = first_zero(search.low, search.high, i, length)
             if locked[i] == 0.0 and search.low[1, i] > 0.0:
                 x = max(x, SOON)
             at = min(at, x)
-    if span[TRIES] > PATIENCE:
+    if span[TRIES] > MAX_ATTEMPTS:
         at = 0.5
     return min(max(span[LOW] + at * length, span[LOW] + 0.9 * INSTANT), span[HIGH] - 0.9 * INSTANT)

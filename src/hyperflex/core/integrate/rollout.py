@@ -1,4 +1,4 @@
-"""The run loop: error control, restarts at switches, output between steps, a mark to go on from."""
+"""Run loop of a rollout: error control, restarts at switches, dense output."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.integrate.air import air_size
 from hyperflex.core.integrate.dense_output import interpolate
 from hyperflex.core.integrate.end_conditions import NOTHING
-from hyperflex.core.integrate.event_location import locate, settle
+from hyperflex.core.integrate.event_location import find_event, update_modes
 from hyperflex.core.integrate.progress import (
     AFTER,
     CHATTER,
-    FRESH,
     INDEX,
     JOINT,
     LAST,
     MODES,
     ORDER,
     REJECTED,
+    RESTARTED,
     SIZE,
     STEP,
     TAKEN,
-    UNSETTLED,
+    UNDECIDED,
     T,
     advance,
-    mark_here,
-    scratch,
-    switched,
+    new_workspace,
+    restart,
+    save_mark,
 )
 from hyperflex.core.integrate.step_size import (
     LARGEST_STEP,
@@ -49,7 +49,7 @@ from hyperflex.core.integrate.step_size import (
 )
 from hyperflex.core.integrate.steps import rates
 from hyperflex.core.jit import kernel
-from hyperflex.core.stiction.constraint_torques import QUICK, hold, stuck_loss
+from hyperflex.core.stiction.constraint_torques import QUICK, project_stuck, stuck_loss
 
 ENERGY = 10.0  # see error_norm
 TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
@@ -93,23 +93,23 @@ def error_norm(chain, limits, table, y, error, step, work):  # type: ignore[no-u
 
 
 @kernel
-def error_sizes(chain, limits, table, step, cut, room):  # type: ignore[no-untyped-def]
-    """Error of the step to ``room.out`` in units of what is allowed, and what it would have been at an order less.
+def error_sizes(chain, limits, table, step, cut, workspace):  # type: ignore[no-untyped-def]
+    """Error of the step to ``workspace.out`` in units of what is allowed, and what it would have been at an order less.
 
     `cut`: the step ends where it was told to. The second is 0.0 where nobody will ask for it.
     """
     if limits.fixed > 0.0:
-        return (0.0, 0.0) if np.abs(room.out).max() < np.inf else (np.inf, 0.0)
-    size = error_norm(chain, limits, table, room.out, room.errors[0], step, room.bench.work)
+        return (0.0, 0.0) if np.abs(workspace.out).max() < np.inf else (np.inf, 0.0)
+    size = error_norm(chain, limits, table, workspace.out, workspace.errors[0], step, workspace.stiction.work)
     if cut and step < SMALLEST_STEP and size < np.inf:
         size = 0.0  # an end a few rounding errors away: there is nothing to control
     if not (size <= 1.0):
         return size, 0.0
-    return size, error_norm(chain, limits, table, room.out, room.errors[1], step, room.bench.work)
+    return size, error_norm(chain, limits, table, workspace.out, workspace.errors[1], step, workspace.stiction.work)
 
 
 @kernel
-def succeeded_with(clock, tables, limits, sticks, step, size, lower_size, wanted, table):  # type: ignore[no-untyped-def]
+def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, wanted, table):  # type: ignore[no-untyped-def]
     """Choose order and length of the step after one of the length `step`, s, which was wanted to be `wanted` long.
 
     `size` is its error in units of what is allowed, `lower_size` that of an order less.
@@ -121,13 +121,13 @@ def succeeded_with(clock, tables, limits, sticks, step, size, lower_size, wanted
         clock[ORDER], grown = cheapest(tables, limits.least, limits.most, order, step, lower_size, grown)
     clock[STEP] = max(grown, clock[STEP]) if step < wanted else grown
     clock[LAST], clock[SIZE] = step if clock[ORDER] == order and not faint else 0.0, size
-    if clock[FRESH] == 1.0:
+    if clock[RESTARTED] == 1.0:
         clock[AFTER] = clock[STEP]
-        clock[FRESH] = 0.0
+        clock[RESTARTED] = 0.0
 
 
 @kernel
-def note(progress, step, end, order, event, joint):  # type: ignore[no-untyped-def]
+def log_step(progress, step, end, order, event, joint):  # type: ignore[no-untyped-def]
     """Keep a step that succeeded in the log, and count quick changes of the joints' modes."""
     clock = progress.clock
     succeeded = int(clock[TAKEN] - clock[REJECTED]) - 1
@@ -136,7 +136,7 @@ def note(progress, step, end, order, event, joint):  # type: ignore[no-untyped-d
         entry[0], entry[1], entry[2] = step, end, order
         if entry.size > JOINT:
             entry[JOINT] = joint
-            entry[MODES:] = progress.grip
+            entry[MODES:] = progress.slip
     if event == 1 and step < QUICK:
         clock[CHATTER] += 1.0
     elif step >= QUICK:
@@ -152,33 +152,33 @@ def write_until(clock, t_out, t, y, y_out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def write_between(chain, drive, part, table, fixed, progress, step, room, t_out, y_out):  # type: ignore[no-untyped-def]
-    """Write the outputs strictly within the step from where `progress` stands to ``room.out``."""
-    y, grip, clock = progress.y, progress.grip, progress.clock
+def write_between(chain, drive, part, table, fixed, progress, step, workspace, t_out, y_out):  # type: ignore[no-untyped-def]
+    """Write the outputs strictly within the step from where `progress` stands to ``workspace.out``."""
+    y, slip, clock = progress.y, progress.slip, progress.clock
     t = clock[T]
     end = t + step
     if clock[INDEX] >= t_out.size or t_out[int(clock[INDEX])] >= end:
         return
-    ys, dys = room.ys, room.dys
-    ys[0], ys[2] = y, room.out
+    ys, dys = workspace.ys, workspace.dys
+    ys[0], ys[2] = y, workspace.out
     first = int(clock[INDEX])
-    while fixed == 0.0 and clock[FRESH] == 1.0 and clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+    while fixed == 0.0 and clock[RESTARTED] == 1.0 and clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
         index = int(clock[INDEX])
-        advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, grip, y_out[index], room)
+        advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, slip, y_out[index], workspace)
         clock[INDEX] += 1
     if clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
-        advance(chain, drive, part, table, fixed, t, 0.5 * step, y, grip, ys[1], room)
+        advance(chain, drive, part, table, fixed, t, 0.5 * step, y, slip, ys[1], workspace)
         for k in range(3):
-            rates(chain, drive, part, t + 0.5 * k * step, ys[k], grip, dys[k], room.bench.work)
+            rates(chain, drive, part, t + 0.5 * k * step, ys[k], slip, dys[k], workspace.stiction.work)
     while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
         index = int(clock[INDEX])
         interpolate(2.0 * (t_out[index] - t) / step - 1.0, step, ys, dys, y_out[index])
         clock[INDEX] += 1
-    if not grip.all():
+    if not slip.all():
         for index in range(first, int(clock[INDEX])):
-            base_state(drive, part, t_out[index], room.after)
-            hold(chain, grip, y, room.before, y_out[index], room.after)
-            y_out[index, 2 * grip.size + 1] += stuck_loss(room.power, step, (t_out[index] - t) / step)
+            base_state(drive, part, t_out[index], workspace.after)
+            project_stuck(chain, slip, y, workspace.before, y_out[index], workspace.after)
+            y_out[index, 2 * slip.size + 1] += stuck_loss(workspace.power, step, (t_out[index] - t) / step)
 
 
 @kernel
@@ -210,14 +210,14 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
     int : OK, RUNNING (call again), REACHED (what ends the run), LIMIT (a joint is at its limit), or why it failed;
         `progress` tells how far it came.
     """
-    y, grip, clock = progress.y, progress.grip, progress.clock
-    room = scratch(chain)
+    y, slip, clock = progress.y, progress.slip, progress.clock
+    workspace = new_workspace(chain)
     fixed = limits.fixed
     sticks = can_stick(chain)
     airy = fixed == 0.0 and chain.drag.any()
     watching = sticks or limits.until.kind != NOTHING or chain.max_bend.min() < np.inf
     if sticks:
-        ln.set_grip(ln.COLUMNS, room.lanes, grip)
+        ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
     write_until(clock, t_out, clock[T], y, y_out)
     part = segment(drive, clock[T])
     for _ in range(limits.budget):
@@ -226,20 +226,20 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             break
         if t >= part.end:
             part = segment(drive, t)
-        if sticks and clock[UNSETTLED] == 1.0 and not settle(chain, drive, part, progress, room):
+        if sticks and clock[UNDECIDED] == 1.0 and not update_modes(chain, drive, part, progress, workspace):
             return status.FRICTION
-        clock[UNSETTLED] = 0.0
+        clock[UNDECIDED] = 0.0
         end, wanted, step = next_step(limits, part, clock)
         cut = step >= end - t
         if step < wanted and limits.stop < part.end:
-            mark_here(progress)
+            save_mark(progress)
         order = min(max(int(clock[ORDER]), limits.least), limits.most)
         table = tables[order - tables[0].order]
-        advance(chain, drive, part, table, fixed, t, step, y, grip, room.out, room)
+        advance(chain, drive, part, table, fixed, t, step, y, slip, workspace.out, workspace)
         clock[TAKEN] += 1
-        size, lower_size = error_sizes(chain, limits, table, step, cut, room)
+        size, lower_size = error_sizes(chain, limits, table, step, cut, workspace)
         if airy and size <= 1.0:
-            size = max(size, air_size(chain, drive, part, limits, table, t, step, y, room))
+            size = max(size, air_size(chain, drive, part, limits, table, t, step, y, workspace))
         if not (size <= 1.0):
             clock[REJECTED] += 1
             clock[STEP] = shorter(step, size, table.order)
@@ -250,22 +250,22 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             continue
         taken, event, joint = step, 0, -1
         if watching:
-            taken, event, joint = locate(chain, drive, part, table, limits, progress, step, room)
+            taken, event, joint = find_event(chain, drive, part, table, limits, progress, step, workspace)
             if taken == 0.0:
                 return status.REACHED
         t_new = end if cut and taken == step else t + taken
-        note(progress, taken, t_new, order, event, joint)
-        write_between(chain, drive, part, table, fixed, progress, t_new - t, room, t_out, y_out)
-        y[:] = room.out
-        y[y.size - 1] += stuck_loss(room.power, t_new - t, 1.0)
+        log_step(progress, taken, t_new, order, event, joint)
+        write_between(chain, drive, part, table, fixed, progress, t_new - t, workspace, t_out, y_out)
+        y[:] = workspace.out
+        y[y.size - 1] += stuck_loss(workspace.power, t_new - t, 1.0)
         clock[T] = t_new
         write_until(clock, t_out, t_new, y, y_out)
         if fixed == 0.0:
-            succeeded_with(clock, tables, limits, sticks, step, size, lower_size, wanted, table)
+            choose_next_step(clock, tables, limits, sticks, step, size, lower_size, wanted, table)
         if event == 2:
             return status.REACHED
         if event == 3:
             return status.LIMIT
         if event == 1 or t_new >= part.end:
-            switched(clock)
+            restart(clock)
     return status.RUNNING if clock[T] < limits.stop else status.OK

@@ -1,4 +1,4 @@
-"""How long a step may be: from its error, from the trend of the errors, and from what is left of the way."""
+"""Step-size control: from the error, its trend, and the time that is left."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""One step of each integrator. The state y (2 n + 2,) holds angles, rates, work put in and energy dissipated."""
+"""One step of each integrator: extrapolated implicit Euler, Runge-Kutta.
+
+The state y (2 n + 2,) holds angles, rates, work put in and energy dissipated.
+"""
 
 from __future__ import annotations
 
@@ -143,32 +146,32 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, lanes, tip, 
     sines(y[: (y.size - 2) // 2], trig, 0)
     for turn in range(table.column.shape[0]):
         begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base, trig)
-        ln.euler(ln.COLUMNS, chain.bears, ln.MORE, lanes, tip, base)
+        ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, lanes, tip, base)
         end_columns(table, turn, y, out, errors, lanes)
 
 
 @kernel
-def rates(chain, drive, part, t, y, grip, dy, work):  # type: ignore[no-untyped-def]
+def rates(chain, drive, part, t, y, slip, dy, work):  # type: ignore[no-untyped-def]
     """Exact time derivative of the state, written to dy (2 n + 2,); `work` is (6 n,) scratch."""
     n = chain.length.size
     base = np.empty(9)
     torque = base_state(drive, part, t, base)
     w = y[n : 2 * n]
-    fx, fy, moment = accelerations(chain, y[:n], w, grip, base[:7], torque, 0.0, dy[n : 2 * n], work)
+    fx, fy, moment = accelerations(chain, y[:n], w, slip, base[:7], torque, 0.0, dy[n : 2 * n], work)
     dy[:n] = w
     dy[2 * n] = fx * base[5] + fy * base[6] + moment * base[3] + torque * w[0]
-    dy[2 * n + 1] = lost_power(chain, w, grip, base, work)
+    dy[2 * n + 1] = lost_power(chain, w, slip, base, work)
 
 
 @kernel
-def runge_kutta(chain, drive, part, t, step, y, grip, out, stage, work):  # type: ignore[no-untyped-def]
+def runge_kutta(chain, drive, part, t, step, y, slip, out, stage, work):  # type: ignore[no-untyped-def]
     """Take one classical fourth-order Runge-Kutta step; `stage` is (3, 2 n + 2) scratch, `work` (6 n,)."""
     point, slope, total = stage[0], stage[1], stage[2]
-    rates(chain, drive, part, t, y, grip, slope, work)
+    rates(chain, drive, part, t, y, slip, slope, work)
     total[:] = slope
     for k in range(3):
         part_step = step if k == 2 else 0.5 * step
         point[:] = y + part_step * slope
-        rates(chain, drive, part, t + part_step, point, grip, slope, work)
+        rates(chain, drive, part, t + part_step, point, slip, slope, work)
         total += slope if k == 2 else 2.0 * slope
     out[:] = y + (step / 6.0) * total

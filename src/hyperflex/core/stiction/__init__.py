@@ -1,1 +1,1 @@
-"""Dry joint friction: which joints slip or stick, and the constraint torques of those that stick."""
+"""Dry joint friction: slip modes, and the constraint torques of stuck joints."""

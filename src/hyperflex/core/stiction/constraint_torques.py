@@ -1,8 +1,8 @@
-"""Dry friction with true stick: what joints bear, and how far each is from a change between slipping and sticking.
+"""Constraint torques of stuck joints, and margins to a change of mode (M.16).
 
-A slipping joint feels a constant torque against its sense of slipping. A stuck joint turns with its parent and bears
-whatever torque that takes, up to its dry friction (M.16). The modes, `grip`, are frozen within a step; a change is an
-event, and a step ends exactly there. Which modes hold at an instant is decided in ``modes``.
+A slipping joint has a constant friction torque against its sense of slipping. A stuck joint turns with its parent; its
+constraint torque is at most the dry friction (M.16). The modes, `slip`, are constant within a step. A change of mode is
+an event, and a step ends exactly there. Which modes hold at an instant is decided in ``slip_modes``.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ WIDEST = 8.0  # powers of ten by which SLACK and NOISE are widened at most, see 
 HOPELESS = 30.0  # quick events beyond those that joints may need, after which they chatter
 
 
-class Bench(NamedTuple):
+class StictionWorkspace(NamedTuple):
     """Working arrays for one chain of n links."""
 
     alpha: Array  # (n,)
-    load: Array  # (n,) friction torque that each joint bears, N m
+    load: Array  # (n,) friction torque of each joint, N m
     slack: Array  # (n,) by how much a torque must exceed dry friction to count, N m
     work: Array  # (6 n,)
     state: Array  # (2 n,) angles and rates in the middle of a step
@@ -38,21 +38,21 @@ class Bench(NamedTuple):
 
 
 @kernel
-def bench(n):  # type: ignore[no-untyped-def]
+def new_stiction_workspace(n):  # type: ignore[no-untyped-def]
     """Working arrays for n links."""
-    return Bench(np.zeros(n), np.zeros(n), np.zeros(n), np.empty(6 * n), np.empty(2 * n), np.empty((2, n)))
+    return StictionWorkspace(np.zeros(n), np.zeros(n), np.zeros(n), np.empty(6 * n), np.empty(2 * n), np.empty((2, n)))
 
 
 @kernel
-def bear(chain, q, w, grip, base, torque, room):  # type: ignore[no-untyped-def]
-    """Accelerations, and the torque that friction must give at each joint; two passes, O(n).
+def constraint_torques(chain, q, w, slip, base, torque, workspace):  # type: ignore[no-untyped-def]
+    """Accelerations, and the friction torque of each joint, also of stuck ones; two passes, O(n).
 
     Newton's and Euler's equations link by link, from the tip: independent of the elimination in the sweep. Arguments as
-    in ``chain.accelerations``; results in ``room.alpha``, ``room.load``, ``room.slack`` of the Bench `room`.
+    in ``chain.accelerations``; results in ``workspace.alpha``, ``workspace.load``, ``workspace.slack`` of `workspace`.
     """
     n = q.size
-    alpha, work = room.alpha, room.work
-    accelerations(chain, q, w, grip, base, torque, 0.0, alpha, work)
+    alpha, work = workspace.alpha, workspace.work
+    accelerations(chain, q, w, slip, base, torque, 0.0, alpha, work)
     air_loads(chain, w, base, work, 2 * n, 1)
     px = base[0] - chain.gx
     py = base[1] - chain.gy
@@ -61,7 +61,7 @@ def bear(chain, q, w, grip, base, torque, room):  # type: ignore[no-untyped-def]
         rate2 = w[i] * w[i]
         px += chain.length[i] * (work[5 * n + i] * alpha[i] - work[4 * n + i] * rate2)
         py += chain.length[i] * (work[4 * n + i] * alpha[i] + work[5 * n + i] * rate2)
-    share = len(chain.bears) - 1.0
+    reaction_factor = len(chain.reaction) - 1.0
     fx = chain.tip_mass * px
     fy = chain.tip_mass * py
     back = size = 0.0
@@ -75,37 +75,37 @@ def bear(chain, q, w, grip, base, torque, room):  # type: ignore[no-untyped-def]
         turn = (chain.inertia[i] + mass * com * com) * alpha[i]
         turn += mass * com * (cos * px + sin * py) + length * (cos * fx + sin * fy) + back
         size += mass * abs(com) * (abs(px) + abs(py)) + length * (abs(fx) + abs(fy)) + abs(spring) + abs(external)
-        room.load[i] = turn - spring - external
-        room.slack[i] = SLACK * chain.dry[i] + NOISE * size
+        workspace.load[i] = turn - spring - external
+        workspace.slack[i] = SLACK * chain.dry[i] + NOISE * size
         size = abs(turn)
-        back = share * room.load[i] + spring
+        back = reaction_factor * workspace.load[i] + spring
         rate2 = w[i] * w[i]
         fx += mass * (px + com * (cos * alpha[i] - sin * rate2))
         fy += mass * (py + com * (sin * alpha[i] + cos * rate2))
 
 
 @kernel
-def usual(n):  # type: ignore[no-untyped-def]
-    """Quick events that n joints may need which slip at next to no rate: each sticks, comes loose and sticks again."""
+def chatter_allowance(n):  # type: ignore[no-untyped-def]
+    """Quick events that are normal for n joints at rates near zero: each may stick, slip and stick again."""
     return 4.0 * n + 4.0
 
 
 @kernel
-def widened(chatter, n):  # type: ignore[no-untyped-def]
-    """Factor on SLACK and NOISE after so many quick events: more than the usual are chatter."""
-    return 10.0 ** min(WIDEST, max(0.0, chatter - usual(n)))
+def tolerance_factor(chatter, n):  # type: ignore[no-untyped-def]
+    """Factor on SLACK and NOISE after `chatter` quick events; above 1.0 beyond ``chatter_allowance``."""
+    return 10.0 ** min(WIDEST, max(0.0, chatter - chatter_allowance(n)))
 
 
 @kernel
-def hopeless(chatter, n):  # type: ignore[no-untyped-def]
-    """Whether so many quick events are chatter that widening does not end."""
-    return chatter > usual(n) + HOPELESS
+def chatter_exceeded(chatter, n):  # type: ignore[no-untyped-def]
+    """Whether wider tolerances have not ended the chatter after so many quick events."""
+    return chatter > chatter_allowance(n) + HOPELESS
 
 
 @kernel
-def wider(chatter, n):  # type: ignore[no-untyped-def]
-    """Count of quick events at which that factor is ten times as large as at `chatter`."""
-    return max(chatter, usual(n)) + 1.0
+def widened_count(chatter, n):  # type: ignore[no-untyped-def]
+    """Count of quick events at which ``tolerance_factor`` is ten times that at `chatter`."""
+    return max(chatter, chatter_allowance(n)) + 1.0
 
 
 @kernel
@@ -115,31 +115,31 @@ def at_rest(rate, up):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def margins(chain, q, w, grip, base, torque, widen, room, out):  # type: ignore[no-untyped-def]
-    """How far each joint is from a change of its mode.
+def margins(chain, q, w, slip, base, torque, widen, workspace, out):  # type: ignore[no-untyped-def]
+    """Margin of each joint to a change of its mode, and its slope.
 
     ``out`` (2, n): of a slipping joint the relative rate in its sense, rad/s, and how fast that grows, rad/s^2; of a
-    stuck one the torque that it could bear beside its load, N m, and nothing; inf where there is no dry friction.
+    stuck one its dry friction less its load, N m, and 0.0; inf without dry friction.
     """
-    bear(chain, q, w, grip, base, torque, room)
+    constraint_torques(chain, q, w, slip, base, torque, workspace)
     for i in range(q.size):
         out[0, i], out[1, i] = np.inf, 0.0
-        if chain.dry[i] > 0.0 and grip[i] == 0.0:
-            out[0, i] = chain.dry[i] + widen * room.slack[i] - abs(room.load[i])
+        if chain.dry[i] > 0.0 and slip[i] == 0.0:
+            out[0, i] = chain.dry[i] + widen * workspace.slack[i] - abs(workspace.load[i])
         elif chain.dry[i] > 0.0:
-            out[0, i] = grip[i] * (w[i] - (w[i - 1] if i > 0 else base[3]))
-            out[1, i] = grip[i] * (room.alpha[i] - (room.alpha[i - 1] if i > 0 else base[2]))
+            out[0, i] = slip[i] * (w[i] - (w[i - 1] if i > 0 else base[3]))
+            out[1, i] = slip[i] * (workspace.alpha[i] - (workspace.alpha[i - 1] if i > 0 else base[2]))
 
 
 @kernel
-def hold(chain, grip, q, base_before, out, base):  # type: ignore[no-untyped-def]
-    """Take rounding off stuck joints: rates of ``out`` (2 n + 2,) become the parents', angles between links stay.
+def project_stuck(chain, slip, q, base_before, out, base):  # type: ignore[no-untyped-def]
+    """Project ``out`` (2 n + 2,) onto stuck joints: rates become the parents', angles between links stay.
 
     `q` (n or more,) are the angles at an earlier instant since which no mode has changed, with its base (9,).
     """
-    n = grip.size
+    n = slip.size
     for i in range(n):
-        if chain.dry[i] > 0.0 and grip[i] == 0.0:
+        if chain.dry[i] > 0.0 and slip[i] == 0.0:
             out[n + i] = out[n + i - 1] if i > 0 else base[3]
             if i > 0:
                 out[i] = out[i - 1] + (q[i] - q[i - 1])
@@ -154,31 +154,31 @@ def stops(margin, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def come_to_rest(chain, grip, margin, out, base):  # type: ignore[no-untyped-def]
-    """Give joints that have just stopped slipping their parents' rates; stuck ones beyond them follow."""
-    n = grip.size
+def stop_joints(chain, slip, margin, out, base):  # type: ignore[no-untyped-def]
+    """Set the rates of joints that have just stopped, and of stuck ones, to those of their parents."""
+    n = slip.size
     for i in range(n):
-        if chain.dry[i] > 0.0 and (grip[i] == 0.0 or stops(margin, i)):
+        if chain.dry[i] > 0.0 and (slip[i] == 0.0 or stops(margin, i)):
             out[n + i] = out[n + i - 1] if i > 0 else base[3]
 
 
 @kernel
-def middle(step, q, w, alpha, out, room):  # type: ignore[no-untyped-def]
-    """Middle of a step, to ``room.state``, by its ends: q, w, alpha (n,) before, ``out`` and ``room.alpha`` after."""
+def midpoint_state(step, q, w, alpha, out, workspace):  # type: ignore[no-untyped-def]
+    """Middle of a step, to ``workspace.state``, from its ends: q, w, alpha (n,) before, ``out``, ``alpha`` after."""
     n = q.size
     for i in range(n):
-        q1, w1, a1 = out[i], out[n + i], room.alpha[i]
-        room.state[i] = 0.5 * (q[i] + q1) + step * (0.15625 * (w[i] - w1) + 0.015625 * step * (alpha[i] + a1))
-        room.state[n + i] = 1.875 * (q1 - q[i]) / step - 0.4375 * (w[i] + w1) + 0.03125 * step * (a1 - alpha[i])
+        q1, w1, a1 = out[i], out[n + i], workspace.alpha[i]
+        workspace.state[i] = 0.5 * (q[i] + q1) + step * (0.15625 * (w[i] - w1) + 0.015625 * step * (alpha[i] + a1))
+        workspace.state[n + i] = 1.875 * (q1 - q[i]) / step - 0.4375 * (w[i] + w1) + 0.03125 * step * (a1 - alpha[i])
 
 
 @kernel
-def stuck_power(chain, w, grip, load):  # type: ignore[no-untyped-def]
+def stuck_power(chain, w, slip, load):  # type: ignore[no-untyped-def]
     """Power that stuck joints take from the chain, W: none if their torques act on both links, which turn alike."""
     power = 0.0
-    if len(chain.bears) == 1:
+    if len(chain.reaction) == 1:
         for i in range(w.size):
-            if grip[i] == 0.0:
+            if slip[i] == 0.0:
                 power -= load[i] * w[i]
     return power
 

@@ -1,24 +1,32 @@
-"""Which joints slip and which stick at an instant, where dry friction holds what it can (M.16)."""
+"""Slip modes of joints with dry friction: an active-set search (M.16)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hyperflex.core.chain.articulated_body import PRINTED, with_dry
+from hyperflex.core.chain.articulated_body import ONE_SIDED, with_dry
 from hyperflex.core.jit import kernel
-from hyperflex.core.stiction.constraint_torques import STILL, at_rest, bear, hopeless, usual, widened, wider
+from hyperflex.core.stiction.constraint_torques import (
+    STILL,
+    at_rest,
+    chatter_allowance,
+    chatter_exceeded,
+    constraint_torques,
+    tolerance_factor,
+    widened_count,
+)
 
 SENSE = 1e-11  # part of the largest acceleration below which the sense of a joint's acceleration is rounding
 CALM = 1e-8  # rad/s, slower than this a joint that chatters may be brought to rest
 
 
 @kernel
-def settled(chain, q, w, base, torque, chatter, grip, before, room):  # type: ignore[no-untyped-def]
-    """Decide the modes after an event, or at a start; takes for rounding what would otherwise go on for ever.
+def decide_modes(chain, q, w, base, torque, chatter, slip, before, workspace):  # type: ignore[no-untyped-def]
+    """Decide the modes after an event or at a start; where joints chatter, with wider tolerances.
 
     Parameters
     ----------
-    chain, q, w, base, torque, grip, room : as in ``decide``; where joints chatter, `w` changes by up to CALM
+    chain, q, w, base, torque, slip, workspace : as in ``decide``; where joints chatter, `w` changes by up to CALM
     chatter : float
         Quick events so far.
     before : (n,) scratch
@@ -29,22 +37,22 @@ def settled(chain, q, w, base, torque, chatter, grip, before, room):  # type: ig
     chatter : float, to go on with
     """
     n = q.size
-    before[:] = grip
+    before[:] = slip
     good = False
-    while not (good or hopeless(chatter, n)):
-        if chatter > usual(n):
-            calm(chain, w, base, min(STILL * widened(chatter, n), CALM))
-        good = decide(chain, q, w, base, torque, widened(chatter, n), grip, room)
+    while not (good or chatter_exceeded(chatter, n)):
+        if chatter > chatter_allowance(n):
+            stop_slow_joints(chain, w, base, min(STILL * tolerance_factor(chatter, n), CALM))
+        good = find_modes(chain, q, w, base, torque, tolerance_factor(chatter, n), slip, workspace)
         if not good:
-            chatter = wider(chatter, n)
-    if good and chatter > 0.0 and (grip == before).all():
-        chatter = max(chatter, wider(0.0, n))  # an event after a quick one, and nothing has changed: rounding
-    return good and not hopeless(chatter, n), chatter
+            chatter = widened_count(chatter, n)
+    if good and chatter > 0.0 and (slip == before).all():
+        chatter = max(chatter, widened_count(0.0, n))  # an event after a quick one, and nothing has changed: rounding
+    return good and not chatter_exceeded(chatter, n), chatter
 
 
 @kernel
-def calm(chain, w, base, still):  # type: ignore[no-untyped-def]
-    """Bring joints with dry friction to rest in `w` (n,) that turn by no more than `still`, rad/s."""
+def stop_slow_joints(chain, w, base, still):  # type: ignore[no-untyped-def]
+    """Set the rates in `w` (n,) of dry joints slower than `still`, rad/s, to those of their parents."""
     for i in range(w.size):
         up = w[i - 1] if i > 0 else base[3]
         if chain.dry[i] > 0.0 and abs(w[i] - up) <= still:
@@ -52,14 +60,14 @@ def calm(chain, w, base, still):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def decide(chain, q, w, base, torque, widen, grip, room):  # type: ignore[no-untyped-def]
-    """Find the modes at an instant: `grip` (n,) out, and accelerations and loads that go with them in `room`.
+def find_modes(chain, q, w, base, torque, widen, slip, workspace):  # type: ignore[no-untyped-def]
+    """Find the modes at an instant, to `slip` (n,), with their accelerations and loads in `workspace`.
 
     Parameters
     ----------
     chain, q, w, base, torque : as in ``chain.accelerations``
     widen : float
-        Factor on what a torque must exceed dry friction by; 1.0 unless joints chatter.
+        Factor on the tolerance of the dry friction; 1.0 unless joints chatter.
 
     Returns
     -------
@@ -69,17 +77,17 @@ def decide(chain, q, w, base, torque, widen, grip, room):  # type: ignore[no-unt
     for i in range(q.size):
         up = w[i - 1] if i > 0 else base[3]
         if chain.dry[i] == 0.0:
-            grip[i] = 1.0
+            slip[i] = 1.0
         elif at_rest(w[i], up):
-            grip[i] = 0.0
+            slip[i] = 0.0
             resting += 1
         else:
-            grip[i] = 1.0 if w[i] > up else -1.0
+            slip[i] = 1.0 if w[i] > up else -1.0
     moved = np.zeros(q.size)
-    if improve(chain, q, w, base, torque, widen, resting, moved, grip, room):
+    if active_set_search(chain, q, w, base, torque, widen, resting, moved, slip, workspace):
         return True
-    while len(chain.bears) == len(PRINTED) and follow(chain, q, w, base, torque, moved, grip, room):
-        at = lawless(chain, q, w, base, torque, widen, grip, room, False)
+    while len(chain.reaction) == len(ONE_SIDED) and continuation(chain, q, w, base, torque, moved, slip, workspace):
+        at = worst_violation(chain, q, w, base, torque, widen, slip, workspace, False)
         if at < 0:
             return True
         if moved[at] == 1.0:
@@ -89,110 +97,110 @@ def decide(chain, q, w, base, torque, widen, grip, room):  # type: ignore[no-unt
 
 
 @kernel
-def improve(chain, q, w, base, torque, widen, resting, moved, grip, room):  # type: ignore[no-untyped-def]
-    """Change the modes of the `resting` joints at rest, all held in `grip` at first, until they obey the law.
+def active_set_search(chain, q, w, base, torque, widen, resting, moved, slip, workspace):  # type: ignore[no-untyped-def]
+    """Active-set search: change the modes of the `resting` joints, all stuck at first, until they obey (M.16).
 
-    The one that breaks the law most is changed, a stuck one whose torque exceeds its dry friction to slip, a slipping
+    The joint that violates (M.16) most changes, a stuck one whose torque exceeds its dry friction to slip, a slipping
     one that would turn against its sense to stick. For friction that acts on both links this is a convex problem, and
-    from a turn on the first that breaks the law is changed, a rule that ends. Returns False where it did not; `moved`
+    after some turns the first violation is changed instead, a rule that ends. Returns False where it did not; `moved`
     (n,) is 1.0 for each joint that was changed.
     """
-    patience = 2 * resting + 8
-    for turn in range(patience if len(chain.bears) == len(PRINTED) else 20 + 12 * resting):
-        at = lawless(chain, q, w, base, torque, widen, grip, room, turn >= patience)
+    max_changes = 2 * resting + 8
+    for turn in range(max_changes if len(chain.reaction) == len(ONE_SIDED) else 20 + 12 * resting):
+        at = worst_violation(chain, q, w, base, torque, widen, slip, workspace, turn >= max_changes)
         if at < 0:
             return True
         moved[at] = 1.0
-        if grip[at] != 0.0:
-            grip[at] = 0.0
+        if slip[at] != 0.0:
+            slip[at] = 0.0
         else:
-            grip[at] = -1.0 if room.load[at] > 0.0 else 1.0
+            slip[at] = -1.0 if workspace.load[at] > 0.0 else 1.0
     return False
 
 
 @kernel
-def lawless(chain, q, w, base, torque, widen, grip, room, any_will_do):  # type: ignore[no-untyped-def]
-    """Return the joint at rest that breaks the law most, or the first that does if any will do; -1: none."""
-    bear(chain, q, w, grip, base, torque, room)
+def worst_violation(chain, q, w, base, torque, widen, slip, workspace, any_will_do):  # type: ignore[no-untyped-def]
+    """Return the joint at rest that violates (M.16) most, or with `any_will_do` the first; -1: none."""
+    constraint_torques(chain, q, w, slip, base, torque, workspace)
     largest = abs(base[2])
     for i in range(q.size):
-        largest = max(largest, abs(room.alpha[i]))
+        largest = max(largest, abs(workspace.alpha[i]))
     worst, at = 0.0, -1
     for i in range(q.size):
         if chain.dry[i] == 0.0 or not at_rest(w[i], w[i - 1] if i > 0 else base[3]):
             continue
-        if grip[i] == 0.0:
-            far = (abs(room.load[i]) - chain.dry[i] - widen * room.slack[i]) / chain.dry[i]
+        if slip[i] == 0.0:
+            far = (abs(workspace.load[i]) - chain.dry[i] - widen * workspace.slack[i]) / chain.dry[i]
         else:
-            up = room.alpha[i - 1] if i > 0 else base[2]
-            far = -grip[i] * (room.alpha[i] - up) / (largest + 1e-300) - SENSE
+            up = workspace.alpha[i - 1] if i > 0 else base[2]
+            far = -slip[i] * (workspace.alpha[i] - up) / (largest + 1e-300) - SENSE
         if far > worst and not (any_will_do and at >= 0):
             worst, at = far, i
     return at
 
 
 @kernel
-def follow(chain, q, w, base, torque, moved, grip, room):  # type: ignore[no-untyped-def]
-    """Find modes of those joints at rest that have `moved` (n,), by following them from no dry friction in them to all.
+def continuation(chain, q, w, base, torque, moved, slip, workspace):  # type: ignore[no-untyped-def]
+    """Find modes of the joints at rest that have `moved` (n,), by continuation from no dry friction to all of it.
 
     The other joints at rest are held, whatever that takes. Without friction each that has moved slips as it is pulled.
     As the friction grows, in proportion to `part`, the modes change one by one, and between two changes all loads and
-    accelerations are linear in it. The way may lead back for a while, where what lets a joint slip is what holds it,
-    but it cannot end: loads that obey the law solve a variational inequality on a box, and there are some for any
-    friction (Hartman and Stampacchia 1966, doi:10.1007/BF02392210).
+    accelerations are linear in it. The path may turn back for a while, but it cannot end: such loads solve a
+    variational inequality on a box, which has a solution for any friction (Hartman and Stampacchia 1966,
+    doi:10.1007/BF02392210).
 
     Returns
     -------
-    bool : False where rounding led astray.
+    bool : False where rounding has broken the path.
     """
     n = q.size
     none, full = np.empty((2, n)), np.empty((2, n))
     for i in range(n):
         if at_rest(w[i], w[i - 1] if i > 0 else base[3]):
-            grip[i] = moved[i] if chain.dry[i] > 0.0 else 1.0
-    left(chain, q, w, base, torque, moved, 0.0, grip, room, none)
+            slip[i] = moved[i] if chain.dry[i] > 0.0 else 1.0
+    continuation_margins(chain, q, w, base, torque, moved, 0.0, slip, workspace, none)
     for i in range(n):
         if none[0, i] < 0.0:
-            grip[i] = -1.0
+            slip[i] = -1.0
     part, way, last, side = 0.0, 1.0, -1, 0
     for _ in range(20 + 12 * int(moved.sum())):
-        left(chain, q, w, base, torque, moved, 0.0, grip, room, none)
-        left(chain, q, w, base, torque, moved, 1.0, grip, room, full)
+        continuation_margins(chain, q, w, base, torque, moved, 0.0, slip, workspace, none)
+        continuation_margins(chain, q, w, base, torque, moved, 1.0, slip, workspace, full)
         if last >= 0:  # what has just changed comes away from its limit
             way = 1.0 if full[side, last] > none[side, last] else -1.0
-        far, last, side = first_change(none, full, part, way)
+        far, last, side = first_breakpoint(none, full, part, way)
         if way > 0.0 and part + far >= 1.0:
             return True
         part += way * far
         if part < 0.0:
             return False
-        if grip[last] == 0.0:
-            grip[last], side = 2.0 * side - 1.0, 0
+        if slip[last] == 0.0:
+            slip[last], side = 2.0 * side - 1.0, 0
         else:
-            grip[last], side = 0.0, 1 if grip[last] > 0.0 else 0
+            slip[last], side = 0.0, 1 if slip[last] > 0.0 else 0
     return False
 
 
 @kernel
-def left(chain, q, w, base, torque, moved, part, grip, room, out):  # type: ignore[no-untyped-def]
-    """How far each joint that has moved is from a change of its mode, if it has only a part of its dry friction.
+def continuation_margins(chain, q, w, base, torque, moved, part, slip, workspace, out):  # type: ignore[no-untyped-def]
+    """Margins of the joints that have moved, with only a part of their dry friction.
 
-    ``out`` (2, n): of a slipping joint its relative acceleration in its sense, rad/s^2, and 1.0; of a stuck one what it
-    could bear beside its load in either sense, N m; 1.0 of any other.
+    ``out`` (2, n): of a slipping joint its relative acceleration in its sense, rad/s^2, and 1.0; of a stuck one its
+    dry friction less its load in either sense, N m; 1.0 of any other.
     """
     dry = chain.dry * (1.0 - (1.0 - part) * moved)
     out[:] = 1.0
-    bear(with_dry(chain, dry), q, w, grip, base, torque, room)
+    constraint_torques(with_dry(chain, dry), q, w, slip, base, torque, workspace)
     for i in range(q.size):
-        if moved[i] == 1.0 and grip[i] == 0.0:
-            out[0, i], out[1, i] = dry[i] - room.load[i], dry[i] + room.load[i]
+        if moved[i] == 1.0 and slip[i] == 0.0:
+            out[0, i], out[1, i] = dry[i] - workspace.load[i], dry[i] + workspace.load[i]
         elif moved[i] == 1.0:
-            out[0, i] = grip[i] * (room.alpha[i] - (room.alpha[i - 1] if i > 0 else base[2]))
+            out[0, i] = slip[i] * (workspace.alpha[i] - (workspace.alpha[i - 1] if i > 0 else base[2]))
 
 
 @kernel
-def first_change(none, full, part, way):  # type: ignore[no-untyped-def]
-    """How far from `part` the first of the margins (2, n), given at 0 and at 1, falls to zero; which, on which side."""
+def first_breakpoint(none, full, part, way):  # type: ignore[no-untyped-def]
+    """Distance from `part` to the first zero of the margins (2, n), given at 0 and 1; its joint and side."""
     far, at, at_side = np.inf, -1, 0
     for i in range(none.shape[1]):
         for side in range(2):

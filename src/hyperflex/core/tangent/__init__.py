@@ -1,1 +1,1 @@
-"""Forward sensitivities: derivatives of a step, of its dense output and of events, along given directions."""
+"""Forward sensitivities of a step, its dense output and events along given directions."""

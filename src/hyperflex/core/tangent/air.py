@@ -1,4 +1,4 @@
-"""Derivatives of the air's torques on the links, two directions at a time, in the lanes of a step, (M.33).
+"""Tangent of air drag, two directions at a time in SIMD lanes (M.33).
 
 They stand in lanes of their own, ``air``, laid out as those of ``chain.lanes``: row 0 is the first joint, rows 1..n are
 the links, row n + 1 is what lies beyond the tip, where nothing acts. A step leaves in them what all directions share;
@@ -95,7 +95,7 @@ def inward(row, k, j, d, longer):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def along(width, lanes, air, links):  # type: ignore[no-untyped-def]
+def tangent_drag(width, lanes, air, links):  # type: ignore[no-untyped-def]
     """Write the changes of the torques to RHS of the links in `lanes`, for changes of their angles and rates there.
 
     Parameters

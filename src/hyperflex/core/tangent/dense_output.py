@@ -1,4 +1,4 @@
-"""Outputs within a step of a replay: the polynomial through its beginning, middle and end, with derivatives."""
+"""Tangent of the dense output: outputs within a step, with derivatives."""
 
 from __future__ import annotations
 
@@ -10,77 +10,79 @@ from hyperflex.core.chain.drive import base_state
 from hyperflex.core.integrate.dense_output import basis, interpolate
 from hyperflex.core.jit import kernel
 from hyperflex.core.tangent import step as tg
-from hyperflex.core.tangent.extrapolation import CELL, PARTS, K, begin_pairs, enter, set_ends, step_along, step_pair
+from hyperflex.core.tangent.extrapolation import CELL, PARTS, K, begin_pairs, enter, set_ends, step_pair, tangent_step
 
 
 @kernel
-def bends_along(chain, drive, part, t, step, directions, room):  # type: ignore[no-untyped-def]
+def acceleration_derivatives(chain, drive, part, t, step, directions, workspace):  # type: ignore[no-untyped-def]
     """Accelerations at beginning, middle and end of a step, and their derivatives, from ``ys`` and ``nodes``."""
     n = chain.length.size
-    lanes, ys, dys = room.lanes, room.ys, room.dys
-    room.anew[:] = 1.0
+    lanes, ys, dys = workspace.lanes, workspace.ys, workspace.dys
+    workspace.anew[:] = 1.0
     motion = np.empty(9)
     for j in range(K):
         node = min(j, 2)
-        room.into[j] = 0.5 * node
-        room.when[j] = t + 0.5 * node * step
-        sines(ys[node, :n], room.work, 0)
+        workspace.into[j] = 0.5 * node
+        workspace.when[j] = t + 0.5 * node * step
+        sines(ys[node, :n], workspace.work, 0)
         for i in range(n):
             lanes[((i + 1) * ln.ROW + ln.Q) * K + j] = ys[node, i]
             lanes[((i + 1) * ln.ROW + ln.W) * K + j] = ys[node, n + i]
-            lanes[((i + 1) * ln.ROW + ln.SIN) * K + j] = room.work[i]
-            lanes[((i + 1) * ln.ROW + ln.COS) * K + j] = room.work[n + i]
-        room.tip[ln.STEP * K + j] = 0.0
-        room.tip[ln.EXTERNAL * K + j] = base_state(drive, part, room.when[j], motion)
+            lanes[((i + 1) * ln.ROW + ln.SIN) * K + j] = workspace.work[i]
+            lanes[((i + 1) * ln.ROW + ln.COS) * K + j] = workspace.work[n + i]
+        workspace.tip[ln.STEP * K + j] = 0.0
+        workspace.tip[ln.EXTERNAL * K + j] = base_state(drive, part, workspace.when[j], motion)
         for s in range(9):
-            room.base[s, j] = motion[s]
-        room.base[0, j] -= chain.gx
-        room.base[1, j] -= chain.gy
-    tg.remember(ln.COLUMNS, lanes)
-    ln.euler(ln.COLUMNS, chain.bears, ln.MORE, lanes, room.tip, room.base)
-    begin_pairs(chain.bears, lanes, room.air, room.base)
+            workspace.base[s, j] = motion[s]
+        workspace.base[0, j] -= chain.gx
+        workspace.base[1, j] -= chain.gy
+    tg.save_trig(ln.COLUMNS, lanes)
+    ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, lanes, workspace.tip, workspace.base)
+    begin_pairs(chain.reaction, lanes, workspace.air, workspace.base)
     for j in range(3):
         dys[j, :n] = ys[j, n : 2 * n]
         for i in range(n):
             dys[j, n + i] = lanes[((i + 1) * ln.ROW + ln.ALPHA) * K + j]
-    room.stretch[:] = 0.0
+    workspace.stretch[:] = 0.0
     for b in range(directions.kind.size):
         for i in range(n):
-            cell = room.store[b, i * PARTS * CELL : (i * PARTS + 1) * CELL]
+            cell = workspace.store[b, i * PARTS * CELL : (i * PARTS + 1) * CELL]
             for x in range(CELL):
                 lane, d, rate = min(x % K, 2), (x // K) % 2, x // (2 * K)
-                cell[x] = room.nodes[lane, rate * n + i, 2 * b + d]
-        enter(lanes, room.store[b], room.anew, True)
-        set_ends(drive, part, directions, b, room)
-        step_pair(chain.bears, lanes, room.air, directions.links[b], room.stretch[b])
+                cell[x] = workspace.nodes[lane, rate * n + i, 2 * b + d]
+        enter(lanes, workspace.store[b], workspace.anew, True)
+        set_ends(drive, part, directions, b, workspace)
+        step_pair(chain.reaction, lanes, workspace.air, directions.links[b], workspace.stretch[b])
         for i in range(n):
             for d in range(2):
                 for j in range(3):
-                    room.bends[j, i, 2 * b + d] = lanes[((i + 1) * ln.ROW + tg.ALPHA + d) * K + j]
+                    workspace.bends[j, i, 2 * b + d] = lanes[((i + 1) * ln.ROW + tg.ALPHA + d) * K + j]
 
 
 @kernel
-def blend(t, step, t_out, room, y_out, dy_out):  # type: ignore[no-untyped-def]
-    """States (m, 2 n + 2) and derivatives (m, 2 n, p) at times t_out (m,) in a step from t, from the room's nodes."""
-    n, p = room.bends.shape[1], room.bends.shape[2]
+def tangent_dense_output(t, step, t_out, workspace, y_out, dy_out):  # type: ignore[no-untyped-def]
+    """States (m, 2 n + 2) and derivatives (m, 2 n, p) at times t_out (m,) in a step from t, from the nodes."""
+    n, p = workspace.bends.shape[1], workspace.bends.shape[2]
     half = 0.5 * step
     weights = np.empty((t_out.size, 3, 9))
     longer, moving = np.empty(p), np.empty((t_out.size, p))
     for x in range(p):
-        longer[x] = 0.5 * room.change[x // 2, x % 2]
+        longer[x] = 0.5 * workspace.change[x // 2, x % 2]
     for m in range(t_out.size):
         theta = (t_out[m] - t) / half - 1.0
-        interpolate(theta, step, room.ys, room.dys, y_out[m])
+        interpolate(theta, step, workspace.ys, workspace.dys, y_out[m])
         for order in range(3):
             basis(order, theta, weights[m, order])
         for x in range(p):
-            moving[m, x] = -(room.shift[x // 2, x % 2] + (theta + 1.0) * longer[x]) / half
+            moving[m, x] = -(workspace.shift[x // 2, x % 2] + (theta + 1.0) * longer[x]) / half
     late = moving.any() or longer.any()
     for i in range(n):  # all times of a link together: its nodes stay in the cache
         for m in range(t_out.size):
-            combine(weights[m], half, i, room.nodes, room.bends, dy_out[m, i], dy_out[m, n + i])
+            combine(weights[m], half, i, workspace.nodes, workspace.bends, dy_out[m, i], dy_out[m, n + i])
             if late:
-                follow(weights[m], half, i, room.ys, room.dys, moving[m], longer, dy_out[m, i], dy_out[m, n + i])
+                add_time_shift(
+                    weights[m], half, i, workspace.ys, workspace.dys, moving[m], longer, dy_out[m, i], dy_out[m, n + i]
+                )
 
 
 @kernel
@@ -99,7 +101,7 @@ def combine(weight, half, i, nodes, bends, dq, dw):  # type: ignore[no-untyped-d
 
 
 @kernel
-def follow(weight, half, i, ys, dys, moving, longer, dq, dw):  # type: ignore[no-untyped-def]
+def add_time_shift(weight, half, i, ys, dys, moving, longer, dq, dw):  # type: ignore[no-untyped-def]
     """Add what follows from the change of an output's place in its step, `moving` (p,), and of half the step (p,)."""
     n = (ys.shape[1] - 2) // 2
     speed = grown = bend = grown_w = 0.0
@@ -116,10 +118,12 @@ def follow(weight, half, i, ys, dys, moving, longer, dq, dw):  # type: ignore[no
 
 
 @kernel
-def write_inside(chain, drive, part, table, t, step, y, t_out, directions, room, y_out, dy_out):  # type: ignore[no-untyped-def]
-    """Write states and derivatives at times t_out (m,) within a step, whose ends are in the room's nodes."""
-    room.change[:] *= 0.5
-    step_along(chain, drive, part, table, t, 0.5 * step, y, room.ys[1], directions, room.nodes[1], room)
-    room.change[:] *= 2.0
-    bends_along(chain, drive, part, t, step, directions, room)
-    blend(t, step, t_out, room, y_out, dy_out)
+def write_within_step(chain, drive, part, table, t, step, y, t_out, directions, workspace, y_out, dy_out):  # type: ignore[no-untyped-def]
+    """Write states and derivatives at times t_out (m,) within a step, whose ends are in the nodes in `workspace`."""
+    workspace.change[:] *= 0.5
+    tangent_step(
+        chain, drive, part, table, t, 0.5 * step, y, workspace.ys[1], directions, workspace.nodes[1], workspace
+    )
+    workspace.change[:] *= 2.0
+    acceleration_derivatives(chain, drive, part, t, step, directions, workspace)
+    tangent_dense_output(t, step, t_out, workspace, y_out, dy_out)

@@ -1,4 +1,4 @@
-"""Directions of a derivative: what changes in the chain and in its drive, and what the base does then."""
+"""Directions of a derivative: changes of the chain, its drive and its base motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An extrapolated step together with its derivatives in any number of directions, in the lanes of its columns."""
+"""Tangent of an extrapolated step, for any number of directions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ START, NOW, SUM = 0, CELL, 2 * CELL  # the parts of what is kept of them
 PARTS = 3
 
 
-class Room(NamedTuple):
+class TangentWorkspace(NamedTuple):
     """Working arrays of a replay; b pairs of directions, p = 2 b."""
 
     lanes: Array  # ((n + 2) ROW K,), and its last row
@@ -46,12 +46,12 @@ class Room(NamedTuple):
 
 
 @kernel
-def room_for(chain, pairs):  # type: ignore[no-untyped-def]
+def new_tangent_workspace(chain, pairs):  # type: ignore[no-untyped-def]
     """Working arrays for a chain and a number of pairs."""
     n = chain.length.size
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
-    return Room(
+    return TangentWorkspace(
         lanes,
         tip,
         np.zeros((9, K)),
@@ -76,22 +76,22 @@ def room_for(chain, pairs):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def clear_ends(room):  # type: ignore[no-untyped-def]
+def clear_ends(workspace):  # type: ignore[no-untyped-def]
     """Let neither the base's motion nor the tip mass change."""
-    lanes = room.lanes
+    lanes = workspace.lanes
     tip = lanes.size - ln.ROW * K
     for x in range(tg.DQ * K, (tg.BETA + 2) * K):
         lanes[x] = 0.0
         lanes[tip + x] = 0.0
-    if room.air.size > 0:
+    if workspace.air.size > 0:
         for x in range(dg.DVX * K, (dg.DVY + 2) * K):
-            room.air[x] = 0.0
+            workspace.air[x] = 0.0
 
 
 @kernel
-def set_ends(drive, part, directions, b, room):  # type: ignore[no-untyped-def]
+def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-def]
     """Put the changes of the base's motion and of the tip mass into the first and the last row of the lanes."""
-    lanes, moved = room.lanes, room.moved
+    lanes, moved = workspace.lanes, workspace.moved
     n = lanes.size // (ln.ROW * K) - 2
     far = lanes[n * ln.ROW * K : (n + 1) * ln.ROW * K]
     tip = lanes[(n + 1) * ln.ROW * K :]
@@ -102,17 +102,17 @@ def set_ends(drive, part, directions, b, room):  # type: ignore[no-untyped-def]
         heavier = directions.whole[b, d, dr.TIP_MASS]
         for j in range(K):
             if m >= 0:
-                late = room.shift[b, d] + room.into[j] * room.change[b, d]
-                dr.base_change(drive, part, room.when[j], late, directions, m, moved)
+                late = workspace.shift[b, d] + workspace.into[j] * workspace.change[b, d]
+                dr.base_change(drive, part, workspace.when[j], late, directions, m, moved)
             lanes[(tg.DQ + d) * K + j] = moved[dr.TURN]
             lanes[(tg.DW + d) * K + j] = moved[dr.RATE]
             lanes[(tg.PX + d) * K + j] = moved[dr.ACC_X] - gx
             lanes[(tg.PY + d) * K + j] = moved[dr.ACC_Y] - gy
             lanes[(tg.ALPHA + d) * K + j] = moved[dr.ALPHA]
             lanes[(tg.RHS + d) * K + j] = moved[dr.MOTOR]
-            if room.air.size > 0:
-                room.air[(dg.DVX + d) * K + j] = moved[dr.SPEED_X]
-                room.air[(dg.DVY + d) * K + j] = moved[dr.SPEED_Y]
+            if workspace.air.size > 0:
+                workspace.air[(dg.DVX + d) * K + j] = moved[dr.SPEED_X]
+                workspace.air[(dg.DVY + d) * K + j] = moved[dr.SPEED_Y]
             tip[(tg.BX + d) * K + j] = heavier * far[ln.PX * K + j]
             tip[(tg.BY + d) * K + j] = heavier * far[ln.PY * K + j]
 
@@ -147,7 +147,7 @@ def leave(lanes, own, weight, ends):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def spread(values, store):  # type: ignore[no-untyped-def]
+def set_start(values, store):  # type: ignore[no-untyped-def]
     """Make derivatives (2 n, p) the start in every lane of `store` (b, n PARTS CELL)."""
     n = values.shape[0] // 2
     for b in range(store.shape[0]):
@@ -161,7 +161,7 @@ def spread(values, store):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def gather(store, values):  # type: ignore[no-untyped-def]
+def sum_columns(store, values):  # type: ignore[no-untyped-def]
     """Sum the lanes of the sums in `store` to derivatives (2 n, p), and set them back."""
     n = values.shape[0] // 2
     for b in range(store.shape[0]):
@@ -176,23 +176,23 @@ def gather(store, values):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def begin_pairs(bears, lanes, air, base):  # type: ignore[no-untyped-def]
+def begin_pairs(reaction, lanes, air, base):  # type: ignore[no-untyped-def]
     """Work out what the pairs have in common, after a step of ``lanes.euler``."""
-    tg.prepare(ln.COLUMNS, bears, lanes)
+    tg.prepare(ln.COLUMNS, reaction, lanes)
     if air.size > 0:
         dg.begin(ln.COLUMNS, lanes, base, air)
 
 
 @kernel
-def step_pair(bears, lanes, air, links, stretch):  # type: ignore[no-untyped-def]
+def step_pair(reaction, lanes, air, links, stretch):  # type: ignore[no-untyped-def]
     """Derivatives of that step for changes of everything, see ``step.step_all``."""
     if air.size > 0:
-        dg.along(ln.COLUMNS, lanes, air, links)
-    tg.step_all(ln.COLUMNS, bears, lanes, links, stretch)
+        dg.tangent_drag(ln.COLUMNS, lanes, air, links)
+    tg.step_all(ln.COLUMNS, reaction, lanes, links, stretch)
 
 
 @kernel
-def step_along(chain, drive, part, table, t, step, y, out, directions, result, room):  # type: ignore[no-untyped-def]
+def tangent_step(chain, drive, part, table, t, step, y, out, directions, result, workspace):  # type: ignore[no-untyped-def]
     """One extrapolated step, as ``steppers.extrapolate``, with the derivatives of its result.
 
     Parameters
@@ -201,38 +201,40 @@ def step_along(chain, drive, part, table, t, step, y, out, directions, result, r
     t, step : float, s
     y, out : (2 n + 2,) state before the step, and after it (out)
     result : (2 n, p) out, derivatives of the angles and rates after the step
-    room : Room; ``store`` holds the derivatives before the step, ``shift`` and ``change`` those of t and `step`
+    workspace : TangentWorkspace
+        ``store`` holds the derivatives before the step, ``shift`` and ``change`` those of t and `step`
     """
-    room.stretch[:] = room.change / step
+    workspace.stretch[:] = workspace.change / step
     out[:] = y
-    sines(y[: chain.length.size], room.work, 0)
+    sines(y[: chain.length.size], workspace.work, 0)
     # by name: to take an array out of a tuple within the loop over the pairs costs as much as a third of the step
-    lanes, store, anew, weight, bears = room.lanes, room.store, room.anew, room.weight, chain.bears
-    kind, links, stretch, air = directions.kind, directions.links, room.stretch, room.air
+    lanes, store, anew, weight = workspace.lanes, workspace.store, workspace.anew, workspace.weight
+    reaction = chain.reaction
+    kind, links, stretch, air = directions.kind, directions.links, workspace.stretch, workspace.air
     airy = air.size > 0
     for turn in range(table.column.shape[0]):
-        begin_columns(chain, drive, part, table, turn, t, step, y, lanes, room.tip, room.base, room.work)
-        tg.remember(ln.COLUMNS, lanes)
-        ln.euler(ln.COLUMNS, bears, ln.MORE, lanes, room.tip, room.base)
-        begin_pairs(bears, lanes, air, room.base)
+        begin_columns(chain, drive, part, table, turn, t, step, y, lanes, workspace.tip, workspace.base, workspace.work)
+        tg.save_trig(ln.COLUMNS, lanes)
+        ln.euler(ln.COLUMNS, reaction, ln.MORE, lanes, workspace.tip, workspace.base)
+        begin_pairs(reaction, lanes, air, workspace.base)
         for x in range(CELL):
             col, done = table.column[turn, x % K], table.done[turn, x % K]
             weight[x] = table.best[col] if col > 0 and done == col - 1 else 0.0
             anew[x] = 1.0 if turn == 0 or (col > 0 and done == 0) else 0.0
         for j in range(K):
-            room.into[j] = table.done[turn, j] / max(table.column[turn, j], 1)
-            room.when[j] = t + room.into[j] * step
+            workspace.into[j] = table.done[turn, j] / max(table.column[turn, j], 1)
+            workspace.when[j] = t + workspace.into[j] * step
         begins, ends = anew.any(), weight.any()
         for b in range(kind.size):
             enter(lanes, store[b], anew, begins)
             if kind[b] & dr.ENDS:
-                set_ends(drive, part, directions, b, room)
+                set_ends(drive, part, directions, b, workspace)
             else:
-                clear_ends(room)
+                clear_ends(workspace)
             if airy or kind[b] & dr.LINKS or stretch[b, 0] != 0.0 or stretch[b, 1] != 0.0:
-                step_pair(bears, lanes, air, links[b], stretch[b])
+                step_pair(reaction, lanes, air, links[b], stretch[b])
             else:
-                tg.step_state(ln.COLUMNS, bears, lanes)
+                tg.step_state(ln.COLUMNS, reaction, lanes)
             leave(lanes, store[b], weight, ends)
-        end_columns(table, turn, y, out, room.errors, room.lanes)
-    gather(room.store, result)
+        end_columns(table, turn, y, out, workspace.errors, workspace.lanes)
+    sum_columns(workspace.store, result)

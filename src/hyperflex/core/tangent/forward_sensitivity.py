@@ -1,4 +1,4 @@
-"""A run gone through again along its recorded steps, with its derivatives in any number of directions.
+"""Forward sensitivity of a recorded run, for any number of directions.
 
 The steps stay what they were, so the result is the derivative of the very numbers that the run gave: each step keeps
 its length but for one that ends at a switch, at an event or at an output, whose time depends on a direction.
@@ -14,26 +14,32 @@ from hyperflex.core.integrate.progress import DEGREE, END, JOINT, LENGTH, MODES
 from hyperflex.core.integrate.steps import rates
 from hyperflex.core.jit import kernel
 from hyperflex.core.tangent import directions as dr
-from hyperflex.core.tangent.dense_output import write_inside
-from hyperflex.core.tangent.events import chatters, end_along, end_at_event, hold_outputs, turning_for
-from hyperflex.core.tangent.extrapolation import room_for, spread, step_along
+from hyperflex.core.tangent.dense_output import write_within_step
+from hyperflex.core.tangent.events import (
+    event_sensitivity,
+    is_chatter,
+    new_event_workspace,
+    project_outputs,
+    tangent_step_end,
+)
+from hyperflex.core.tangent.extrapolation import new_tangent_workspace, set_start, tangent_step
 
 
 @kernel
-def write_end(chain, drive, part, t, y, grip, room, values, y_out, dy_out):  # type: ignore[no-untyped-def]
+def write_end(chain, drive, part, t, y, slip, workspace, values, y_out, dy_out):  # type: ignore[no-untyped-def]
     """Write the state at the end of a step, and its derivatives at that very time, where the step's end moves too."""
     y_out[:] = y
     dy_out[:] = values
-    if room.shift.any():
-        rates(chain, drive, part, t, y, grip, room.dys[0], room.work)
-        for b in range(room.shift.shape[0]):
+    if workspace.shift.any():
+        rates(chain, drive, part, t, y, slip, workspace.dys[0], workspace.work)
+        for b in range(workspace.shift.shape[0]):
             for d in range(2):
-                for i in range(2 * grip.size):
-                    dy_out[i, 2 * b + d] -= room.dys[0, i] * room.shift[b, d]
+                for i in range(2 * slip.size):
+                    dy_out[i, 2 * b + d] -= workspace.dys[0, i] * workspace.shift[b, d]
 
 
 @kernel
-def set_change(drive, part, t_new, stop, directions, room):  # type: ignore[no-untyped-def]
+def set_change(drive, part, t_new, stop, directions, workspace):  # type: ignore[no-untyped-def]
     """Change of the length of the step that ends at t_new: none, unless a switch or the end of the run cuts it.
 
     For events see core/tangent/events.py.
@@ -41,13 +47,13 @@ def set_change(drive, part, t_new, stop, directions, room):  # type: ignore[no-u
     for b in range(directions.kind.size):
         for d in range(2):
             m = directions.driven[b, d]
-            room.change[b, d] = -room.shift[b, d] if t_new >= part.end or t_new >= stop else 0.0
+            workspace.change[b, d] = -workspace.shift[b, d] if t_new >= part.end or t_new >= stop else 0.0
             if m >= 0 and t_new >= part.end:
-                room.change[b, d] += dr.end_shift(drive, part, directions.breaks[m])
+                workspace.change[b, d] += dr.end_shift(drive, part, directions.breaks[m])
 
 
 @kernel
-def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, dy_out):  # type: ignore[no-untyped-def]
+def forward_sensitivities(chain, drive, tables, steps, begin, start, directions, t_out, y_out, dy_out):  # type: ignore[no-untyped-def]
     """Go through a recorded run again; O(n p) a step.
 
     Parameters
@@ -61,10 +67,10 @@ def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, 
     y_out : (T, 2 n + 2) out; row 0 holds the state at `begin` when called, and t_out[0] is `begin`
     dy_out : (T, 2 n, p) out, but for row 0
     """
-    room = room_for(chain, directions.kind.size)
-    turn = turning_for(chain, drive, directions)
+    workspace = new_tangent_workspace(chain, directions.kind.size)
+    turn = new_event_workspace(chain, drive, directions)
     sticks = steps.shape[1] > JOINT
-    grip, joint = np.ones(chain.length.size), -1
+    slip, joint = np.ones(chain.length.size), -1
     y = y_out[0].copy()
     values = start.copy()
     t, index, fresh = begin, 1, False
@@ -75,40 +81,40 @@ def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, 
         table = tables[int(steps[m, DEGREE]) - tables[0].order]
         if t >= part.end:
             part = segment(drive, t)
-        set_change(drive, part, t_new, stop, directions, room)
+        set_change(drive, part, t_new, stop, directions, workspace)
         if sticks:
-            grip[:] = steps[m, MODES:]
+            slip[:] = steps[m, MODES:]
             joint = int(steps[m, JOINT])
-            ln.set_grip(ln.COLUMNS, room.lanes, grip)
-            ln.set_grip(ln.COLUMNS, turn.room.lanes, grip)
-        spread(values, room.store)
-        step_along(chain, drive, part, table, t, step, y, room.out, directions, room.nodes[2], room)
-        room.ys[0], room.ys[2] = y, room.out
-        room.nodes[0] = values
-        if joint >= 0 and t_new < min(part.end, stop) and not chatters(drive, part, t, step, y, grip, joint, turn):
-            end_at_event(chain, drive, part, table, t, step, y, values, grip, joint, directions, room, turn)
+            ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
+            ln.set_slip(ln.COLUMNS, turn.workspace.lanes, slip)
+        set_start(values, workspace.store)
+        tangent_step(chain, drive, part, table, t, step, y, workspace.out, directions, workspace.nodes[2], workspace)
+        workspace.ys[0], workspace.ys[2] = y, workspace.out
+        workspace.nodes[0] = values
+        if joint >= 0 and t_new < min(part.end, stop) and not is_chatter(drive, part, t, step, y, slip, joint, turn):
+            event_sensitivity(chain, drive, part, table, t, step, y, values, slip, joint, directions, workspace, turn)
         if sticks:
-            end_along(chain, drive, part, t, step, y, values, grip, joint, directions, room, turn)
+            tangent_step_end(chain, drive, part, t, step, y, values, slip, joint, directions, workspace, turn)
         last = index
         while last < t_out.size and t_out[last] < t_new:
             last += 1
         times, states, slopes = t_out[index:last], y_out[index:last], dy_out[index:last]
         if last > index and fresh:
-            change = room.change.copy()
-            room.change[:] = -room.shift
+            change = workspace.change.copy()
+            workspace.change[:] = -workspace.shift
             for k in range(times.size):
-                step_along(chain, drive, part, table, t, times[k] - t, y, states[k], directions, slopes[k], room)
-            room.change[:] = change
+                tangent_step(chain, drive, part, table, t, times[k] - t, y, states[k], directions, slopes[k], workspace)
+            workspace.change[:] = change
         elif last > index:
-            write_inside(chain, drive, part, table, t, t_new - t, y, times, directions, room, states, slopes)
-        if last > index and not grip.all():
-            hold_outputs(chain, drive, part, t, y, values, grip, times, directions, room, turn, states, slopes)
+            write_within_step(chain, drive, part, table, t, t_new - t, y, times, directions, workspace, states, slopes)
+        if last > index and not slip.all():
+            project_outputs(chain, drive, part, t, y, values, slip, times, directions, workspace, turn, states, slopes)
         index = last
-        y[:] = room.ys[2]
-        values[:] = room.nodes[2]
-        room.shift[:] += room.change
+        y[:] = workspace.ys[2]
+        values[:] = workspace.nodes[2]
+        workspace.shift[:] += workspace.change
         fresh = t_new >= part.end or joint >= 0
         t = t_new
         while index < t_out.size and t_out[index] <= t:
-            write_end(chain, drive, part, t, y, grip, room, values, y_out[index], dy_out[index])
+            write_end(chain, drive, part, t, y, slip, workspace, values, y_out[index], dy_out[index])
             index += 1

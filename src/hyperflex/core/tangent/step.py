@@ -1,4 +1,4 @@
-"""Derivatives of one linearly implicit Euler step, two directions at a time, in the lanes of the step itself.
+"""Tangent of one linearly implicit Euler step, two directions at a time.
 
 A direction is a change of the state, of the parameters, of the base's motion or of the step's length. What follows
 from it to first order obeys the step's own equations with another right-hand side, (M.19)-(M.22), so the factors that
@@ -40,7 +40,7 @@ def joint_motion(row, k, j, first):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def remember(width, lanes):  # type: ignore[no-untyped-def]
+def save_trig(width, lanes):  # type: ignore[no-untyped-def]
     """Keep the sines and cosines that ``lanes.euler`` will overwrite; comes before it."""
     k = len(width)
     n = lanes.size // (ln.ROW * k) - 2
@@ -52,10 +52,10 @@ def remember(width, lanes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def prepare(width, bears, lanes):  # type: ignore[no-untyped-def]
+def prepare(width, reaction, lanes):  # type: ignore[no-untyped-def]
     """Work out BEFORE and BY_Q to WY from what ``lanes.euler`` has left; once a step, for all directions."""
     k = len(width)
-    share = len(bears) - 1.0
+    reaction_factor = len(reaction) - 1.0
     n = lanes.size // (ln.ROW * k) - 2
     for i in range(1, n + 1):
         row = lanes[(i - 1) * ln.ROW * k : (i + 2) * ln.ROW * k]
@@ -64,7 +64,7 @@ def prepare(width, bears, lanes):  # type: ignore[no-untyped-def]
             sin, cos = row[(ln.AT + SIN) * k + j], row[(ln.AT + COS) * k + j]
             alpha = row[(ln.AT + ln.ALPHA) * k + j]
             w = row[(ln.AT + ln.W) * k + j] - row[(ln.AT + ln.STEP) * k + j] * alpha
-            axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, _, _ = ln.load_answer(row, k, j, share, ln.DOWN)
+            axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, _, _ = ln.load_answer(row, k, j, reaction_factor, ln.DOWN)
             far_x, far_y = row[(ln.AT + ln.PX) * k + j], row[(ln.AT + ln.PY) * k + j]
             force_x = axx * far_x + axy * far_y + fx * alpha + bx
             force_y = ayx * far_x + ayy * far_y + fy * alpha + by
@@ -84,28 +84,28 @@ def prepare(width, bears, lanes):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def link_factors(row, k, j, share):  # type: ignore[no-untyped-def]
+def link_factors(row, k, j, reaction_factor):  # type: ignore[no-untyped-def]
     """What multiplies the derivatives of a link's state and of the answer beyond it, (M.21)."""
     length, inv = row[(ln.AT + ln.LENGTH) * k + j], row[(ln.AT + ln.INV) * k + j]
     nx, ny = length * row[(ln.AT + COS) * k + j], length * row[(ln.AT + SIN) * k + j]
     h, joint = row[(ln.AT + ln.STEP) * k + j], ln.joint_in(row, k, j)
     gx, gy, back = row[(ln.AT + ln.EX) * k + j], row[(ln.AT + ln.EY) * k + j], row[(ln.AT + ln.KD) * k + j]
-    if share == 0.0:  # else A is symmetric and f = u
-        _, axy, ayx, _, fx, fy, _, _, ux, uy, _, _ = ln.load_answer(row, k, j, share, ln.DOWN)
+    if reaction_factor == 0.0:  # else A is symmetric and f = u
+        _, axy, ayx, _, fx, fy, _, _, ux, uy, _, _ = ln.load_answer(row, k, j, reaction_factor, ln.DOWN)
         gx += inv * (ny * (axy - ayx) + fx - ux)
         gy += inv * (nx * (ayx - axy) + fy - uy)
-        back = joint_law.slopes(joint, share, h, h * h)[1] * inv
+        back = joint_law.jacobian(joint, reaction_factor, h, h * h)[1] * inv
     return (
         (row[(ln.AT + BY_Q) * k + j], row[(ln.AT + BY_W) * k + j], nx, ny),
         (row[(ln.AT + QX) * k + j], row[(ln.AT + QY) * k + j]),
         (row[(ln.AT + WX) * k + j], row[(ln.AT + WY) * k + j]),
         (gx, gy, inv, back),
-        (*joint_law.slopes(joint, share, 1.0, h), joint_law.slopes(joint, share, 0.0, 1.0)[0]),
+        (*joint_law.jacobian(joint, reaction_factor, 1.0, h), joint_law.jacobian(joint, reaction_factor, 0.0, 1.0)[0]),
     )
 
 
 @inlined
-def link_sources(row, k, j, seed, bend, rate, share):  # type: ignore[no-untyped-def]
+def link_sources(row, k, j, seed, bend, rate, reaction_factor):  # type: ignore[no-untyped-def]
     """Right-hand sides that stem from a change of parameters and of the step's length, (M.22).
 
     `seed` holds the link's SEEDS and the relative change of the step. Returns (moment, joint torque, the same back on
@@ -115,7 +115,7 @@ def link_sources(row, k, j, seed, bend, rate, share):  # type: ignore[no-untyped
     sin, cos = row[(ln.AT + SIN) * k + j], row[(ln.AT + COS) * k + j]
     alpha, h = row[(ln.AT + ln.ALPHA) * k + j], row[(ln.AT + ln.STEP) * k + j]
     w = row[(ln.AT + BEFORE) * k + j]
-    axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, _, _ = ln.load_answer(row, k, j, share, ln.DOWN)
+    axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, _, _ = ln.load_answer(row, k, j, reaction_factor, ln.DOWN)
     px, py = row[(ln.UP + ln.PX) * k + j], row[(ln.UP + ln.PY) * k + j]
     far_x, far_y = row[(ln.AT + ln.PX) * k + j], row[(ln.AT + ln.PY) * k + j]
     zx, zy = cos * alpha - sin * w * w, sin * alpha + cos * w * w
@@ -126,8 +126,8 @@ def link_sources(row, k, j, seed, bend, rate, share):  # type: ignore[no-untyped
     moment = -inertia * alpha - ma * (cos * px + sin * py)
     moment -= length * (ux * zx + uy * zy + cos * pull_x + sin * pull_y)
     change = alpha - row[(ln.UP + ln.ALPHA) * k + j]
-    joint, own, grip = ln.joint_in(row, k, j), (viscous, dry, stiffness, rest), row[(ln.AT + ln.GRIP) * k + j]
-    torque, torque_back = joint_law.variation(joint, own, share, bend, rate, change, grip, h, stretch)
+    joint, own, slip = ln.joint_in(row, k, j), (viscous, dry, stiffness, rest), row[(ln.AT + ln.SLIP) * k + j]
+    torque, torque_back = joint_law.variation(joint, own, reaction_factor, bend, rate, change, slip, h, stretch)
     return (
         moment,
         torque,
@@ -194,25 +194,25 @@ def load_seed(links, i, stretch):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def step_state(width, bears, lanes):  # type: ignore[no-untyped-def]
+def step_state(width, reaction, lanes):  # type: ignore[no-untyped-def]
     """Derivatives of the step of ``lanes.euler``, for two changes of state and base alone; ``prepare`` comes first.
 
     Parameters
     ----------
     width : tuple whose length is the number of lanes, k
-    bears : as in Chain
+    reaction : as in Chain
     lanes : ((n + 2) ROW k,) DQ and DW of the links are advanced in place. Row 0 holds what the base does: DQ, DW of its
         angle and rate, PX, PY, ALPHA of its accelerations; the last row BX, BY of what hangs beyond the tip
     """
     k = len(width)
-    share = len(bears) - 1.0
+    reaction_factor = len(reaction) - 1.0
     n = lanes.size // (ln.ROW * k) - 2
     still = (0.0, 0.0, 0.0, 0.0, 0.0)
     for way in range(n):
         i = n - way
         row = lanes[(i - 1) * ln.ROW * k : (i + 2) * ln.ROW * k]
         for j in range(k):
-            factors = link_factors(row, k, j, share)
+            factors = link_factors(row, k, j, reaction_factor)
             up_one(row, k, j, 0, factors, still)
             up_one(row, k, j, 1, factors, still)
     for i in range(1, n + 1):
@@ -224,18 +224,18 @@ def step_state(width, bears, lanes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def step_all(width, bears, lanes, links, stretch):  # type: ignore[no-untyped-def]
+def step_all(width, reaction, lanes, links, stretch):  # type: ignore[no-untyped-def]
     """Do the same for changes of everything: parameters, the step's length, the torque on link 0.
 
     Parameters
     ----------
-    width, bears, lanes : as in ``step_state``; RHS of row 0 holds the change of the torque on link 0, N m, and with
+    width, reaction, lanes : as in ``step_state``; RHS of row 0 holds the change of the torque on link 0, N m, and with
         drag RHS of the links that of the air's torques, see ``tangent.air``
     links : (2, n, SEEDS) changes of the links' parameters
     stretch : (2,) relative change of the step's length in every lane
     """
     k = len(width)
-    share = len(bears) - 1.0
+    reaction_factor = len(reaction) - 1.0
     n = lanes.size // (ln.ROW * k) - 2
     airy = 1.0 if lanes[ln.DRAG * k] > 0.0 else 0.0
     for way in range(n):
@@ -246,11 +246,11 @@ def step_all(width, bears, lanes, links, stretch):  # type: ignore[no-untyped-de
         two = load_seed(links[1], i - 1, stretch[1])
         for j in range(k):
             bend, rate = joint_motion(row, k, j, first)
-            factors = link_factors(row, k, j, share)
-            m, t, tb, x, y = link_sources(row, k, j, one, bend, rate, share)
+            factors = link_factors(row, k, j, reaction_factor)
+            m, t, tb, x, y = link_sources(row, k, j, one, bend, rate, reaction_factor)
             m += first * row[(ln.UP + RHS) * k + j] + airy * row[(ln.AT + RHS) * k + j]
             up_one(row, k, j, 0, factors, (m, t, tb, x, y))
-            m, t, tb, x, y = link_sources(row, k, j, two, bend, rate, share)
+            m, t, tb, x, y = link_sources(row, k, j, two, bend, rate, reaction_factor)
             m += first * row[(ln.UP + RHS + 1) * k + j] + airy * row[(ln.AT + RHS + 1) * k + j]
             up_one(row, k, j, 1, factors, (m, t, tb, x, y))
     one_stretch, two_stretch = stretch[0], stretch[1]

@@ -27,7 +27,7 @@ from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.model import Rope, Setup
 from hyperflex.recording import Recording
-from hyperflex.simulation import Slopes, angles
+from hyperflex.simulation import AngleJacobian, angles
 
 RevisionProfile = Literal["response", "calculated", "measured", "measured rates"]
 
@@ -228,7 +228,7 @@ class _Revision:
         self.jacobian = None
         if profile == "response":
             names = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
-            self.jacobian = Slopes(Setup(guess), names)
+            self.jacobian = AngleJacobian(Setup(guess), names)
 
     def rope(self, values: Array) -> Rope:
         """Return the guess with one J and one eta (2,) for all links."""
@@ -267,7 +267,7 @@ class _Revision:
         found = fit_regression(rope, q, qd, qdd, UNKNOWNS).solve()
         return np.maximum(found.values, 0.0), found.sd
 
-    def by_response(self, jacobian: Slopes, rope: Rope, at: Round) -> tuple[Array, Array]:
+    def by_response(self, jacobian: AngleJacobian, rope: Rope, at: Round) -> tuple[Array, Array]:
         """Fit the changes of angles that changes of J and eta make, the initial state free, to what is left of them."""
         q, _, dq, _ = jacobian(self.measured.t, at.q, at.qd, rope)
         known = np.isfinite(self.measured.data)

@@ -19,8 +19,8 @@ from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.sensors import Angles, MotorTorque, Sensor
 from hyperflex.simulation.rollouts import finish, limits, prepare
-from hyperflex.simulation.sensitivity.directions import Wanted
-from hyperflex.simulation.sensitivity.sensitivity import along, recorded
+from hyperflex.simulation.sensitivity.directions import ParameterDirections
+from hyperflex.simulation.sensitivity.sensitivity import forward_derivatives, record_steps
 
 PRECISION = 1e-7  # tolerance of a rollout over the rope's length, far below any measured angle's error
 
@@ -36,7 +36,7 @@ class _Evaluation:
     sensor: Sensor
     motor: MotorTorque | None
     moving: list[int]  # which parameters move the rope
-    parameter_directions: Wanted  # state first, then those
+    parameter_directions: ParameterDirections  # state first, then those
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,8 @@ class Plant:
             return None
         n, start = at.rope.n_links, (state[: state.size // 2], state[state.size // 2 :])
         try:
-            run = recorded(at.chain, at.drive, start, self._limits(at, t), float(t[0]))
-            y, dy = along(run, at.parameter_directions, start, t)
+            run = record_steps(at.chain, at.drive, start, self._limits(at, t), float(t[0]))
+            y, dy = forward_derivatives(run, at.parameter_directions, start, t)
         except SimulationError:
             return None
         q, dq = y[:, :n], dy[:, :n, : len(at.parameter_directions.names)]
@@ -207,7 +207,14 @@ class Plant:
         names = tuple(str(k) for k in range(len(parts)))
         sensor = self.sensor.with_values(own)
         return _Evaluation(
-            rope, rope.chain(), motion, drive, sensor, motor, [k for k, _ in moving], Wanted(names, tuple(parts))
+            rope,
+            rope.chain(),
+            motion,
+            drive,
+            sensor,
+            motor,
+            [k for k, _ in moving],
+            ParameterDirections(names, tuple(parts)),
         )
 
 

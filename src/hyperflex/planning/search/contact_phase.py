@@ -125,7 +125,7 @@ def _run(batch: RolloutBatch, t: Array, arm: Arm, time_budget: float, threads: i
         refine=False,
         pegs=[[peg] for peg in batch.pegs],
         keep=("turns", "q", "qd"),
-        patience=time_budget,
+        time_budget=time_budget,
         threads=threads,
     )
 

@@ -1,1 +1,1 @@
-"""Many rollouts at once: in SIMD lanes, or beside pegs on threads."""
+"""Batch rollouts: in SIMD lanes, or with contact on threads."""

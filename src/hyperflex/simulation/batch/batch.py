@@ -1,4 +1,4 @@
-"""Many rollouts at once: members side by side in SIMD lanes, blocks of members on threads."""
+"""Batch rollouts: members in SIMD lanes, blocks of members on threads."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def simulate_batch(
     pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]] = (),
     contact_step: float = DEFAULT_CONTACT_STEP,
     refine: bool = True,
-    patience: float | None = None,
+    time_budget: float | None = None,
     threads: int | None = None,
     progress: bool = False,
 ) -> Batch:
@@ -154,8 +154,8 @@ def simulate_batch(
         each as :func:`hyperflex.simulate` runs it and with the same result.
     contact_step, refine
         As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
-    patience : float, optional
-        Processor time, s, after which a member beside pegs or with joint limits has failed ("out of patience"); by
+    time_budget : float, optional
+        Processor time, s, after which a member beside pegs or with joint limits has failed ("time budget exceeded"); by
         default it may take any.
     threads : int, optional
         By default one a processor. Results do not depend on it.
@@ -195,10 +195,12 @@ def simulate_batch(
             )
         t = _outputs(t_eval, setups[0].duration)
         shapes = {name: KEPT[name][0] for name in keep}
-        values, names, reached = run_members(setups, t, shapes, patience, workers, progress)
+        values, names, reached = run_members(setups, t, shapes, time_budget, workers, progress)
         return Batch(t, values, tuple(names), reached)
-    if patience is not None:
-        raise InvalidInput("patience is for members beside pegs or with joint limits, and there are none", got=patience)
+    if time_budget is not None:
+        raise InvalidInput(
+            "time_budget is for members beside pegs or with joint limits, and there are none", got=time_budget
+        )
     chains = [setup.chain() for setup in setups]
     drives = [setup.drive() for setup in setups]
     starts = starts_of(setups)

@@ -1,4 +1,4 @@
-"""Many rollouts beside pegs or with joint limits: each as :func:`simulate` runs it, members on threads."""
+"""Contact batch: members with pegs or joint limits, one by one on threads."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.model import Setup
-from hyperflex.simulation.contact.runs import beside
+from hyperflex.simulation.contact.runs import contact_run
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.outcome import conclude
 from hyperflex.simulation.rollouts import limits, prepare, progress_bar
-from hyperflex.simulation.time_budget import INTERRUPTED, OutOfPatience, impatient
+from hyperflex.simulation.time_budget import INTERRUPTED, TimeBudgetExceeded, enforce_budget
 from hyperflex.simulation.time_budget import NAME as TOO_SLOW
 from hyperflex.trajectory import Trajectory, swept
 
@@ -25,7 +25,7 @@ def run_members(
     setups: Sequence[Setup],
     t: Array,
     keep: dict[str, tuple[str, ...]],
-    patience: float | None,
+    time_budget: float | None,
     threads: int,
     progress: bool,
 ) -> tuple[dict[str, Array], list[str], Array]:
@@ -38,7 +38,7 @@ def run_members(
         Times of the output, s.
     keep : dict
         What to keep, with the dimensions of one sample: "link", "axis" or "peg".
-    patience, threads, progress
+    time_budget, threads, progress
         As in :func:`hyperflex.simulate_batch`.
 
     Returns
@@ -57,7 +57,7 @@ def run_members(
     names, reached = [INTERRUPTED] * len(setups), np.zeros(len(setups))
 
     def one(m: int) -> None:
-        run = _run(setups[m], t, patience)
+        run = _run(setups[m], t, time_budget)
         for name, target in values.items():
             found = _kept(run, name)
             whole: tuple[slice, ...] = tuple(slice(0, size) for size in found.shape)
@@ -77,15 +77,15 @@ def run_members(
     return values, names, reached
 
 
-def _run(setup: Setup, t: Array, patience: float | None) -> Trajectory:
+def _run(setup: Setup, t: Array, time_budget: float | None) -> Trajectory:
     """Run one member with outputs at t (T,), s; the trajectory holds what holds."""
     chain = setup.chain()
     bounds = limits(setup, chain, setup.duration)
     rollout = prepare(chain, setup.drive(), setup.start(), np.append(0.0, t), bounds)
     try:
-        code = beside(rollout, setup, None).finish(impatient(None, patience))
+        code = contact_run(rollout, setup, None).finish(enforce_budget(None, time_budget))
         name = status.NAMES[code]
-    except OutOfPatience:
+    except TimeBudgetExceeded:
         code, name = status.RUNNING, TOO_SLOW
     return conclude(rollout, setup, code, name, throw=False, skip=1)
 

@@ -1,4 +1,4 @@
-"""The members of a batch: from ropes, motions and starts, one for all or one each, to the arrays that lanes need."""
+"""Members of a batch: from ropes, motions and starts to the arrays of the lanes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hyperflex.core.integrate.steps import scheme
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.contact.runs import finer
+from hyperflex.simulation.contact.runs import refine_arguments
 from hyperflex.simulation.rollouts import lever
 
 # Order by tolerance, m: where lanes are full, an order costs p (p + 1) / 2 sweeps, so few cheap columns beat the high
@@ -77,7 +77,7 @@ def setups_of(
     def member(m: int) -> Setup:
         rope, motion, obstacles, q0, qd0 = (each[m % len(each)] for each in every)
         if refine and obstacles:
-            rope, q0, qd0, _ = finer(rope, obstacles, arm, q0, qd0, None)
+            rope, q0, qd0, _ = refine_arguments(rope, obstacles, arm, q0, qd0, None)
         return Setup(rope, motion, arm, q0=q0, qd0=qd0, pegs=obstacles, **others)
 
     return [member(m) for m in range(count)]
@@ -127,4 +127,4 @@ def members_of(chains: list[Chain], drives: list[Drive], starts: Array) -> Membe
 def terms_of(setup: Setup, chain: Chain, step: float = 0.0) -> Terms:
     """Return what all members have in common: the tolerance of one's set-up, or a chosen `step`, s."""
     table = scheme(next(order for least, order in ORDERS if setup.tol >= least))
-    return Terms(0.0, setup.tol, chain.bears, step, table.best, table.gap, table.rounding)
+    return Terms(0.0, setup.tol, chain.reaction, step, table.best, table.gap, table.rounding)

@@ -1,4 +1,4 @@
-"""Many runs taken one interval at a time, side by side in SIMD lanes, each with a command of its own."""
+"""Batch stepper: many runs taken one interval at a time, each with its own command."""
 
 from __future__ import annotations
 

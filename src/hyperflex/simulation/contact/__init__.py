@@ -1,1 +1,1 @@
-"""Runs beside pegs: free flight and contact, and what is checked before."""
+"""Runs with contact: free flight, contact steps, and checks of the start."""

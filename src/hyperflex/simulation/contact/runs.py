@@ -1,4 +1,4 @@
-"""Runs beside pegs or with joint limits: free flight by extrapolation, contact by its own stepper, and the hand-over.
+"""Runs with pegs or joint limits: free flight, contact steps, and the hand-over.
 
 A flight is so short that no joint can reach a peg meanwhile, as far as the speeds at its ends tell; where they rose by
 more than was allowed for, it is flown again by the stepper for contacts. A flight ends where a joint reaches its limit.
@@ -20,7 +20,7 @@ from hyperflex.core.chain.drive import Drive, base_state, segment
 from hyperflex.core.contact import bounds as at
 from hyperflex.core.contact import run as core
 from hyperflex.core.contact.arrays import STICK
-from hyperflex.core.contact.step import new_kept
+from hyperflex.core.contact.step import new_contact_memory
 from hyperflex.core.integrate.progress import INDEX, MARK, T
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refine_rope
 from hyperflex.simulation.contact.start import check_start
@@ -38,12 +38,12 @@ CLEAR = 0.03  # m, gap at which a rope that was in contact has left, where it is
 APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/rad
 BUDGET = 250  # steps between two looks at progress and Ctrl-C; some take milliseconds
 STEP = "contact_step"
-# in a state's checkpoint, in the order of ``contact.step.Kept``
+# in a state's checkpoint, in the order of ``contact.step.ContactMemory``
 KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_heavy", "joint_torque", "joint_mode")
 
 
-class Beside:
-    """A rollout beside pegs, or of a rope whose joints have limits.
+class ContactRun:
+    """A rollout with pegs, or of a rope whose joints have limits.
 
     Parameters
     ----------
@@ -65,23 +65,23 @@ class Beside:
         self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), contacts)
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
         run.spin, run.seen = np.zeros((2, m)), np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
-        self.course = at.Course(run.progress.y, np.zeros(at.CLOCK), run.spin, new_kept(n, m))
+        self.contact = at.ContactState(run.progress.y, np.zeros(at.CLOCK), run.spin, new_contact_memory(n, m))
         self.flights, self.flown, self.clear = 0, 0.0, CLEAR
         self.enter(state)
 
     def enter(self, state: State | None) -> None:
         """Begin anew at the state that the run stands at; forces and modes of contacts are those of `state`, if any."""
-        course, saved = self.course, {} if state is None else state.checkpoint
-        course.clock[:] = 0.0
-        course.clock[at.STEP], course.clock[at.DUE] = self.longest, 1.0
-        course.spin[:] = starting_spin(self.setup, state)
-        for name, array in zip(KEPT, course.kept, strict=True):
+        contact, saved = self.contact, {} if state is None else state.checkpoint
+        contact.clock[:] = 0.0
+        contact.clock[at.STEP], contact.clock[at.IMPACT_DUE] = self.longest, 1.0
+        contact.spin[:] = starting_spin(self.setup, state)
+        for name, array in zip(KEPT, contact.memory, strict=True):
             array[:] = saved[name] if np.shape(saved.get(name, ())) == array.shape else 0
-        if STEP in saved and np.array_equal(saved["y"], course.y):
-            course.clock[at.STEP], course.clock[at.DUE] = min(float(saved[STEP]), self.longest), 0.0
+        if STEP in saved and np.array_equal(saved["y"], contact.y):
+            contact.clock[at.STEP], contact.clock[at.IMPACT_DUE] = min(float(saved[STEP]), self.longest), 0.0
 
     def finish(self, report: Callable[[float], None] | None = None) -> int:
-        """Run to the end and return the status code; `report` hears of the simulated time now and then."""
+        """Run to the end and return the status code; `report` is called with the simulated time now and then."""
         code = status.RUNNING
         for own, given in zip(self.system[1][:3], self.run.drive[:3], strict=True):  # it may have been written anew
             own[:] = given
@@ -93,8 +93,8 @@ class Beside:
                 report(self.run.time)
         self.run.progress.clock[MARK] = -np.inf  # where the run stands is where it goes on from
         self.run.facts = self._facts()
-        names = zip(KEPT, self.course.kept, strict=True)
-        self.run.kept = {STEP: float(self.course.clock[at.STEP]), **{name: array.copy() for name, array in names}}
+        names = zip(KEPT, self.contact.memory, strict=True)
+        self.run.kept = {STEP: float(self.contact.clock[at.STEP]), **{name: array.copy() for name, array in names}}
         return code
 
     def _fly(self) -> int:
@@ -111,7 +111,7 @@ class Beside:
         if gap < self.clear or left <= SLACK:
             return status.LEFT
         self._lock()
-        y, before, begin, spin = run.progress.y.copy(), clock.copy(), run.time, self.course.spin.copy()
+        y, before, begin, spin = run.progress.y.copy(), clock.copy(), run.time, self.contact.spin.copy()
         span = gap / bound
         run.limits = run.limits._replace(stop=min(begin + span, stop))
         code = status.RUNNING
@@ -122,13 +122,13 @@ class Beside:
             return code
         gap, speed, _ = core.clearance(*self.system, run.time, run.progress.y)
         if np.isfinite(span) and (speed > bound or gap <= 0.0):
-            run.progress.y[:], clock[:], self.course.spin[:] = y, before, spin
+            run.progress.y[:], clock[:], self.contact.spin[:] = y, before, spin
             return self._touch(begin + span)
         self.flights, self.flown = self.flights + 1, self.flown + run.time - begin
-        for array in self.course.kept:
+        for array in self.contact.memory:
             array[:] = 0
         if code == status.LIMIT:
-            self.course.clock[at.DUE] = 1.0
+            self.contact.clock[at.IMPACT_DUE] = 1.0
             return status.LEFT
         return status.RUNNING if run.time < stop else status.OK
 
@@ -136,7 +136,7 @@ class Beside:
         """Take what the proximal method leaves off the rates of joints that stick: free flight knows them at rest."""
         run, base, n = self.run, np.empty(9), self.run.chain.length.size
         base_state(run.drive, segment(run.drive, run.time), run.time, base)
-        for i in np.flatnonzero(self.course.kept.bent == STICK):
+        for i in np.flatnonzero(self.contact.memory.bent == STICK):
             run.progress.y[n + i] = run.progress.y[n + i - 1] if i > 0 else base[3]
 
     def _advance(self) -> int:
@@ -146,28 +146,28 @@ class Beside:
             return run.advance()
         finally:
             if self.setup.pegs_turn and run.seen is not None:
-                n, m = run.chain.length.size, self.course.spin.shape[1]
-                spins, taken = coast(self.setup, self.course.spin, np.append(run.t[row : run.done], run.time) - begin)
+                n, m = run.chain.length.size, self.contact.spin.shape[1]
+                spins, taken = coast(self.setup, self.contact.spin, np.append(run.t[row : run.done], run.time) - begin)
                 run.seen[row : run.done, 3 * n + 4 :] = spins[:-1].reshape(-1, 2 * m)
                 run.y[row : run.done, 2 * n + 1] += taken[:-1]
                 run.progress.y[2 * n + 1] += taken[-1]
-                self.course.spin[:] = spins[-1]
+                self.contact.spin[:] = spins[-1]
 
     def _touch(self, least: float = -np.inf) -> int:
         """Step with contacts until the rope has left the pegs, and at least until `least`, s."""
-        run, clock, course = self.run, self.run.progress.clock, self.course
+        run, clock, contact = self.run, self.run.progress.clock, self.contact
         scale = self._energy()
         friction = float(run.chain.viscous.max())
         rate = self.looser * scale * (APPEARING if friction >= LOW_FRICTION else APPEARING_FREE)
-        course.clock[at.T], course.clock[at.INDEX] = clock[T], clock[INDEX]
+        contact.clock[at.T], contact.clock[at.INDEX] = clock[T], clock[INDEX]
         always = bool(self.pull.any())  # free flight knows no force on the tip
         forced = run.time < least
         stop = min(run.limits.stop, least) if forced else run.limits.stop
         clear = np.inf if always or forced else self.clear
         bounds = at.Bounds(stop, self.longest, rate, clear, SLACK, BUDGET)
-        code = int(core.run(*self.system, self.pull, bounds, course, run.t, run.y, run.seen))
-        index = course.clock[at.INDEX]
-        clock[:MARK] = starting_clock(float(course.clock[at.T]))
+        code = int(core.run(*self.system, self.pull, bounds, contact, run.t, run.y, run.seen))
+        index = contact.clock[at.INDEX]
+        clock[:MARK] = starting_clock(float(contact.clock[at.T]))
         clock[INDEX], clock[MARK] = index, -np.inf
         return status.RUNNING if code == status.OK and run.time < run.limits.stop else code
 
@@ -178,36 +178,36 @@ class Beside:
         base_state(run.drive, segment(run.drive, run.time), run.time, base)
         y = run.progress.y
         kinetic, _ = energies(chain, y[:n], y[n : 2 * n], (*base[7:9], *base[5:7], base[4], base[3]))
-        kinetic += float(spin_energy(self.setup, self.course.spin[1]))
+        kinetic += float(spin_energy(self.setup, self.contact.spin[1]))
         lever = chain.length.sum()
         mass = chain.mass.sum() + chain.tip_mass
         torque = float(np.abs(run.drive.coef[:, 3]).max()) if n else 0.0
         return float(kinetic + mass * np.hypot(chain.gx, chain.gy) * lever + np.hypot(*self.pull) * lever + torque)
 
     def _facts(self) -> dict[str, float]:
-        clock = self.course.clock
+        clock = self.contact.clock
         return {
             "contact_steps": float(clock[at.TAKEN]),
             "contact_unsolved": float(clock[at.UNSOLVED]),
             "contact_impacts": float(clock[at.IMPACTS]),
             "contact_deepest": float(clock[at.DEEPEST]),
-            "limit_passed": float(clock[at.BENT]),
-            "energy_appeared": float(clock[at.APPEARED]),
+            "limit_passed": float(clock[at.BEND]),
+            "energy_appeared": float(clock[at.ENERGY_GAIN]),
             "free_flights": float(self.flights),
             "free_time": self.flown,
         }
 
 
-def beside(run: Rollout, setup: Setup, state: State | None) -> Beside:
+def contact_run(run: Rollout, setup: Setup, state: State | None) -> ContactRun:
     """Make a prepared rollout one beside the pegs of its set-up, and within the limits of its joints.
 
     A start inside a peg, or past a limit, is refused.
     """
     check_start(setup, run.time, run.progress.y[: run.chain.length.size])
-    return Beside(run, setup, state)
+    return ContactRun(run, setup, state)
 
 
-def finer(
+def refine_arguments(
     rope: Rope, pegs: tuple[Obstacle, ...], arm: Arm | None, q0: Any, qd0: Any, state: State | None
 ) -> tuple[Rope, Any, Any, State | None]:
     """Return the rope cut as its pegs need it, and start and state with an entry for each of its links."""
@@ -229,8 +229,8 @@ def _own(values: Iterable[Any]) -> Iterator[Any]:
         yield np.array(value) if isinstance(value, np.ndarray) else value
 
 
-class Seen(NamedTuple):
-    """What contact makes of a run at its samples."""
+class ContactSamples(NamedTuple):
+    """Contact outputs of a run at its samples."""
 
     free: npt.NDArray[np.bool_]  # (T,) samples in free flight
     qdd: Array  # (T, n) rad/s^2; NaN there
@@ -240,11 +240,13 @@ class Seen(NamedTuple):
     spin: Array  # (T, 2, m) angles, rad, and rates, rad/s, of the obstacles; of those that turn
 
 
-def split(seen: Array, n: int) -> Seen:
+def split_samples(seen: Array, n: int) -> ContactSamples:
     """Take what was seen (T, 3 n + 4 + 2 m) of n links and m obstacles apart."""
     free = np.isnan(seen[:, 0])
     force = np.stack([seen[:, n : 2 * n], seen[:, 2 * n : 3 * n]], axis=-1)
     latest = np.maximum.accumulate(np.where(free, -1, np.arange(free.size)))  # contact loses nothing in free flight
     loss = np.where(latest < 0, 0.0, seen[np.maximum(latest, 0), 3 * n + 3])
     spin = seen[:, 3 * n + 4 :].reshape(free.size, 2, -1)
-    return Seen(free, seen[:, :n], np.where(free[:, None, None], 0.0, force), seen[:, 3 * n : 3 * n + 3], loss, spin)
+    return ContactSamples(
+        free, seen[:, :n], np.where(free[:, None, None], 0.0, force), seen[:, 3 * n : 3 * n + 3], loss, spin
+    )

@@ -1,4 +1,4 @@
-"""A rope that starts inside an obstacle, across a wall or bent past its limits is refused: no stepper can mend that."""
+"""Checks of the start: outside obstacles, and within the joint limits."""
 
 from __future__ import annotations
 

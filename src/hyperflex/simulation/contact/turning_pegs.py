@@ -1,4 +1,4 @@
-"""Pegs that turn: where they start, how they coast while the rope flies, and what a run shows of them."""
+"""Pegs that turn: their start, coasting in free flight, and output."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What to differentiate by: names and mappings, checked once, and the arrays that the kernels take."""
+"""Parameter directions: names and mappings, checked, as kernel arrays."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FAINT = 1e-300  # N m, kg/m^2: dry friction and drag that change no run, and are
 
 
 @dataclass(frozen=True)
-class Wanted:
+class ParameterDirections:
     """Directions of a derivative by name; each is a dict of changes per unit of its parameter, see PARTS."""
 
     names: tuple[str, ...]
@@ -63,8 +63,8 @@ class Wanted:
         """Derivatives of the links' lengths (n, P), m."""
         return np.stack([part.get("length", np.zeros(n)) for part in self.parts], axis=1)
 
-    def felt(self, chain: Chain) -> Chain:
-        """The chain itself, with a trace of what a run without any leaves out, where a direction changes it."""
+    def with_faint_terms(self, chain: Chain) -> Chain:
+        """The chain, with FAINT dry friction or drag where a direction changes one that is zero."""
         for each in (each for each in LINKS if each.least):
             now, faint = getattr(chain, each.field), np.zeros(chain.length.size)
             for part in self.parts:
@@ -123,7 +123,7 @@ def _link_seeds(part: Part, chain: Chain, out: Array) -> None:
     out[:, tg.INERTIA] = inertia + chain.com**2 * mass + 2.0 * chain.mass * chain.com * com
 
 
-def wanted(setup: Setup, wrt: Wrt) -> Wanted:
+def parameter_directions(setup: Setup, wrt: Wrt) -> ParameterDirections:
     """Check what a user wants derivatives with respect to; see :func:`hyperflex.sensitivities`."""
     entries = [wrt] if isinstance(wrt, (str, Mapping)) else list(wrt)
     names: list[str] = []
@@ -143,7 +143,7 @@ def wanted(setup: Setup, wrt: Wrt) -> Wanted:
         raise InvalidInput("wrt names something twice", got=names, allowed="each name once")
     if setup.torque_driven:
         parts = [_with_arm(part, setup.rope.n_links) for part in parts]
-    return Wanted(tuple(names), tuple(parts))
+    return ParameterDirections(tuple(names), tuple(parts))
 
 
 def _with_arm(part: Part, n: int) -> Part:
@@ -223,7 +223,7 @@ def _own(setup: Setup, name: str, given: Mapping[str, npt.ArrayLike]) -> Part:
     return {key: checks.array(f"{name}: {key}", value, shapes[key], scalar=True) for key, value in given.items()}
 
 
-def refuse_what_is_not_smooth(setup: Setup) -> None:
+def check_smooth(setup: Setup) -> None:
     """Refuse set-ups whose runs have no derivative that the kernels know."""
     if setup.method != "extrapolation":
         raise InvalidInput("sensitivities follow the extrapolation", got=setup.method, allowed="method='extrapolation'")

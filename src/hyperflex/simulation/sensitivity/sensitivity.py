@@ -1,4 +1,4 @@
-"""Exact derivatives of rollouts with respect to the start, the rope, the arm and the motion."""
+"""Exact derivatives of rollouts by the start, the rope, the arm and the motion."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import Drive, base_state, segment
-from hyperflex.core.chain.lanes import COLUMNS, set_grip
+from hyperflex.core.chain.lanes import COLUMNS, set_slip
 from hyperflex.core.integrate.progress import JOINT, MODES, REJECTED, TAKEN, Limits
-from hyperflex.core.stiction.constraint_torques import bench
-from hyperflex.core.stiction.slip_modes import decide
+from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
+from hyperflex.core.stiction.slip_modes import find_modes
 from hyperflex.core.tangent import forward_sensitivity as core
-from hyperflex.core.tangent.dense_output import bends_along
+from hyperflex.core.tangent.dense_output import acceleration_derivatives
 from hyperflex.core.tangent.directions import Directions, place_changes
-from hyperflex.core.tangent.extrapolation import room_for
+from hyperflex.core.tangent.extrapolation import new_tangent_workspace
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import output_times, setup_of
 from hyperflex.simulation.outcome import failure, refuse_unbalanced
 from hyperflex.simulation.rollouts import TABLES, Rollout, finish, limits, prepare
-from hyperflex.simulation.sensitivity.directions import Wanted, Wrt, refuse_what_is_not_smooth, wanted
-from hyperflex.simulation.sensitivity.stiction import held
+from hyperflex.simulation.sensitivity.directions import ParameterDirections, Wrt, check_smooth, parameter_directions
+from hyperflex.simulation.sensitivity.stiction import stiction_projection
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -166,17 +166,17 @@ def sensitivities(
     (201, 2, 2)
     """
     setup = setup_of(rope, motion, arm, duration, q0, qd0, tol, "duration, t_eval, wrt")
-    refuse_what_is_not_smooth(setup)
-    directions = wanted(setup, wrt)
+    check_smooth(setup)
+    directions = parameter_directions(setup, wrt)
     t = output_times(t_eval, 0.0, setup.duration)
-    chain, drive = directions.felt(setup.chain()), setup.drive()
-    run = recorded(chain, drive, setup.start(), limits(setup, chain, setup.duration))
+    chain, drive = directions.with_faint_terms(setup.chain()), setup.drive()
+    run = record_steps(chain, drive, setup.start(), limits(setup, chain, setup.duration))
     refuse_unbalanced(run, setup)
-    y, dy = along(run, directions, setup.start(), t)
+    y, dy = forward_derivatives(run, directions, setup.start(), t)
     return _labelled(chain, drive, directions, t, y, dy, own=1 if setup.torque_driven else 0)
 
 
-class Slopes:
+class AngleJacobian:
     """Rollouts with derivatives for callers that need thousands: everything is checked once, here.
 
     Parameters
@@ -188,10 +188,10 @@ class Slopes:
     """
 
     def __init__(self, setup: Setup, wrt: Wrt) -> None:
-        refuse_what_is_not_smooth(setup)
+        check_smooth(setup)
         self.setup, self.drive = setup, setup.drive()
-        self.wanted = wanted(setup, wrt)
-        self.names = self.wanted.names
+        self.wrt = parameter_directions(setup, wrt)
+        self.names = self.wrt.names
 
     def __call__(self, t: Array, q0: Array, qd0: Array, rope: Rope | None = None) -> tuple[Array, Array, Array, Array]:
         """Return angles and rates (T, n) and their derivatives (T, n, P) at times t (T,).
@@ -211,15 +211,15 @@ class Slopes:
             If the run cannot be finished.
         """
         rope, arm = rope or self.setup.rope, self.setup.arm
-        chain = self.wanted.felt(arm.chain(rope) if arm and self.setup.torque_driven else rope.chain())
+        chain = self.wrt.with_faint_terms(arm.chain(rope) if arm and self.setup.torque_driven else rope.chain())
         bounds = limits(self.setup, chain, float(t[-1]))
-        run = recorded(chain, self.drive, (q0, qd0), bounds, float(t[0]))
-        y, dy = along(run, self.wanted, (q0, qd0), t)
+        run = record_steps(chain, self.drive, (q0, qd0), bounds, float(t[0]))
+        y, dy = forward_derivatives(run, self.wrt, (q0, qd0), t)
         n, p = chain.length.size, len(self.names)
         return y[:, :n], y[:, n : 2 * n], dy[:, :n, :p], dy[:, n:, :p]
 
 
-def recorded(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Limits, begin: float = 0.0) -> Rollout:
+def record_steps(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Limits, begin: float = 0.0) -> Rollout:
     """Run to the end, noting every step; raises where that fails."""
     count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
     while True:
@@ -234,7 +234,9 @@ def recorded(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Lim
         count = steps
 
 
-def along(run: Rollout, directions: Wanted, start: tuple[Array, Array], t: Array) -> tuple[Array, Array]:
+def forward_derivatives(
+    run: Rollout, directions: ParameterDirections, start: tuple[Array, Array], t: Array
+) -> tuple[Array, Array]:
     """Go through a recorded run again: states (T, 2 n + 2) and derivatives (T, 2 n, p) at times t (T,)."""
     n, begin = run.chain.length.size, float(run.t[0])
     times = np.append([] if t[0] == begin else begin, t)
@@ -244,13 +246,13 @@ def along(run: Rollout, directions: Wanted, start: tuple[Array, Array], t: Array
     steps = run.progress.log
     if steps.size:
         seeds = directions.directions(run.chain, run.drive)
-        begins = held(run.chain, run.drive, begin, y[0, :n], steps[0, MODES:], seeds, dy[0])
-        core.replay(run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
+        begins = stiction_projection(run.chain, run.drive, begin, y[0, :n], steps[0, MODES:], seeds, dy[0])
+        core.forward_sensitivities(run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
     first = times.size - t.size
     return y[first:], dy[first:]
 
 
-def acceleration_slopes(
+def acceleration_jacobian(
     chain: Chain, drive: Drive, start: tuple[Array, Array], seeds: Directions, values: Array
 ) -> Array:
     """Return the derivatives (n, p) of the links' accelerations at t = 0 in a state, along directions.
@@ -263,20 +265,22 @@ def acceleration_slopes(
     values : (2 n, p) float64
         Derivatives of angles and rates.
     """
-    n, base, grip = chain.length.size, np.empty(9), np.ones(chain.length.size)
+    n, base, slip = chain.length.size, np.empty(9), np.ones(chain.length.size)
     part = segment(drive, 0.0)
     torque = base_state(drive, part, 0.0, base)
     q, qd = (np.array(value) for value in start)
     if can_stick(chain):
-        decide(chain, q, qd, base[:7], torque, 1.0, grip, bench(n))
-    room = room_for(chain, seeds.kind.size)
-    set_grip(COLUMNS, room.lanes, grip)
-    room.ys[:, :n], room.ys[:, n : 2 * n], room.nodes[:] = q, qd, values
-    bends_along(chain, drive, part, 0.0, 0.0, seeds, room)
-    return np.asarray(room.bends[0])
+        find_modes(chain, q, qd, base[:7], torque, 1.0, slip, new_stiction_workspace(n))
+    workspace = new_tangent_workspace(chain, seeds.kind.size)
+    set_slip(COLUMNS, workspace.lanes, slip)
+    workspace.ys[:, :n], workspace.ys[:, n : 2 * n], workspace.nodes[:] = q, qd, values
+    acceleration_derivatives(chain, drive, part, 0.0, 0.0, seeds, workspace)
+    return np.asarray(workspace.bends[0])
 
 
-def _labelled(chain: Chain, drive: Drive, directions: Wanted, t: Array, y: Array, dy: Array, own: int) -> Sensitivities:
+def _labelled(
+    chain: Chain, drive: Drive, directions: ParameterDirections, t: Array, y: Array, dy: Array, own: int
+) -> Sensitivities:
     """Add the tip to a run's states and derivatives, and name an arm that is a link of its `own` (1, else 0)."""
     n, p = chain.length.size, len(directions.names)
     q, dq = y[:, :n], dy[:, :n, :p]

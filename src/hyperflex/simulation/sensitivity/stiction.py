@@ -1,4 +1,4 @@
-"""What becomes of a change of the start where joints stick: their friction stops it at once."""
+"""Stiction projection: derivatives of the start where joints stick."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from hyperflex.core.tangent import directions as dr
 from hyperflex.core.tangent.directions import Directions
 
 
-def held(chain: Chain, drive: Drive, t: float, q: Array, modes: Array, directions: Directions, start: Array) -> Array:
+def stiction_projection(
+    chain: Chain, drive: Drive, t: float, q: Array, modes: Array, directions: Directions, start: Array
+) -> Array:
     """Derivatives of the state just after the start, where stuck joints turn with their parents.
 
     A joint within its limit that is given a little rate stops after a time in proportion to it. To first order that is
@@ -45,8 +47,8 @@ def held(chain: Chain, drive: Drive, t: float, q: Array, modes: Array, direction
         return start
     mass = np.zeros((n, n))
     mass_matrix(chain, q, mass)
-    share = len(chain.bears) - 1.0
-    blow = np.linalg.solve(mass, (np.eye(n) - share * np.eye(n, k=-1))[stuck].T)
+    reaction_factor = len(chain.reaction) - 1.0
+    blow = np.linalg.solve(mass, (np.eye(n) - reaction_factor * np.eye(n, k=-1))[stuck].T)
     result = start.copy()
     result[n:] -= blow @ np.linalg.solve(turn[stuck] @ blow, slip)
     return result
