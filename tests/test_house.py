@@ -212,9 +212,8 @@ def test_no_module_hides_a_function_of_its_package() -> None:
     for path in SOURCES:
         if path.name == "__init__.py":
             package = importlib.import_module(".".join(path.parent.relative_to(ROOT / "src").parts))
-            offered = set(getattr(package, "__all__", ()))
             inside = {p.stem for p in path.parent.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()}
-            hidden += [f"{path.parent.name}.{name}" for name in offered & inside]
+            hidden += [f"{package.__name__}.{name}" for name in set(getattr(package, "__all__", ())) & inside]
     assert hidden == []
 
 
