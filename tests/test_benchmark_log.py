@@ -62,5 +62,6 @@ def test_throws_with_other_links_are_not_used_again(tmp_path: Path) -> None:
     path = tmp_path / "throws.jsonl"
     log.append(path, {"index": 0, "kernels": "0ld"})  # as rows were before they said it
     log.append(path, {"index": 1, "fine": True, "kernels": SOURCE_HASH})
-    assert [row["index"] for row in throws.done(path, fine=False)] == [0]
-    assert [row["index"] for row in throws.done(path, fine=True)] == [1]
+    log.append(path, {"index": 2, "max_bend": 0.8, "kernels": SOURCE_HASH})
+    kinds = [{"fine": fine, "max_bend": limit} for fine, limit in ((False, None), (True, None), (False, 0.8))]
+    assert [[row["index"] for row in throws.done(path, kind)] for kind in kinds] == [[0], [1], [2]]
