@@ -51,7 +51,7 @@ def arm_strokes(
 
     Examples
     --------
-    >>> motion = strokes([0.0, 1.26, 2.4])
+    >>> motion = arm_strokes([0.0, 1.26, 2.4])
     >>> [round(float(angle), 3) for angle in motion.angle([0.0, 1.0, 2.2, 9.0])]
     [-1.571, 1.571, -1.571, 1.571]
     """

@@ -40,8 +40,8 @@ def lagged(motion: Motion, lag: float) -> Motion:
 
     Examples
     --------
-    >>> from hyperflex.motion import move
-    >>> slow = lagged(move(0.0, 1.0, duration=0.5), 0.05)
+    >>> from hyperflex.motion import move_arm
+    >>> slow = lagged(move_arm(0.0, 1.0, duration=0.5), 0.05)
     >>> [round(float(angle), 3) for angle in slow.angle([0.25, 0.5, 1.0])]
     [0.34, 0.961, 1.0]
     """

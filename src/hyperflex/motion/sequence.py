@@ -43,7 +43,7 @@ def arm_moves(
 
     Examples
     --------
-    >>> motion = moves([-1.5, 1.5, 0.0], rests=[0.0, 0.4], durations=[0.7, 0.5])
+    >>> motion = arm_moves([-1.5, 1.5, 0.0], rests=[0.0, 0.4], durations=[0.7, 0.5])
     >>> [round(float(angle), 3) for angle in motion.angle([0.35, 1.0, 2.0])]
     [0.0, 1.5, 0.0]
     """

@@ -170,7 +170,7 @@ def predictability(
     >>> import hyperflex as hf
     >>> rods = hf.Rope(length=[0.5, 0.5], mass=[0.1, 0.1])
     >>> growth = hf.predictability(rods, duration=4.0, q0=[3.0, 2.5], tol=1e-6)
-    >>> bool(growth.exponent() > 1.0), bool(chaos.horizon(1e-3) < 4.0)
+    >>> bool(growth.exponent() > 1.0), bool(growth.horizon(1e-3) < 4.0)
     (True, True)
     """
     setup = setup_of(rope, motion, arm, duration, q0, qd0, tol, "duration, nudges, seed, sample_time")
