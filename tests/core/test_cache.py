@@ -90,7 +90,7 @@ def test_an_edit_recompiles_what_depends_on_it_and_nothing_else(package: Path, t
         "import hyperflex.core.part.leaf as leaf",
         "from .part import leaf",
         "from .part.leaf import scaled",
-        "from hyperflex.core.tangent.dense_output import scaled",
+        "from hyperflex.core.between import scaled",
     ],
 )
 def test_every_way_to_import_a_module_is_followed(package: Path, line: str) -> None:
