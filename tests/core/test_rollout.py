@@ -45,7 +45,9 @@ def test_the_kernels_are_compiled_for_one_kind_of_arrays() -> None:
             chain = setup.chain()
             run = rollouts.prepare(chain, setup.drive(), setup.start(), t, rollouts.limits(setup, chain, 0.1))
             if setup.torque_driven:
-                rollouts.controlled(run, lambda *_: 0.0, 0.05, 1.0)
+                interval = rollouts.Interval(run.drive)
+                run.drive = interval.drive
+                rollouts.controlled(run, interval, lambda *_: 0.0, 0.05, lambda: rollouts.finish(run))
             parts = (*run.chain, *run.drive, *run.progress, run.t, run.y)
             arrays = [part for part in parts if isinstance(part, np.ndarray)]
             kinds.add(tuple((a.flags.writeable, a.flags.c_contiguous, a.dtype, a.ndim) for a in arrays))
