@@ -57,7 +57,7 @@ def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back() -> None:
     with threadpool_limits(limits=2, user_api="blas"):
         before = threads()
         hf.identify(recording, PAIR, ["friction"], intervals=None, progress=lambda _: inside.append(threads()))
-        hf.iterative_revision(recording, PAIR, rounds=1, most=3, progress=lambda _: inside.append(threads()))
+        hf.iterative_revision(recording, PAIR, rounds=1, max_evaluations=3, progress=lambda _: inside.append(threads()))
         assert threads() == before
     assert len(inside) > 1
     assert all(each == {1} for each in inside)

@@ -250,7 +250,7 @@ def test_a_pull_that_did_not_slip_is_a_lower_bound(held):
 
 
 def test_a_long_reason_has_room_in_a_film():
-    plan = dataclasses.replace(planned(), message="with shorter links the simulation failed (out of patience)")
+    plan = dataclasses.replace(planned(), message="with shorter links the simulation failed (time budget exceeded)")
     lines = CastReport(plan, None).film_note()(11.0).split("\n")
     assert "time allowed for it" in " ".join(lines)
     assert max(len(line) for line in lines) <= 90
