@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.batch.members import (
     AFTER,
     BASE,
@@ -138,7 +139,7 @@ def look(members, terms, m, lanes, path, j, lane, watch):  # type: ignore[no-unt
             start[n + i] = lanes[((i + 1) * ln.ROW + ln.W_START) * k + j]
         torque = base_at(path, j, since, before)
         margins(chain, start[:n], start[n : 2 * n], grip, before[:7], torque, widen, tools, search.low)
-        watch.alpha[j] = tools.alpha
+        assign(watch.alpha[j], tools.alpha)
         watch.power[j, 0] = stuck_power(chain, start[n : 2 * n], grip, tools.load)
         begin(search)
     for i in range(n):
@@ -153,7 +154,7 @@ def look(members, terms, m, lanes, path, j, lane, watch):  # type: ignore[no-unt
         middle(step, start[:n], start[n : 2 * n], watch.alpha[j], out, tools)
         torque = base_at(path, j, since + 0.5 * step, after)
         margins(chain, tools.state[:n], tools.state[n:], grip, after[:7], torque, widen, tools, tools.margin)
-        search.middle[:, :n] = tools.margin
+        assign_rows(search.middle[:, :n], tools.margin)
         watch.power[j, 1] = stuck_power(chain, tools.state[n:], grip, tools.load)
         base_at(path, j, until, after)
     verdict, length = judge(watch.locked[j], search, step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hyperflex.core.assign import assign
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import INDEX, LOST, MOMENT, T, allowance, balanced
 from hyperflex.core.contact.step import CONTACT, FRICTION, WORK, attempt, energy
@@ -18,10 +19,8 @@ def part_way(chain, drive, part, pegs, pull, bounds, course, desk, aside, h, x, 
     """
     if x * h <= MOMENT:
         return False
-    for i in range(aside.trend.size):
-        aside.trend[i] = desk.trend[i]
-    for p in range(aside.spin.before.size):
-        aside.spin.before[p] = desk.spin.before[p]
+    assign(aside.trend, desk.trend)
+    assign(aside.spin.before, desk.spin.before)
     t, y = course.clock[T], course.y
     _, rounds = attempt(chain, drive, part, pegs, pull, t, x * h, y, course.kept, aside, True, 0.0, True)
     taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from hyperflex.core import status
+from hyperflex.core.assign import assign
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.contact.arrays import OPEN
@@ -198,7 +199,7 @@ def run(chain, drive, pegs, pull, bounds, course, t_out, y_out, seen_out):  # ty
     n, m = chain.length.size, pegs.x.size
     rate, longest = bounds.rate, bounds.step
     desk, aside = new_desk(chain, pegs, rate, longest), new_desk(chain, pegs, rate, longest)
-    desk.spin.before[:] = course.spin[1]
+    assign(desk.spin.before, course.spin[1])
     nothing = new_kept(n, m)
     part = segment(drive, clock[T])
     had = math.nan  # energy before the step, where it is known

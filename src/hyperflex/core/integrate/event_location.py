@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import PRINTED, can_stick
 from hyperflex.core.chain.drive import base_state
@@ -53,10 +54,11 @@ def locate(chain, drive, part, table, terms, progress, step, room):  # type: ign
     n, last = grip.size, room.locked.size - 1
     limited = last > n
     t, widen, stuck, sticks = clock[T], widened(clock[CHATTER], n), not grip.all(), can_stick(chain)
-    room.locked[:n] = 1.0 - grip * grip
+    for i in range(n):
+        room.locked[i] = 1.0 - grip[i] * grip[i]
     torque = base_state(drive, part, t, room.before)
     margins(chain, y[:n], y[n : 2 * n], grip, room.before[:7], torque, widen, tools, search.low)
-    room.alpha[:] = tools.alpha
+    assign(room.alpha, tools.alpha)
     room.power[0] = stuck_power(chain, y[n : 2 * n], grip, tools.load)
     begin(search)
     sense = 0.0
@@ -82,7 +84,7 @@ def locate(chain, drive, part, table, terms, progress, step, room):  # type: ign
             torque = base_state(drive, part, t + 0.5 * step, room.between)
             bend = tools.state
             margins(chain, bend[:n], bend[n:], grip, room.between[:7], torque, widen, tools, tools.margin)
-            search.middle[:, :n] = tools.margin
+            assign_rows(search.middle[:, :n], tools.margin)
             room.power[1] = stuck_power(chain, bend[n:], grip, tools.load)
             if sense != 0.0 and until.kind == PEAK:
                 value, slope = reading(until, chain, bend[:n], bend[n:], tools.alpha, room.between)

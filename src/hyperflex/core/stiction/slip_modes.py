@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyperflex.core.assign import assign
 from hyperflex.core.chain.articulated_body import PRINTED, with_dry
 from hyperflex.core.jit import kernel
 from hyperflex.core.stiction.constraint_torques import STILL, at_rest, bear, hopeless, usual, widened, wider
@@ -29,7 +30,7 @@ def settled(chain, q, w, base, torque, chatter, grip, before, room):  # type: ig
     chatter : float, to go on with
     """
     n = q.size
-    before[:] = grip
+    assign(before, grip)
     good = False
     while not (good or hopeless(chatter, n)):
         if chatter > usual(n):

@@ -40,8 +40,8 @@ def bends_along(chain, drive, part, t, step, directions, room):  # type: ignore[
     ln.euler(ln.COLUMNS, chain.bears, ln.MORE, lanes, room.tip, room.base)
     begin_pairs(chain.bears, lanes, room.air, room.base)
     for j in range(3):
-        dys[j, :n] = ys[j, n : 2 * n]
         for i in range(n):
+            dys[j, i] = ys[j, n + i]
             dys[j, n + i] = lanes[((i + 1) * ln.ROW + ln.ALPHA) * K + j]
     room.stretch[:] = 0.0
     for b in range(directions.kind.size):

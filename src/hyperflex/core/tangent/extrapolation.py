@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, sines
 from hyperflex.core.integrate.steps import begin_columns, end_columns
@@ -203,8 +204,10 @@ def step_along(chain, drive, part, table, t, step, y, out, directions, result, r
     result : (2 n, p) out, derivatives of the angles and rates after the step
     room : Room; ``store`` holds the derivatives before the step, ``shift`` and ``change`` those of t and `step`
     """
-    room.stretch[:] = room.change / step
-    out[:] = y
+    for i in range(room.stretch.shape[0]):
+        for j in range(room.stretch.shape[1]):
+            room.stretch[i, j] = room.change[i, j] / step
+    assign(out, y)
     sines(y[: chain.length.size], room.work, 0)
     # by name: to take an array out of a tuple within the loop over the pairs costs as much as a third of the step
     lanes, store, anew, weight, bears = room.lanes, room.store, room.anew, room.weight, chain.bears

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.drive import segment
 from hyperflex.core.integrate.progress import DEGREE, END, JOINT, LENGTH, MODES
@@ -22,8 +23,8 @@ from hyperflex.core.tangent.extrapolation import room_for, spread, step_along
 @kernel
 def write_end(chain, drive, part, t, y, grip, room, values, y_out, dy_out):  # type: ignore[no-untyped-def]
     """Write the state at the end of a step, and its derivatives at that very time, where the step's end moves too."""
-    y_out[:] = y
-    dy_out[:] = values
+    assign(y_out, y)
+    assign_rows(dy_out, values)
     if room.shift.any():
         rates(chain, drive, part, t, y, grip, room.dys[0], room.work)
         for b in range(room.shift.shape[0]):
@@ -77,14 +78,15 @@ def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, 
             part = segment(drive, t)
         set_change(drive, part, t_new, stop, directions, room)
         if sticks:
-            grip[:] = steps[m, MODES:]
+            assign(grip, steps[m, MODES:])
             joint = int(steps[m, JOINT])
             ln.set_grip(ln.COLUMNS, room.lanes, grip)
             ln.set_grip(ln.COLUMNS, turn.room.lanes, grip)
         spread(values, room.store)
         step_along(chain, drive, part, table, t, step, y, room.out, directions, room.nodes[2], room)
-        room.ys[0], room.ys[2] = y, room.out
-        room.nodes[0] = values
+        assign(room.ys[0], y)
+        assign(room.ys[2], room.out)
+        assign_rows(room.nodes[0], values)
         if joint >= 0 and t_new < min(part.end, stop) and not chatters(drive, part, t, step, y, grip, joint, turn):
             end_at_event(chain, drive, part, table, t, step, y, values, grip, joint, directions, room, turn)
         if sticks:
@@ -95,18 +97,22 @@ def replay(chain, drive, tables, steps, begin, start, directions, t_out, y_out, 
         times, states, slopes = t_out[index:last], y_out[index:last], dy_out[index:last]
         if last > index and fresh:
             change = room.change.copy()
-            room.change[:] = -room.shift
+            for b in range(change.shape[0]):
+                for d in range(change.shape[1]):
+                    room.change[b, d] = -room.shift[b, d]
             for k in range(times.size):
                 step_along(chain, drive, part, table, t, times[k] - t, y, states[k], directions, slopes[k], room)
-            room.change[:] = change
+            assign_rows(room.change, change)
         elif last > index:
             write_inside(chain, drive, part, table, t, t_new - t, y, times, directions, room, states, slopes)
         if last > index and not grip.all():
             hold_outputs(chain, drive, part, t, y, values, grip, times, directions, room, turn, states, slopes)
         index = last
-        y[:] = room.ys[2]
-        values[:] = room.nodes[2]
-        room.shift[:] += room.change
+        assign(y, room.ys[2])
+        assign_rows(values, room.nodes[2])
+        for b in range(room.shift.shape[0]):
+            for d in range(room.shift.shape[1]):
+                room.shift[b, d] += room.change[b, d]
         fresh = t_new >= part.end or joint >= 0
         t = t_new
         while index < t_out.size and t_out[index] <= t:
