@@ -15,6 +15,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain import articulated_body as core
 from hyperflex.core.chain.drive import ANGLE, TORQUE
+from hyperflex.core.read_only import read_only
 from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
 from hyperflex.core.stiction.slip_modes import find_modes
 from hyperflex.model import Arm, Rope, Setup
@@ -207,7 +208,7 @@ def bias(
     chain = rope.chain() if arm is None else arm.chain(rope)
     result = np.empty(angles.size)
     sense = np.sign(np.diff(rates, prepend=0.0))
-    chain = chain._replace(dry=np.where(sense == 0.0, 0.0, chain.dry))
+    chain = read_only(chain._replace(dry=np.where(sense == 0.0, 0.0, chain.dry)))
     slip = np.where(sense == 0.0, 1.0, sense)
     core.accelerations(chain, angles, rates, slip, np.zeros(7), 0.0, 0.0, result, np.empty(6 * angles.size))
     mass = np.empty((angles.size, angles.size))

@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from llvmlite import binding as llvm
-from numba.core import compiler, serialize, types
+from numba.core import compiler, serialize
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
+from numba.core.types import Dispatcher, unliteral  # type: ignore[attr-defined]
 
 from hyperflex.core import cache
 
@@ -50,17 +51,26 @@ class _Door(CPUDispatcher):  # type: ignore[misc]
     def part(self) -> Any:
         """The same kernel, for kernels that call it."""
         options = {**self.targetoptions, "no_cpython_wrapper": True}
-        part = CPUDispatcher(self.py_func, targetoptions=options, pipeline_class=_PartCompiler)
+        part = _PartDispatcher(self.py_func, targetoptions=options, pipeline_class=_PartCompiler)
         part._cache = _Kept(self.py_func, "part", _pack_part, _unpack_part)
         return part
 
     @property
     def _numba_type_(self) -> Any:
-        return types.Dispatcher(self.part)
+        return Dispatcher(self.part)
 
     def compile(self, sig: Any) -> Any:
         with _fewer_collections():
             return _with_room(super().compile, sig)
+
+
+class _PartDispatcher(CPUDispatcher):  # type: ignore[misc]
+    """A kernel for kernels. A number that stands in the call makes no kernel of its own, as it does in numba."""
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        return super().get_call_template(
+            tuple(map(unliteral, args)), {name: unliteral(each) for name, each in kws.items()}
+        )
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import Chain
+from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.model.properties import LINKS
 from hyperflex.model.rope import Rope
@@ -113,5 +114,4 @@ class Arm:
         for each in LINKS:
             own = getattr(self, each.name, each.default)
             both[each.field] = np.concatenate([[own], getattr(rope, each.name)])
-            both[each.field].setflags(write=False)  # as a rope's own arrays: the kernels are compiled for one kind
-        return rope.chain()._replace(**both)
+        return read_only(rope.chain()._replace(**both))

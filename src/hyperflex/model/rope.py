@@ -13,6 +13,7 @@ import numpy.typing as npt
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
+from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.model.properties import LINKS
 from hyperflex.model.rope_table import MOST_LINKS, from_table, to_table
@@ -278,13 +279,14 @@ class Rope:
 
     def chain(self) -> Chain:
         """Return the arrays as the kernels take them."""
-        return Chain(
+        chain = Chain(
             **{each.field: getattr(self, each.name) for each in LINKS},
             tip_mass=self.tip_mass,
             gx=float(self.gravity[0]),
             gy=float(self.gravity[1]),
             reaction=MUTUAL if self.friction_model == "relative" else ONE_SIDED,
         )
+        return read_only(chain)
 
     def table(self) -> dict[str, Any]:
         """Return the ``[rope]`` table of a TOML file; equal entries are written once."""

@@ -15,6 +15,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import TORQUE, Drive, X, Y
 from hyperflex.core.contact.gaps import Pegs
+from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle, obstacles_of, packed, tables
@@ -173,10 +174,9 @@ class Setup:
             coef = coef.copy()
             coef[:, X, 0] += self.arm.pivot[0]
             coef[:, Y, 0] += self.arm.pivot[1]
-            coef.setflags(write=False)  # as a motion's own: the kernels are compiled for one kind
         prescribed = 0.0 if self.arm is None or self.torque_driven else self.arm.length
         limit = math.inf if self.arm is None else self.arm.torque_limit
-        return Drive(source.breaks, coef, source.switch, source.loop, prescribed, limit)
+        return read_only(Drive(source.breaks, coef, source.switch, source.loop, prescribed, limit))
 
     @property
     def round_pegs(self) -> tuple[Peg, ...]:

@@ -11,6 +11,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain import motor_torque as core
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import ANGLE, Drive
+from hyperflex.core.read_only import read_only
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.model.properties import LINKS, PROPERTIES
 from hyperflex.sensors.posture import Measurement
@@ -130,12 +131,10 @@ def _moved(chain: Chain, part: Part, step: float) -> Chain:
         elif name in PROPERTIES:
             field = PROPERTIES[name].field
             changes[field] = getattr(chain, field) + step * (change if PROPERTIES[name] in LINKS else float(change[0]))
-    return chain._replace(**changes)  # type: ignore[arg-type]
+    return read_only(chain._replace(**changes))  # type: ignore[arg-type]
 
 
 def _shifted(drive: Drive, part: Part, step: float) -> Drive:
     """Return the drive with its breaks and pieces changed by `step` times as much as `part` says."""
     changes = {name: getattr(drive, name) + step * part[name] for name in ("breaks", "coef") if name in part}
-    for value in changes.values():
-        value.setflags(write=False)  # the kernels are compiled for one kind
-    return drive._replace(**changes)
+    return read_only(drive._replace(**changes))

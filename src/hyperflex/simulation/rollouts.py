@@ -22,6 +22,7 @@ from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, U
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import scheme
 from hyperflex.core.jit import announce_compilation
+from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
@@ -169,10 +170,8 @@ class Interval:
 
     def __init__(self, drive: Drive) -> None:
         self._breaks, self._coef = np.array([0.0, 1.0]), drive.coef[:1].copy()
-        breaks, coef, switch = self._breaks.view(), self._coef.view(), np.ones(2, dtype=np.bool_)
-        for array in (breaks, coef, switch):  # read-only as others are: the kernels are compiled for one kind
-            array.setflags(write=False)
-        self.drive = drive._replace(breaks=breaks, coef=coef, switch=switch, loop=-1)
+        switch = np.ones(2, dtype=np.bool_)
+        self.drive = read_only(drive._replace(breaks=self._breaks, coef=self._coef, switch=switch, loop=-1))
 
     def set(self, begin: float, end: float, channel: int, powers: npt.ArrayLike) -> None:
         """Let a channel be the polynomial `powers` (6,) of the time since `begin`, s, until `end`."""

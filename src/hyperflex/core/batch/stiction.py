@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.batch.members import (
     AFTER,
     BASE,
@@ -140,7 +141,7 @@ def assess_lane(members, terms, m, lanes, path, j, lane, friction):  # type: ign
             start[n + i] = lanes[((i + 1) * ln.ROW + ln.W_START) * k + j]
         torque = base_at(path, j, since, before)
         margins(chain, start[:n], start[n : 2 * n], slip, before[:7], torque, widen, tools, search.low)
-        friction.alpha[j] = tools.alpha
+        assign(friction.alpha[j], tools.alpha)
         friction.power[j, 0] = stuck_power(chain, start[n : 2 * n], slip, tools.load)
         begin_search(search)
     for i in range(n):
@@ -155,7 +156,7 @@ def assess_lane(members, terms, m, lanes, path, j, lane, friction):  # type: ign
         midpoint_state(step, start[:n], start[n : 2 * n], friction.alpha[j], out, tools)
         torque = base_at(path, j, since + 0.5 * step, after)
         margins(chain, tools.state[:n], tools.state[n:], slip, after[:7], torque, widen, tools, tools.margin)
-        search.middle[:, :n] = tools.margin
+        assign_rows(search.middle[:, :n], tools.margin)
         friction.power[j, 1] = stuck_power(chain, tools.state[n:], slip, tools.load)
         base_at(path, j, until, after)
     verdict, length = assess_step(friction.locked[j], search, step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hyperflex.core.assign import assign
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import INDEX, LOST, MOMENT, T, energy_allowance, energy_balanced
 from hyperflex.core.contact.step import CONTACT, FRICTION, WORK, energy, try_step
@@ -18,10 +19,8 @@ def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside
     """
     if x * h <= MOMENT:
         return False
-    for i in range(aside.trend.size):
-        aside.trend[i] = workspace.trend[i]
-    for p in range(aside.spin.before.size):
-        aside.spin.before[p] = workspace.spin.before[p]
+    assign(aside.trend, workspace.trend)
+    assign(aside.spin.before, workspace.spin.before)
     t, y = state.clock[T], state.y
     _, rounds = try_step(chain, drive, part, pegs, pull, t, x * h, y, state.memory, aside, True, 0.0, True)
     taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]

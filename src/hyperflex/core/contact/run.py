@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from hyperflex.core import status
+from hyperflex.core.assign import assign
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.contact.arrays import OPEN
@@ -197,11 +198,9 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
     clock, memory = state.clock, state.memory
     n, m = chain.length.size, pegs.x.size
     rate, longest = bounds.rate, bounds.step
-    workspace, aside = (
-        new_contact_workspace(chain, pegs, rate, longest),
-        new_contact_workspace(chain, pegs, rate, longest),
-    )
-    workspace.spin.before[:] = state.spin[1]
+    workspace = new_contact_workspace(chain, pegs, rate, longest)
+    aside = new_contact_workspace(chain, pegs, rate, longest)
+    assign(workspace.spin.before, state.spin[1])
     nothing = new_contact_memory(n, m)
     part = segment(drive, clock[T])
     had = math.nan  # energy before the step, where it is known

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyperflex.core.assign import assign
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.arrays import OPEN, STICK
 from hyperflex.core.contact.gaps import Index
@@ -86,8 +87,7 @@ def prepare_spin(spin, motion, h):  # type: ignore[no-untyped-def]
     for p in spin.which:
         spin.stay[p], spin.heavy[p] = coasting(spin.inertia[p], spin.bearing[p], h)
     if spin.which.size > 0:
-        for i in range(spin.joint.shape[0]):
-            spin.joint[i, 1] = motion.joint[i, 1]
+        assign(spin.joint[:, 1], motion.joint[:, 1])
 
 
 @lean

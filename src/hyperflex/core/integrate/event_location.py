@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import ONE_SIDED, can_stick
 from hyperflex.core.chain.drive import base_state
@@ -61,10 +62,11 @@ def find_event(chain, drive, part, table, terms, progress, step, workspace):  # 
     n, last = slip.size, workspace.locked.size - 1
     limited = last > n
     t, widen, stuck, sticks = clock[T], tolerance_factor(clock[CHATTER], n), not slip.all(), can_stick(chain)
-    workspace.locked[:n] = 1.0 - slip * slip
+    for i in range(n):
+        workspace.locked[i] = 1.0 - slip[i] * slip[i]
     torque = base_state(drive, part, t, workspace.before)
     margins(chain, y[:n], y[n : 2 * n], slip, workspace.before[:7], torque, widen, tools, search.low)
-    workspace.alpha[:] = tools.alpha
+    assign(workspace.alpha, tools.alpha)
     workspace.power[0] = stuck_power(chain, y[n : 2 * n], slip, tools.load)
     begin_search(search)
     sense = 0.0
@@ -90,7 +92,7 @@ def find_event(chain, drive, part, table, terms, progress, step, workspace):  # 
             torque = base_state(drive, part, t + 0.5 * step, workspace.between)
             bend = tools.state
             margins(chain, bend[:n], bend[n:], slip, workspace.between[:7], torque, widen, tools, tools.margin)
-            search.middle[:, :n] = tools.margin
+            assign_rows(search.middle[:, :n], tools.margin)
             workspace.power[1] = stuck_power(chain, bend[n:], slip, tools.load)
             if sense != 0.0 and until.kind == PEAK:
                 value, slope = event_value(until, chain, bend[:n], bend[n:], tools.alpha, workspace.between)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyperflex.core.assign import assign_rows
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.jit import kernel
 from hyperflex.core.stiction.constraint_torques import INSTANT, QUICK, STILL
@@ -171,10 +172,10 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
     span[SIDE] = side
     if over:
         span[HIGH] = step
-        search.high[:] = search.here
+        assign_rows(search.high, search.here)
     else:
         span[LOW] = step
-        search.low[:] = search.here
+        assign_rows(search.low, search.here)
     return AGAIN, at if at < step else estimate_event_time(locked, search)
 
 

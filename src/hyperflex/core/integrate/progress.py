@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.integrate.end_conditions import Until
@@ -70,9 +71,9 @@ def save_mark(progress):  # type: ignore[no-untyped-def]
     """Save the state from which an uninterrupted run would go on, unless one is saved already."""
     clock = progress.clock
     if clock[MARK] == -np.inf:
-        progress.mark[:] = progress.y
-        progress.mark_slip[:] = progress.slip
-        clock[MARK : 2 * MARK] = clock[:MARK]
+        assign(progress.mark, progress.y)
+        assign(progress.mark_slip, progress.slip)
+        assign(clock[MARK : 2 * MARK], clock[:MARK])
 
 
 class Workspace(NamedTuple):

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from hyperflex.core import status
+from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import can_stick, sines
 from hyperflex.core.chain.drive import base_state, segment
@@ -136,7 +137,7 @@ def log_step(progress, step, end, order, event, joint):  # type: ignore[no-untyp
         entry[0], entry[1], entry[2] = step, end, order
         if entry.size > JOINT:
             entry[JOINT] = joint
-            entry[MODES:] = progress.slip
+            assign(entry[MODES:], progress.slip)
     if event == 1 and step < QUICK:
         clock[CHATTER] += 1.0
     elif step >= QUICK:
@@ -147,7 +148,7 @@ def log_step(progress, step, end, order, event, joint):  # type: ignore[no-untyp
 def write_until(clock, t_out, t, y, y_out):  # type: ignore[no-untyped-def]
     """Write state y to every output up to time t that is not written yet."""
     while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= t:
-        y_out[int(clock[INDEX])] = y
+        assign(y_out[int(clock[INDEX])], y)
         clock[INDEX] += 1
 
 
@@ -160,7 +161,8 @@ def write_between(chain, drive, part, table, fixed, progress, step, workspace, t
     if clock[INDEX] >= t_out.size or t_out[int(clock[INDEX])] >= end:
         return
     ys, dys = workspace.ys, workspace.dys
-    ys[0], ys[2] = y, workspace.out
+    assign(ys[0], y)
+    assign(ys[2], workspace.out)
     first = int(clock[INDEX])
     while fixed == 0.0 and clock[RESTARTED] == 1.0 and clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
         index = int(clock[INDEX])
@@ -256,7 +258,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
         t_new = end if cut and taken == step else t + taken
         log_step(progress, taken, t_new, order, event, joint)
         write_between(chain, drive, part, table, fixed, progress, t_new - t, workspace, t_out, y_out)
-        y[:] = workspace.out
+        assign(y, workspace.out)
         y[y.size - 1] += stuck_loss(workspace.power, t_new - t, 1.0)
         clock[T] = t_new
         write_until(clock, t_out, t_new, y, y_out)

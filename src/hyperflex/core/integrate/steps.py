@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import accelerations, lost_power, sines
 from hyperflex.core.chain.drive import base_state
@@ -141,7 +142,7 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, lanes, tip, 
     lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
     base, trig : (9, lanes), (2 n,) scratch
     """
-    out[:] = y  # the weights, up to 389 in size, multiply increments: their rounding must not scale the state itself
+    assign(out, y)  # the weights, up to 389 in size, multiply increments, lest their rounding scales the state itself
     errors[:] = 0.0
     sines(y[: (y.size - 2) // 2], trig, 0)
     for turn in range(table.column.shape[0]):
@@ -158,7 +159,7 @@ def rates(chain, drive, part, t, y, slip, dy, work):  # type: ignore[no-untyped-
     torque = base_state(drive, part, t, base)
     w = y[n : 2 * n]
     fx, fy, moment = accelerations(chain, y[:n], w, slip, base[:7], torque, 0.0, dy[n : 2 * n], work)
-    dy[:n] = w
+    assign(dy[:n], w)
     dy[2 * n] = fx * base[5] + fy * base[6] + moment * base[3] + torque * w[0]
     dy[2 * n + 1] = lost_power(chain, w, slip, base, work)
 
@@ -168,10 +169,13 @@ def runge_kutta(chain, drive, part, t, step, y, slip, out, stage, work):  # type
     """Take one classical fourth-order Runge-Kutta step; `stage` is (3, 2 n + 2) scratch, `work` (6 n,)."""
     point, slope, total = stage[0], stage[1], stage[2]
     rates(chain, drive, part, t, y, slip, slope, work)
-    total[:] = slope
+    assign(total, slope)
     for k in range(3):
         part_step = step if k == 2 else 0.5 * step
-        point[:] = y + part_step * slope
+        for i in range(y.size):
+            point[i] = y[i] + part_step * slope[i]
         rates(chain, drive, part, t + part_step, point, slip, slope, work)
-        total += slope if k == 2 else 2.0 * slope
-    out[:] = y + (step / 6.0) * total
+        for i in range(y.size):
+            total[i] += slope[i] if k == 2 else 2.0 * slope[i]
+    for i in range(y.size):
+        out[i] = y[i] + (step / 6.0) * total[i]

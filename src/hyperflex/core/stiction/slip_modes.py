@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyperflex.core.assign import assign
 from hyperflex.core.chain.articulated_body import ONE_SIDED, with_dry
 from hyperflex.core.jit import kernel
 from hyperflex.core.stiction.constraint_torques import (
@@ -37,7 +38,7 @@ def decide_modes(chain, q, w, base, torque, chatter, slip, before, workspace):  
     chatter : float, to go on with
     """
     n = q.size
-    before[:] = slip
+    assign(before, slip)
     good = False
     while not (good or chatter_exceeded(chatter, n)):
         if chatter > chatter_allowance(n):

@@ -40,8 +40,8 @@ def acceleration_derivatives(chain, drive, part, t, step, directions, workspace)
     ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, lanes, workspace.tip, workspace.base)
     begin_pairs(chain.reaction, lanes, workspace.air, workspace.base)
     for j in range(3):
-        dys[j, :n] = ys[j, n : 2 * n]
         for i in range(n):
+            dys[j, i] = ys[j, n + i]
             dys[j, n + i] = lanes[((i + 1) * ln.ROW + ln.ALPHA) * K + j]
     workspace.stretch[:] = 0.0
     for b in range(directions.kind.size):

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, sines
 from hyperflex.core.integrate.steps import begin_columns, end_columns
@@ -204,8 +205,10 @@ def tangent_step(chain, drive, part, table, t, step, y, out, directions, result,
     workspace : TangentWorkspace
         ``store`` holds the derivatives before the step, ``shift`` and ``change`` those of t and `step`
     """
-    workspace.stretch[:] = workspace.change / step
-    out[:] = y
+    for i in range(workspace.stretch.shape[0]):
+        for j in range(workspace.stretch.shape[1]):
+            workspace.stretch[i, j] = workspace.change[i, j] / step
+    assign(out, y)
     sines(y[: chain.length.size], workspace.work, 0)
     # by name: to take an array out of a tuple within the loop over the pairs costs as much as a third of the step
     lanes, store, anew, weight = workspace.lanes, workspace.store, workspace.anew, workspace.weight

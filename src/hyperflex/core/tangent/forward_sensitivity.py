@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.drive import segment
 from hyperflex.core.integrate.progress import DEGREE, END, JOINT, LENGTH, MODES
@@ -28,8 +29,8 @@ from hyperflex.core.tangent.extrapolation import new_tangent_workspace, set_star
 @kernel
 def write_end(chain, drive, part, t, y, slip, workspace, values, y_out, dy_out):  # type: ignore[no-untyped-def]
     """Write the state at the end of a step, and its derivatives at that very time, where the step's end moves too."""
-    y_out[:] = y
-    dy_out[:] = values
+    assign(y_out, y)
+    assign_rows(dy_out, values)
     if workspace.shift.any():
         rates(chain, drive, part, t, y, slip, workspace.dys[0], workspace.work)
         for b in range(workspace.shift.shape[0]):
@@ -83,14 +84,15 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
             part = segment(drive, t)
         set_change(drive, part, t_new, stop, directions, workspace)
         if sticks:
-            slip[:] = steps[m, MODES:]
+            assign(slip, steps[m, MODES:])
             joint = int(steps[m, JOINT])
             ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
             ln.set_slip(ln.COLUMNS, turn.workspace.lanes, slip)
         set_start(values, workspace.store)
         tangent_step(chain, drive, part, table, t, step, y, workspace.out, directions, workspace.nodes[2], workspace)
-        workspace.ys[0], workspace.ys[2] = y, workspace.out
-        workspace.nodes[0] = values
+        assign(workspace.ys[0], y)
+        assign(workspace.ys[2], workspace.out)
+        assign_rows(workspace.nodes[0], values)
         if joint >= 0 and t_new < min(part.end, stop) and not is_chatter(drive, part, t, step, y, slip, joint, turn):
             event_sensitivity(chain, drive, part, table, t, step, y, values, slip, joint, directions, workspace, turn)
         if sticks:
@@ -101,18 +103,22 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
         times, states, slopes = t_out[index:last], y_out[index:last], dy_out[index:last]
         if last > index and fresh:
             change = workspace.change.copy()
-            workspace.change[:] = -workspace.shift
+            for b in range(change.shape[0]):
+                for d in range(change.shape[1]):
+                    workspace.change[b, d] = -workspace.shift[b, d]
             for k in range(times.size):
                 tangent_step(chain, drive, part, table, t, times[k] - t, y, states[k], directions, slopes[k], workspace)
-            workspace.change[:] = change
+            assign_rows(workspace.change, change)
         elif last > index:
             write_within_step(chain, drive, part, table, t, t_new - t, y, times, directions, workspace, states, slopes)
         if last > index and not slip.all():
             project_outputs(chain, drive, part, t, y, values, slip, times, directions, workspace, turn, states, slopes)
         index = last
-        y[:] = workspace.ys[2]
-        values[:] = workspace.nodes[2]
-        workspace.shift[:] += workspace.change
+        assign(y, workspace.ys[2])
+        assign_rows(values, workspace.nodes[2])
+        for b in range(workspace.shift.shape[0]):
+            for d in range(workspace.shift.shape[1]):
+                workspace.shift[b, d] += workspace.change[b, d]
         fresh = t_new >= part.end or joint >= 0
         t = t_new
         while index < t_out.size and t_out[index] <= t:

@@ -111,6 +111,7 @@ def members_of(chains: list[Chain], drives: list[Drive], starts: Array) -> Membe
     whole = np.array(
         [[c.tip_mass, c.gx, c.gy, d.arm_length, d.torque_limit] for c, d in zip(chains, drives, strict=True)]
     )
+    links.setflags(write=False)  # as those of a chain
     padding = np.zeros((1, *drives[0].coef.shape[1:]))
     return Members(
         links,

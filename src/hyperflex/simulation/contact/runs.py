@@ -6,7 +6,7 @@ more than was allowed for, it is flown again by the stepper for contacts. A flig
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.core import status
-from hyperflex.core.chain.articulated_body import Chain, energies
-from hyperflex.core.chain.drive import Drive, base_state, segment
+from hyperflex.core.chain.articulated_body import energies
+from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.contact import bounds as at
 from hyperflex.core.contact import run as core
 from hyperflex.core.contact.arrays import STICK
@@ -62,7 +62,7 @@ class ContactRun:
         if setup.pegs:
             run.limits = run.limits._replace(tol=FLIGHT_TOL * setup.tol)
         self.run, self.setup = run, setup
-        self.system = (Chain(*_own(run.chain)), Drive(*_own(run.drive)), contacts)
+        self.contacts = contacts
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
         run.spin, run.seen = np.zeros((2, m)), np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
         self.contact = at.ContactState(run.progress.y, np.zeros(at.CLOCK), run.spin, new_contact_memory(n, m))
@@ -83,8 +83,6 @@ class ContactRun:
     def finish(self, report: Callable[[float], None] | None = None) -> int:
         """Run to the end and return the status code; `report` is called with the simulated time now and then."""
         code = status.RUNNING
-        for own, given in zip(self.system[1][:3], self.run.drive[:3], strict=True):  # it may have been written anew
-            own[:] = given
         while code in (status.RUNNING, status.LEFT):
             code = self._fly()
             if code == status.LEFT:
@@ -105,7 +103,7 @@ class ContactRun:
             return status.OK
         if self.pull.any():
             return status.LEFT
-        gap, speed, left = core.clearance(*self.system, run.time, run.progress.y)
+        gap, speed, left = core.clearance(run.chain, run.drive, self.contacts, run.time, run.progress.y)
         bound = FASTER * speed + SUDDEN
         self.clear = max(CLEAR, SHORTEST_FLIGHT * bound)
         if gap < self.clear or left <= SLACK:
@@ -120,7 +118,7 @@ class ContactRun:
         run.limits = run.limits._replace(stop=stop)
         if code not in (status.OK, status.LIMIT):
             return code
-        gap, speed, _ = core.clearance(*self.system, run.time, run.progress.y)
+        gap, speed, _ = core.clearance(run.chain, run.drive, self.contacts, run.time, run.progress.y)
         if np.isfinite(span) and (speed > bound or gap <= 0.0):
             run.progress.y[:], clock[:], self.contact.spin[:] = y, before, spin
             return self._touch(begin + span)
@@ -165,7 +163,7 @@ class ContactRun:
         stop = min(run.limits.stop, least) if forced else run.limits.stop
         clear = np.inf if always or forced else self.clear
         bounds = at.Bounds(stop, self.longest, rate, clear, SLACK, BUDGET)
-        code = int(core.run(*self.system, self.pull, bounds, contact, run.t, run.y, run.seen))
+        code = int(core.run(run.chain, run.drive, self.contacts, self.pull, bounds, contact, run.t, run.y, run.seen))
         index = contact.clock[at.INDEX]
         clock[:MARK] = starting_clock(float(contact.clock[at.T]))
         clock[INDEX], clock[MARK] = index, -np.inf
@@ -221,12 +219,6 @@ def refine_arguments(
     if isinstance(state, State) and np.shape(state.q) == (coarse,) and (pieces > 1).any():
         state = replace(state, q=each(state.q), qd=each(state.qd), checkpoint={})
     return refine_rope(rope, pegs, arm=arm), each(q0), each(qd0), state
-
-
-def _own(values: Iterable[Any]) -> Iterator[Any]:
-    """Yield arrays as copies that can be written to: the compiler keeps a version of a kernel for each kind."""
-    for value in values:
-        yield np.array(value) if isinstance(value, np.ndarray) else value
 
 
 class ContactSamples(NamedTuple):

@@ -13,6 +13,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import TORQUE, Drive
+from hyperflex.core.read_only import read_only
 from hyperflex.core.tangent import directions as dr
 from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.directions import Directions
@@ -70,10 +71,8 @@ class ParameterDirections:
             for part in self.parts:
                 faint[part.get(each.name, faint) != 0.0] = FAINT
             if (faint > now).any():
-                more = np.maximum(now, faint)
-                more.flags.writeable = now.flags.writeable  # the compiler makes kernels of its own for either
-                chain = chain._replace(**{each.field: more})
-        return chain
+                chain = chain._replace(**{each.field: np.maximum(now, faint)})
+        return read_only(chain)
 
     def directions(self, chain: Chain, drive: Drive) -> Directions:
         """The same for the kernels, at the parameters of `chain` and for a drive."""

@@ -1,0 +1,24 @@
+"""Assignment of whole arrays of one shape.
+
+``out[:] = values`` does the same, but checks the shapes, and numba compiles that check and its message anew wherever
+it stands: a hundred times the code of the loop.
+"""
+
+from __future__ import annotations
+
+from hyperflex.core.jit import lean
+
+
+@lean
+def assign(out, values):  # type: ignore[no-untyped-def]
+    """Write `values` (m,) to `out` (m,)."""
+    for i in range(out.shape[0]):
+        out[i] = values[i]
+
+
+@lean
+def assign_rows(out, values):  # type: ignore[no-untyped-def]
+    """Write `values` (m, k) to `out` (m, k)."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = values[i, j]
