@@ -12,7 +12,8 @@ from typing import Any, TypeVar
 
 import numba
 from numba.core import event
-from numba.extending import register_jitable
+from numba.core.imputils import impl_ret_borrowed
+from numba.extending import intrinsic, register_jitable
 
 from hyperflex.core.cache import folder
 
@@ -65,11 +66,11 @@ def lean(function: _F) -> _F:
 
     Its arrays are its callers'. It returns numbers alone, and assigns to slices no more than numbers.
     """
-    return _compiled(function, _nrt=False)
+    return _compiled(function, counts=False)
 
 
-def _compiled(function: _F, **more: bool) -> _F:
-    options = {"error_model": "numpy", "fastmath": _FASTMATH, "nogil": True, **more}
+def _compiled(function: _F, counts: bool = True) -> _F:
+    options = {"error_model": "numpy", "fastmath": _FASTMATH, "nogil": True, "_nrt": counts}
     if numba.config.DISABLE_JIT:
         return function
     compiled = compiler.door(function, options) if _is_known() else numba.njit(**options)(function)
@@ -85,6 +86,25 @@ def shared(function: _F) -> _F:
     """Mark a leaf that is copied into kernels as an inlined one is, and that numpy arrays can go through as well."""
     options = {"error_model": "numpy", "fastmath": _FASTMATH}
     return register_jitable(inline="always", **options)(function)  # type: ignore[no-any-return]
+
+
+def _constant(array: Any) -> Any:
+    """Return an array that a kernel has made as one of the kind that its callers give: not to be written to."""
+    return array
+
+
+if numba.config.DISABLE_JIT:
+    constant = _constant
+else:
+
+    @intrinsic
+    def constant(_context: Any, array: Any) -> Any:
+        """Return an array that a kernel has made as one of the kind that its callers give: not to be written to."""
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return impl_ret_borrowed(context, builder, signature.return_type, arguments[0])
+
+        return array.copy(readonly=True)(array), generate
 
 
 class _Timer(event.Listener):  # type: ignore[misc]

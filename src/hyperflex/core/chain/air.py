@@ -7,7 +7,7 @@ needs to know whether v changes its sign on the way, and none cancels where the 
 
 from __future__ import annotations
 
-from hyperflex.core.jit import inlined, kernel, shared
+from hyperflex.core.jit import inlined, lean, shared
 
 TINY = 1e-140  # m/s, beside which any speed counts; its square is still a number
 
@@ -55,7 +55,7 @@ def drag_slopes(drag, length, across, turn):  # type: ignore[no-untyped-def]
     return first, second, length * (second - 0.5 * drag * length * length * (size - spread))
 
 
-@kernel
+@lean
 def air_loads(chain, w, base, work, at, stride):  # type: ignore[no-untyped-def]
     """Torque of the air on each link, with the drag of all that lies beyond it, (M.32); O(n).
 

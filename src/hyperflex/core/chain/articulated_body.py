@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import air_loads
-from hyperflex.core.jit import inlined, kernel, lean
+from hyperflex.core.jit import constant, inlined, kernel, lean
 
 Array = npt.NDArray[np.float64]
 
@@ -184,7 +184,7 @@ def chain_of_rows(rows, tip_mass, gx, gy, reaction):  # type: ignore[no-untyped-
 @kernel
 def with_dry(chain, dry):  # type: ignore[no-untyped-def]
     """Return the chain with other dry friction (n,), N m."""
-    return Chain(*chain[:5], dry, *chain[6:])  # type: ignore[call-arg]
+    return Chain(*chain[:5], constant(dry), *chain[6:])  # type: ignore[call-arg]
 
 
 @inlined
@@ -256,7 +256,7 @@ def can_stick(chain):  # type: ignore[no-untyped-def]
     return chain.dry.any()
 
 
-@kernel
+@lean
 def lost_power(chain, w, slip, base, work):  # type: ignore[no-untyped-def]
     """Power that friction and the air take from the chain, W; arguments as ``accelerations`` takes and leaves them."""
     _, _, power = air_loads(chain, w, base, work, 0, 4)

@@ -23,7 +23,7 @@ import numpy as np
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import link_drag
 from hyperflex.core.chain.articulated_body import link_step, mutual, sincos
-from hyperflex.core.jit import inlined, kernel
+from hyperflex.core.jit import inlined, kernel, lean
 
 COLUMNS = (0,) * 4
 MEMBERS = (0,) * 16
@@ -68,14 +68,14 @@ def rows(width, n):  # type: ignore[no-untyped-def]
     return lanes, lanes[size - ROW * k :]
 
 
-@kernel
+@lean
 def load(width, chain, lanes, tip):  # type: ignore[no-untyped-def]
     """Copy the parameters of one chain into every lane of ``rows``."""
     for j in range(len(width)):
         load_lane(width, j, chain, lanes, tip)
 
 
-@kernel
+@lean
 def load_lane(width, j, chain, lanes, tip):  # type: ignore[no-untyped-def]
     """Copy the parameters of a chain into lane j, whose joints all slip; no air has moved there yet."""
     k = len(width)
@@ -99,7 +99,7 @@ def load_lane(width, j, chain, lanes, tip):  # type: ignore[no-untyped-def]
     tip[MASS * k + j] = chain.tip_mass
 
 
-@kernel
+@lean
 def set_slip(width, lanes, slip):  # type: ignore[no-untyped-def]
     """Set how each joint slips in every lane, (n,) as in ``chain.accelerations``."""
     k = len(width)
@@ -167,7 +167,7 @@ def store_answer(row, k, j, reaction_factor, at, answer):  # type: ignore[no-unt
         row[(at + UY) * k + j] = answer[9]
 
 
-@kernel
+@lean
 def air(width, lanes, base):  # type: ignore[no-untyped-def]
     """Add the torques of the air to EXTERNAL of the links, (M.32); its force and power go to FX, FY and S of row 0.
 
@@ -205,7 +205,7 @@ def air(width, lanes, base):  # type: ignore[no-untyped-def]
         lanes[S * k + j] = lanes[(ROW + BETA) * k + j]
 
 
-@kernel
+@lean
 def sweep(width, reaction, lanes, tip):  # type: ignore[no-untyped-def]
     """From tip to motor: the answer of the chain at each joint (M.8)-(M.13), and the friction work of the step.
 
@@ -250,7 +250,7 @@ def sweep(width, reaction, lanes, tip):  # type: ignore[no-untyped-def]
                 row[(AT + STEP) * k + j] = h
 
 
-@kernel
+@lean
 def advance(width, more, lanes, tip):  # type: ignore[no-untyped-def]
     """From motor to tip: accelerations, w + h alpha, q + h w and, with MORE, its sine and cosine for the next step."""
     k = len(width)
@@ -285,7 +285,7 @@ def advance(width, more, lanes, tip):  # type: ignore[no-untyped-def]
                 row[(AT + SIN) * k + j], row[(AT + COS) * k + j] = sincos(q)
 
 
-@kernel
+@lean
 def euler(width, reaction, more, lanes, tip, base):  # type: ignore[no-untyped-def]
     """One linearly implicit Euler step in every lane, each of its own length.
 

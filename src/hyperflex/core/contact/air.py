@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperflex.core.chain.air import air_loads
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, lean
 
 
 class Air(NamedTuple):
@@ -25,7 +25,7 @@ def new_air(n):  # type: ignore[no-untyped-def]
     return Air(np.zeros(6 * n), np.zeros(n), np.zeros(3))
 
 
-@kernel
+@lean
 def add_drag_impulses(chain, air, motion, base, h):  # type: ignore[no-untyped-def]
     """Add the impulses of air drag in a step h to those of the joints in `motion`; `base` (9,) in its middle.
 
@@ -44,7 +44,7 @@ def add_drag_impulses(chain, air, motion, base, h):  # type: ignore[no-untyped-d
         motion.joint[i, 0] += h * air.total[2]
 
 
-@kernel
+@lean
 def drag_work(air, motion, rates, before, after, h):  # type: ignore[no-untyped-def]
     """Subtract the drag from the impulses at the first joint; returns the energy lost to drag in the step, J.
 

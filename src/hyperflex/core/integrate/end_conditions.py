@@ -32,7 +32,7 @@ class Until(NamedTuple):
 NEVER = Until(NOTHING, 0.0, 0.0, 0.0, 0.0, 0.0, -math.inf)
 
 
-@kernel
+@lean
 def tip_motion(chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
     """Position, m, velocity, m/s, and acceleration, m/s^2, of the tip: (x, y, vx, vy, ax, ay)."""
     x, y, vx, vy, ax, ay = base[7], base[8], base[5], base[6], base[0], base[1]

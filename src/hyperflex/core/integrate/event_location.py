@@ -11,7 +11,7 @@ from hyperflex.core.chain.drive import base_state
 from hyperflex.core.integrate.end_conditions import NOTHING, PEAK, event_value, limits, on_right_side, watched_sense
 from hyperflex.core.integrate.event_search import AGAIN, EVENT, TRIES, assess_step, begin_search, first_past, is_past
 from hyperflex.core.integrate.progress import CHATTER, PENDING, REJECTED, TAKEN, T, advance
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import lean
 from hyperflex.core.stiction.constraint_torques import (
     margins,
     midpoint_state,
@@ -23,7 +23,7 @@ from hyperflex.core.stiction.constraint_torques import (
 from hyperflex.core.stiction.slip_modes import decide_modes
 
 
-@kernel
+@lean
 def update_modes(chain, drive, part, progress, workspace):  # type: ignore[no-untyped-def]
     """Decide the modes of the joints where a run stands; False where no modes obey the law, or joints chatter."""
     y, slip, clock = progress.y, progress.slip, progress.clock
@@ -37,7 +37,7 @@ def update_modes(chain, drive, part, progress, workspace):  # type: ignore[no-un
     return good
 
 
-@kernel
+@lean
 def end_margins(chain, until, sense, q, w, alpha, base, last, out):  # type: ignore[no-untyped-def]
     """Margins of the joints' limits, and in column `last` that of what may end the run, to ``out`` (2, last + 1)."""
     if sense != 0.0:
@@ -47,7 +47,7 @@ def end_margins(chain, until, sense, q, w, alpha, base, last, out):  # type: ign
         limits(chain, q, w, base, out)
 
 
-@kernel
+@lean
 def find_event(chain, drive, part, table, terms, progress, step, workspace):  # type: ignore[no-untyped-def]
     """Shorten the step to ``workspace.out`` until it holds no event, or ends at its first one; `terms` are the Limits.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.air import drag_slopes, link_drag
-from hyperflex.core.jit import inlined, kernel
+from hyperflex.core.jit import inlined, lean
 from hyperflex.core.tangent import step as tg
 
 # of a link: sine, cosine, length, rate; force across it and moment, N and N m, for a unit of drag; its drag
@@ -26,7 +26,7 @@ ROW = 36
 UP, AT = 0, ROW
 
 
-@kernel
+@lean
 def begin(width, lanes, base, air):  # type: ignore[no-untyped-def]
     """Work out what all directions share from the lanes after ``tangent.step.prepare``; `base` (9, k) as there."""
     k = len(width)
@@ -94,7 +94,7 @@ def inward(row, k, j, d, longer):  # type: ignore[no-untyped-def]
     row[(DFY + d) * k + j] = fy - (change * sin + force * dq * cos)
 
 
-@kernel
+@lean
 def tangent_drag(width, lanes, air, links):  # type: ignore[no-untyped-def]
     """Write the changes of the torques to RHS of the links in `lanes`, for changes of their angles and rates there.
 

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.chain.drive import base_state
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, lean
 from hyperflex.core.stiction.constraint_torques import (
     QUICK,
     StictionWorkspace,
@@ -63,7 +64,7 @@ def new_event_workspace(chain, drive, directions):  # type: ignore[no-untyped-de
     return EventWorkspace(workspace, longer, new_stiction_workspace(n), np.zeros(9), np.zeros(9), moved[0], moved[1])
 
 
-@kernel
+@lean
 def base_changes(drive, part, t, late, directions, moved):  # type: ignore[no-untyped-def]
     """Write the changes (p, CHANGES) of the base's motion at a time t, s, that itself changes by `late` (b, 2)."""
     for x in range(moved.shape[0]):
@@ -73,7 +74,7 @@ def base_changes(drive, part, t, late, directions, moved):  # type: ignore[no-un
             dr.base_change(drive, part, t, late[x // 2, x % 2], directions, m, moved[x])
 
 
-@kernel
+@lean
 def project_stuck_tangent(slip, before, moved_before, moved, values):  # type: ignore[no-untyped-def]
     """Project derivatives (2 n, p) onto stuck joints, as ``project_stuck`` does the state; `before` are earlier."""
     n = slip.size
@@ -88,7 +89,7 @@ def project_stuck_tangent(slip, before, moved_before, moved, values):  # type: i
                     values[0, x] = moved[x, dr.TURN] + (before[0, x] - moved_before[x, dr.TURN])
 
 
-@kernel
+@lean
 def stop_joints_tangent(slip, margin, moved, values):  # type: ignore[no-untyped-def]
     """Give the rates' derivatives of joints that stick, or have just come to rest, those of their parents."""
     n = slip.size
@@ -98,7 +99,7 @@ def stop_joints_tangent(slip, margin, moved, values):  # type: ignore[no-untyped
                 values[n + i, x] = values[n + i - 1, x] if i > 0 else moved[x, dr.RATE]
 
 
-@kernel
+@lean
 def relative(values, row, i, x, moved, kind):  # type: ignore[no-untyped-def]
     """Difference of a row's derivative along direction x between joint i's link and its parent."""
     return values[row, x] - (values[row - 1, x] if i > 0 else moved[x, kind])
@@ -120,8 +121,10 @@ def margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, 
         free = slip.copy()
         free[joint] = -1.0 if turn.stiction.load[joint] > 0.0 else 1.0
         for one, way in ((workspace, directions), (turn.workspace, turn.longer)):
-            one.ys[0], one.ys[1], one.ys[2] = y, out, out
-            one.nodes[1] = one.nodes[2]
+            assign(one.ys[0], y)
+            assign(one.ys[1], out)
+            assign(one.ys[2], out)
+            assign_rows(one.nodes[1], one.nodes[2])
             ln.set_slip(ln.COLUMNS, one.lanes, free)
             acceleration_derivatives(chain, drive, part, t, step, way, one)
             ln.set_slip(ln.COLUMNS, one.lanes, slip)
@@ -137,7 +140,7 @@ def margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, 
     return result, slope
 
 
-@kernel
+@lean
 def is_chatter(drive, part, t, step, y, slip, joint, turn):  # type: ignore[no-untyped-def]
     """Whether the event at the end of a step is but rounding: of a joint at rest, within a step that is too short."""
     n = slip.size

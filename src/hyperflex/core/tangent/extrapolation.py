@@ -10,7 +10,7 @@ from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, sines
 from hyperflex.core.integrate.steps import begin_columns, end_columns
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, lean
 from hyperflex.core.tangent import air as dg
 from hyperflex.core.tangent import directions as dr
 from hyperflex.core.tangent import step as tg
@@ -76,7 +76,7 @@ def new_tangent_workspace(chain, pairs):  # type: ignore[no-untyped-def]
     )
 
 
-@kernel
+@lean
 def clear_ends(workspace):  # type: ignore[no-untyped-def]
     """Let neither the base's motion nor the tip mass change."""
     lanes = workspace.lanes
@@ -89,7 +89,7 @@ def clear_ends(workspace):  # type: ignore[no-untyped-def]
             workspace.air[x] = 0.0
 
 
-@kernel
+@lean
 def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-def]
     """Put the changes of the base's motion and of the tip mass into the first and the last row of the lanes."""
     lanes, moved = workspace.lanes, workspace.moved
@@ -118,7 +118,7 @@ def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-
             tip[(tg.BY + d) * K + j] = heavier * far[ln.PY * K + j]
 
 
-@kernel
+@lean
 def enter(lanes, own, anew, begins):  # type: ignore[no-untyped-def]
     """Put the derivatives of a pair, `own` (n PARTS CELL,), into the lanes, from their start where a column begins."""
     n = own.size // (PARTS * CELL)
@@ -133,7 +133,7 @@ def enter(lanes, own, anew, begins):  # type: ignore[no-untyped-def]
                 cell[x] = kept[NOW + x]
 
 
-@kernel
+@lean
 def leave(lanes, own, weight, ends):  # type: ignore[no-untyped-def]
     """Take the derivatives of one pair out of the lanes, and add the columns that are complete to their sum."""
     n = own.size // (PARTS * CELL)
@@ -147,7 +147,7 @@ def leave(lanes, own, weight, ends):  # type: ignore[no-untyped-def]
             kept[NOW + x] = cell[x]
 
 
-@kernel
+@lean
 def set_start(values, store):  # type: ignore[no-untyped-def]
     """Make derivatives (2 n, p) the start in every lane of `store` (b, n PARTS CELL)."""
     n = values.shape[0] // 2
@@ -161,7 +161,7 @@ def set_start(values, store):  # type: ignore[no-untyped-def]
                 cell[3 * K + j] = values[n + i, 2 * b + 1]
 
 
-@kernel
+@lean
 def sum_columns(store, values):  # type: ignore[no-untyped-def]
     """Sum the lanes of the sums in `store` to derivatives (2 n, p), and set them back."""
     n = values.shape[0] // 2
@@ -176,7 +176,7 @@ def sum_columns(store, values):  # type: ignore[no-untyped-def]
             cell[:] = 0.0
 
 
-@kernel
+@lean
 def begin_pairs(reaction, lanes, air, base):  # type: ignore[no-untyped-def]
     """Work out what the pairs have in common, after a step of ``lanes.euler``."""
     tg.prepare(ln.COLUMNS, reaction, lanes)
@@ -184,7 +184,7 @@ def begin_pairs(reaction, lanes, air, base):  # type: ignore[no-untyped-def]
         dg.begin(ln.COLUMNS, lanes, base, air)
 
 
-@kernel
+@lean
 def step_pair(reaction, lanes, air, links, stretch):  # type: ignore[no-untyped-def]
     """Derivatives of that step for changes of everything, see ``step.step_all``."""
     if air.size > 0:
