@@ -56,6 +56,13 @@ def test_arrays_tell_the_number_of_links() -> None:
     assert setup.rope == hf.Rope(length=[0.1, 0.2], mass=[0.01, 0.02])
 
 
+def test_tables_of_a_planner_are_left_out() -> None:
+    planned = "[target]\nx = 0.6\ny = -1.1\nradius = 0.05\n[limits]\nspeed = 8.0\n[plan]\nseed = 1\n"
+    assert hf.Setup.loads(TABLE + planned).dumps() == hf.Setup.loads(TABLE).dumps()
+    with pytest.raises(InvalidInput, match="does not fit"):
+        hf.Setup.loads(TABLE + "[aim]\nx = 0.6\n")
+
+
 def test_motion_file_is_found_beside_the_setup(tmp_path: Path) -> None:
     (tmp_path / "arm.csv").write_text("t,angle\n0.0,0.0\n0.5,1.0\n")
     (tmp_path / "setup.toml").write_text(

@@ -4,36 +4,16 @@ A file is written under a temporary name in the same folder, forced to the disk 
 the earlier file or the complete new one, never a part, also after a full disk, a crash or Ctrl-C.
 """
 
-from __future__ import annotations
+from typing import TYPE_CHECKING
 
-from hyperflex.files.json import dumps_json, plain, write_json
-from hyperflex.files.netcdf import NetCDF, Variable, read_netcdf, write_netcdf
-from hyperflex.files.reading import read_bytes, read_text
-from hyperflex.files.tables import read_notes, read_table, write_table
-from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, write_toml
-from hyperflex.files.writing import PathLike, as_path, atomic, atomic_path, write_bytes, write_text
+from hyperflex.lazy import attach
 
-__all__ = [
-    "NetCDF",
-    "PathLike",
-    "Variable",
-    "as_path",
-    "atomic",
-    "atomic_path",
-    "dumps_json",
-    "dumps_toml",
-    "loads_toml",
-    "plain",
-    "read_bytes",
-    "read_netcdf",
-    "read_notes",
-    "read_table",
-    "read_text",
-    "read_toml",
-    "write_bytes",
-    "write_json",
-    "write_netcdf",
-    "write_table",
-    "write_text",
-    "write_toml",
-]
+if TYPE_CHECKING:
+    from hyperflex.files.json import dumps_json, plain, write_json
+    from hyperflex.files.netcdf import NetCDF, Variable, read_netcdf, write_netcdf
+    from hyperflex.files.reading import read_bytes, read_text
+    from hyperflex.files.tables import read_notes, read_table, write_table
+    from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, write_toml
+    from hyperflex.files.writing import PathLike, as_path, atomic, atomic_path, write_bytes, write_text
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

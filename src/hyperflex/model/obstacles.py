@@ -1,17 +1,166 @@
-"""Obstacles together: pegs, walls and grounds in files and as kernel arrays."""
+"""Obstacles that a rope may touch: round pegs, walls and grounds; in files, and as kernel arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.core.contact.gaps import Pegs
-from hyperflex.model.peg import FIXED, Peg, pegs_from_table, pegs_table
-from hyperflex.model.wall import Ground, Wall, obstacles_from_table, obstacles_table
+from hyperflex.errors import InvalidInput
+
+FIXED = (math.inf, 0.0)  # kg m^2 and N m s/rad, of what does not turn
+_BOUNDS: dict[str, tuple[checks.Sign, str]] = {  # sign and unit of fields; of all others: any, in m
+    "radius": ("positive", "m"),
+    "mu": ("nonnegative", ""),
+    "restitution": ("nonnegative", ""),
+    "inertia": ("positive", "kg m^2"),
+    "bearing": ("nonnegative", "N m s/rad"),
+}
+
+
+@dataclass(frozen=True)
+class Peg:
+    """A round peg, its axis across the plane of the rope; fixed, or a pulley that turns on an axle.
+
+    Parameters
+    ----------
+    x, y : float
+        Its centre, m.
+    radius : float
+        m, > 0. The rope's axis stays outside `radius` plus the rope's own radius.
+    mu : float
+        Coulomb's coefficient of friction between rope and peg, >= 0.
+    restitution : float
+        Part of the speed with which a point bounces back, 0 to 1.
+    inertia : float, optional
+        Moment of inertia about its axle, kg m^2, > 0, of a peg that turns; by default it is fixed.
+    bearing : float
+        Viscous friction of the axle, N m s/rad, >= 0; of a peg that turns.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite or has the wrong sign, or a fixed peg has a bearing.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> hf.Peg(x=0.8, y=-0.6, radius=0.03, mu=0.3).radius
+    0.03
+    """
+
+    x: float
+    y: float
+    radius: float
+    mu: float = 0.3
+    restitution: float = 0.0
+    inertia: float | None = None
+    bearing: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(self, "peg")
+        if self.bearing > 0.0 and self.inertia is None:
+            raise InvalidInput("a fixed peg has no bearing", got=self.bearing, fix="Give its inertia, in kg m^2")
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns on an axle."""
+        return self.inertia is not None
+
+    @property
+    def axle(self) -> tuple[float, float]:
+        """Its inertia, kg m^2, infinite if it is fixed, and its bearing, N m s/rad."""
+        return FIXED if self.inertia is None else (self.inertia, self.bearing)
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A thin straight wall that a rope may touch on both sides; two of them with a gap between make a slit.
+
+    Parameters
+    ----------
+    x, y, x2, y2 : float
+        Its ends, m, which must not coincide. The rope's axis stays outside the rope's radius.
+    mu : float
+        Coulomb's coefficient of friction between rope and wall, >= 0.
+    restitution : float
+        Part of the speed with which a point bounces back, 0 to 1.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite, has the wrong sign, or the ends coincide.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> hf.Wall(x=0.5, y=-1.0, x2=0.5, y2=-0.2).mu
+    0.3
+    """
+
+    x: float
+    y: float
+    x2: float
+    y2: float
+    mu: float = 0.3
+    restitution: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(self, "wall")
+        if (self.x, self.y) == (self.x2, self.y2):
+            raise InvalidInput("ends of a wall coincide", got=(self.x, self.y), allowed="two points")
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Everything on one side of a straight line, solid: a floor, a ceiling, the side of a room.
+
+    Parameters
+    ----------
+    x, y : float
+        A point of its surface, m.
+    nx, ny : float
+        A vector out of it, not zero; the default is a floor's.
+    mu, restitution : float
+        As of a :class:`Wall`.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite, has the wrong sign, or the vector is zero.
+    """
+
+    x: float
+    y: float
+    nx: float = 0.0
+    ny: float = 1.0
+    mu: float = 0.3
+    restitution: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(self, "ground")
+        if (self.nx, self.ny) == (0.0, 0.0):
+            raise InvalidInput("vector out of the ground is zero", got=(self.nx, self.ny), allowed="a direction")
+
 
 Obstacle = Peg | Wall | Ground
+KINDS: dict[str, type[Obstacle]] = {"pegs": Peg, "walls": Wall, "grounds": Ground}  # by table of a TOML file
+
+
+def _check(obstacle: Obstacle, what: str) -> None:
+    """Make numbers of all fields, or refuse what is none, has the wrong sign or bounces back faster than it came."""
+    for each in fields(obstacle):
+        value, (sign, unit) = getattr(obstacle, each.name), _BOUNDS.get(each.name, ("any", "m"))
+        if value is not None or each.default is not None:
+            number = checks.number(f"{what} {each.name}", value, sign=sign, unit=unit)
+            object.__setattr__(obstacle, each.name, number)
+    if obstacle.restitution > 1.0:
+        raise InvalidInput(f"{what} restitution is too large", got=obstacle.restitution, allowed="0 to 1")
 
 
 def packed(obstacles: Sequence[Obstacle], radius: float, first: int) -> Pegs:
@@ -43,22 +192,38 @@ def round_places(obstacles: Sequence[Obstacle]) -> list[int]:
 
 
 def tables(obstacles: Sequence[Obstacle]) -> dict[str, Any]:
-    """Return the tables of a TOML file; obstacles come back ordered by class."""
-    pegs = [each for each in obstacles if isinstance(each, Peg)]
-    walls = [each for each in obstacles if isinstance(each, Wall)]
-    grounds = [each for each in obstacles if isinstance(each, Ground)]
-    named: dict[str, Any] = {"pegs": pegs_table(pegs)} if pegs else {}
-    named |= {name: obstacles_table(some) for name, some in (("walls", walls), ("grounds", grounds)) if some}
+    """Return the tables of a TOML file: arrays with one entry an obstacle; a fixed peg's inertia is inf."""
+    named = {}
+    for name, kind in KINDS.items():
+        some = [each for each in obstacles if isinstance(each, kind)]
+        axles = any(isinstance(each, Peg) and each.turns for each in some)
+        shown = [f.name for f in fields(kind) if axles or f.name not in ("inertia", "bearing")]
+        if some:
+            named[name] = {field: [getattr(each, field) for each in some] for field in shown}
+        if axles:
+            named[name]["inertia"] = [inertia or math.inf for inertia in named[name]["inertia"]]
     return named
 
 
 def obstacles_of(named: Mapping[str, Any]) -> tuple[Obstacle, ...]:
-    """Build obstacles from the tables of a file; a table that is not there is None."""
-    result: tuple[Obstacle, ...] = ()
-    if named["pegs"] is not None:
-        result += pegs_from_table(named["pegs"])
-    if named["walls"] is not None:
-        result += obstacles_from_table(Wall, "walls", named["walls"])
-    if named["grounds"] is not None:
-        result += obstacles_from_table(Ground, "grounds", named["grounds"])
-    return result
+    """Build obstacles from the tables of a file; the order is that of KINDS."""
+    return tuple(each for name, kind in KINDS.items() if name in named for each in _rows(kind, name, named[name]))
+
+
+def _rows(kind: type[Obstacle], what: str, table: Mapping[str, Any]) -> Iterator[Obstacle]:
+    """Yield the obstacles of a table; a number stands for one, or for all but in a field that has no default."""
+    names = [f.name for f in fields(kind)]
+    needed = [f.name for f in fields(kind) if f.default is MISSING]
+    if set(table) - set(names) or set(needed) - set(table):
+        allowed = f"{', '.join(needed)}; {', '.join(names[len(needed) :])}"
+        raise InvalidInput(f"{what} table does not fit", got=sorted(table), allowed=allowed)
+    columns = {
+        name: np.atleast_1d(checks.array(f"{what} {name}", value, np.shape(value), infinite=name == "inertia"))
+        for name, value in table.items()
+    }
+    sizes = {name: value.size for name, value in columns.items() if name in needed or value.size > 1}
+    if len(set(sizes.values())) != 1 or any(value.ndim > 1 for value in columns.values()):
+        raise InvalidInput(f"{what} arrays do not tell one number of {what}", got=sizes, allowed="arrays of one length")
+    for row in zip(*(np.broadcast_to(value, columns["x"].shape) for value in columns.values()), strict=True):
+        given = dict(zip(columns, map(float, row), strict=True))
+        yield kind(**{name: value for name, value in given.items() if value != math.inf})

@@ -11,8 +11,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
-from hyperflex.model.obstacles import Obstacle
-from hyperflex.model.peg import Peg
+from hyperflex.model.obstacles import Obstacle, Peg
 from hyperflex.model.properties import LINKS
 from hyperflex.model.rope import Rope, bend_limits, bend_ratios
 from hyperflex.model.stretch import across, uniform

@@ -15,7 +15,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
-from hyperflex.model.properties import LINKS
+from hyperflex.model.properties import LINK_NAMES, LINKS
 from hyperflex.model.rope_table import MOST_LINKS, from_table, to_table
 
 GRAVITY = (0.0, -9.81)  # m/s^2
@@ -111,18 +111,8 @@ class Rope:
         radius: float = 0.0,
         name: str = "",
     ) -> None:
-        given: dict[str, npt.ArrayLike | None] = {
-            "length": length,
-            "mass": mass,
-            "com": com,
-            "inertia": inertia,
-            "friction": friction,
-            "dry_friction": dry_friction,
-            "stiffness": stiffness,
-            "rest_angle": rest_angle,
-            "drag": drag,
-            "max_bend": max_bend,
-        }
+        arguments = locals()
+        given: dict[str, npt.ArrayLike | None] = {each: arguments[each] for each in LINK_NAMES}
         n = _number_of_links(given)
         r = checks.number("radius", radius, sign="nonnegative", unit="m")
         for each in LINKS:

@@ -18,13 +18,13 @@ from hyperflex.core.contact.gaps import Pegs
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
-from hyperflex.model.obstacles import Obstacle, obstacles_of, packed, tables
-from hyperflex.model.peg import Peg
+from hyperflex.model.obstacles import KINDS, Obstacle, Peg, obstacles_of, packed, tables
 from hyperflex.model.rope import Rope
 from hyperflex.motion import Motion, from_spec, hold_arm, to_spec
 
 METHODS = ("extrapolation", "rk4")
 PLAN = "plan"  # table in which a planner keeps what a run does not need
+PLANNING = (PLAN, "target", "limits")  # tables of a planner, which a run leaves alone
 DEFAULT_TOL = 1e-5  # m
 DEFAULT_CONTACT_STEP = 2e-4  # s
 
@@ -219,8 +219,11 @@ class Setup:
 
     @classmethod
     def loads(cls, text: str, name: str = "the set-up", folder: Path | None = None) -> Setup:
-        """Build a set-up from TOML text; `name` stands for it in messages, files named in it lie in `folder`."""
-        content = {key: value for key, value in files.loads_toml(text, name).items() if key != PLAN}
+        """Build a set-up from TOML text; `name` stands for it in messages, files named in it lie in `folder`.
+
+        The tables of a planner, ``[target]``, ``[limits]`` and ``[plan]``, are left out.
+        """
+        content = {key: value for key, value in files.loads_toml(text, name).items() if key not in PLANNING}
         names = {f.name for f in fields(cls)} | {"walls", "grounds"}
         if set(content) - names or "rope" not in content:
             raise InvalidInput(f"{name} does not fit", got=sorted(content), allowed="rope; " + ", ".join(sorted(names)))
@@ -230,7 +233,7 @@ class Setup:
         content["rope"] = Rope.from_table(content["rope"])
         if "arm" in content:
             content["arm"] = Arm.from_table(content["arm"])
-        content["pegs"] = obstacles_of({name: content.pop(name, None) for name in ("pegs", "walls", "grounds")})
+        content["pegs"] = obstacles_of({name: content.pop(name) for name in KINDS if name in content})
         for motion in ("motion", "torque"):
             if motion in content:
                 content[motion] = from_spec(content[motion], folder)
