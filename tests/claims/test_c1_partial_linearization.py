@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hyperflex.paper import READINGS
-from hyperflex.paper.casting_results import linearized
-from hyperflex.paper.linearization import replay
+from hyperflex.paper.linearization import linearized, replay
 
 pytestmark = pytest.mark.claims
 

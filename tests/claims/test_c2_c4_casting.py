@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from hyperflex.paper import READINGS
-from hyperflex.paper.casting import cast, run
-from hyperflex.paper.casting_results import (
-    casting_claims,
+from hyperflex.paper.casting import (
+    cast,
     concentration,
     reach_table,
     rise_phases,
+    run,
     steady_step_phase,
     straight_phase,
     success_over_failure,
 )
+from hyperflex.paper.report.casting import casting_claims
 
 pytestmark = pytest.mark.claims
 

@@ -14,14 +14,17 @@ from hyperflex.paper.identification import (
     SMALL,
     SWINGS,
     WIDE,
+    few_samples_do,
+    finds_the_truth,
     guess,
+    in_order,
     methods,
     per_sample,
     record,
     revised,
+    settles,
     whole_error,
 )
-from hyperflex.paper.identification_results import few_samples_do, finds_the_truth, in_order, settles
 
 pytestmark = pytest.mark.claims
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hyperflex.paper.casting_results import fig10
+from hyperflex.paper.casting import fig10
 from hyperflex.paper.report import casting
 from hyperflex.paper.report.part import Item
 

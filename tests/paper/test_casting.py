@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperflex.paper import READINGS, T_MOVE, cable
-from hyperflex.paper import casting_results as results
+from hyperflex.paper import casting as results
 from hyperflex.paper.casting import cast
 
 

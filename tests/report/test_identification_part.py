@@ -7,7 +7,7 @@ import pytest
 
 from hyperflex import files
 from hyperflex.paper import Claim
-from hyperflex.paper import identification_results as results
+from hyperflex.paper import identification as results
 from hyperflex.paper.identification import SMALL, SWINGS, WIDE, Swing, methods, record, revised
 from hyperflex.paper.report import identification
 from hyperflex.paper.report.part import verdicts, write_part

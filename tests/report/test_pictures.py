@@ -11,8 +11,7 @@ from PIL import Image
 
 import hyperflex as hf
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.paper.casting import READINGS
-from hyperflex.paper.casting_results import casts
+from hyperflex.paper.casting import READINGS, casts
 from hyperflex.paper.report import casting
 from hyperflex.report.animation import animate
 from hyperflex.report.shapes import shapes

@@ -51,46 +51,17 @@ _CAPTIONS = {
 
 @dataclass(frozen=True)
 class DemoReport:
-    """The demo's report.
+    """The demo's results, and the files of its report."""
 
-    Attributes
-    ----------
-    files : dict of str to Path
-        By what they are: "page", "film", "cast", "rope", ...
-    demo : Demo
-        The results.
-    parameters, reaches : TextTable
-        Identified values, intervals and mapped truth; greatest reach of the tip in each 2 s.
-    verdicts : tuple of (bool, str)
-        Whether the planned cast succeeds, and whether the rope that made the recording winds by the same throw.
-    """
-
-    files: dict[str, Path]
+    files: dict[str, Path]  # by what they are: "page", "film", "cast", "rope", ...
     demo: Demo
-    parameters: TextTable
-    reaches: TextTable
-    verdicts: tuple[tuple[bool, str], ...]
+    parameters: TextTable  # identified values, intervals and mapped truth
+    reaches: TextTable  # greatest reach of the tip in each 2 s
+    verdicts: tuple[tuple[bool, str], ...]  # on the planned cast, and on the same throw of the rope that was recorded
 
 
 def write_demo(directory: str | Path, progress: Progress = silent) -> DemoReport:
-    """Run the demo and write its folder.
-
-    Parameters
-    ----------
-    directory : str or Path
-        Folder to write to, wholly or not at all; made if it is not there, other files in it stay.
-    progress : callable
-        Called with a message on what is being done.
-
-    Returns
-    -------
-    DemoReport
-
-    Raises
-    ------
-    FileProblem
-        The folder cannot be made or written to.
-    """
+    """Run the demo and write its folder, as :func:`hyperflex.report.folder.whole_folder` does."""
     with whole_folder(directory) as stage:
         demo = run_demo(progress)
         winding = CastReport(demo.plan, demo.held, "wound")

@@ -27,27 +27,15 @@ _UNITS = {"friction": "N m s/rad", "inertia": "kg m^2"}
 
 @dataclass(frozen=True)
 class Parameter:
-    """One identified number beside what is known about it.
-
-    Attributes
-    ----------
-    name, unit : str
-        What it is, and its SI unit.
-    guess, value, sd : float
-        Before, after, and the standard deviation.
-    mapped : float
-        What the same fit finds without noise: the truth as far as the coarse chain can hold it.
-    cut : float
-        That of the rope simply cut into as many links.
-    """
+    """One identified number, in SI units, beside what is known about it."""
 
     name: str
     unit: str
     guess: float
     value: float
-    sd: float
-    mapped: float
-    cut: float
+    sd: float  # of the value
+    mapped: float  # what the same fit finds without noise: the truth as far as the coarse chain can hold it
+    cut: float  # that of the rope simply cut into as many links
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -63,53 +51,21 @@ class Parameter:
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """The results of the demo.
+    """The results of the demo."""
 
-    Attributes
-    ----------
-    recording : Recording
-        The bundled recording, simulated.
-    identification : Identification
-        Of the 10-link chain.
-    parameters : tuple of Parameter
-        The identified numbers with intervals and mapped truth.
-    angle_noise : (n,) float64
-        Standard deviation of the measured link angles, rad: the least prediction error that can be measured.
-    cast : Trajectory
-        The identified rope, cast by the paper's motion.
-    reference : Trajectory
-        The rope that made the recording, cast likewise.
-    plan : CastPlan
-        How the identified rope is wound round a target.
-    held : HoldingForce or None
-        A tug at the wound rope; None where it is not wound.
-    proof : CastOutcome or None
-        The same throw by the rope that made the recording; None where there is no throw.
-    """
-
-    recording: Recording
-    identification: Identification
+    recording: Recording  # bundled, simulated
+    identification: Identification  # of the 10-link chain
     parameters: tuple[Parameter, ...]
-    angle_noise: Array
-    cast: Trajectory
-    reference: Trajectory
-    plan: CastPlan
-    held: HoldingForce | None
-    proof: CastOutcome | None
+    angle_noise: Array  # (n,) standard deviation of the measured link angles, rad: the least error that can be measured
+    cast: Trajectory  # the identified rope, cast by the paper's motion
+    reference: Trajectory  # the rope that made the recording, cast likewise
+    plan: CastPlan  # how the identified rope is wound round a target
+    held: HoldingForce | None  # result of a tug at the wound rope
+    proof: CastOutcome | None  # the same throw by the rope that made the recording
 
 
 def run_demo(progress: Progress = silent) -> Demo:
-    """Identify the bundled recording's rope, cast it, and plan how to wind it round a target.
-
-    Parameters
-    ----------
-    progress : callable
-        Called with a message on what is being done.
-
-    Returns
-    -------
-    Demo
-    """
+    """Identify the bundled recording's rope, cast it, and plan how to wind it round a target."""
     progress("reading the recording")
     recording, guess = twin.bundled(), twin.guess()
 
@@ -158,8 +114,5 @@ def _wind(rope: Rope, progress: Progress) -> tuple[CastPlan, HoldingForce | None
     if plan.motion is None:
         return plan, held, None
     progress("throwing the rope that made the recording")
-    return (
-        plan,
-        held,
-        verify_cast(CastSetup(twin.fine_rope(), casting_arm(), plan.cast_setup.limits), TARGET, plan.motion),
-    )
+    proof = verify_cast(CastSetup(twin.fine_rope(), casting_arm(), plan.cast_setup.limits), TARGET, plan.motion)
+    return plan, held, proof

@@ -57,19 +57,8 @@ def guess() -> Rope:
 def record(*, noise: float = NOISE, lost: float = LOST, rate: float = RATE) -> Recording:
     """Simulate the fine rope's free swing and look at it as a camera would.
 
-    Parameters
-    ----------
-    noise : float
-        Standard deviation of each marker coordinate, m.
-    lost : float
-        Part of the marker sightings that are missing.
-    rate : float
-        Frames per second.
-
-    Returns
-    -------
-    Recording
-        Markers at the joints of the coarse chain; simulated, and says so.
+    `noise` is the standard deviation of each marker coordinate, m, `lost` the part of the sightings that are missing,
+    and `rate` in frames per second. The markers are at the joints of the coarse chain.
     """
     t = np.arange(round(SECONDS * rate) + 1) / rate
     along = (np.arange(FINE) + 0.5) / FINE

@@ -11,22 +11,19 @@ from hyperflex.dynamics import bias, input_from_torque, mass_matrix, partial_lin
 from hyperflex.model import Arm
 from hyperflex.motion import arm_swings, torque_profile
 from hyperflex.paper.casting import T_MOVE, T_REST, TOL, Reading, cable
+from hyperflex.paper.results import Claim
 from hyperflex.simulation import simulate
 
 ARM = Arm(length=0.105, inertia=1e-3, friction=1e-3)  # the paper names no inertia; kg m^2 and N m s/rad of our own
 SPAN = 2.0 * (T_MOVE + T_REST["success"])  # s, one whole swing there and back
 RATE = 2000  # torque samples per second
+LINEAR_ERROR = 1e-9
 _BEFORE = 1e-7  # s, the torque is also sampled this long before each of its jumps
 
 
 @cache
 def replay(reading: Reading) -> tuple[float, float]:
     """Recover the motor torque of one swing by (3) and drive the arm with it.
-
-    Parameters
-    ----------
-    reading : Reading
-        The arm's way and the friction.
 
     Returns
     -------
@@ -56,6 +53,14 @@ def replay(reading: Reading) -> tuple[float, float]:
     )
     distance = np.linalg.norm(driven.tip - led.tip, axis=1)
     return float(errors.max() / np.abs(u).max()), float(distance.max())
+
+
+def linearized(reading: Reading) -> Claim:
+    """C1: with u from (3) the arm's acceleration equals u, and the torque recovered from u reproduces the motion."""
+    error, distance = replay(reading)
+    note = f"the recovered torque, replayed open loop for one swing, leads the tip back within {1e3 * distance:.2g} mm"
+    statement = "u of (3) is the arm's acceleration: relative error"
+    return Claim("C1", statement, reading, error, LINEAR_ERROR, note, "<=")
 
 
 def _sample_times(switches: Array) -> Array:

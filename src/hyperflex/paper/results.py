@@ -18,33 +18,15 @@ class Case(Protocol):
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of the paper: its threshold, and the measured value.
+    """A claim of the paper: its threshold, and the measured value."""
 
-    Attributes
-    ----------
-    name : str
-        "C1" to "C7".
-    statement : str
-        The claim in words.
-    case : Reading or Swing
-        What it was measured in.
-    measured : float
-        The measured value.
-    threshold : float
-        The value at which the claim just holds.
-    note : str
-        What else the measurement shows.
-    relation : {">=", "<="}
-        On which side of the threshold it holds.
-    """
-
-    name: str
+    name: str  # "C1" to "C7"
     statement: str
     case: Case
     measured: float
-    threshold: float
-    note: str = ""
-    relation: Literal[">=", "<="] = ">="
+    threshold: float  # value at which the claim just holds
+    note: str = ""  # what else the measurement shows
+    relation: Literal[">=", "<="] = ">="  # on which side of the threshold it holds
 
     @property
     def holds(self) -> bool:
@@ -54,21 +36,9 @@ class Claim:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of equal length, and notes for the head of their file.
+    """Columns of equal length, and notes for the head of their file."""
 
-    Attributes
-    ----------
-    name : str
-        "fig10" and the like; the stem of file names.
-    title : str
-        What it shows.
-    columns : dict of str to (T,) float64
-        Values by column name.
-    notes : dict of str to str
-        Units, source and parameters.
-    """
-
-    name: str
+    name: str  # "fig10" and the like; the stem of file names
     title: str
     columns: dict[str, Array]
-    notes: dict[str, str]
+    notes: dict[str, str]  # units, source and parameters

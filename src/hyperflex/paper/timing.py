@@ -10,8 +10,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.control import CrossingRule, Spiral, SwingModel, TrueState, run_closed_loop, spiral
-from hyperflex.paper.casting import READINGS, T_MOVE, TIME_CONSTANT, Reading, cable, casting_arm
-from hyperflex.paper.casting_results import TABLE_RATE
+from hyperflex.paper.casting import READINGS, T_MOVE, TABLE_RATE, TIME_CONSTANT, Reading, cable, casting_arm
 from hyperflex.paper.results import Claim, Table
 from hyperflex.simulation import simulate
 
@@ -25,24 +24,12 @@ FIRST = 1.0  # ratio at which t_b = 0 just ends largest
 
 @dataclass(frozen=True, eq=False)
 class TimedCast:
-    """The tip in one run of the paper's timing control.
-
-    Attributes
-    ----------
-    reading : Reading
-        What was simulated.
-    lead : float
-        t_b, s.
-    starts : (k,) float64
-        When each half turn of the arm started, s.
-    spiral : Spiral
-        Spiral coordinates of the tip with c = 0.40 s.
-    """
+    """The tip in one run of the paper's timing control."""
 
     reading: Reading
-    lead: float
-    starts: Array
-    spiral: Spiral
+    lead: float  # t_b, s
+    starts: Array  # (k,) of each half turn of the arm, s
+    spiral: Spiral  # coordinates of the tip with c = 0.40 s
 
     @property
     def intervals(self) -> Array:
@@ -61,12 +48,7 @@ class TimedCast:
 def timed(reading: Reading, lead: float) -> TimedCast:
     """Return a run of the paper's timing control; the same one is simulated only once in a process.
 
-    Parameters
-    ----------
-    reading : Reading
-        The arm's way and the friction.
-    lead : float
-        t_b, s. The crossing is predicted exactly, by the model that is simulated.
+    The crossing, `lead` (t_b, s) before which the arm starts, is predicted exactly, by the model that is simulated.
     """
     rope, arm = cable(reading.friction), casting_arm()
     caster = SwingModel(rope, arm, T_MOVE, path=reading.path)

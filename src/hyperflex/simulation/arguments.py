@@ -22,13 +22,8 @@ MOST_OUTPUTS = 1e7  # of a run whose user has not chosen; more of them would fil
 def whole_setup(rope: Rope | Setup, allowed: str, *given: dict[str, Any]) -> Setup:
     """Return the set-up that stands for all arguments, or one of the rope alone.
 
-    Parameters
-    ----------
-    rope : Rope or Setup
-    allowed : str
-        What may be given beside a whole set-up, for the message.
-    *given : dict
-        What may not, by name: None or False where it is as by default.
+    `allowed` says, for the message, what may be given beside a whole set-up, `given` has by name what may not: None or
+    False where it is as by default.
     """
     if isinstance(rope, Rope):
         return Setup(rope)

@@ -40,13 +40,7 @@ class Event:
     after: float = -math.inf
 
     def packed(self, setup: Setup) -> Until:
-        """Return the event as the kernels take it.
-
-        Parameters
-        ----------
-        setup : Setup
-            Whose chain it is for.
-        """
+        """Return the event as the kernels take it, for the chain of a set-up."""
         a, b, c, d = self.numbers
         if self.kind == ANGLE:
             n = setup.rope.n_links
@@ -74,10 +68,6 @@ def tip_crosses(point: npt.ArrayLike, direction: npt.ArrayLike, *, sense: int = 
     after : float
         Crossings before this time do not count, s.
 
-    Returns
-    -------
-    Event
-
     Examples
     --------
     >>> import hyperflex as hf
@@ -102,10 +92,6 @@ def tip_speed_peak(*, after: float = -math.inf) -> Event:
     after : float
         Peaks before this time do not count, s.
 
-    Returns
-    -------
-    Event
-
     Notes
     -----
     A peak may be a corner: where the arm's acceleration jumps, or a joint sticks.
@@ -127,10 +113,9 @@ def phase_reached(phase: float, c: float, *, after: float = -math.inf) -> Event:
     after : float
         Phases reached before this time do not count, s.
 
-    Returns
-    -------
-    Event
-        Reached means passed in the sense of growing phase.
+    Notes
+    -----
+    Reached means passed in the sense of growing phase.
     """
     angle, scale = checks.number("phase", phase, unit="rad"), checks.number("c", c, sign="positive", unit="s")
     return Event("phase reached", PHASE, (angle, scale, 0.0, 0.0), 1, _after(after))
@@ -149,10 +134,6 @@ def angle_reached(angle: float, link: int | None = None, *, sense: int = 0, afte
         Either way, turning towards larger angles, or towards smaller ones.
     after : float
         What happens before this time does not count, s.
-
-    Returns
-    -------
-    Event
     """
     number = -1 if link is None else checks.count("link + 1", link + 1) - 1
     numbers = (checks.number("angle", angle, unit="rad"), float(number), 0.0, 0.0)

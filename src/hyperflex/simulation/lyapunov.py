@@ -68,17 +68,8 @@ class Predictability:
         """Return the largest finite-time Lyapunov exponent between two times, 1/s; by default of the whole run.
 
         Positive: errors grow by e in each 1/exponent seconds. Over a short time it holds the nudges' turning into the
-        direction that grows fastest, too: leave the beginning out where that matters.
-
-        Parameters
-        ----------
-        begin, end : float, optional
-            Times, s; the nearest of `t` are taken.
-
-        Raises
-        ------
-        InvalidInput
-            If there is no time between them.
+        direction that grows fastest, too: leave the beginning out where that matters. Of `begin` and `end`, s, the
+        nearest of `t` are taken; InvalidInput if there is no time between them.
         """
         first, last = (
             int(np.argmin(np.abs(self.t - (default if at is None else checks.number(name, at, unit="s")))))
@@ -92,17 +83,8 @@ class Predictability:
     def horizon(self, allowed: float) -> float:
         """Return the time, s, up to which an error of `tol`, made anywhere on the way, stays below `allowed`, m.
 
-        Infinite if it does for the whole run; 0.0 if `allowed` is less than `tol`.
-
-        Parameters
-        ----------
-        allowed : float
-            Largest displacement of any joint that still means something, m.
-
-        Raises
-        ------
-        InvalidInput
-            If it is not a number > 0.
+        `allowed` is the largest displacement of any joint that still means something. Infinite if the error stays below
+        it for the whole run; 0.0 if it is less than `tol`; InvalidInput if it is not a number > 0.
         """
         limit = checks.number("allowed", allowed, sign="positive", unit="m") / self.tol
         if limit < 1.0:
@@ -146,10 +128,6 @@ def predictability(
         For the nudges.
     sample_time : float
         Time between two renormalisations, s, and between the times of the result.
-
-    Returns
-    -------
-    Predictability
 
     Raises
     ------

@@ -30,15 +30,8 @@ def failure(code: int, run: Rollout) -> SimulationError:
 def conclude(run: Rollout, setup: Setup, code: int, name: str, *, throw: bool, skip: int) -> Trajectory:
     """Work out everything that a trajectory shows, and check the energy balance from the start to where the run ended.
 
-    Parameters
-    ----------
-    run, setup : Rollout, Setup
-    code, name : int, str
-        Status code, and what the trajectory calls it.
-    throw : bool
-        Raise a failure instead of returning the part that holds.
-    skip : int
-        Rows at the beginning of the run's output that nobody asked for (the start).
+    The trajectory calls the status `code` by its `name`, and leaves out the first `skip` rows of the output, which
+    nobody asked for. With `throw` a failure is raised instead of the part that holds being returned.
     """
     message = "" if name == "ok" else str(failure(code, run)) if code != status.RUNNING else f"at t = {run.time:g} s"
     good, bad_time = _balanced_rows(run, setup)

@@ -88,19 +88,10 @@ def state_of(
     arm: tuple[float, float] | None = None,
     **kept: Any,
 ) -> State:
-    """Return a State of a run.
+    """Return a State of a run from the chain's state y (2 n + 2,), the clock (MARK,) and the spin of obstacles there.
 
-    Parameters
-    ----------
-    run, setup : Rollout, Setup
-    y, clock : (2 n + 2,), (MARK,) float64
-        The chain's state and the clock there.
-    spin : (2, m) float64, optional
-        Of obstacles, as in :class:`Rollout`.
-    arm : (float, float), optional
-        Angle, rad, and rate, rad/s, of a prescribed arm; by default those of the set-up's motion.
-    **kept
-        What a run that goes on needs beside these.
+    `arm` has angle, rad, and rate, rad/s, of a prescribed arm, by default those of the set-up's motion; `kept` is what
+    a run that goes on needs beside these.
     """
     n, t = run.chain.length.size, float(clock[T])
     own = 1 if setup.torque_driven else 0

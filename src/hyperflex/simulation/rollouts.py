@@ -161,11 +161,7 @@ class Interval:
     """What drives a run over one interval, written in place: a polynomial for each of its channels.
 
     They go on beyond the interval's end, so that a run that ends there sees what led to it and not a rest behind it.
-
-    Attributes
-    ----------
-    drive : Drive
-        For the kernels; its arrays follow :meth:`set`.
+    The arrays of `drive`, for the kernels, follow :meth:`set`.
     """
 
     def __init__(self, drive: Drive) -> None:
@@ -184,22 +180,8 @@ def controlled(
 ) -> tuple[int, Array, Array]:
     """Run with a torque that `control` sets every `period`, s.
 
-    Parameters
-    ----------
-    run, interval : Rollout, Interval
-        The run is driven by the interval's drive.
-    control : callable
-        As in :func:`hyperflex.simulate`.
-    period : float
-    go : callable
-        Runs until ``run.limits.stop`` and returns the status code.
-
-    Returns
-    -------
-    code : int
-        Status code.
-    times, torques : (m,) float64
-        When the torque was set, s, and what it was, N m.
+    The run is driven by the interval's drive; `go` runs until ``run.limits.stop`` and returns the status code. Returns
+    the last of these, when the torque was set (m,), s, and what it was (m,), N m.
     """
     n, limit = run.chain.length.size, run.drive.torque_limit
     begin, stop, code, count = run.time, run.limits.stop, status.OK, 0

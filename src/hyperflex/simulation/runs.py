@@ -252,25 +252,10 @@ def angles(
     arm: Arm | None = None,
     tol: float = DEFAULT_TOL,
 ) -> tuple[Array, Array]:
-    """Simulate and return only angles and rates at times t; for callers that run thousands of short rollouts.
+    """Simulate and return only angles and rates (T, n); for callers that run thousands of short rollouts.
 
-    Parameters
-    ----------
-    rope, motion, arm, tol
-        As in :func:`simulate`.
-    t : (T,) array
-        Increasing times, s; the run starts at t[0].
-    q0, qd0 : (n,) array
-        Angles, rad, and rates, rad/s, at t[0].
-
-    Returns
-    -------
-    q, qd : (T, n) array
-
-    Raises
-    ------
-    SimulationError
-        If the run cannot be finished within `tol`.
+    The run starts at t[0] of increasing times t (T,), s, with q0 (n,), rad, and qd0 (n,), rad/s; the rest is as in
+    :func:`simulate`. SimulationError if it cannot be finished within `tol`.
     """
     setup = Setup(rope, motion, arm, tol=tol)
     chain = rope.chain()

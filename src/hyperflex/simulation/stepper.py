@@ -143,16 +143,9 @@ class Stepper:
         arm_rate: float | None = None,
         t: float = 0.0,
     ) -> State:
-        """Return a state to begin with; by default that of the set-up, where a rope hangs at rest.
+        """Return a state to begin with at time t, s; by default that of the set-up, where a rope hangs at rest.
 
-        Parameters
-        ----------
-        q0, qd0 : (n,) array_like, optional
-            Absolute link angles, rad, and rates, rad/s.
-        arm_angle, arm_rate : float, optional
-            Of the arm, rad and rad/s.
-        t : float
-            Time, s.
+        q0 and qd0 (n,) are absolute link angles, rad, and rates, rad/s; arm_angle and arm_rate are in rad and rad/s.
         """
         setup, n = self.setup, self.setup.rope.n_links
         values: dict[str, Any] = {"q0": q0, "qd0": qd0, "arm_angle0": arm_angle, "arm_rate0": arm_rate}
@@ -174,10 +167,6 @@ class Stepper:
         dt : float
             Length of the interval, s, > 0; it may differ from step to step.
 
-        Returns
-        -------
-        State
-
         Raises
         ------
         InvalidInput
@@ -192,21 +181,8 @@ class Stepper:
     def linearize(self, state: State, command: float, dt: float) -> Linearization:
         """Return the state an interval later, and its derivatives.
 
-        Parameters
-        ----------
-        state, command, dt
-            As in :meth:`step`.
-
-        Returns
-        -------
-        Linearization
-
-        Raises
-        ------
-        InvalidInput
-            As :meth:`step`; and of a stepper with pegs or joint limits, or of a fixed step.
-        SimulationError
-            As :meth:`step`.
+        The arguments state, command and dt, and the errors, are as in :meth:`step`; InvalidInput also of a stepper with
+        pegs or joint limits, or of a fixed step.
 
         Notes
         -----

@@ -22,12 +22,8 @@ def enforce_budget(report: Callable[[float], None] | None, seconds: float | None
 
     What passes between two reports does not count if kernels were compiled meanwhile: that is no fault of the run.
 
-    Parameters
-    ----------
-    report : callable, optional
-        Called with the simulated time.
-    seconds : float, optional
-        Of processor time, so that a busy machine ends no run; None waits for ever.
+    `report` is called with the simulated time. `seconds` are of processor time, so that a busy machine ends no run;
+    None waits for ever.
     """
     if seconds is None:
         return report

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperflex.paper import casting_results as results
+from hyperflex.paper import casting
 from hyperflex.paper.casting import (
     OUTCOMES,
     READINGS,
@@ -18,9 +18,12 @@ from hyperflex.paper.casting import (
     cable,
     cast,
     casting_arm,
+    casts,
+    reach_table,
 )
-from hyperflex.paper.casting_results import casts, reach_table
+from hyperflex.paper.linearization import linearized
 from hyperflex.paper.report.part import Item, Part
+from hyperflex.paper.results import Claim
 from hyperflex.report.page import Picture, Section, TextTable
 from hyperflex.report.style import BLUE, GREY, INK, OUTCOME_COLOUR, new_figure
 
@@ -186,6 +189,12 @@ def _sections(_: list[Section], pictures: tuple[Picture, ...]) -> list[Section]:
     ]
 
 
+def casting_claims() -> list[Claim]:
+    """Measure C1 to C4 in the four readings."""
+    measures = (linearized, casting.success_over_failure, casting.straight_phase, casting.steady_step_phase)
+    return [measure(reading) for measure in measures for reading in READINGS]
+
+
 PART = Part(
     title="Casting a rope by swinging",
     lead=(
@@ -197,18 +206,18 @@ PART = Part(
     message="simulating the casts",
     items={
         "fig9": Item(
-            results.fig9, fig9, "Arm angle. The failing rest of 0.34 s is inferred from the paper's c = 0.34 s."
+            casting.fig9, fig9, "Arm angle. The failing rest of 0.34 s is inferred from the paper's c = 0.34 s."
         ),
-        "fig10": Item(results.fig10, fig10, "Tip position in the four readings."),
+        "fig10": Item(casting.fig10, fig10, "Tip position in the four readings."),
         "fig11": Item(
-            results.fig11,
+            casting.fig11,
             fig11,
             "Spiral coordinates of the tip; shaded while the arm of the success moves (line below).",
         ),
         "fig12": Item(
-            results.fig12, fig12, "Phase portraits of the tip, thick while the arm moves, thin while it rests."
+            casting.fig12, fig12, "Phase portraits of the tip, thick while the arm moves, thin while it rests."
         ),
     },
-    claims=results.casting_claims,
+    claims=casting_claims,
     sections=_sections,
 )

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperflex.identification import IterativeRevision, RevisionProfile
-from hyperflex.paper import identification_results as results
+from hyperflex.paper import identification as results
 from hyperflex.paper.identification import (
+    CURVES,
+    DRAWN,
     FEW,
     LENGTH,
     LINK_MASS,
@@ -22,11 +24,11 @@ from hyperflex.paper.identification import (
     guess,
     methods,
     per_sample,
+    periods_text,
     record,
     revised,
     true_rope,
 )
-from hyperflex.paper.identification_results import CURVES, DRAWN, periods_text
 from hyperflex.paper.report.part import Item, Part
 from hyperflex.report.page import Picture, Section, TextTable
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, new_figure

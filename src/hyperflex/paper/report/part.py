@@ -20,19 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Item:
-    """A figure or table of the paper.
-
-    Attributes
-    ----------
-    table : callable
-        Returns the numbers.
-    draw : callable, optional
-        Draws the figure; without, there is a table alone.
-    caption : str
-        Of the figure.
-    sections : callable, optional
-        Returns sections of the page, of a table.
-    """
+    """A figure or table of the paper: its numbers, what draws it and its caption, or sections of the page."""
 
     table: Callable[[], Table]
     draw: Callable[[], Figure] | None = None
@@ -42,29 +30,15 @@ class Item:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the paper.
-
-    Attributes
-    ----------
-    title, lead, claims_title : str
-        For the page, and for the text file of the claims.
-    message : str
-        What takes long in it.
-    items : dict of str to Item
-        Its figures and tables by name, in the paper's order.
-    claims : callable
-        Measures its claims.
-    sections : callable
-        Returns the sections of the page, given those of its tables and its pictures.
-    """
+    """A part of the paper."""
 
     title: str
     lead: str
-    claims_title: str
-    message: str
-    items: Mapping[str, Item]
+    claims_title: str  # of the text file of the claims
+    message: str  # on what takes long
+    items: Mapping[str, Item]  # by name, in the paper's order
     claims: Callable[[], list[Claim]]
-    sections: Callable[[list[Section], tuple[Picture, ...]], list[Section]]
+    sections: Callable[[list[Section], tuple[Picture, ...]], list[Section]]  # given those of its tables, and pictures
 
 
 @dataclass(frozen=True)

@@ -19,15 +19,7 @@ FIGURES = tuple(name for part in PARTS for name in part.items)
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What :func:`reproduce` wrote and found.
-
-    Attributes
-    ----------
-    files : tuple of Path
-        What was written.
-    claims : tuple of Claim
-        The claims with their verdicts.
-    """
+    """What :func:`reproduce` wrote and found."""
 
     files: tuple[Path, ...]
     claims: tuple[Claim, ...]
@@ -42,21 +34,13 @@ def reproduce(names: Sequence[str], directory: str | Path, *, progress: Progress
         Which figures and tables: "table1", "table2", "fig3", "fig5", "fig6" on identification, "fig9" to "fig12" on
         casting, "fig13" on timing control, or "all". The claims of whichever of the three is asked for are measured
         with them.
-    directory : str or Path
-        Folder to write to, wholly or not at all; made if it is not there, other files in it stay.
-    progress : callable
-        Called with a message on what is being done.
-
-    Returns
-    -------
-    Reproduction
+    directory, progress
+        Folder to write to, see :func:`hyperflex.report.folder.whole_folder`; called with what is being done.
 
     Raises
     ------
     InvalidInput
         A name that is not known.
-    FileProblem
-        The folder cannot be made or written to.
     """
     chosen = [checks.choice("figure", name, (*FIGURES, "all")) for name in names]
     wanted = [name for name in FIGURES if "all" in chosen or name in chosen]

@@ -8,14 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.core import status
 from hyperflex.model import Setup
-from hyperflex.simulation.contact.runs import contact_run
 from hyperflex.simulation.contact.start import check_start
-from hyperflex.simulation.outcome import conclude
-from hyperflex.simulation.rollouts import limits, prepare, progress_bar
-from hyperflex.simulation.time_budget import INTERRUPTED, TimeBudgetExceeded, enforce_budget
-from hyperflex.simulation.time_budget import NAME as TOO_SLOW
+from hyperflex.simulation.rollouts import progress_bar
+from hyperflex.simulation.runs import simulate
+from hyperflex.simulation.time_budget import INTERRUPTED
 from hyperflex.trajectory import Trajectory, swept
 
 TURNS = "turns"
@@ -29,17 +26,9 @@ def run_members(
     threads: int,
     progress: bool,
 ) -> tuple[dict[str, Array], list[str], Array]:
-    """Run all members; Ctrl-C keeps those that are finished.
+    """Run all members with outputs at t (T,), s; Ctrl-C keeps those that are finished.
 
-    Parameters
-    ----------
-    setups : (M,) sequence of Setup
-    t : (T,) float64
-        Times of the output, s.
-    keep : dict
-        What to keep, with the dimensions of one sample: "link", "axis" or "peg".
-    time_budget, threads, progress
-        As in :func:`hyperflex.simulate_batch`.
+    `keep` names what to keep, with the dimensions of one sample: "link", "axis" or "peg".
 
     Returns
     -------
@@ -57,7 +46,7 @@ def run_members(
     names, reached = [INTERRUPTED] * len(setups), np.zeros(len(setups))
 
     def one(m: int) -> None:
-        run = _run(setups[m], t, time_budget)
+        run = simulate(setups[m], t_eval=t, throw=False, time_budget=time_budget)
         for name, target in values.items():
             found = _kept(run, name)
             whole: tuple[slice, ...] = tuple(slice(0, size) for size in found.shape)
@@ -75,19 +64,6 @@ def run_members(
             for future in futures:
                 future.cancel()
     return values, names, reached
-
-
-def _run(setup: Setup, t: Array, time_budget: float | None) -> Trajectory:
-    """Run one member with outputs at t (T,), s; the trajectory holds what holds."""
-    chain = setup.chain()
-    bounds = limits(setup, chain, setup.duration)
-    rollout = prepare(chain, setup.drive(), setup.start(), np.append(0.0, t), bounds)
-    try:
-        code = contact_run(rollout, setup, None).finish(enforce_budget(None, time_budget))
-        name = status.NAMES[code]
-    except TimeBudgetExceeded:
-        code, name = status.RUNNING, TOO_SLOW
-    return conclude(rollout, setup, code, name, throw=False, skip=1)
 
 
 def _kept(run: Trajectory, name: str) -> Array:

@@ -38,14 +38,8 @@ def setups_of(
 ) -> list[Setup]:
     """Return the set-up of each member; all that it is made of is one for all members, or one each.
 
-    Parameters
-    ----------
-    ropes, motions, pegs, arm, refine
-        As in :func:`hyperflex.simulate_batch`.
-    start : pair of (n,) or (M, n) array_like, or None
-        Angles, rad, and rates, rad/s, of the ropes before they are cut.
-    **others
-        Of Setup, the same for all.
+    `start` has angles, rad, and rates, rad/s, of the ropes before they are cut, each (n,) or (M, n); `others` are
+    further arguments of Setup, the same for all.
     """
     every: list[Sequence[Any]] = [
         [ropes] if isinstance(ropes, Rope) else list(ropes),

@@ -134,16 +134,9 @@ class BatchStepper:
         arm_rate: npt.ArrayLike = 0.0,
         t: float = 0.0,
     ) -> BatchState:
-        """Return a state to begin with.
+        """Return a state to begin with, as :meth:`hyperflex.Stepper.start` does; by default the ropes hang at rest.
 
-        Parameters
-        ----------
-        q0, qd0 : (n,) or (M, n) array_like, optional
-            Absolute link angles, rad, and rates, rad/s, for all members or of each; by default the ropes hang at rest.
-        arm_angle, arm_rate : float or (M,) array_like
-            Of the arms, rad and rad/s.
-        t : float
-            Time, s.
+        q0 and qd0 are (n,) or (M, n), arm_angle and arm_rate numbers or (M,): for all members, or of each; t in s.
         """
         count, n = len(self.setups), self.setups[0].rope.n_links
         ropes = [setup.rope for setup in self.setups]
@@ -155,7 +148,7 @@ class BatchStepper:
         return BatchState(time, begin[:, :n], begin[:, n : 2 * n], angle, rate, nothing, nothing, codes, memory)
 
     def step(self, state: BatchState, commands: npt.ArrayLike, dt: float) -> BatchState:
-        """Return the state an interval later.
+        """Return the state an interval later, as :meth:`hyperflex.Stepper.step` does.
 
         Parameters
         ----------
@@ -170,11 +163,6 @@ class BatchStepper:
         -------
         BatchState
             A member that cannot be simulated within `tol` has failed, in ``status`` and as NaN, from there on.
-
-        Raises
-        ------
-        InvalidInput
-            If the state is not one of this batch, or a number cannot be used.
         """
         members, own, count = self._members, self._own, len(self.setups)
         n = members.links.shape[2]

@@ -45,14 +45,7 @@ KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_heavy", "j
 class ContactRun:
     """A rollout with pegs, or of a rope whose joints have limits.
 
-    Parameters
-    ----------
-    run : Rollout
-        Prepared, and resumed if it goes on; its arrays are filled.
-    setup : Setup
-        With pegs, or such a rope.
-    state : State, optional
-        That the run goes on from.
+    The `run` is prepared, and resumed if it goes on from a `state`; its arrays are filled.
     """
 
     def __init__(self, run: Rollout, setup: Setup, state: State | None) -> None:

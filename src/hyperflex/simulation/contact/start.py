@@ -15,22 +15,10 @@ PASSED = 1e-3  # rad, by which a joint may be past its limit at the start
 
 
 def check_outside(setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope") -> None:
-    """Refuse a start whose rope is inside an obstacle by more than SHALLOW.
+    """Refuse a start at t, s, whose rope is inside an obstacle by more than SHALLOW.
 
-    Parameters
-    ----------
-    setup : Setup
-    t : float
-        s, of the start.
-    q : (n,) float64, optional
-        Absolute angles of the chain's links there, rad; by default those that the set-up starts from.
-    who : str
-        Whose start it is, for the message.
-
-    Raises
-    ------
-    InvalidInput
-        Names the link that is deepest inside, the obstacle and the depth.
+    q (n,), rad, are the angles of the chain's links there, by default those that the set-up starts from; the message is
+    about `who`, and names the link that is deepest inside, the obstacle and the depth.
     """
     if not setup.pegs:
         return
@@ -60,13 +48,7 @@ def check_start(setup: Setup, t: float = 0.0, q: Array | None = None, who: str =
 
 
 def check_limits(setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope") -> None:
-    """Refuse a start with a joint bent past its limit by more than PASSED; arguments as for :func:`check_outside`.
-
-    Raises
-    ------
-    InvalidInput
-        Names the joint that is bent farthest past its limit, and the angle.
-    """
+    """Refuse a start with a joint bent past its limit by more than PASSED; arguments as for :func:`check_outside`."""
     chain, drive, base = setup.chain(), setup.drive(), np.empty(9)
     base_state(drive, segment(drive, t), t, base)
     bend = np.diff(setup.start()[0] if q is None else q, prepend=base[4]) - chain.rest

@@ -39,19 +39,8 @@ def starting_spin(setup: Setup, state: State | None) -> Array:
 def coast(setup: Setup, spin: Array, spans: Array) -> tuple[Array, Array]:
     """Return what pegs that nothing touches do: exponential decay of their rates, exactly.
 
-    Parameters
-    ----------
-    setup : Setup
-    spin : (2, m) float64
-        Angles and rates before.
-    spans : (k,) float64
-        Times since, s.
-
-    Returns
-    -------
-    spins : (k, 2, m) float64
-    taken : (k,) float64
-        Energy that their axles took, J.
+    `spin` (2, m) are angles, rad, and rates, rad/s, before; the answer (k, 2, m) is for the times since then, `spans`
+    (k,), s, and comes with the energy (k,) that the axles took meanwhile, J.
     """
     pegs = setup.contacts()
     turns = np.isfinite(pegs.inertia)

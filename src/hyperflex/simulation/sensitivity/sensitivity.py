@@ -134,10 +134,6 @@ def sensitivities(
         With a torque-driven arm also ``"arm_angle0"``, ``"arm_rate0"``, ``"arm.inertia"``, and likewise mass, com,
         friction and dry_friction, and ``"torque.torque[3]"``, ``"torque.delay"`` of its torque.
 
-    Returns
-    -------
-    Sensitivities
-
     Raises
     ------
     InvalidInput
@@ -179,12 +175,7 @@ def sensitivities(
 class AngleJacobian:
     """Rollouts with derivatives for callers that need thousands: everything is checked once, here.
 
-    Parameters
-    ----------
-    setup : Setup
-        Its rope, start and duration may be replaced in each call.
-    wrt
-        As in :func:`sensitivities`.
+    Rope, start and duration of the set-up may be replaced in each call; `wrt` is as in :func:`sensitivities`.
     """
 
     def __init__(self, setup: Setup, wrt: Wrt) -> None:
@@ -204,11 +195,6 @@ class AngleJacobian:
             Angles, rad, and rates, rad/s, at t[0]; a torque-driven arm is the first of n links, here and in the answer.
         rope : Rope, optional
             Another rope with as many links.
-
-        Raises
-        ------
-        SimulationError
-            If the run cannot be finished.
         """
         rope, arm = rope or self.setup.rope, self.setup.arm
         chain = self.wrt.with_faint_terms(arm.chain(rope) if arm and self.setup.torque_driven else rope.chain())

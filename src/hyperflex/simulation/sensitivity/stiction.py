@@ -21,15 +21,12 @@ def stiction_projection(
 
     Parameters
     ----------
-    chain, drive, directions : Chain, Drive, Directions
-    t : float, s
-    q : (n,) angles at the start, rad
-    modes : (n,) of the joints in the first step, 0.0 where one sticks; or (0,): none may stick
-    start : (2 n, p) derivatives of angles and rates as they are given
-
-    Returns
-    -------
-    (2 n, p) array
+    t, q : float, (n,) float64
+        Time, s, and angles, rad, at the start.
+    modes : (n,) or (0,) float64
+        Of the joints in the first step, 0.0 where one sticks; (0,): none may stick.
+    start : (2 n, p) float64
+        Derivatives of angles and rates as they are given.
     """
     n = q.size
     stuck = np.flatnonzero(modes == 0.0)
