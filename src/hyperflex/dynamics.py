@@ -183,20 +183,9 @@ def bias(
     arm_angle: float = 0.0,
     arm_rate: float = 0.0,
 ) -> Array:
-    """Return C + P - F of (1): the torques that keep every acceleration at zero.
+    """Return C + P - F of (1), N m: the torques (n,) that keep every acceleration at zero at q, rad, and qd, rad/s.
 
-    Parameters
-    ----------
-    rope : Rope
-    q, qd : (n,) array_like
-        Link angles, rad, and rates, rad/s.
-    arm, arm_angle, arm_rate
-        With an arm (rad, rad/s) its entry comes first.
-
-    Returns
-    -------
-    (n,) or (n + 1,) float64
-        N m.
+    With an arm, its angle, rad, and rate, rad/s, its entry comes first, and there are n + 1.
 
     Notes
     -----

@@ -76,10 +76,8 @@ def animate(
 
     Parameters
     ----------
-    run : Trajectory
-        What to show.
-    path : str or Path
-        Where to write; must end in ``.gif``.
+    run, path
+        What to show, and where to write: a name that ends in ``.gif``.
     start, end : float, optional
         Simulated time to show, s; the whole run by default.
     frame_rate : {10, 20, 25, 50}
@@ -90,10 +88,8 @@ def animate(
         Of the picture, pixels; the height follows from the rope's reach.
     trail : float
         How long the tip's path stays visible, s.
-    title : str
-        Written in the upper left corner, above the time.
-    note : callable, optional
-        Called with the simulated time, s; what it returns, one line or more, is written below the time.
+    title, note : str, callable, optional
+        Written in the upper left corner, above the time; called with the simulated time, s, for what to write below.
     targets : (k, 2) float64, optional
         Points to mark with a ring, m.
     progress : callable, optional
@@ -103,8 +99,6 @@ def animate(
     ------
     InvalidInput
         Another suffix, frame rate, speed or span than allowed.
-    FileProblem
-        The file cannot be written.
     """
     if Path(path).suffix.lower() != ".gif":
         raise InvalidInput("animation has an unknown kind of file", got=str(path), allowed="a name ending in .gif")

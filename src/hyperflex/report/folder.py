@@ -87,11 +87,10 @@ def _move(stage: Path, target: Path, own: Sequence[str]) -> None:
         for name in old:
             if (target / name).is_file():
                 (target / name).rename(stage / "earlier" / name)
-    except OSError as error:
+    except BaseException as error:
         _put_back(names, old, stage, target)
-        raise _problem(target, error) from error
-    except BaseException:
-        _put_back(names, old, stage, target)
+        if isinstance(error, OSError):
+            raise _problem(target, error) from error
         raise
 
 

@@ -15,15 +15,7 @@ _KINDS = {b"\x89PNG": "image/png", b"GIF8": "image/gif"}
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of ready-made cells.
-
-    Attributes
-    ----------
-    header : tuple of str
-        Column names.
-    rows : tuple of tuple of str
-        Cells, as many in each row as there are columns.
-    """
+    """A table of ready-made cells, as many in each row as there are column names in the header."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -38,15 +30,7 @@ class TextTable:
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG or GIF with its caption.
-
-    Attributes
-    ----------
-    content : bytes
-        The file's bytes.
-    caption : str
-        What to see in it; also the text for those who cannot see it.
-    """
+    """The bytes of a PNG or GIF, and its caption, which is also the text for those who cannot see it."""
 
     content: bytes
     caption: str
@@ -60,60 +44,25 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A headed part of a page, shown in the order verdict, text, tiles, marks, pictures, table, notes.
-
-    Attributes
-    ----------
-    title : str
-        Heading.
-    verdict : (bool, str), optional
-        What it comes to: whether that is good news, and its sentence.
-    text : tuple of str
-        Paragraphs.
-    tiles : tuple of (str, str)
-        Key figures: value and what it is.
-    marks : tuple of (bool, str)
-        Findings: whether each is good news, and its sentence.
-    pictures : tuple of Picture
-        Shown below each other.
-    table : TextTable, optional
-        Shown in full; wide ones scroll.
-    notes : tuple of str
-        Small print.
-    folded : str
-        If given, pictures and table wait below this line until somebody clicks on it.
-    anchor : str
-        Its address in the page, for `links`.
-    links : tuple of (str, str)
-        Anchors of other sections, and what to say of them.
-    """
+    """A headed part of a page, shown in the order verdict, text, tiles, marks, pictures, table, notes."""
 
     title: str
-    verdict: tuple[bool, str] | None = None
-    text: tuple[str, ...] = ()
-    tiles: tuple[tuple[str, str], ...] = ()
-    marks: tuple[tuple[bool, str], ...] = ()
-    pictures: tuple[Picture, ...] = ()
-    table: TextTable | None = None
-    notes: tuple[str, ...] = ()
-    folded: str = ""
-    anchor: str = ""
-    links: tuple[tuple[str, str], ...] = ()
+    verdict: tuple[bool, str] | None = None  # what it comes to: whether that is good news, and its sentence
+    text: tuple[str, ...] = ()  # paragraphs
+    tiles: tuple[tuple[str, str], ...] = ()  # key figures: value and what it is
+    marks: tuple[tuple[bool, str], ...] = ()  # findings: whether each is good news, and its sentence
+    pictures: tuple[Picture, ...] = ()  # below each other
+    table: TextTable | None = None  # in full; wide ones scroll
+    notes: tuple[str, ...] = ()  # small print
+    folded: str = ""  # if given, pictures and table wait below this line until somebody clicks on it
+    anchor: str = ""  # its address in the page, for `links`
+    links: tuple[tuple[str, str], ...] = ()  # anchors of other sections, and what to say of them
 
 
 def write_page(path: str | Path, title: str, lead: str, badge: str, sections: list[Section]) -> None:
-    """Write a page, whole or not at all.
+    """Write a page, whole or not at all: heading, the paragraph under it, and sections.
 
-    Parameters
-    ----------
-    path : str or Path
-        Where to write, usually ending in ``.html``.
-    title, lead : str
-        Heading and the paragraph under it.
-    badge : str
-        A short label above the title, such as "simulated".
-    sections : list of Section
-        The content.
+    The badge is a short label above the title, such as "simulated".
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

@@ -28,45 +28,22 @@ _FILM_RATE, _FILM_WIDTH = 20, 560  # frames a second, pixels
 
 
 class PlanReport(ABC, Generic[PlanT]):
-    """The report of a plan: what it says and shows, and its folder. Its subclasses fill in the attributes.
+    """The report of a plan: what it says and shows, and its folder. Its subclasses fill in the attributes."""
 
-    Attributes
-    ----------
-    plan : CastPlan or WhipPlan
-    name : str
-        Stem of the file names.
-    title, task, verdict, target : str
-        Heading of the page; what is planned and whether it succeeds, in a sentence each; the target.
-    tiles : tuple of (str, str)
-        Key figures: value and what it is.
-    advice, story : tuple of str
-        Paragraphs: what would help a plan that fails; what happens, in order.
-    checks, checks_note : TextTable, tuple of str
-        Results of the verified runs, with the links as planned and with finer ones.
-    captions : dict of str to str
-        Of the film and of every figure that there may be, by name.
-    layout : dict of str to tuple of str
-        Headings of the page's sections with pictures, and the names of these.
-    without_run : tuple of Section
-        Shown where there is no run.
-    others : dict of str to CastPlan or None
-        Further plans whose set-up is written, by name; None for one that is not there.
-    """
-
-    name: str
-    title: str
-    task: str
-    verdict: str
+    name: str  # stem of the file names
+    title: str  # of the page
+    task: str  # what is planned, in a sentence
+    verdict: str  # whether it succeeds, in a sentence
     target: str
-    tiles: tuple[tuple[str, str], ...]
-    story: tuple[str, ...]
-    checks: TextTable
-    captions: ClassVar[dict[str, str]]
-    layout: ClassVar[dict[str, tuple[str, ...]]]
+    tiles: tuple[tuple[str, str], ...]  # key figures: value and what it is
+    story: tuple[str, ...]  # what happens, in order, in paragraphs
+    checks: TextTable  # results of the verified runs, with the links as planned and with finer ones
+    captions: ClassVar[dict[str, str]]  # of the film and of every figure that there may be, by name
+    layout: ClassVar[dict[str, tuple[str, ...]]]  # headings of the sections with pictures, and the names of these
     checks_note: ClassVar[tuple[str, ...]] = ()
-    advice: tuple[str, ...] = ()
-    without_run: tuple[Section, ...] = ()
-    others: Mapping[str, CastPlan | None] = {}
+    advice: tuple[str, ...] = ()  # what would help a plan that fails
+    without_run: tuple[Section, ...] = ()  # shown where there is no run
+    others: Mapping[str, CastPlan | None] = {}  # further plans whose set-up is written, by name, where they are there
 
     def __init__(self, plan: PlanT) -> None:
         self.plan: PlanT = plan
@@ -85,8 +62,8 @@ class PlanReport(ABC, Generic[PlanT]):
         Parameters
         ----------
         directory : str or Path
-            Folder to write to, wholly or not at all; made if it is not there. Files of an earlier report of the kind
-            are replaced or removed; others stay.
+            Folder to write to, see :func:`whole_folder`. Files of an earlier report of the kind are replaced or
+            removed.
         rate : float
             Rows a second of the motor's file, Hz.
         progress : callable
@@ -96,11 +73,6 @@ class PlanReport(ABC, Generic[PlanT]):
         -------
         dict of str to Path
             The files: "page", "motion", "plan" (its set-up), "run", "film", and the figures by name; those there are.
-
-        Raises
-        ------
-        FileProblem
-            The folder cannot be made or written to.
         """
         own: list[str] = [f"{self.name}.{kind}" for kind in ("toml", "nc", "gif")]
         own += [f"{name}.toml" for name in self.others] + [f"{name}.png" for name in self.captions]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,28 +16,18 @@ _MARGIN = 0.06  # of the larger extent, on each side
 NO_TARGETS = np.zeros((0, 2))
 
 
-@dataclass(frozen=True, eq=False)
-class Shapes:
-    """Rope and arm at k instants.
+class Shapes(NamedTuple):
+    """Rope and arm at k instants."""
 
-    Attributes
-    ----------
-    joints : (k, n+1, 2) float64
-        Joint positions, m, the tip last.
-    pivots : (k, 2) float64
-        The motor's shaft, m; the first joint where there is no arm.
-    """
-
-    joints: Array
-    pivots: Array
+    joints: Array  # (k, n + 1, 2) positions, m, the tip last
+    pivots: Array  # (k, 2) of the motor's shaft, m; the first joint where there is no arm
 
 
 def shapes(run: Trajectory, times: Array) -> Shapes:
     """Return the rope at `times` (k,), s, by cubic interpolation of angles and rates; links keep their length."""
     q = _between(run.t, run.q, run.qd, times)
     base = _between(run.t, run.base, run.base_velocity, times)
-    spans = run.setup.rope.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
-    joints = np.cumsum(np.concatenate([base[:, None], spans], axis=1), axis=1)
+    joints = run.setup.rope.joints(q, base)
     if run.setup.arm is None:
         return Shapes(joints, base)
     angle = _between(run.t, run.arm_angle, run.arm_rate, times)
@@ -54,16 +44,9 @@ def span(run: Trajectory, start: float | None, end: float | None) -> tuple[float
 
 
 def view(run: Trajectory, points: Array, above: float) -> tuple[Array, Array]:
-    """Return the lower left and upper right corner (2,), m, of a view of a run.
+    """Return the lower left and upper right corner (2,), m, of a view of points (k, 2), m, and of a run's round pegs.
 
-    Parameters
-    ----------
-    run : Trajectory
-        Its round pegs are in the view.
-    points : (k, 2) float64
-        What else must be in it, m.
-    above : float
-        Margin at the top, in margins at the other sides.
+    The margin at the top is `above` times that at the other sides.
     """
     pegs = [(peg.x + side * peg.radius, peg.y + side * peg.radius) for peg in run.setup.round_pegs for side in (-1, 1)]
     points = np.concatenate([points, np.reshape(pegs, (-1, 2))])

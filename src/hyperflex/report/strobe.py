@@ -35,27 +35,16 @@ def strobe(
 
     Parameters
     ----------
-    run : Trajectory
-        What to show.
+    run, title
+        What to show, and what to write in the upper left corner.
     start, end : float, optional
-        First and last instant, s; the whole run by default.
+        First and last instant, s; the whole run by default. InvalidInput if they are not in it.
     count : int
         Number of instants, at least 2.
-    title : str
-        Written in the upper left corner.
     width : float
         Width of the picture, inches; the height follows from the rope's reach.
     targets : (k, 2) float64, optional
         Points to mark with a ring, m.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    InvalidInput
-        Fewer than 2 instants, or a span that is not in the run.
     """
     count = checks.count("count", count, least=2)
     first, last = span(run, start, end)

@@ -50,16 +50,8 @@ def new_figure(
 ) -> Iterator[Figure]:
     """Give an empty figure that needs no screen, in the package's style.
 
-    Matplotlib's own settings are back after the block, in which everything must be drawn.
-
-    Parameters
-    ----------
-    width, height : float
-        Inches.
-    title : str
-        Written at the upper left.
-    layout : {"constrained"}, optional
-        Matplotlib's layout engine.
+    Matplotlib's own settings are back after the block, in which everything must be drawn. Width and height are in
+    inches, `layout` is Matplotlib's layout engine.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -27,19 +27,9 @@ class ArmMoves(NamedTuple):
 def time_course(
     run: Trajectory, what: str, moves: ArmMoves | None, event: float, draw: Callable[[Any, Any], None]
 ) -> Figure:
-    """Draw a run over time.
+    """Draw a run over time: `moves` are named in the uppermost panel, and `draw` draws the two in the middle.
 
-    Parameters
-    ----------
-    run : Trajectory
-    what : str
-        Named in the title.
-    moves : ArmMoves or None
-        Named in the uppermost panel.
-    event : float
-        Marked in all panels, s; NaN where there is none.
-    draw : callable
-        Draws the two panels in the middle, to which it is called with.
+    The time `event`, s, is marked in all panels; NaN where there is none.
     """
     with new_figure(8.6, 8.2, f"Time course of {what}, simulated") as figure:
         axes = figure.subplots(4, 1, sharex=True, height_ratios=(1.15, 1.25, 1.0, 0.8))

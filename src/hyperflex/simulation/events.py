@@ -40,7 +40,7 @@ class Event:
     after: float = -math.inf
 
     def packed(self, setup: Setup) -> Until:
-        """Return the event as the kernels take it, for the chain of a set-up."""
+        """Return the event as the kernels take it, for the chain of `setup`."""
         a, b, c, d = self.numbers
         if self.kind == ANGLE:
             n = setup.rope.n_links

@@ -10,12 +10,11 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core import status
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import setup_of
-from hyperflex.simulation.outcome import failure
+from hyperflex.simulation.outcome import refuse_failure
 from hyperflex.simulation.rollouts import finish, limits, prepare
 from hyperflex.simulation.runs import simulate
 
@@ -211,9 +210,7 @@ def _drift(
     chain = setup.chain()
     nudged = (start[0] + nudge[0], start[1] + nudge[1])
     run = prepare(chain, setup.drive(), nudged, t, limits(setup, chain, float(t[1])))
-    code = finish(run)
-    if code != status.OK:
-        raise failure(code, run)
+    refuse_failure(finish(run), run)
     n = chain.length.size
     change = np.stack([run.y[1, :n] - end[0], run.y[1, n : 2 * n] - end[1]])
     unit = NUDGE * setup.rope.total_length

@@ -27,6 +27,12 @@ def failure(code: int, run: Rollout) -> SimulationError:
     return SimulationError(message, status=status.NAMES[code], time=run.time)
 
 
+def refuse_failure(code: int, run: Rollout) -> None:
+    """Raise what a status code stands for, unless it is that of a run that has come to its end."""
+    if code != status.OK:
+        raise failure(code, run)
+
+
 def conclude(run: Rollout, setup: Setup, code: int, name: str, *, throw: bool, skip: int) -> Trajectory:
     """Work out everything that a trajectory shows, and check the energy balance from the start to where the run ended.
 

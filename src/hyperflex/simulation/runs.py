@@ -22,7 +22,7 @@ from hyperflex.motion import Motion, hold_arm
 from hyperflex.simulation.arguments import needed, output_times, whole_setup
 from hyperflex.simulation.contact.runs import contact_run, refine_arguments
 from hyperflex.simulation.events import Event
-from hyperflex.simulation.outcome import conclude, failure
+from hyperflex.simulation.outcome import conclude, refuse_failure
 from hyperflex.simulation.restart import resume
 from hyperflex.simulation.rollouts import (
     Control,
@@ -260,9 +260,7 @@ def angles(
     setup = Setup(rope, motion, arm, tol=tol)
     chain = rope.chain()
     run = prepare(chain, setup.drive(), (q0, qd0), t, limits(setup, chain, float(t[-1]), 1_000_000))
-    code = finish(run)
-    if code != status.OK:
-        raise failure(code, run)
+    refuse_failure(finish(run), run)
     n = chain.length.size
     return run.y[:, :n], run.y[:, n : 2 * n]
 

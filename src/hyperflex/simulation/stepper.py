@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import can_stick
 from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.integrate.progress import JOINT, MARK, MODES, REJECTED, TAKEN
@@ -25,7 +24,7 @@ from hyperflex.simulation.commands import COMMANDS, arm_polynomials, set_command
 from hyperflex.simulation.contact.runs import STEP as CONTACT_STEP
 from hyperflex.simulation.contact.runs import ContactRun, refine_arguments
 from hyperflex.simulation.contact.start import check_start
-from hyperflex.simulation.outcome import failure
+from hyperflex.simulation.outcome import refuse_failure
 from hyperflex.simulation.restart import resume, state_of
 from hyperflex.simulation.rollouts import TABLES, Interval, finish, limits, prepare
 from hyperflex.simulation.sensitivity.directions import check_smooth
@@ -242,9 +241,7 @@ class Stepper:
         return angle, rate
 
     def _finish(self) -> None:
-        code = finish(self._run) if self._contact_run is None else self._contact_run.finish()
-        if code != status.OK:
-            raise failure(code, self._run)
+        refuse_failure(finish(self._run) if self._contact_run is None else self._contact_run.finish(), self._run)
 
     def _recorded(self, state: State, command: float, dt: float) -> tuple[tuple[float, float], Array, Array]:
         """Take a step; returns where a prescribed arm will be, the steps (m, ...) in it and its start (2 N + 2,)."""

@@ -37,16 +37,9 @@ _END = 2.0  # s at the end of a film in which the hold force is shown
 
 
 class CastReport(PlanReport[CastPlan]):
-    """The report of a planned cast.
+    """The report of a planned cast, and of a tug at the wound rope, if there was one.
 
-    Parameters
-    ----------
-    plan : CastPlan
-        One without a throw leaves no more than a page with the reason and where the target is.
-    held : HoldingForce or None
-        Result of a tug at the wound rope, if there was one.
-    name : str
-        Stem of the file names.
+    A plan without a throw leaves no more than a page with the reason and where the target is.
     """
 
     captions: ClassVar = {

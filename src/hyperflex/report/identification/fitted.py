@@ -17,25 +17,16 @@ FEW = 4  # channels that are all shown large
 class FittedChannels:
     """A recording and its fit in the same channels.
 
-    Attributes
-    ----------
-    found : Identification
-    t (T,), measured (T, C) : s, rad or m
-        All that was measured of the angles or places that were fitted; NaN in gaps.
-    fit_t (m,), fitted (m, C) : s, rad or m
-        The fit at the samples that it was made on; NaN in gaps.
-    names : tuple of str
-        Of the channels, counted from 0 as in the verdict.
-    chosen : tuple of int
-        Channels that say the most: first, middle and last link, or middle and last marker, and the one that fits worst.
+    All that was measured of the angles or places that were fitted, and the fit at the samples that it was made on;
+    those `chosen` say the most: first, middle and last link, or middle and last marker, and the one that fits worst.
     """
 
     found: Identification
-    t: Array
-    measured: Array
-    fit_t: Array
-    fitted: Array
-    names: tuple[str, ...]
+    t: Array  # (T,) s
+    measured: Array  # (T, C) rad or m; NaN in gaps
+    fit_t: Array  # (m,) s
+    fitted: Array  # (m, C) rad or m; NaN in gaps
+    names: tuple[str, ...]  # of the channels, counted from 0 as in the verdict
     chosen: tuple[int, ...]
 
     @property

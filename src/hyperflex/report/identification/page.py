@@ -40,28 +40,10 @@ _FILES = {"rope": "rope.toml", "figures": "identification.json", "page": "report
 def write_identification(
     directory: str | Path, recording: Recording, found: Identification, guess: Rope | None = None
 ) -> dict[str, Path]:
-    """Write the identified rope (TOML), all figures (JSON) and the page to a folder.
+    """Write the identified rope (TOML), all figures (JSON) and the page to a folder, see :func:`whole_folder`.
 
-    Parameters
-    ----------
-    directory : str or Path
-        Folder to write to, whole or not at all; made if it is not there, other files in it stay.
-    recording : Recording
-        What was given to :func:`hyperflex.identify`.
-    found : Identification
-        What it gave back.
-    guess : Rope, optional
-        The first guess, to be shown beside what was found.
-
-    Returns
-    -------
-    dict of str to Path
-        The files: ``rope``, ``figures``, ``page``.
-
-    Raises
-    ------
-    FileProblem
-        The folder cannot be made or written to.
+    `recording` is what :func:`hyperflex.identify` was given, `found` what it gave back; a first guess is shown beside.
+    The answer has the files ``rope``, ``figures`` and ``page``.
     """
     with whole_folder(directory) as stage:
         found.to_toml(stage / _FILES["rope"])

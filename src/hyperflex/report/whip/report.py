@@ -35,14 +35,9 @@ _FINER_NOTE = (
 
 
 class WhipReport(PlanReport[WhipPlan]):
-    """The report of a planned whip.
+    """The report of a planned whip, and of its impact on a small peg at the target, if that was simulated.
 
-    Parameters
-    ----------
-    plan : WhipPlan
-        One without strokes leaves no more than a page with the reason.
-    impact : Impact or None
-        On a small peg at the target, if it was simulated.
+    A plan without strokes leaves no more than a page with the reason.
     """
 
     name = "whip"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,9 +20,10 @@ from hyperflex.core.jit import announce_compilation
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.batch.contact import TURNS, run_members
+from hyperflex.simulation.arguments import output_times
+from hyperflex.simulation.batch.contact import TURNS, run_blocks, run_members
 from hyperflex.simulation.batch.members import members_of, setups_of, starts_of, terms_of
-from hyperflex.simulation.rollouts import balanced, least_scale, progress_bar, stored
+from hyperflex.simulation.rollouts import balanced, least_scale, stored
 from hyperflex.simulation.time_budget import INTERRUPTED
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ class _Work:
         self.codes = np.full(count, -1)
         self.reached = np.zeros(count)
 
-    def block(self, low: int, high: int) -> int:
+    def block(self, low: int, high: int) -> None:
         """Run members low..high - 1 and keep what is wanted of them."""
         n = self.members.links.shape[2]
         after = self.t[1 - self.first :].copy()  # times after the start
@@ -250,7 +250,6 @@ class _Work:
                 target[rows] = y[:, :, _columns(name, n)]
         self.reached[rows] = reached
         self.codes[rows] = codes
-        return high - low
 
     def check_energy(
         self, low: int, high: int, times: Array, states: Array, codes: npt.NDArray[np.int64], reached: Array
@@ -281,33 +280,16 @@ class _Work:
         states = self.t.size * (2 * self.members.links.shape[2] + 2)
         held = int(STATES / states) // len(MEMBERS) * len(MEMBERS)
         size = max(len(MEMBERS), min(even, LARGEST_BLOCK, held))
-        with ThreadPoolExecutor(workers) as pool, progress_bar(0, count, progress, "members") as report:
-            futures: list[Future[int]] = [
-                pool.submit(self.block, low, min(low + size, count)) for low in range(0, count, size)
-            ]
-            try:
-                finished = 0
-                for future in futures:
-                    finished += future.result()
-                    if report is not None:
-                        report(finished)
-            except KeyboardInterrupt:
-                self.stop[0] = 1
-                for future in futures:
-                    future.cancel()
+        run_blocks(self.block, size, count, workers, progress, self.stop)
         names = tuple(status.NAMES[int(code)] if code >= 0 else INTERRUPTED for code in self.codes)
         return Batch(self.t, self.values, names, self.reached)
 
 
 def _outputs(t_eval: npt.ArrayLike | None, duration: float) -> Array:
     """Check the output times (T,), s; by default the end alone."""
-    t = checks.times("t_eval", [duration] if t_eval is None else t_eval)
-    if t[0] < 0.0 or not 0.0 < t[-1] <= duration:
-        raise InvalidInput(
-            "t_eval leaves the run",
-            got=[float(t[0]), float(t[-1])],
-            allowed=f"0 to {duration:g} s, and some time after the start",
-        )
+    t = output_times([duration] if t_eval is None else t_eval, 0.0, duration)
+    if t[-1] == 0.0:
+        raise InvalidInput("t_eval is the start alone", got=t.tolist(), allowed="also a time after it, in s")
     return t
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.model import Setup
@@ -45,7 +46,7 @@ def run_members(
     values = {k: np.full((len(setups), t.size, *(sizes[d] for d in dims)), np.nan) for k, dims in keep.items()}
     names, reached = [INTERRUPTED] * len(setups), np.zeros(len(setups))
 
-    def one(m: int) -> None:
+    def one(m: int, _: int) -> None:
         run = simulate(setups[m], t_eval=t, throw=False, time_budget=time_budget)
         for name, target in values.items():
             found = _kept(run, name)
@@ -53,17 +54,35 @@ def run_members(
             target[m][whole] = found
         reached[m], names[m] = run.state.t, run.status
 
-    with ThreadPoolExecutor(threads) as pool, progress_bar(0, len(setups), progress, "members") as report:
-        futures = [pool.submit(one, m) for m in range(len(setups))]
+    run_blocks(one, 1, len(setups), threads, progress)
+    return values, names, reached
+
+
+def run_blocks(
+    block: Callable[[int, int], None],
+    size: int,
+    count: int,
+    threads: int,
+    progress: bool,
+    stop: npt.NDArray[np.int64] | None = None,
+) -> None:
+    """Run a function for the members low..high - 1 of each block of `size`, until all `count` are done.
+
+    After Ctrl-C blocks that have not begun are left out, and `stop` (1,), if given, is set to 1 for those at work.
+    """
+    with ThreadPoolExecutor(threads) as pool, progress_bar(0, count, progress, "members") as report:
+        spans = [(low, min(low + size, count)) for low in range(0, count, size)]
+        futures = [pool.submit(block, *span) for span in spans]
         try:
-            for done, future in enumerate(futures):
+            for (_, high), future in zip(spans, futures, strict=True):
                 future.result()
                 if report is not None:
-                    report(done + 1)
+                    report(high)
         except KeyboardInterrupt:
+            if stop is not None:
+                stop[0] = 1
             for future in futures:
                 future.cancel()
-    return values, names, reached
 
 
 def _kept(run: Trajectory, name: str) -> Array:

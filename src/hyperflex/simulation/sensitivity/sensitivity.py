@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import Drive, base_state, segment
 from hyperflex.core.chain.lanes import COLUMNS, set_slip
@@ -23,7 +22,7 @@ from hyperflex.core.tangent.extrapolation import new_tangent_workspace
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import output_times, setup_of
-from hyperflex.simulation.outcome import failure, refuse_unbalanced
+from hyperflex.simulation.outcome import refuse_failure, refuse_unbalanced
 from hyperflex.simulation.rollouts import TABLES, Rollout, finish, limits, prepare
 from hyperflex.simulation.sensitivity.directions import ParameterDirections, Wrt, check_smooth, parameter_directions
 from hyperflex.simulation.sensitivity.stiction import stiction_projection
@@ -210,9 +209,7 @@ def record_steps(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds:
     count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
     while True:
         run = prepare(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
-        code = finish(run)
-        if code != status.OK:
-            raise failure(code, run)
+        refuse_failure(finish(run), run)
         steps = int(run.progress.clock[TAKEN] - run.progress.clock[REJECTED])
         if steps <= count:
             run.progress = run.progress._replace(log=run.progress.log[:steps])
