@@ -87,6 +87,9 @@ def test_a_member_that_takes_too_long_has_failed() -> None:
     assert batch.status == ("time budget exceeded",) * 3
     assert np.isnan(batch.tip[:, -1]).all()
     assert (batch.reached < DURATION).all()
+    alone = hf.simulate_batch(ropes, motions, time_budget=1e-6, **how | {"t_eval": None})  # not one output is reached
+    assert alone.status == batch.status
+    assert np.isnan(alone.tip).all()
     assert set(hf.simulate_batch(ropes, motions, time_budget=1e3, **how).status) == {"ok"}
     with pytest.raises(InvalidInput, match="time_budget has the wrong sign"):
         hf.simulate_batch(ropes, motions, time_budget=-1.0, **how)

@@ -231,7 +231,7 @@ def split_samples(seen: Array, n: int) -> ContactSamples:
     force = np.stack([seen[:, n : 2 * n], seen[:, 2 * n : 3 * n]], axis=-1)
     latest = np.maximum.accumulate(np.where(free, -1, np.arange(free.size)))  # contact loses nothing in free flight
     loss = np.where(latest < 0, 0.0, seen[np.maximum(latest, 0), 3 * n + 3])
-    spin = seen[:, 3 * n + 4 :].reshape(free.size, 2, -1)
+    spin = seen[:, 3 * n + 4 :].reshape(free.size, 2, (seen.shape[1] - 3 * n - 4) // 2)
     return ContactSamples(
         free, seen[:, :n], np.where(free[:, None, None], 0.0, force), seen[:, 3 * n : 3 * n + 3], loss, spin
     )
