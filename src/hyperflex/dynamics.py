@@ -208,15 +208,7 @@ def bias(
 def partial_linearization(
     rope: Rope, arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike, arm_angle: float, arm_rate: float
 ) -> PartialLinearization:
-    """Return A_u and B_u of (2), and what (3) needs, by two O(n) sweeps.
-
-    Parameters
-    ----------
-    rope, arm : Rope, Arm
-    q, qd : (n,) array_like
-        Link angles, rad, and rates, rad/s.
-    arm_angle, arm_rate : float
-        Of the arm, rad and rad/s.
+    """Return A_u and B_u of (2), and what (3) needs, by two O(n) sweeps; angles in rad, rates in rad/s.
 
     Notes
     -----

@@ -57,7 +57,7 @@ class TugTest:
     run : Trajectory
         The simulated pull.
     slip : (T,) float64
-        Way of the rope on the peg, m, as :func:`rope_slip` tells it; round the axle of a peg that turns.
+        Slip of the rope on the peg, m, see :func:`rope_slip`; of a peg that turns, about its axle.
     """
 
     hold: float
@@ -66,7 +66,7 @@ class TugTest:
     slip: Array
 
     def holds(self, force: float) -> bool:
-        """Tell whether the rope held a tug of `force`, N, and slipped by less than was allowed meanwhile."""
+        """Return whether the rope held a tug of `force`, N, and slipped by less than was allowed meanwhile."""
         return self.hold >= checks.number("force", force, sign="positive", unit="N")
 
 
@@ -168,7 +168,7 @@ def rope_slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array
 
     Notes
     -----
-    Of the links that lie on the peg then and now, the one that has moved least tells: a rope that does not stretch is
+    Of the links that lie on the peg then and now, the one that has moved least counts: a rope that does not stretch is
     held as long as one of them is, though a loose tail may still fall and slide on the peg. A link that rolls does not
     slip: as its contact goes along the link by ds, it goes round the peg by ds / R. Nor does one that goes along with
     a peg that turns.
@@ -218,7 +218,7 @@ def tug_test(
 
     Returns
     -------
-    Tug
+    TugTest
     """
     speed = checks.number("speed", speed, sign="positive", unit="m/s")
     allowed = checks.number("allowed", allowed, sign="positive", unit="m")

@@ -75,25 +75,10 @@ def read_notes(path: PathLike) -> dict[str, str]:
 def write_table(
     path: PathLike, names: Sequence[str], values: npt.ArrayLike, *, notes: Mapping[str, str] | None = None
 ) -> None:
-    """Write a CSV table that :func:`read_table` gives back bit for bit.
+    """Write a CSV table that :func:`read_table` gives back bit for bit, wholly or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Where to write, wholly or not at all.
-    names : sequence of str
-        The C column names.
-    values : array_like (T, C)
-        Numbers; NaN becomes an empty cell.
-    notes : mapping of str to str, optional
-        Written as ``# key: value`` lines before the header.
-
-    Raises
-    ------
-    InvalidInput
-        When names and columns disagree in number, or a name repeats.
-    FileProblem
-        When the file cannot be written.
+    The numbers are (T, C), a column for each name; NaN becomes an empty cell. Notes are written as ``# key: value``
+    lines before the header. InvalidInput when names and columns disagree in number, or a name repeats.
     """
     table = np.asarray(values, dtype=np.float64)
     if table.ndim != 2 or table.shape[1] != len(names):

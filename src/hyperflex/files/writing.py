@@ -24,17 +24,8 @@ _NO_SPACE_TEXT = re.compile(r"No space left|File too large|quota exceeded", re.I
 def atomic_path(path: PathLike) -> Iterator[Path]:
     """Give a temporary path beside `path` to write to; put it in place when the block ends well.
 
-    For libraries that open files by name. The temporary name keeps the suffix of `path`.
-
-    Parameters
-    ----------
-    path : path-like
-        Where the file shall stand in the end. A link is followed; the folder must exist.
-
-    Yields
-    ------
-    pathlib.Path
-        An empty file in the same folder. It is removed if the block raises anything, KeyboardInterrupt included.
+    For libraries that open files by name. A link is followed; the folder must exist. The file is empty at first, keeps
+    the suffix of `path`, and is removed if the block raises anything, KeyboardInterrupt included.
 
     Raises
     ------
@@ -62,24 +53,9 @@ def atomic_path(path: PathLike) -> Iterator[Path]:
 
 @contextmanager
 def atomic(path: PathLike, mode: Literal["w", "wb"] = "w") -> Iterator[IO[Any]]:
-    """Open `path` for writing so that it changes wholly or not at all.
+    """Open `path` for writing text (UTF-8, line feeds) or bytes, so that it changes wholly or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        Where the file shall stand in the end.
-    mode : {"w", "wb"}
-        Text (UTF-8, line feeds) or bytes.
-
-    Yields
-    ------
-    file object
-        What is written to it appears at `path` when the block ends without an exception.
-
-    Raises
-    ------
-    FileProblem
-        As for :func:`atomic_path`.
+    What is written appears at `path` when the block ends without an exception. FileProblem as for :func:`atomic_path`.
 
     Examples
     --------

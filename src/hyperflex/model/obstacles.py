@@ -153,7 +153,7 @@ KINDS: dict[str, type[Obstacle]] = {"pegs": Peg, "walls": Wall, "grounds": Groun
 
 
 def _check(obstacle: Obstacle, what: str) -> None:
-    """Make numbers of all fields, or refuse what is none, has the wrong sign or bounces back faster than it came."""
+    """Convert all fields to floats; InvalidInput for a wrong sign, or a restitution above 1."""
     for each in fields(obstacle):
         value, (sign, unit) = getattr(obstacle, each.name), _BOUNDS.get(each.name, ("any", "m"))
         if value is not None or each.default is not None:

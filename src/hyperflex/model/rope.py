@@ -34,7 +34,7 @@ class Rope:
     Parameters
     ----------
     length : (n,) array_like
-        Link lengths, joint to joint, m. At least one of `length` and `mass` must be an array, to tell n.
+        Link lengths, joint to joint, m. At least one of `length` and `mass` must be an array; its size is n.
     mass : (n,) array_like
         Link masses, kg.
     com : (n,) array_like, optional

@@ -167,7 +167,7 @@ class Setup:
         return self.arm.chain(self.rope) if self.torque_driven and self.arm else self.rope.chain()
 
     def drive(self) -> Drive:
-        """Return what moves the chain, as the kernels take it."""
+        """Return the drive of the chain, as the kernels take it."""
         source = self.torque or self.motion or hold_arm(0.0)
         coef = source.coef
         if self.arm is not None and any(self.arm.pivot):
@@ -180,12 +180,12 @@ class Setup:
 
     @property
     def round_pegs(self) -> tuple[Peg, ...]:
-        """The pegs among what the rope may touch."""
+        """The round pegs among the obstacles."""
         return tuple(peg for peg in self.pegs if isinstance(peg, Peg))
 
     @property
     def touches(self) -> bool:
-        """Whether there are pegs, or joint limits: what a run meets in impacts."""
+        """Whether there are obstacles or joint limits: they need contact steps."""
         return bool(self.pegs) or self.rope.limited
 
     @property
@@ -194,7 +194,7 @@ class Setup:
         return any(peg.turns for peg in self.round_pegs)
 
     def contacts(self) -> Pegs:
-        """Return the pegs as the kernels take them."""
+        """Return the obstacles as the kernels take them."""
         return packed(self.pegs, self.rope.radius, 1 if self.torque_driven else 0)
 
     def dumps(self) -> str:

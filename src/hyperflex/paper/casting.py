@@ -233,7 +233,7 @@ def success_over_failure(reading: Reading) -> Claim:
 def straight_phase(reading: Reading) -> Claim:
     """C3: theta(t) of (11) is a straight line for the success; R^2 of the linear fit from 2 s on.
 
-    Notes the failure's R^2 too and whether it would pass: then straightness does not tell a success from a failure.
+    Notes the failure's R^2 too and whether it would pass: then straightness does not separate a success from a failure.
     """
     straightness, slope, off = straight_fit(cast(reading, "success"))
     failure = straight_fit(cast(reading, "failure"))[0]

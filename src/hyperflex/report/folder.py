@@ -15,7 +15,7 @@ Progress = Callable[[str], None]  # called with a message on what is being done
 
 
 def silent(message: str) -> None:
-    """Say nothing: the progress callable of those who want none."""
+    """Do nothing: the progress callable where none is wanted."""
 
 
 @contextmanager
@@ -95,7 +95,7 @@ def _move(stage: Path, target: Path, own: Sequence[str]) -> None:
 
 
 def _put_back(names: list[str], old: list[str], stage: Path, target: Path) -> None:
-    """Undo as much of a move as was done, by what stands where."""
+    """Undo as much of a move as was done."""
     if not stage.exists():  # interrupted just after it became the target: whole
         return
     for name in (*names, *old):

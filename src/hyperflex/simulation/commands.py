@@ -73,7 +73,7 @@ def state_directions(command: str, chain: Chain, drive: Drive) -> tuple[Array, D
 
 
 def set_commands(command: str, seeds: Directions, powers: Array) -> None:
-    """Let directions be those of an interval, whose `powers` are as :func:`arm_polynomials` gives them."""
+    """Set directions to those of an interval, whose `powers` are as :func:`arm_polynomials` gives them."""
     rows, channel = (powers[2:], TORQUE) if command == "torque" else (powers, ANGLE)
     seeds.coef[:] = 0.0
     seeds.coef[: len(rows), 0, channel] = rows

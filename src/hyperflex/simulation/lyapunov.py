@@ -176,7 +176,7 @@ def _states(setup: Setup, t: Array) -> tuple[Array, Array]:
 
 
 def _swing_time(setup: Setup) -> float:
-    """Time that turns a change of velocity into one of place, s."""
+    """Time scale between changes of velocity and changes of position, s."""
     pull = math.hypot(*setup.rope.gravity)
     return math.sqrt(setup.rope.total_length / max(pull, setup.rope.total_length))
 

@@ -67,7 +67,7 @@ def _matches(saved: dict[str, Any], state: State, own: int) -> bool:
 
 
 def final_state(run: Rollout, setup: Setup) -> State:
-    """Return where a run stands, with the mark from which it can go on bit for bit."""
+    """Return the state of a run at its end, with the mark from which it resumes bit for bit."""
     y, mark, slip, mark_slip, clock, _ = run.progress
     if clock[MARK] == -np.inf:  # no step was cut: the run stands where one ended
         mark, mark_slip, clock[MARK : 2 * MARK] = y, slip, clock[:MARK]

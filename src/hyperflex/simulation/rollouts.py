@@ -56,7 +56,7 @@ class Rollout:
     spin : (2, m) float64, optional
         Beside obstacles: their angles, rad, and rates, rad/s, at the time reached.
     facts, kept : dict
-        Beside pegs: what the trajectory tells about contacts, and what a run that goes on needs of them.
+        Beside pegs: counts and extremes of contacts for the trajectory, and what a run that goes on needs of them.
     """
 
     chain: Chain
@@ -110,7 +110,7 @@ def starting_clock(t: float) -> Array:
 
 
 def lever(chain: Chain) -> Array:
-    """Return how far a link's angle moves mass (n,), m: the larger of its length and its radius of gyration."""
+    """Return the lever of each link's mass (n,), m: the larger of its length and its radius of gyration."""
     gyration = np.sqrt(chain.inertia / np.maximum(chain.mass, 1e-300) + chain.com**2)
     return np.maximum(chain.length, np.where(chain.mass > 0.0, np.minimum(gyration, 1e3 * chain.length), 0.0))
 
@@ -170,7 +170,7 @@ class Interval:
         self.drive = read_only(drive._replace(breaks=self._breaks, coef=self._coef, switch=switch, loop=-1))
 
     def set(self, begin: float, end: float, channel: int, powers: npt.ArrayLike) -> None:
-        """Let a channel be the polynomial `powers` (6,) of the time since `begin`, s, until `end`."""
+        """Set a channel to the polynomial `powers` (6,) of the time since `begin`, s, until `end`."""
         self._breaks[:] = begin, 2.0 * end - begin
         self._coef[0, channel] = powers
 
@@ -252,7 +252,7 @@ def balanced(
 def progress_bar(
     begin: float, end: float, wanted: bool, what: str = "simulating"
 ) -> Iterator[Callable[[float], None] | None]:
-    """Show a bar from begin to end on standard error, if it is wanted; yields what to call with where the work is."""
+    """Show a bar from begin to end on standard error, if wanted; yields the function that sets it."""
     if not wanted:
         yield None
         return

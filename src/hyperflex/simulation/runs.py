@@ -237,7 +237,7 @@ def _finished(
 
 
 def runner(run: Rollout, setup: Setup, state: State | None) -> Callable[..., int]:
-    """Return what runs to the end, in contact or without: called with what to report to, it returns the code."""
+    """Return the function that finishes a run, with contact or without: from a progress callable to the code."""
     free = not setup.touches or run.limits.until.kind != NEVER.kind
     return partial(finish, run) if free else contact_run(run, setup, state).finish
 
@@ -266,7 +266,7 @@ def angles(
 
 
 def _ending(until: Event | None, setup: Setup) -> Until:
-    """Return what may end the run, as kernels take it."""
+    """Return the event that may end the run, as kernels take it."""
     if until is not None and not isinstance(until, Event):
         raise InvalidInput("until is not an event", got=until, allowed="tip_crosses(...), tip_speed_peak(...), ...")
     if setup.pegs and until is not None:

@@ -218,7 +218,7 @@ class Stepper:
         return state_of(run, self.setup, run.progress.y, run.progress.clock[:MARK], run.spin, arm, **run.kept)
 
     def _begin(self, state: State, command: float, dt: float) -> tuple[float, float]:
-        """Put the run where a state stands, and the command before it; returns where a prescribed arm will be."""
+        """Set the run to a state and a command; returns angle and rate of a prescribed arm at the end."""
         if not isinstance(state, State):
             raise InvalidInput("state is not a State", got=state, allowed="what start() or step() returned")
         u, span = checks.number("command", command), checks.number("dt", dt, sign="positive", unit="s")
@@ -244,7 +244,7 @@ class Stepper:
         refuse_failure(finish(self._run) if self._contact_run is None else self._contact_run.finish(), self._run)
 
     def _recorded(self, state: State, command: float, dt: float) -> tuple[tuple[float, float], Array, Array]:
-        """Take a step; returns where a prescribed arm will be, the steps (m, ...) in it and its start (2 N + 2,)."""
+        """Take a step; returns what :meth:`_begin` does, the steps (m, ...) taken and the start (2 N + 2,)."""
         run, plain = self._run, self._run.progress
         try:
             while True:

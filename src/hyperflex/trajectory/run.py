@@ -256,17 +256,10 @@ class Trajectory:
         return {**{key: value for key, value in self.attrs.items() if value is not None}, **own}
 
     def to_netcdf(self, path: str | Path) -> None:
-        """Write the run, its set-up and its final state to a NetCDF file (whole, or not at all).
+        """Write the run, its set-up and its final state to the NetCDF file `path`, usually ``.nc``.
 
-        Parameters
-        ----------
-        path : str or Path
-            Usually ends in ``.nc``; an existing file is replaced only once the new one is complete.
-
-        Raises
-        ------
-        FileProblem
-            The folder cannot be written to or is full; nothing has changed then.
+        An existing file is replaced only once the new one is complete. FileProblem if the folder cannot be written to
+        or is full; nothing has changed then.
         """
         files.write_netcdf(path, NetCDF(self.variables(), self.attributes(), {"state": self.state.variables()}))
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hyperflex.checks import Array
 from hyperflex.paper import casting
 from hyperflex.paper.casting import (
     OUTCOMES,
@@ -15,6 +17,7 @@ from hyperflex.paper.casting import (
     TIME_CONSTANT,
     Cast,
     Outcome,
+    Reading,
     cable,
     cast,
     casting_arm,
@@ -45,9 +48,7 @@ def fig9() -> Figure:
         ways = (("under", "through the bottom"), ("over", "over the top"))
         for axis, (path, title) in zip(axes, ways, strict=True):
             reading = next(each for each in READINGS if each.path == path)
-            for outcome in reversed(OUTCOMES):
-                subject = cast(reading, outcome)
-                _line(axis, subject, np.degrees(subject.arm_angle), outcome)
+            _lines(axis, reading, lambda subject: np.degrees(subject.arm_angle))
             axis.set_title(title)
             axis.set_ylabel("arm, degrees")
             axis.set_yticks([-90, 0, 90] if path == "under" else [-270, -180, -90])
@@ -60,12 +61,10 @@ def fig10() -> Figure:
     with new_figure(10.0, 8.4, "Tip position, simulated (Fig. 10)") as figure:
         axes = figure.subplots(len(READINGS), 2, sharex=True, sharey="col")
         for row, reading in zip(axes, READINGS, strict=True):
-            for axis, index, name in zip(row, (0, 1), ("x", "y"), strict=True):
-                for outcome in reversed(OUTCOMES):
-                    subject = cast(reading, outcome)
-                    _line(axis, subject, subject.tip[:, index], outcome)
-                axis.set_ylabel(f"tip {name}, m")
-            row[0].set_title(reading.title)
+            _lines(row[0], reading, lambda subject: subject.tip[:, 0])
+            _lines(row[1], reading, lambda subject: subject.tip[:, 1])
+            row[0].set(ylabel="tip x, m", title=reading.title)
+            row[1].set_ylabel("tip y, m")
         _finish(figure, axes)
     return figure
 
@@ -79,10 +78,8 @@ def fig11() -> Figure:
             for start, end in success.intervals:
                 label = "the successful arm moves" if start == 0.0 else None
                 row[0].axvspan(start, min(end, success.t[-1]), color=BLUE, alpha=0.08, lw=0, label=label)
-            for outcome in reversed(OUTCOMES):
-                subject = cast(reading, outcome)
-                _line(row[0], subject, subject.spiral.r, outcome)
-                _line(row[1], subject, subject.spiral.theta, outcome)
+            _lines(row[0], reading, lambda subject: subject.spiral.r)
+            _lines(row[1], reading, lambda subject: subject.spiral.theta)
             swing = (success.arm_angle - success.arm_angle.min()) / np.ptp(success.arm_angle)
             row[0].plot(success.t, 0.35 * swing - 0.45, color=GREY, lw=0.8)
             row[0].set(ylim=(-0.55, _TOP), ylabel="r, m", title=reading.title)
@@ -139,9 +136,12 @@ def _portrait(axis: Any, subject: Cast, colour: str) -> None:
     axis.grid(False)
 
 
-def _line(axis: Any, subject: Cast, values: Any, outcome: Outcome) -> None:
-    axis.plot(subject.t, values, color=OUTCOME_COLOUR[outcome], ls=_DASH[outcome], label=_NAME[outcome], lw=1.3)
-    axis.set_xlim(subject.t[0], subject.t[-1])
+def _lines(axis: Any, reading: Reading, values: Callable[[Cast], Array]) -> None:
+    """Draw what is measured of the failure and of the success over time."""
+    for outcome in reversed(OUTCOMES):
+        subject, style = cast(reading, outcome), {"color": OUTCOME_COLOUR[outcome], "ls": _DASH[outcome]}
+        axis.plot(subject.t, values(subject), label=_NAME[outcome], lw=1.3, **style)
+        axis.set_xlim(subject.t[0], subject.t[-1])
 
 
 def _finish(figure: Figure, axes: Any) -> None:

@@ -245,7 +245,7 @@ def _nearest(plan: CastPlan, near: FallbackTarget) -> str:
 
 
 def _lacks(plan: CastPlan) -> str:
-    """Return what a throw that winds lacks, where more searching is not what helps; else nothing."""
+    """Return what a throw that winds but fails needs, where more search does not help; else ""."""
     cast, given = plan.outcome, plan.cast_setup.limits.torque
     if cast is None or not cast.wound:
         return ""

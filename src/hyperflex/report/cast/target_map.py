@@ -59,7 +59,7 @@ def target_map_caption(plan: CastPlan) -> str:
 
 
 def _kind(plan: CastPlan) -> str:
-    """Return what the place that is named instead of the target is."""
+    """Return in words what the fallback target is."""
     if plan.fallback is not None and plan.fallback.plan is not None:
         return "nearest target that works"
     return f"nearest target that should be {'easier' if plan.feasibility.feasible else 'in reach'}"

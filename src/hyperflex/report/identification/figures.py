@@ -140,7 +140,7 @@ def _draw_error(axis: Any, view: FittedChannels, held: HeldOut, channel: int) ->
 
 
 def residual_figure(view: FittedChannels) -> Figure:
-    """Draw what the fit leaves of the chosen channels: over time, how it is spread, and how it hangs together."""
+    """Draw what the fit leaves of the chosen channels: over time, histogram, and autocorrelation."""
     found = view.found
     lag, correlation, band = correlogram(view.fit_t, found.residuals, _LAGS)
     with new_figure(_WIDTH, 0.6 + 1.75 * len(view.chosen)) as figure:

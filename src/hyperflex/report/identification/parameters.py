@@ -108,7 +108,7 @@ def _start(each: Number, found: Identification, guess: Rope) -> float | None:
 
 
 def ties(found: Identification, least: float = 0.95, most: int = 5) -> tuple[str, ...]:
-    """Return in words which numbers err together: those whose correlation is at least `least`, the closest first."""
+    """Return in words which numbers are correlated: pairs whose correlation is at least `least`, the closest first."""
     sd = np.sqrt(np.diag(found.covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = np.nan_to_num(found.covariance / np.outer(sd, sd))
@@ -119,7 +119,7 @@ def ties(found: Identification, least: float = 0.95, most: int = 5) -> tuple[str
 
 
 def ratios_table(found: Identification) -> TextTable | None:
-    """Return what a motion without known forces can tell, or None where nothing of it was free."""
+    """Return the ratios that a motion without known forces determines, or None where none of them was free."""
     rows = []
     for name, values in found.ratios.items():
         unit, spreads = readable(name, values), found.ratio_sd[name]
@@ -144,7 +144,7 @@ def _spread(found: Identification, label: str, value: float, sd: float) -> tuple
 
 
 def _span(low: float, high: float, sd: float) -> str:
-    """Return an interval in words; an end that is not finite is no end."""
+    """Return an interval in words; it is one-sided where an end is not finite."""
     ends = [rounded(end, sd) if np.isfinite(end) else "" for end in (low, high)]
     if ends[0] and ends[1]:
         return f"{ends[0]} to {ends[1]}"
@@ -152,7 +152,7 @@ def _span(low: float, high: float, sd: float) -> str:
 
 
 def present(rope: Rope) -> dict[str, bool]:
-    """Return of each property of the links whether the rope has it at all."""
+    """Return for each property of the links whether the rope has any of it."""
     return {each.name: bool((getattr(rope, each.name) != each.default).any()) for each in LINKS}
 
 

@@ -99,7 +99,7 @@ def _python() -> str:
 
 
 def _told(word: str) -> str:
-    """Return a word of ``free`` as people say it."""
+    """Return an entry of ``free`` in words."""
     name, _, law = word.partition(":")
     name, _, place = name.partition("[")
     whose = {"shared": " (one value for all links)", "factor": " (one factor for all links)"}

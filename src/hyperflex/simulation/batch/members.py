@@ -100,7 +100,7 @@ def starts_of(setups: Sequence[Setup]) -> Array:
 
 
 def members_of(chains: list[Chain], drives: list[Drive], starts: Array) -> Members:
-    """Put what each member is made of side by side."""
+    """Return chains, drives and starts (M, 2 n + 2) of the members as kernel arrays."""
     links = np.stack([np.stack([*c[:LEVER], lever(c)]) for c in chains])
     whole = np.array(
         [[c.tip_mass, c.gx, c.gy, d.arm_length, d.torque_limit] for c, d in zip(chains, drives, strict=True)]

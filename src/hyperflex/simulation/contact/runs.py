@@ -89,7 +89,7 @@ class ContactRun:
         return code
 
     def _fly(self) -> int:
-        """Fly freely while no peg or limit can be reached; LEFT if one may be, RUNNING or OK after a flight."""
+        """Fly freely while no peg or limit can be reached: LEFT if one may be, RUNNING or OK after a flight."""
         run, clock = self.run, self.run.progress.clock
         stop = run.limits.stop
         if run.time >= stop:
@@ -124,7 +124,7 @@ class ContactRun:
         return status.RUNNING if run.time < stop else status.OK
 
     def _lock(self) -> None:
-        """Take what the proximal method leaves off the rates of joints that stick: free flight knows them at rest."""
+        """Set the rates of stuck joints to rest, as free flight needs; the proximal method leaves small ones."""
         run, base, n = self.run, np.empty(9), self.run.chain.length.size
         base_state(run.drive, segment(run.drive, run.time), run.time, base)
         for i in np.flatnonzero(self.contact.memory.bent == STICK):
@@ -163,7 +163,7 @@ class ContactRun:
         return status.RUNNING if code == status.OK and run.time < run.limits.stop else code
 
     def _energy(self) -> float:
-        """Energy at stake, J: what the rope has, could gain by falling, or be given by a force or a torque."""
+        """Energy scale, J: kinetic, potential by a fall of the whole rope, and by the force on the tip or a torque."""
         run = self.run
         chain, n, base = run.chain, run.chain.length.size, np.empty(9)
         base_state(run.drive, segment(run.drive, run.time), run.time, base)
@@ -226,7 +226,7 @@ class ContactSamples(NamedTuple):
 
 
 def split_samples(seen: Array, n: int) -> ContactSamples:
-    """Take what was seen (T, 3 n + 4 + 2 m) of n links and m obstacles apart."""
+    """Split contact outputs (T, 3 n + 4 + 2 m) of n links and m obstacles into their parts."""
     free = np.isnan(seen[:, 0])
     force = np.stack([seen[:, n : 2 * n], seen[:, 2 * n : 3 * n]], axis=-1)
     latest = np.maximum.accumulate(np.where(free, -1, np.arange(free.size)))  # contact loses nothing in free flight

@@ -57,7 +57,7 @@ class ParameterDirections:
 
     @property
     def width(self) -> int:
-        """Number of directions, filled up to whole pairs."""
+        """Number of directions, padded to an even number."""
         return len(self.parts) + len(self.parts) % 2
 
     def lengths(self, n: int) -> Array:
@@ -198,7 +198,7 @@ def _by_name(setup: Setup, name: str) -> dict[str, Part]:
 
 
 def _gravity(setup: Setup, change: Array) -> Part:
-    """Gravity moves the start, too, where that is the rope at rest."""
+    """Direction of a change of gravity; it also changes the start where that is the rope at rest."""
     part = {"gravity": change}
     gx, gy = setup.rope.gravity
     if setup.q0 is None and (gx or gy):
@@ -207,7 +207,7 @@ def _gravity(setup: Setup, change: Array) -> Part:
 
 
 def _own(setup: Setup, name: str, given: Mapping[str, npt.ArrayLike]) -> Part:
-    """A direction that the user has made himself."""
+    """Direction that the user gives as a mapping, checked."""
     n = setup.rope.n_links
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*STATE_NAMES, *LINK_NAMES), (n,))
     shapes |= {"tip_mass": (1,), "gravity": (2,), "arm_length": (1,)}
