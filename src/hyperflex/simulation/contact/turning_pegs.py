@@ -61,7 +61,7 @@ def spin_energy(setup: Setup, rates: Array) -> Array:
 
 
 def shown(setup: Setup, spin: Array | None) -> dict[str, Any]:
-    """Return angles and rates (..., P) of the round pegs by name, from (..., 2, m) of all obstacles; {} if none turns."""
+    """Return angles and rates (..., P) of the round pegs by name, from all obstacles (..., 2, m); {} if none turns."""
     if spin is None or not setup.pegs_turn:
         return {}
     turning = np.where(np.isfinite(setup.contacts().inertia), spin, 0.0)[..., round_places(setup.pegs)]
