@@ -1,6 +1,5 @@
 """Arm motions: piecewise polynomials of time with their switching times."""
 
-from hyperflex.motion.half_turns import arm_strokes
 from hyperflex.motion.lag import lagged
 from hyperflex.motion.piecewise import Motion
 from hyperflex.motion.profiles import (
@@ -14,7 +13,7 @@ from hyperflex.motion.profiles import (
     sampled_motion,
     torque_profile,
 )
-from hyperflex.motion.sequence import arm_moves
+from hyperflex.motion.sequence import arm_moves, arm_strokes
 from hyperflex.motion.tables import from_spec, read_motion, to_spec
 
 __all__ = [
