@@ -42,7 +42,6 @@ def run_closed_loop(
     Parameters
     ----------
     source : StateSource
-        Source of the rope's state.
     rule : Rule
     model : SwingModel
         Its half turns are made. The first one starts at t = 0.
@@ -51,10 +50,6 @@ def run_closed_loop(
     recheck_time : float
         A start that is later than this, s, is decided again after this time, from a new state. By default the first
         decision at each rest is final.
-
-    Returns
-    -------
-    ClosedLoopRun
 
     Raises
     ------

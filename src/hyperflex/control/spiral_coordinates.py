@@ -52,10 +52,6 @@ def spiral(t: object, x: object, velocity: object, c: float) -> Spiral:
     c : float
         Time constant sqrt(M/K), s, > 0: the square root of mass over pseudo-elastic coefficient.
 
-    Returns
-    -------
-    Spiral
-
     Raises
     ------
     InvalidInput
@@ -142,14 +138,9 @@ def phase_portrait(tip: Spiral, intervals: Array) -> PhasePortrait:
     Parameters
     ----------
     tip : Spiral
-        Its motion.
     intervals : (m, 2) float64
         Start and end of each arm motion, s, in order and without overlap. What lies outside the time of `tip`
         is left out; a motion that is cut off by its end has no end point.
-
-    Returns
-    -------
-    PhasePortrait
 
     Raises
     ------

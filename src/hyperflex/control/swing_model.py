@@ -21,20 +21,12 @@ from hyperflex.trajectory import State
 SAMPLE_TIME = 0.02  # s, of predictions
 PLANNING_TOL = 1e-4  # m; docs/how-to/accuracy.md
 SOON = 1e-6  # s after now within which a crossing is not looked for: it may be the last one
-SHORTFALL_COST = 3.0  # s/m
 
 
 def swing_period(rope: Rope) -> float:
-    """Return the period of a small swing of the rope as a rigid rod, s; that of the rope itself is 2 % longer.
+    """Return the period of a small swing of a rope as a rigid rod, s; that of the rope itself is 2 % longer.
 
-    Parameters
-    ----------
-    rope : Rope
-
-    Raises
-    ------
-    InvalidInput
-        If the rope has no weight.
+    Raises InvalidInput if the rope has no weight.
     """
     base = np.concatenate([[0.0], np.cumsum(rope.length)[:-1]])
     centre = base + rope.com
@@ -87,7 +79,6 @@ class SwingModel:
         Parameters
         ----------
         now : RopeState
-            State of the rope.
         motion : Motion
             Of the arm, on the clock of `now`.
         after, until : float
@@ -128,7 +119,7 @@ class SwingModel:
         """
         ahead = checks.array("rests", rests, (-1, -1), sign="nonnegative", unit="s")
         more = max(0, math.ceil(horizon / self.t_move) - ahead.shape[1])
-        ahead = np.concatenate([ahead, np.full((len(ahead), more), self.usual_rest)], axis=1)
+        ahead = np.pad(ahead, ((0, 0), (0, more)), constant_values=self.usual_rest)
         first = np.cumsum(ahead + self.t_move, axis=1) - self.t_move
         motions = [self.motion(row[row < horizon], made) for row in first]
         t: Array = SAMPLE_TIME * np.arange(1.0, max(2, round(horizon / SAMPLE_TIME)) + 1.0)
@@ -174,9 +165,3 @@ def arrival_time(t: Array, amplitude: Array, target: float) -> Array:
     rise = amplitude[rows, k] - amplitude[rows, before]
     part = np.where((k > 0) & (rise > 0.0), (target - amplitude[rows, before]) / np.where(rise > 0.0, rise, 1.0), 1.0)
     return np.where(beyond.any(axis=1), t[before] + part * (t[k] - t[before]), np.inf)
-
-
-def arrival_cost(t: Array, amplitude: Array, target: float) -> Array:
-    """Return the arrival time (m,), s; without arrival the end and SHORTFALL_COST times the shortfall."""
-    first = arrival_time(t, amplitude, target)
-    return np.where(np.isfinite(first), first, t[-1] + SHORTFALL_COST * (target - amplitude.max(axis=1)))

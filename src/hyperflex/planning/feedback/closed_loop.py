@@ -134,10 +134,6 @@ def follow_plan(
     seed : int
     threads : int, optional
 
-    Returns
-    -------
-    FollowResult
-
     Raises
     ------
     InvalidInput
