@@ -107,8 +107,6 @@ def verify_cast(
 
     Parameters
     ----------
-    cast_setup : CastSetup
-    peg : Peg
     motion : Motion
         With an end, after which the arm stands still.
     tol, contact_step : float
@@ -236,19 +234,7 @@ class HoldingForce:
 
 
 def measure_holding_force(run: Trajectory, peg: Peg) -> HoldingForce | None:
-    """Tug at the rope from the end of a run.
-
-    Parameters
-    ----------
-    run : Trajectory
-        Simulated with this peg.
-    peg : Peg
-
-    Returns
-    -------
-    HoldingForce or None
-        None if the rope is not on the peg or the tug cannot be simulated.
-    """
+    """Tug at the rope from the end of a run with a peg; None if it is not on the peg or the tug cannot be simulated."""
     wound = winding.measure_winding(run, peg)
     if not np.isfinite(wound.tail[-1]):
         return None

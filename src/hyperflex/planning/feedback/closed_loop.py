@@ -183,16 +183,8 @@ def swing_down(throw: Throw, made: int, rest: float = 0.0) -> Throw:
 
 
 class ScenarioRanking:
-    """Sampled scenarios, ranked by their errors in predicting the observed states.
+    """Sampled scenarios, ranked by their errors in predicting the observed states of a rope that begins at rest.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-        The rope hangs at rest at t = 0.
-    scenarios : sequence of Scenario
-
-    Notes
-    -----
     Each scenario predicts every observed state from the one before. Squared errors of the joints' positions and
     velocities (:func:`matching.features`) add up. Delays of moves are not part of the prediction.
     """

@@ -62,10 +62,7 @@ class RopePosterior:
     def from_toml(cls, path: str | Path) -> RopePosterior | None:
         """Read it from a rope file that identify wrote; None if the file holds no covariance.
 
-        Raises
-        ------
-        FileProblem, InvalidInput
-            If the file cannot be read, or its table of the identification is not complete.
+        Raises FileProblem or InvalidInput if the file cannot be read, or its table of the identification is incomplete.
         """
         table: Any = files.read_toml(path).get("identification")
         if not isinstance(table, dict) or not {"parameters", "covariance"} <= table.keys():

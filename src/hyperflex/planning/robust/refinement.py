@@ -53,23 +53,8 @@ class RobustCandidate:
 class RobustRefinement:
     """Successive halving of the candidates of a nominal search, then CMA-ES about the best, in sampled scenarios.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    peg : Peg
-    parametrizations : dict of int to ThrowParametrization
-        Of each side, as in the nominal search.
-    uncertainty : Uncertainty
-    left : callable, optional
-        Returns the time that is left, s. Without any no second round is begun, nor a generation that takes more.
-    seed : int
-    threads : int, optional
-
-    Attributes
-    ----------
-    order : list of RobustCandidate
-        Best first.
-    runs, generations : int
+    `parametrizations` are those of each side in the nominal search. `left` returns the time that is left, s; without
+    any no second round is begun, nor a generation that takes more. `order` holds the candidates, best first.
 
     Notes
     -----

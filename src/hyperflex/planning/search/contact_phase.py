@@ -48,18 +48,10 @@ class WindingScores:
 def simulate_contact(
     batch: RolloutBatch, begin: Array, *, arm: Arm, time_budget: float = TIME_BUDGET, threads: int | None = None
 ) -> WindingScores:
-    """Simulate ropes beside pegs from shortly before their strikes.
+    """Simulate ropes (M,) beside pegs from shortly before their strikes, under motions that end.
 
-    Parameters
-    ----------
-    batch : RolloutBatch
-        (M,); its motions end.
-    begin : (M,) float64
-        Time of each strike, s: the later, the lower the score.
-    arm : Arm
-    time_budget : float
-        Processor time of each run, s; a run that takes more has failed.
-    threads : int, optional
+    A strike that begins later, at `begin` (M,), s, lowers the score. `time_budget` is the processor time of each run,
+    s; a run that takes more has failed.
     """
     stops = np.maximum([float(motion.breaks[-1]) for motion in batch.motions], 0.5)
     score, turns = np.empty(stops.size), np.empty(stops.size)

@@ -97,23 +97,10 @@ def arm_tip(arm: Arm, motion: Motion, t: Array) -> tuple[Array, Array]:
 
 
 def first_contact(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) -> tuple[Array, Array, Array]:
-    """Return the sample and the link of the first strike on a peg, and the smallest gap.
+    """Return sample and link of the first strike on a peg, and the smallest gap, m, (M,) each; sample 0: no strike.
 
-    Parameters
-    ----------
-    q : (M, T, n) rad
-    base : (M, T, 2) m, position of the rope's first joint
-    length : (n,) or (M, 1, n) m, of the links
-    peg : Peg
-    rope_radius : float, m
-
-    Returns
-    -------
-    at : (M,) int64
-        Sample; 0 without a strike.
-    link : (M,) int64
-    gap : (M,) float64
-        Smallest gap, m.
+    `q` (M, T, n) are angles, rad, `base` (M, T, 2) positions of the rope's first joint, m, `length` (n,) or (M, 1, n)
+    those of the links, m, and `rope_radius` is in m.
     """
     links = np.moveaxis(q, 2, 0)
     sin, cos = np.sin(links, order="C"), np.cos(links, order="C")
@@ -139,11 +126,7 @@ def first_contact(q: Array, base: Array, length: Array, peg: Peg, rope_radius: f
 def mass_points(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
     """Positions, m, and velocities, m/s, of the links' centres of mass and of the tip (M, n + 1, 2).
 
-    Parameters
-    ----------
-    rope : Rope
-    q, qd : (M, n) rad, rad/s
-    base, velocity : (M, 2) m, m/s, of the first joint
+    Angles `q` (M, n), rad, and rates `qd`, rad/s; `base`, m, and `velocity`, m/s, (M, 2) of the first joint.
     """
     along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
     across = np.stack([np.cos(q), np.sin(q)], axis=-1) * qd[..., None]
@@ -161,15 +144,8 @@ def tail_energy(
 ) -> tuple[Array, Array]:
     """Return the energy ratio and the turns of tail (M,) of strikes with link `link` (M,); see :class:`Strikes`.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    peg : Peg
-    state : (q, qd), (M, n) each
-        rad, rad/s.
-    base : (position, velocity) of the first joint, (M, 2) each
-        m, m/s.
-    link : (M,) int64
+    `state` is (q, qd), (M, n) each, rad and rad/s; `base` position and velocity of the first joint, (M, 2) each, m and
+    m/s.
     """
     rope = cast_setup.rope
     places, speeds = mass_points(rope, *state, *base)

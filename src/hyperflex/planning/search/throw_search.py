@@ -41,26 +41,9 @@ NARROW = 0.25  # step size of CMA-ES in contact, relative to that of free swings
 class ThrowSearch:
     """A search for throws: over free swings by beam search and by CMA-ES, then by CMA-ES in contact with the peg.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    peg : Peg
-    seed : int
-    threads : int, optional
-        One a processor by default.
-    holding_force : float
-        Pull that the wound rope must bear, N; used where the candidates are verified.
-
-    Attributes
-    ----------
-    swings : list of Swing
-        Best first.
-    candidates : list of Candidate
-        Best first.
-    runs : int
-        Simulated runs.
-    left : callable or None
-        Returns the time that is left for the search, s; None for no limit.
+    Swings and candidates are kept best first; `runs` counts the simulated runs. `holding_force`, N, is the pull that
+    the wound rope must bear; it is used where the candidates are verified. `left` returns the time that is left for the
+    search, s; None for no limit. `threads` is one a processor by default.
     """
 
     cast_setup: CastSetup

@@ -57,25 +57,10 @@ def simulate_impact(
     radius: float = IMPACT_RADIUS,
     mu: float = 0.3,
 ) -> Impact:
-    """Simulate a motion beside a small fixed peg at the target and measure the impact.
+    """Simulate a motion beside a small fixed peg at the target and measure the impact, expected at time `near`, s.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    target : TipTarget
-        The peg lies behind it in the asked direction, so that the tip touches the peg where it passes the target.
-    motion : Motion
-    near : float
-        Expected time of the impact, s.
-    radius : float
-        Of the peg, m.
-    mu : float
-        Friction coefficient of the peg.
-
-    Raises
-    ------
-    SimulationError
-        If the run fails.
+    The peg (`radius`, m, friction coefficient `mu`) lies behind the target in the asked direction, so that the tip
+    touches it where it passes the target. Raises SimulationError if the run fails.
     """
     radius = checks.number("radius", radius, sign="positive", unit="m")
     way = np.array([np.cos(target.direction), np.sin(target.direction)])
@@ -105,11 +90,10 @@ def simulate_impact(
 
 
 def collision_impulse(run: Trajectory, peg: Peg, k: int) -> Array:
-    """Impulse (2,), N s, of a collision on the rope between samples k - 1 and k.
+    """Impulse (2,), N s, of a collision on the rope between samples k - 1 and k; finite forces are neglected.
 
-    From the jump of the generalised momenta: an impulse P at distance s along link c changes that of link i by
-    l_i t_i P before c, by s t_c P at c and not beyond, with t_i across link i. Finite
-    forces are neglected.
+    From the jump of the generalised momenta: an impulse P at distance s along link c changes that of link i by l_i t_i
+    P before c, by s t_c P at c and not beyond, with t_i across link i.
     """
     length = run.setup.rope.length
     link, along = _touching(run, peg, k)

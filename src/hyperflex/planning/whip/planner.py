@@ -51,17 +51,7 @@ class Verified(NamedTuple):
 
 
 class WhipPlanner:
-    """Aims swings of a map until enough of them meet the target or the time is over.
-
-    Parameters
-    ----------
-    whip_map : WhipMap
-    target : TipTarget
-    time_budget : float
-        Without compiling, s.
-    seed : int
-    threads : int, optional
-    """
+    """Aims swings of a map until enough of them meet the target or the `time_budget`, s without compiling, is over."""
 
     def __init__(
         self, whip_map: WhipMap, target: TipTarget, time_budget: float, seed: int, threads: int | None
@@ -108,12 +98,7 @@ class WhipPlanner:
     def verified(self) -> tuple[Verified | None, bool]:
         """Verify the best whip, and while none succeeds those after it that meet the target by the search.
 
-        Returns
-        -------
-        best : Verified or None
-            The first that succeeds, else the first. None if no whip was found.
-        interrupted : bool
-            Whether Ctrl-C came.
+        Return the first that succeeds, else the first, None if no whip was found, and whether Ctrl-C came.
         """
         best = Verified(self.aims[0], None, None, "interrupted before it was verified") if self.aims else None
         try:

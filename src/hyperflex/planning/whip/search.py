@@ -60,12 +60,7 @@ class WhipMap:
     peaks: Peaks
 
     def candidates(self, target: TipTarget) -> list[WhipCandidate]:
-        """Return the cheapest peak of each swing for a target, the cheapest first.
-
-        Parameters
-        ----------
-        target : TipTarget
-        """
+        """Return the cheapest peak of each swing for a `target`, the cheapest first."""
         cost, t = peak_costs(target, self.peaks), self.peaks.t
         best = cheapest_peaks(cost, self.peaks.row, len(self.strokes))
         found = [WhipCandidate(float(cost[k]), float(t[k]), self.strokes[self.peaks.row[k]]) for k in best if k >= 0]
@@ -171,22 +166,7 @@ def build_whip_map(cast_setup: CastSetup, swings: int = SWINGS, threads: int | N
 
 
 class WhipSearch:
-    """CMA-ES over strokes, about a swing that nearly meets a target.
-
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    target : TipTarget
-    begin : WhipCandidate
-        Initial strokes.
-    seed : int
-    threads : int, optional
-
-    Attributes
-    ----------
-    best : WhipCandidate
-    runs : int
-    """
+    """CMA-ES over strokes, about a swing that nearly meets a target; keeps the best and counts the runs."""
 
     def __init__(
         self,

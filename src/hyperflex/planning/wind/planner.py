@@ -48,15 +48,9 @@ Verified = tuple[Throw | None, CastOutcome | None, CastOutcome | None]  # throw,
 
 
 class CastPlanner:
-    """Rounds of a search until a plan succeeds or the time is over.
+    """Rounds of a search until a plan succeeds or the `time_budget` of the nominal search, s, is over.
 
-    Parameters
-    ----------
-    search : ThrowSearch
-    time_budget : float
-        Of the nominal search, s.
-    longer : bool
-        Whether a cast may take LONGER times as long if the swings that the search allows promise too little.
+    `longer`: whether a cast may take LONGER times as long if the swings that the search allows promise too little.
     """
 
     def __init__(self, search: ThrowSearch, time_budget: float, *, longer: bool = False) -> None:
@@ -248,15 +242,7 @@ class CastPlanner:
         return outcome, worst
 
     def plan(self, known: Feasibility, interrupted: bool = False) -> CastPlan:
-        """Return the plan so far; if nothing was verified, with the best candidate.
-
-        Parameters
-        ----------
-        known : Feasibility
-            Of the target.
-        interrupted : bool
-            Whether Ctrl-C ended the search.
-        """
+        """Return the plan so far; if nothing was verified, with the best candidate. `interrupted`: by Ctrl-C."""
         search, (throw, outcome, finer) = self.search, self.best
         if throw is None and search.candidates:
             throw = search.candidates[0].throw
