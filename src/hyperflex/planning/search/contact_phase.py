@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,7 @@ def _simulate_contact(
     found = WindingScores(found.score - undone, np.minimum(found.turns, MIN_HOPE))
     on = np.flatnonzero(np.abs(np.nan_to_num(turns[:, -1])) >= MIN_HOPE)
     after = float(early[-1])
-    on = np.array([k for k in on if _outside(batch, int(k), run.q[k, -1], after, arm)], dtype=np.int64)
+    on = np.array([k for k in on if _clear_of_peg(batch, int(k), run.q[k, -1], after, arm)], dtype=np.int64)
     if on.size:
         some = batch.select(on.tolist())
         motions = [motion.shifted(-after) for motion in some.motions]
@@ -98,10 +99,15 @@ def _simulate_contact(
     return found
 
 
-def _outside(batch: RolloutBatch, k: int, q: Array, t: float, arm: Arm) -> bool:
+def _clear_of_peg(batch: RolloutBatch, k: int, q: Array, t: float, arm: Arm) -> bool:
     """Whether rope k at angles q keeps clear of its peg at time t, s: a coarse run may leave it too deep."""
+    return starts_outside(Setup(batch.ropes[k], batch.motions[k], arm, pegs=(batch.pegs[k],)), t, q)
+
+
+def starts_outside(setup: Setup, *start: Any) -> bool:
+    """Whether a rope keeps clear of its pegs at the start, as of :func:`check_outside`."""
     try:
-        check_outside(Setup(batch.ropes[k], batch.motions[k], arm, pegs=(batch.pegs[k],)), t, q)
+        check_outside(setup, *start)
     except InvalidInput:
         return False
     return True
