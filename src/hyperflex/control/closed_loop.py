@@ -17,17 +17,7 @@ from hyperflex.motion import Motion
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoopRun:
-    """Half turns of a closed loop.
-
-    Attributes
-    ----------
-    starts : (k,) float64
-        Start of each half turn, s.
-    motion : Motion
-        Of the arm.
-    decisions : int
-        Number of calls of the rule.
-    """
+    """Half turns of a closed loop: the `starts` (k,), s, the motion of the arm, and the number of calls of the rule."""
 
     starts: Array
     motion: Motion

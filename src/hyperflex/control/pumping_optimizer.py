@@ -23,15 +23,9 @@ MIN_GAIN = 0.04  # s: deadlines are bisected to this
 class PumpingPlan:
     """Rests that pump a rope from rest to an amplitude.
 
-    Attributes
-    ----------
-    rests : (k,) float64
-        Rests after the first, second, ... half turn, s. The first half turn starts at t = 0.
-    arrival_time : float
-        Predicted time at which the amplitude is reached, s.
-    constant_rest, constant_arrival_time : float
-        The best constant rest among those tried, s, and its arrival time, s.
-    rollouts : int
+    `rests` (k,), s, are those after the first, second, ... half turn; the first half turn starts at t = 0. The
+    amplitude is predicted to be reached at `arrival_time`, s. `constant_rest`, s, is the best constant rest among those
+    tried, `constant_arrival_time`, s, its arrival time; `rollouts` counts the simulated runs.
     """
 
     rests: Array

@@ -31,15 +31,7 @@ def advanced(rope: Rope, arm: Arm, state: RopeState, t: float, motion: Motion, t
 
 
 class TrueState:
-    """The true state of a simulated rope that hangs at rest at t = 0.
-
-    Parameters
-    ----------
-    rope, arm : Rope, Arm
-        What is simulated.
-    tol : float
-        As in :func:`hyperflex.simulate`, m.
-    """
+    """The true state of a simulated rope that hangs at rest at t = 0; `tol` as in :func:`hyperflex.simulate`, m."""
 
     def __init__(self, rope: Rope, arm: Arm, *, tol: float = DEFAULT_TOL) -> None:
         self.rope, self.arm, self.tol = rope, arm, tol
@@ -48,12 +40,7 @@ class TrueState:
     def state(self, t: float, motion: Motion) -> RopeState:
         """Return the simulated state at `t`, s, under `motion`.
 
-        Raises
-        ------
-        InvalidInput
-            A time before that of the last call.
-        SimulationError
-            The simulation failed.
+        Raises InvalidInput for a time before that of the last call, SimulationError if the simulation failed.
         """
         time = checks.number("t", t, sign="nonnegative", unit="s")
         if time < self._last.t:
@@ -114,12 +101,8 @@ class SimulatedCamera:
     def state(self, t: float, motion: Motion) -> RopeState:
         """Return what the newest frame that is through says of `t`, s; before the first one, the rope hangs at rest.
 
-        Raises
-        ------
-        InvalidInput
-            The truth has another number of links than the model.
-        SimulationError
-            The model cannot be simulated from what was seen.
+        Raises InvalidInput if the truth has another number of links than the model, SimulationError if the model cannot
+        be simulated from what was seen.
         """
         number = math.floor((t - self.delay) * self.rate + 1e-9)
         seen = hanging_state(self.rope) if number < 0 else self._frame(number, motion)

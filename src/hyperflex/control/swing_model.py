@@ -42,15 +42,7 @@ def swing_period(rope: Rope) -> float:
 class SwingModel:
     """A controller's model of a rope on an arm that makes half turns; the true rope may differ.
 
-    Parameters
-    ----------
-    rope, arm : Rope, Arm
-    t_move : float
-        Duration of a half turn, s.
-    profile : {"bang-bang", "ramp", "minimum-jerk"}
-        Of the half turn.
-    path : {"under", "over"}
-        Through the bottom or over the top.
+    A half turn takes `t_move`, s; `profile` and `path` are as of :func:`hyperflex.arm_swings`.
     """
 
     rope: Rope
@@ -76,13 +68,7 @@ class SwingModel:
     def crossing(self, now: RopeState, motion: Motion, *, after: float, until: float) -> float:
         """Return the time at which the tip first passes below or above the shaft in a span, s; inf if it does not.
 
-        Parameters
-        ----------
-        now : RopeState
-        motion : Motion
-            Of the arm, on the clock of `now`.
-        after, until : float
-            The span, s; it ends after `now`.
+        `motion` is the arm's, on the clock of `now`; the span from `after` to `until`, s, ends after `now`.
         """
         run = simulate(
             self.rope,
@@ -96,12 +82,12 @@ class SwingModel:
         return math.inf if run.event is None else run.event[1]
 
     def predict(self, now: RopeState, made: int, rests: npt.ArrayLike, horizon: float) -> tuple[Array, Array]:
-        """Predict the tip's distance |x| from the shaft for several sequences of rests before the next half turns.
+        """Predict the tip's distance from the shaft for several sequences of rests before the next half turns.
 
         Parameters
         ----------
         now : RopeState
-            State of the rope; the arm rests.
+            The arm rests.
         made : int
             Half turns made so far.
         rests : (m, k) array_like
@@ -137,21 +123,9 @@ class SwingModel:
 
 
 def arrival_time(t: Array, amplitude: Array, target: float) -> Array:
-    """Return the time at which an amplitude is first reached.
+    """Return the time (m,), s, at which an amplitude `target`, m, is first reached in each of m runs; inf if never.
 
-    Parameters
-    ----------
-    t : (T,) float64
-        Time, s.
-    amplitude : (m, T) float64
-        ``|x|`` of the tip in m runs, m.
-    target : float
-        m.
-
-    Returns
-    -------
-    (m,) float64
-        Time, s, linear between samples; inf if the amplitude is never reached.
+    `amplitude` (m, T) is ``|x|`` of the tip, m, at times `t` (T,), s; the time is linear between samples.
 
     Examples
     --------

@@ -51,16 +51,15 @@ class MotorLimits:
     angles: tuple[float, float] = (-math.pi, math.pi)
 
     def __post_init__(self) -> None:
-        for name, unit in (("speed", "rad/s"), ("acceleration", "rad/s^2")):
-            value = checks.number(f"motor {name}", getattr(self, name), sign="positive", unit=unit)
+        for name, unit in (("speed", "rad/s"), ("acceleration", "rad/s^2"), ("torque", "N m")):
+            value, may = getattr(self, name), name == "torque"
+            value = checks.number(f"motor {name}", value, sign="positive", unit=unit, infinite=may)
             object.__setattr__(self, name, value)
-        torque = checks.number("motor torque", self.torque, sign="positive", unit="N m", infinite=True)
         least, greatest = checks.array("motor angles", self.angles, (2,), unit="rad").tolist()
         if greatest - least < 0.1:
             raise InvalidInput(
                 "motor angles leave no room to move", got=[least, greatest], allowed="(least, greatest), 0.1 rad apart"
             )
-        object.__setattr__(self, "torque", torque)
         object.__setattr__(self, "angles", (least, greatest))
 
     def start_angle(self, side: int) -> float:

@@ -140,18 +140,15 @@ class _Match:
     def simulate(self, throw: Throw, points: list[Array]) -> tuple[Array, Array, Array]:
         """Simulate points (M); return squared distances from the goal (M,), features at its time, and their rates."""
         cast_setup, rope, since = self.cast_setup, self.scenario.rope, self.state.t
-        motions = [self.scenario.motion(self.throw(throw, x), cast_setup).shifted(-since) for x in points]
-        count, n = len(points), self.state.q.size
-        start = [np.broadcast_to(part, (count, n)) for part in (self.state.q, self.state.qd)]
-        peg: list[Peg] = []
-        batch = RolloutBatch([rope] * count, peg, motions, start[0], start[1], since)
+        motions = [self.scenario.motion(self.throw(throw, x), cast_setup) for x in points]
+        batch = RolloutBatch.from_state([rope] * len(points), [], motions, self.state)
         t, q, qd = free_flight(batch, cast_setup.arm, self.goal.t - since + WINDOW, threads=self.threads)
         near = np.flatnonzero(np.abs(t + since - self.goal.t) <= WINDOW)
         at = int(np.abs(t[near] + since - self.goal.t).argmin())
         rows = np.stack(
             [
                 features(rope, q[m, near], qd[m, near], *arm_tip(cast_setup.arm, motion, t[near]))
-                for m, motion in enumerate(motions)
+                for m, motion in enumerate(batch.motions)
             ]
         )
         rows = np.nan_to_num(rows, nan=1e3)

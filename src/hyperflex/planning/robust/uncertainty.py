@@ -33,14 +33,8 @@ MIN_LAG = 2e-4  # s; smaller lags are left out
 class Scenario:
     """One sample of rope, target and motor.
 
-    Attributes
-    ----------
-    rope : Rope
-    peg : Peg
-    lag : float
-        Time constant of the motor's first-order lag, s.
-    delays : (MOVES,) float64
-        Delay of each move's start, s; < 0 for an early one.
+    `lag` is the time constant of the motor's first-order lag, s; `delays` (MOVES,), s, are those of each move's start,
+    < 0 for an early one.
     """
 
     rope: Rope

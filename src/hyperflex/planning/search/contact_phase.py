@@ -34,12 +34,8 @@ LATE_COST = 0.02  # turns that a second of delay costs
 class WindingScores:
     """Scores of M throws.
 
-    Attributes
-    ----------
-    score : (M,) float64
-        Greater is better: turns that stay, and a little for turns that do not and for an early strike.
-    turns : (M,) float64
-        Turns that stay: the least over the last LAST seconds; 0 if a run failed.
+    `score` (M,): greater is better; turns that stay, and a little for turns that do not and for an early strike.
+    `turns` (M,): turns that stay, the least over the last LAST seconds; 0 if a run failed.
     """
 
     score: Array

@@ -17,7 +17,7 @@ from hyperflex.checks import Array
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.search.rollouts import simulate_swings
+from hyperflex.planning.search.rollouts import RolloutBatch
 
 SAMPLE_TIME = 0.02  # s
 COARSE_TOL = 1e-4  # m, of swings in a search; with 1e-3, no more than a quarter faster, the best were often errors
@@ -31,18 +31,10 @@ NEVER = -1.0  # score of a swing without a strike, less its distance in metres
 class Strikes:
     """First strikes of M swings.
 
-    Attributes
-    ----------
-    score : (M,) float64
-        Greater is better; below 0 without a strike.
-    energy_ratio : (M,) float64
-        Energy of turning about the peg over the energy that lifts the tail's centre of mass over the top.
-    tail_turns : (M,) float64
-        Length of the tail in turns about the peg.
-    t : (M,) float64
-        Last sample before the strike, s; NaN without a strike.
-    q, qd : (M, n) float64
-        State there, rad and rad/s.
+    `score` (M,): greater is better; below 0 without a strike. `energy_ratio` (M,): energy of turning about the peg over
+    the energy that lifts the tail's centre of mass over the top. `tail_turns` (M,): length of the tail in turns about
+    the peg. `t` (M,): last sample before the strike, s, NaN without a strike; `q`, rad, and `qd`, rad/s, (M, n): state
+    there.
     """
 
     score: Array
@@ -61,9 +53,9 @@ def simulate_strikes(
     cast_setup: CastSetup, peg: Peg, motions: Sequence[Motion], *, threads: int | None = None
 ) -> Strikes:
     """Simulate free swings from rest at t = 0 under each motion (M,), and find their first strikes on a peg."""
-    count = round(cast_setup.time / SAMPLE_TIME)
-    t: Array = SAMPLE_TIME * np.arange(1.0, count + 1.0)
-    batch = simulate_swings(cast_setup, motions, t, tol=COARSE_TOL, keep=("q", "qd"), threads=threads)
+    t: Array = SAMPLE_TIME * np.arange(1.0, round(cast_setup.time / SAMPLE_TIME) + 1.0)
+    swings = RolloutBatch.from_rest([cast_setup.rope] * len(motions), [], motions)
+    batch = swings.run(cast_setup.arm, t, tol=COARSE_TOL, keep=("q", "qd"), threads=threads)
     return find_strikes(cast_setup, peg, motions, t, batch.q, batch.qd)
 
 

@@ -15,11 +15,8 @@ from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 
-IMPACT_RADIUS, IMPACT_TIME, WINDOW = (
-    0.01,
-    0.05,
-    0.15,
-)  # m, s, s: radius of the peg; duration of an impact; before and after it
+IMPACT_RADIUS = 0.01  # m, of the peg
+IMPACT_TIME, WINDOW = 0.05, 0.15  # s: duration of an impact; before and after it
 SUDDEN = 0.01  # fraction of the lost energy above which a sample's loss is that of a collision
 
 

@@ -161,14 +161,12 @@ def plan_whip(
 
     Parameters
     ----------
-    rope, arm : Rope, Arm
-        The rope hangs at rest from the arm, which points to one side.
+    rope, arm, limits, skip_feasibility, seed, threads, progress
+        As of :func:`hyperflex.plan_cast`.
     point : (2,) array_like
         Place of the tip at the peak, m.
     direction : (2,) array_like, optional
         Direction of the tip's velocity there: a vector of any length but 0. By default any direction.
-    limits : MotorLimits, optional
-        Of the motor; by default the paper's.
     least_speed : float
         Of the tip, m/s.
     angle_tolerance : float
@@ -178,17 +176,9 @@ def plan_whip(
         the rope's swing.
     time_budget : float
         Time to search, s, without the map, verifications and compiling.
-    skip_feasibility : bool
-        Search even for a target that the feasibility check calls out of reach.
     whip_map : WhipMap, optional
         Of the same rope, arm, limits and time, from :func:`build_whip_map`; by default it is built, which takes some
         seconds.
-    seed : int
-        Of the search.
-    threads : int, optional
-        One a processor by default.
-    progress : bool
-        Show a progress bar.
 
     Returns
     -------

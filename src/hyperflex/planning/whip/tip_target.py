@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,17 +11,11 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.search.rollouts import simulate_swings
 
-SAMPLE_TIME, COARSE_TOL = 0.02, 1e-3  # s, m: of swings in a search
 ANGLE_MARGIN, SPEED_MARGIN = 0.6, 1.05  # of the allowed angle and the asked speed, at which a search aims
-ANGLE_COST, SPEED_COST, EARLIER_COST = (
-    0.3,
-    1.0,
-    0.5,
-)  # m/rad; m per missing fraction of the speed, and of an earlier peak
+ANGLE_COST, SPEED_COST = 0.3, 1.0  # m/rad; m per missing fraction of the speed
+EARLIER_COST = 0.5  # m per fraction by which a peak is lower than an earlier one
 TIME_COST = 0.004  # m/s: of equal whips the sooner one is less uncertain
 NEVER = 10.0  # m, cost of a swing without a peak
 
@@ -112,15 +105,6 @@ class Peaks(NamedTuple):
     velocity: Array
     speed: Array
     highest: Array
-
-
-def simulate_tips(
-    cast_setup: CastSetup, motions: Sequence[Motion], t: Array, *, tol: float = COARSE_TOL, threads: int | None = None
-) -> tuple[Array, Array]:
-    """Simulate free swings (M) from rest at t = 0; return the tip's position, m, and velocity, m/s, (M, T, 2)."""
-    batch = simulate_swings(cast_setup, motions, t, tol=tol, keep=("tip", "q", "qd"), threads=threads)
-    angle, rate = (np.stack([f(t) for f in fs]) for fs in zip(*((m.angle, m.rate) for m in motions), strict=True))
-    return batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate)
 
 
 def tip_velocity(cast_setup: CastSetup, q: Array, qd: Array, angle: Array, rate: Array) -> Array:

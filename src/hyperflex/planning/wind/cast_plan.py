@@ -119,16 +119,8 @@ class CastPlan(Plan):
 class FallbackTarget:
     """The nearest target with a plan that succeeds, or that is expected to be feasible.
 
-    Attributes
-    ----------
-    target : Peg
-        Like the one asked for, at another place.
-    distance : float
-        From the one asked for, m.
-    plan : CastPlan or None
-        A plan for it that succeeds; None if it is only expected to be feasible.
-    failed_plans : int
-        Nearer targets for which planning failed.
+    `target` is like the one asked for, `distance`, m, from it. `plan` succeeds; None if the target is only expected to
+    be feasible. `failed_plans` counts nearer targets for which planning failed.
     """
 
     target: Peg
