@@ -171,8 +171,9 @@ class Motion:
     def _since(self, at: float) -> Motion:
         """Pieces from `at` on, with a switch there."""
         if at < self.breaks[0]:
-            loop, coef = self.loop + 1 if self.loop >= 0 else -1, [_standing(self.coef[:1], 0.0), self.coef]
-            return Motion(np.append(at, self.breaks), np.concatenate(coef), np.append(True, self.switch), loop)
+            held = np.concatenate([_standing(self.coef[:1], 0.0), self.coef])
+            first = self.loop + 1 if self.loop >= 0 else -1
+            return Motion(np.append(at, self.breaks), held, np.append(True, self.switch), first)
         breaks, coef, switch = self._unrolled(at)
         loop = -1
         if self.loop >= 0:  # one whole cycle behind what is left of the one in which `at` lies
