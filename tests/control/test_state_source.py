@@ -15,7 +15,7 @@ MOTION = hf.arm_strokes([0.0, 1.0])
 
 
 def camera(**changed) -> SimulatedCamera:
-    settings = {"rate": 30.0, "delay": 0.1, "angle_sd": 0.0, "rate_sd": 0.0} | changed
+    settings = {"rate": 30.0, "delay": 0.1, "angle_std": 0.0, "rate_std": 0.0} | changed
     rope = settings.pop("rope", ROPE)
     return SimulatedCamera(TrueState(ROPE, ARM), rope, ARM, **settings)
 
@@ -52,11 +52,11 @@ def test_a_wrong_model_errs_more_the_longer_the_delay():
 
 
 def test_noise_is_of_the_frame_and_repeats():
-    noisy = [camera(angle_sd=0.01, rate_sd=0.1, delay=0.0, seed=3).state(1.0, MOTION) for _ in range(2)]
+    noisy = [camera(angle_std=0.01, rate_std=0.1, delay=0.0, seed=3).state(1.0, MOTION) for _ in range(2)]
     np.testing.assert_array_equal(noisy[0].q, noisy[1].q)
-    other = camera(angle_sd=0.01, rate_sd=0.1, delay=0.0, seed=4).state(1.0, MOTION)
+    other = camera(angle_std=0.01, rate_std=0.1, delay=0.0, seed=4).state(1.0, MOTION)
     assert np.abs(other.q - noisy[0].q).max() > 1e-3
-    source = camera(angle_sd=0.01, delay=0.0)
+    source = camera(angle_std=0.01, delay=0.0)
     true = TrueState(ROPE, ARM)
     errors = [source.state(k / 30.0, MOTION).q - true.state(k / 30.0, MOTION).q for k in range(60)]
     # 360 draws: the standard deviation is known to 1 / sqrt(720) = 3.7 %; four of those.
@@ -64,9 +64,9 @@ def test_noise_is_of_the_frame_and_repeats():
 
 
 def test_the_covariance_is_carried_through_the_delay():
-    source = camera(angle_sd=0.003, rate_sd=0.03, delay=0.09, with_covariance=True)
+    source = camera(angle_std=0.003, rate_std=0.03, delay=0.09, with_covariance=True)
     estimate = source.state(1.0, MOTION)
-    draws = [camera(angle_sd=0.003, rate_sd=0.03, delay=0.09, seed=k).state(1.0, MOTION) for k in range(150)]
+    draws = [camera(angle_std=0.003, rate_std=0.03, delay=0.09, seed=k).state(1.0, MOTION) for k in range(150)]
     sample = np.std([np.append(d.q, d.qd) for d in draws], axis=0)
     # 150 draws: 5.8 %; three and a half of those for the worst of twelve, and the model is not quite linear.
     np.testing.assert_allclose(np.sqrt(np.diag(estimate.covariance)), sample, rtol=0.25)

@@ -24,7 +24,7 @@ from hyperflex.planning.robust.refinement import (
 )
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.contact_phase import WindingScores
-from hyperflex.planning.throw import ThrowParametrization
+from hyperflex.planning.search.throw_search import ThrowSearch
 from tests.planning.test_landing import CAST_SETUP, PEG, WINDS
 
 
@@ -53,15 +53,13 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 def near_centre(work: RobustRefinement, end: float) -> Candidate:
     """A throw that can be refined: that of the centre of what is searched, with another end."""
-    x = work.parametrizations[-1].centre()
+    x = work.search.parametrizations[-1].centre()
     x[-3] = end / 3.0
-    return Candidate(1.0, 2.0, -1, x, work.parametrizations[-1].throw(x))
+    return Candidate(1.0, 2.0, -1, x, work.search.parametrizations[-1].throw(x))
 
 
 def hardening(**changes: Any) -> RobustRefinement:
-    return RobustRefinement(
-        CAST_SETUP, PEG, {s: ThrowParametrization(CAST_SETUP, s) for s in (-1, 1)}, Uncertainty(), **changes
-    )
+    return RobustRefinement(ThrowSearch(CAST_SETUP, PEG), Uncertainty(), **changes)
 
 
 def test_the_race_finds_the_throw_that_wins_most_often(made_up: list[int]) -> None:
@@ -84,7 +82,7 @@ def test_all_runners_meet_the_same_worlds(made_up: list[int]) -> None:
 
 def test_each_generation_meets_fresh_worlds_and_challengers_the_common_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     work, met = hardening(), []
-    start = Candidate(1.0, 2.0, -1, work.parametrizations[-1].centre(), WINDS)
+    start = Candidate(1.0, 2.0, -1, work.search.parametrizations[-1].centre(), WINDS)
 
     def evaluate(runners: list[RobustCandidate], worlds: list) -> None:
         met.append({world.rope.total_length for world in worlds})
@@ -108,7 +106,7 @@ def test_each_generation_meets_fresh_worlds_and_challengers_the_common_ones(monk
 
 def test_a_challenger_that_wins_by_luck_does_not_take_the_place(monkeypatch: pytest.MonkeyPatch) -> None:
     work = hardening()
-    start = Candidate(1.0, 2.0, -1, work.parametrizations[-1].centre(), WINDS)
+    start = Candidate(1.0, 2.0, -1, work.search.parametrizations[-1].centre(), WINDS)
     common = {world.rope.total_length for world in work.common}
 
     def evaluate(runners: list[RobustCandidate], worlds: list) -> None:

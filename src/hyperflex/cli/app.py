@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 from typing import Annotated, Any
 
 import typer
 
 from hyperflex import __version__
-from hyperflex.cli import interrupts, output
+from hyperflex.cli import output
 from hyperflex.cli.cast import cast
 from hyperflex.cli.demo import demo
 from hyperflex.cli.identify import identify
@@ -68,8 +72,7 @@ def run(arguments: Sequence[str]) -> int:
     Returns
     -------
     int
-        Exit code: 0 done, 1 a bug in hyperflex (or the reader of a pipe went away), 2 refused or failed with a message
-        on standard error, 3 the fit did not converge, 4 no cast or whip was found, 130 interrupted.
+        Exit code, as the command's help has it; 1 also where the reader of a pipe went away.
     """
     as_json = "--json" in arguments
     try:
@@ -102,8 +105,39 @@ def _invoke(arguments: Sequence[str]) -> int:
     """Run one command without the parser's own handling of errors, which swallows Ctrl-C; return its exit code."""
     command = typer.main.get_command(app)
     try:
-        with interrupts.noticed(), command.make_context("hyperflex", list(arguments)) as context:
+        with _noticing_ctrl_c(), command.make_context("hyperflex", list(arguments)) as context:
             command.invoke(context)
     except typer.Exit as stop:
         return int(stop.exit_code)
     return 0
+
+
+@contextmanager
+def _noticing_ctrl_c() -> Iterator[None]:
+    """Raise KeyboardInterrupt for whatever error comes out of the block after Ctrl-C.
+
+    Compiled libraries that call back into Python may meet the interrupt there and report it as a failed conversion.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    ours = before is signal.default_int_handler  # not ignored, nor somebody else's
+    if not ours or threading.current_thread() is not threading.main_thread():  # signals are the main thread's alone
+        yield
+        return
+    met = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal met
+        met = True
+        signal.default_int_handler(number, frame)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    except typer.Exit:  # the command has met the interrupt itself and said so
+        raise
+    except Exception as error:
+        if met:
+            raise KeyboardInterrupt from error
+        raise
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hyperflex.checks import number
 from hyperflex.cli import output, planner
 
 if TYPE_CHECKING:
@@ -28,7 +27,10 @@ def cast(
     holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
     time_limit: Annotated[
         float | None,
-        typer.Option(help="Within which the rope must strike, s. [default: five periods of its swing, or more]"),
+        typer.Option(
+            callback=planner.positive("s"),
+            help="Within which the rope must strike, s. [default: five periods of its swing, or more]",
+        ),
     ] = None,
     robust: Annotated[
         bool,
@@ -69,7 +71,6 @@ def cast(
     from hyperflex.report.cast import CastReport
 
     planner.check_folder(out)
-    rate = number("--rate", rate, sign="positive", unit="Hz")
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
     uncertainty = Uncertainty.from_rope_file(rope or setup or Path()) if robust else None
@@ -78,10 +79,10 @@ def cast(
         task.arm,
         planner.peg_of(task, target, radius, mu),
         task.limits,
-        time_limit=None if time_limit is None else number("--time-limit", time_limit, sign="positive", unit="s"),
+        time_limit=time_limit,
         holding_force=holding_force,
         uncertainty=uncertainty,
-        time_budget=number("--time-budget", time_budget, sign="positive", unit="s"),
+        time_budget=time_budget,
         skip_feasibility=skip_feasibility,
         fallback=fallback,
         seed=seed,

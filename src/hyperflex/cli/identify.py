@@ -141,9 +141,8 @@ def _check_output(out: Path, inputs: Sequence[Path]) -> None:
     if not _folder(out):
         output.check_destination(out, ".toml", inputs)
         return
-    for name in (".toml", ".json", ".html"):
-        stem = {".toml": "rope", ".json": "identification", ".html": "report"}[name]
-        output.check_destination(out / f"{stem}{name}", name, inputs)
+    for name in ("rope.toml", "identification.json", "report.html"):
+        output.check_destination(out / name, Path(name).suffix, inputs)
 
 
 def _words(given: Sequence[str] | None) -> list[str]:

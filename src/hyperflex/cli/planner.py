@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -20,6 +20,16 @@ if TYPE_CHECKING:
 
     Obstacle = Peg | Wall | Ground
 
+
+def positive(unit: str) -> Callable[[typer.CallbackParam, float | None], float | None]:
+    """Return the check of an option whose value, if given, is positive and finite."""
+
+    def check(option: typer.CallbackParam, value: float | None) -> float | None:
+        return None if value is None else checks.number(option.opts[0], value, sign="positive", unit=unit)
+
+    return check
+
+
 Setup = Annotated[
     Path | None,
     typer.Argument(help="TOML file with [rope], [arm], [limits] and the target; options override it."),
@@ -31,7 +41,9 @@ Target = Annotated[
     tuple[float, float] | None, typer.Option(help="The target's place from the motor's shaft, x and y (up), m.")
 ]
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if need be.")]
-ArmLength = Annotated[float | None, typer.Option(help="Of the arm that the motor turns, m. [default: 0.105]")]
+ArmLength = Annotated[
+    float | None, typer.Option(callback=positive("m"), help="Of the arm that the motor turns, m. [default: 0.105]")
+]
 Speed = Annotated[float | None, typer.Option(help="Greatest speed of the motor, rad/s. [default: 8.61, the paper's]")]
 Acceleration = Annotated[
     float | None, typer.Option(help="Greatest acceleration, rad/s^2. [default: 23.6, the paper's]")
@@ -40,8 +52,11 @@ Torque = Annotated[float | None, typer.Option(help="Greatest torque, N m. [defau
 SkipFeasibility = Annotated[
     bool, typer.Option("--skip-feasibility", help="Search even for a target that is called out of reach.")
 ]
-Rate = Annotated[float, typer.Option(help="Rows a second in the motor's file, Hz.")]
-TimeBudget = Annotated[float, typer.Option(help="Processor time of the search, s; a plan that succeeds ends it.")]
+Rate = Annotated[float, typer.Option(callback=positive("Hz"), help="Rows a second in the motor's file, Hz.")]
+TimeBudget = Annotated[
+    float,
+    typer.Option(callback=positive("s"), help="Processor time of the search, s; a plan that succeeds ends it."),
+]
 Seed = Annotated[int, typer.Option(help="Of the search.")]
 
 _TABLES = ("rope", "arm", "pegs", "walls", "grounds")  # of a set-up file, as for simulate
@@ -66,16 +81,9 @@ class Task(NamedTuple):
 
 
 def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, limits: Mapping[str, Any]) -> Task:
-    """Return what a set-up file and the options give; options override the file.
+    """Return what the TOML files and the options give; options override the set-up file.
 
-    Parameters
-    ----------
-    setup, rope : Path or None
-        TOML files.
-    arm_length : float or None
-        m.
-    limits : mapping
-        Arguments of MotorLimits; None for those that are not given.
+    `limits` are arguments of MotorLimits; those that are not given are None.
     """
     from hyperflex import files
     from hyperflex.model import Arm, Rope, Setup
@@ -96,7 +104,7 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
     read = Setup.loads(files.dumps_toml(tables), str(setup or rope))
     arm = read.arm or Arm()
     if arm_length is not None:
-        arm = replace(arm, length=checks.number("--arm-length", arm_length, sign="positive", unit="m"))
+        arm = replace(arm, length=arm_length)
     return Task(read.rope, arm, MotorLimits(**given), read.pegs, content.get("target", {}))
 
 
@@ -133,23 +141,10 @@ def finish(
     *,
     as_json: bool,
 ) -> None:
-    """Print what a planner found, for people or as JSON, and exit with its code.
+    """Print what a planner found, with sentences after the verdict, or print `result` as JSON, and exit with its code.
 
-    Parameters
-    ----------
-    report : PlanReport
-    files : mapping of str to Path
-        What was written.
-    result : mapping
-        For JSON.
-    notes : sequence of str
-        Sentences to print after the verdict.
-    as_json : bool
-
-    Raises
-    ------
-    typer.Exit
-        Unless the plan succeeds: NO_PLAN, or INTERRUPTED.
+    `files` are those that were written, by kind. Raises typer.Exit with NO_PLAN or INTERRUPTED unless the plan
+    succeeds.
     """
     result = {**result, "files": files}
     if not as_json:

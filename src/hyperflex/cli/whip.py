@@ -34,7 +34,10 @@ def whip(
     torque: planner.Torque = None,
     time_limit: Annotated[
         float | None,
-        typer.Option(help="Within which the tip must pass, s. [default: three periods of the rope's swing]"),
+        typer.Option(
+            callback=planner.positive("s"),
+            help="Within which the tip must pass, s. [default: three periods of the rope's swing]",
+        ),
     ] = None,
     skip_feasibility: planner.SkipFeasibility = False,
     rate: planner.Rate = 200.0,
@@ -59,7 +62,6 @@ def whip(
     from hyperflex.report.whip import WhipReport
 
     planner.check_folder(out)
-    rate = number("--rate", rate, sign="positive", unit="Hz")
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
     if task.obstacles:
@@ -74,9 +76,9 @@ def whip(
         task.limits,
         least_speed=asked.get("speed", 5.0),
         angle_tolerance=asked.get("angle_tolerance", math.radians(20.0)),
-        time_limit=None if time_limit is None else number("--time-limit", time_limit, sign="positive", unit="s"),
+        time_limit=time_limit,
         skip_feasibility=skip_feasibility,
-        time_budget=number("--time-budget", time_budget, sign="positive", unit="s"),
+        time_budget=time_budget,
         seed=seed,
         progress=output.watched(json),
     )

@@ -17,17 +17,7 @@ from hyperflex.motion import Motion
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoopRun:
-    """Half turns of a closed loop.
-
-    Attributes
-    ----------
-    starts : (k,) float64
-        Start of each half turn, s.
-    motion : Motion
-        Of the arm.
-    decisions : int
-        Number of calls of the rule.
-    """
+    """Half turns of a closed loop: the `starts` (k,), s, the motion of the arm, and the number of calls of the rule."""
 
     starts: Array
     motion: Motion
@@ -42,7 +32,6 @@ def run_closed_loop(
     Parameters
     ----------
     source : StateSource
-        Source of the rope's state.
     rule : Rule
     model : SwingModel
         Its half turns are made. The first one starts at t = 0.
@@ -51,10 +40,6 @@ def run_closed_loop(
     recheck_time : float
         A start that is later than this, s, is decided again after this time, from a new state. By default the first
         decision at each rest is final.
-
-    Returns
-    -------
-    ClosedLoopRun
 
     Raises
     ------

@@ -9,13 +9,14 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.control.swing_model import SwingModel, arrival_cost
+from hyperflex.control.swing_model import SwingModel, arrival_time
 from hyperflex.interfaces import RopeState
 
 COARSE, FINE = 0.04, 0.01  # s, between rests that are tried
 STEPS = (0.05, 0.02, 0.007)  # s, by which the rests of a plan are moved
 HORIZON = 1.38  # periods of the rope to look ahead: the next half turn and the swing that it drives
 MARGIN = 0.1  # periods to look ahead beyond the end of a plan
+SHORTFALL_COST = 3.0  # s/m
 OVERSHOOT_COST = 20.0  # of an overshoot, relative to a shortfall
 
 
@@ -53,11 +54,10 @@ class LookaheadRule(ABC):
         """Return the start of the next half turn, s."""
         if not self._waited(now, made):
             self.rests = np.append(self.rests[1:], self.model.usual_rest)
-        coarse, fine = np.arange(0.0, self.longest, COARSE), FINE * np.arange(-4, 5)
         for k in range(self.rests.size):
-            self._choose(k, coarse, self.horizon, now, made)
+            self._choose(k, np.arange(0.0, self.longest, COARSE), self.horizon, now, made)
         for k in range(self.rests.size):
-            self._choose(k, self.rests[k] + fine, self.horizon, now, made)
+            self._choose(k, self.rests[k] + FINE * np.arange(-4, 5), self.horizon, now, made)
         return now.t + float(self.rests[0])
 
     def _waited(self, now: RopeState, made: int) -> bool:
@@ -116,8 +116,9 @@ class PumpingRule(LookaheadRule):
             self.rests = np.append(0.0, self.plan)
 
     def cost(self, t: Array, amplitude: Array) -> Array:
-        """Return the time to the target amplitude, s, if it is reached; else more, the less the amplitude."""
-        return arrival_cost(t, amplitude, self.target)
+        """Return the arrival time, s; without arrival the end and SHORTFALL_COST times the shortfall."""
+        first = arrival_time(t, amplitude, self.target)
+        return np.where(np.isfinite(first), first, t[-1] + SHORTFALL_COST * (self.target - amplitude.max(axis=1)))
 
     def next_start(self, now: RopeState, made: int) -> float:
         """Return the start of the next half turn, s."""

@@ -23,15 +23,9 @@ MIN_GAIN = 0.04  # s: deadlines are bisected to this
 class PumpingPlan:
     """Rests that pump a rope from rest to an amplitude.
 
-    Attributes
-    ----------
-    rests : (k,) float64
-        Rests after the first, second, ... half turn, s. The first half turn starts at t = 0.
-    arrival_time : float
-        Predicted time at which the amplitude is reached, s.
-    constant_rest, constant_arrival_time : float
-        The best constant rest among those tried, s, and its arrival time, s.
-    rollouts : int
+    `rests` (k,), s, are those after the first, second, ... half turn; the first half turn starts at t = 0. The
+    amplitude is predicted to be reached at `arrival_time`, s. `constant_rest`, s, is the best constant rest among those
+    tried, `constant_arrival_time`, s, its arrival time; `rollouts` counts the simulated runs.
     """
 
     rests: Array
@@ -79,7 +73,7 @@ def optimize_pumping(
     rest = hanging_state(model.rope)
     constants = np.arange(0.0, 0.5 * model.period, 0.01)
     count = max(2, math.ceil(longest / model.t_move))
-    t, amplitude = model.predict(rest, 0, _all(np.tile(constants[:, None], (1, count))), longest)
+    t, amplitude = model.predict(rest, 0, _from_first(np.tile(constants[:, None], (1, count))), longest)
     times = arrival_time(t, amplitude, want)
     best = int(np.argmin(times))
     if not math.isfinite(times[best]):
@@ -106,9 +100,9 @@ def optimize_pumping(
     return found
 
 
-def _all(later: Array) -> Array:
-    """Rests before each half turn; the first one starts at once."""
-    return np.concatenate([np.zeros((len(later), 1)), later], axis=1)
+def _from_first(later: Array) -> Array:
+    """Rests before each half turn (m, k + 1), s; the first one starts at once."""
+    return np.pad(later, ((0, 0), (1, 0)))
 
 
 def _before(
@@ -127,7 +121,7 @@ def _before(
     def shortfall(rests: Array) -> Array:
         nonlocal rollouts
         rollouts += rests.shape[1]
-        return np.asarray(target - model.predict(rest, 0, _all(rests.T), deadline)[1].max(axis=1))
+        return np.asarray(target - model.predict(rest, 0, _from_first(rests.T), deadline)[1].max(axis=1))
 
     result = differential_evolution(
         shortfall,
@@ -145,7 +139,7 @@ def _before(
         callback=lambda intermediate_result: intermediate_result.fun <= 0.0,
     )
     tried = found.rollouts + rollouts
-    t, amplitude = model.predict(rest, 0, _all(result.x[None]), deadline)
+    t, amplitude = model.predict(rest, 0, _from_first(result.x[None]), deadline)
     time = float(arrival_time(t, amplitude, target)[0])
     if not math.isfinite(time):
         return replace(found, rollouts=tried), False

@@ -20,10 +20,8 @@ class Spiral:
     ----------
     t : (T,) float64
         Time, s.
-    x : (T,) float64
-        Horizontal tip position, m.
-    scaled_velocity : (T,) float64
-        c dx/dt, m.
+    x, scaled_velocity : (T,) float64
+        Horizontal tip position, and c dx/dt, m.
     r : (T,) float64
         Radius, m: the amplitude that a harmonic swing of angular frequency 1/c would have.
     theta : (T,) float64
@@ -52,10 +50,6 @@ def spiral(t: object, x: object, velocity: object, c: float) -> Spiral:
     c : float
         Time constant sqrt(M/K), s, > 0: the square root of mass over pseudo-elastic coefficient.
 
-    Returns
-    -------
-    Spiral
-
     Raises
     ------
     InvalidInput
@@ -83,25 +77,11 @@ def spiral(t: object, x: object, velocity: object, c: float) -> Spiral:
 
 
 def pseudo_energy(x: Array, velocity: Array, mass: float, c: float) -> Array:
-    """Return the pseudo-energy E = M/2 (dx/dt)^2 + K/2 x^2 with K = M / c^2.
+    """Return the pseudo-energy E = M/2 (dx/dt)^2 + K/2 x^2 (T,), J, with K = M / c^2.
 
-    Parameters
-    ----------
-    x, velocity : (T,) float64
-        Horizontal position, m, and velocity, m/s, of the tip.
-    mass : float
-        Total mass M of the rope, kg, > 0.
-    c : float
-        Time constant sqrt(M/K), s, > 0.
-
-    Returns
-    -------
-    (T,) float64
-        E in J; r of :func:`spiral` is sqrt(2 E / K).
-
-    Notes
-    -----
-    Paper eq. (9). No energy of the rope itself: a measure of the tip's horizontal swing.
+    r of :func:`spiral` is sqrt(2 E / K). `x`, m, and `velocity`, m/s, (T,) are the tip's, `mass` M the rope's total
+    mass, kg, and `c` sqrt(M/K), s. Paper eq. (9). No energy of the rope itself: a measure of the tip's horizontal
+    swing.
     """
     total = checks.number("mass", mass, sign="positive", unit="kg")
     stiffness = total / checks.number("c", c, sign="positive", unit="s") ** 2
@@ -120,14 +100,10 @@ def driving_constant(t_move: float, t_rest: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class PhasePortrait:
-    """The tip in the plane (x, c dx/dt), cut into the stretches in which the arm moves and rests.
+    """The tip in the plane (x, c dx/dt), m, cut into the stretches in which the arm moves and rests.
 
-    Attributes
-    ----------
-    moving, resting : list of (k, 2) float64
-        Stretches of the path, points (x, c dx/dt), m. Neighbours share their end point.
-    starts, ends : (m, 2) float64
-        Where an arm motion starts and where it ends.
+    `moving` and `resting` hold the points (k, 2) of each stretch; neighbours share their end point. `starts` and `ends`
+    (m, 2) are where an arm motion starts and where it ends.
     """
 
     moving: list[Array]
@@ -139,22 +115,8 @@ class PhasePortrait:
 def phase_portrait(tip: Spiral, intervals: Array) -> PhasePortrait:
     """Cut the tip's path into stretches of arm motion and of rest.
 
-    Parameters
-    ----------
-    tip : Spiral
-        Its motion.
-    intervals : (m, 2) float64
-        Start and end of each arm motion, s, in order and without overlap. What lies outside the time of `tip`
-        is left out; a motion that is cut off by its end has no end point.
-
-    Returns
-    -------
-    PhasePortrait
-
-    Raises
-    ------
-    InvalidInput
-        Intervals that overlap or run backwards.
+    `intervals` (m, 2) are start and end of each arm motion, s, in order and without overlap; else InvalidInput is
+    raised. What lies outside the time of `tip` is left out; a motion that is cut off by its end has no end point.
     """
     spans = checks.array("intervals", intervals, (-1, 2), unit="s")
     if (np.diff(spans.ravel()) < 0.0).any():

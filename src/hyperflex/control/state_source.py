@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,42 +22,33 @@ def hanging_state(rope: Rope) -> RopeState:
     return RopeState(0.0, np.full(rope.n_links, rope.hanging_angle), np.zeros(rope.n_links))
 
 
-class TrueState:
-    """The true state of a simulated rope that hangs at rest at t = 0.
+def advanced(rope: Rope, arm: Arm, state: RopeState, t: float, motion: Motion, tol: float = DEFAULT_TOL) -> RopeState:
+    """Simulate a rope from a state to a time `t`, s; `tol` as in :func:`hyperflex.simulate`, m."""
+    ahead = t - state.t
+    start, end = State(state.t, state.q, state.qd), state.t + ahead  # `t` but for rounding: where the run ends
+    run = simulate(rope, motion, arm=arm, duration=ahead, state=start, t_eval=[end], tol=tol)
+    return RopeState(t, run.q[-1], run.qd[-1])
 
-    Parameters
-    ----------
-    rope, arm : Rope, Arm
-        What is simulated.
-    tol : float
-        As in :func:`hyperflex.simulate`, m.
-    """
+
+class TrueState:
+    """The true state of a simulated rope that hangs at rest at t = 0; `tol` as in :func:`hyperflex.simulate`, m."""
 
     def __init__(self, rope: Rope, arm: Arm, *, tol: float = DEFAULT_TOL) -> None:
         self.rope, self.arm, self.tol = rope, arm, tol
-        self._last = State(0.0, np.full(rope.n_links, rope.hanging_angle), np.zeros(rope.n_links))
+        self._last = hanging_state(rope)
 
     def state(self, t: float, motion: Motion) -> RopeState:
         """Return the simulated state at `t`, s, under `motion`.
 
-        Raises
-        ------
-        InvalidInput
-            A time before that of the last call.
-        SimulationError
-            The simulation failed.
+        Raises InvalidInput for a time before that of the last call, SimulationError if the simulation failed.
         """
         time = checks.number("t", t, sign="nonnegative", unit="s")
-        ahead = time - self._last.t
-        if ahead < 0.0:
+        if time < self._last.t:
             raise InvalidInput("time goes back", got=time, allowed=f"at least {self._last.t:g} s")
-        if ahead > 0.0:
+        if time > self._last.t:
             # From angles and rates alone: the same state whether or not the motion has been changed since.
-            start = State(self._last.t, self._last.q, self._last.qd)
-            end = self._last.t + ahead  # `time` but for rounding: where the run ends
-            run = simulate(self.rope, motion, arm=self.arm, duration=ahead, state=start, t_eval=[end], tol=self.tol)
-            self._last = State(time, run.q[-1], run.qd[-1])
-        return RopeState(time, self._last.q, self._last.qd)
+            self._last = advanced(self.rope, self.arm, self._last, time, motion, self.tol)
+        return self._last
 
 
 class SimulatedCamera:
@@ -72,7 +64,7 @@ class SimulatedCamera:
         Frames per second.
     delay : float
         From a frame to its estimate, s.
-    angle_sd, rate_sd : float
+    angle_std, rate_std : float
         Standard deviations of the errors in each link's angle, rad, and rate, rad/s, at a frame; independent from link
         to link and frame to frame.
     seed : int
@@ -93,41 +85,29 @@ class SimulatedCamera:
         *,
         rate: float = 30.0,
         delay: float = 0.1,
-        angle_sd: float = 0.01,
-        rate_sd: float = 0.1,
+        angle_std: float = 0.01,
+        rate_std: float = 0.1,
         seed: int = 0,
         with_covariance: bool = False,
     ) -> None:
         self.truth, self.rope, self.arm = truth, rope, arm
         self.rate = checks.number("rate", rate, sign="positive", unit="Hz")
         self.delay = checks.number("delay", delay, sign="nonnegative", unit="s")
-        self.angle_sd = checks.number("angle_sd", angle_sd, sign="nonnegative", unit="rad")
-        self.rate_sd = checks.number("rate_sd", rate_sd, sign="nonnegative", unit="rad/s")
+        self.angle_std = checks.number("angle_std", angle_std, sign="nonnegative", unit="rad")
+        self.rate_std = checks.number("rate_std", rate_std, sign="nonnegative", unit="rad/s")
         self.seed = checks.count("seed", seed, least=0)
         self.with_covariance = with_covariance
 
     def state(self, t: float, motion: Motion) -> RopeState:
         """Return what the newest frame that is through says of `t`, s; before the first one, the rope hangs at rest.
 
-        Raises
-        ------
-        InvalidInput
-            The truth has another number of links than the model.
-        SimulationError
-            The model cannot be simulated from what was seen.
+        Raises InvalidInput if the truth has another number of links than the model, SimulationError if the model cannot
+        be simulated from what was seen.
         """
         number = math.floor((t - self.delay) * self.rate + 1e-9)
-        if number < 0:
-            seen = hanging_state(self.rope)
-        else:
-            seen = self._frame(number, motion)
-        if t <= seen.t:
-            return RopeState(t, seen.q, seen.qd, self._frame_covariance() if self.with_covariance else None)
-        start = State(seen.t, seen.q, seen.qd)
-        ahead = t - seen.t
-        run = simulate(self.rope, motion, arm=self.arm, duration=ahead, state=start, t_eval=[seen.t + ahead])
-        covariance = self._carried(seen, t, motion) if self.with_covariance else None
-        return RopeState(t, run.q[-1], run.qd[-1], covariance)
+        seen = hanging_state(self.rope) if number < 0 else self._frame(number, motion)
+        now = replace(seen, t=t) if t <= seen.t else advanced(self.rope, self.arm, seen, t, motion)
+        return replace(now, covariance=self._covariance(seen, t, motion)) if self.with_covariance else now
 
     def _frame(self, number: int, motion: Motion) -> RopeState:
         true = self.truth.state(number / self.rate, motion)
@@ -135,16 +115,15 @@ class SimulatedCamera:
         if true.q.size != n:
             raise InvalidInput("camera and model differ in links", got=n, allowed=f"{true.q.size}, as in the truth")
         noise = np.random.default_rng([self.seed, number]).standard_normal((2, n))
-        return RopeState(true.t, true.q + self.angle_sd * noise[0], true.qd + self.rate_sd * noise[1])
+        return RopeState(true.t, true.q + self.angle_std * noise[0], true.qd + self.rate_std * noise[1])
 
-    def _frame_covariance(self) -> Array:
-        n = self.rope.n_links
-        return np.diag(np.repeat([self.angle_sd**2, self.rate_sd**2], n))
-
-    def _carried(self, seen: RopeState, t: float, motion: Motion) -> Array:
-        """Covariance (2 n, 2 n) at `t` of the frame's own, by the derivatives of the model's prediction."""
+    def _covariance(self, seen: RopeState, t: float, motion: Motion) -> Array:
+        """Covariance (2 n, 2 n) at `t`: that of the frame, propagated by the derivatives of the prediction."""
         from hyperflex.simulation import sensitivities
 
+        of_frame = np.diag(np.repeat([self.angle_std**2, self.rate_std**2], self.rope.n_links))
+        if t <= seen.t:
+            return of_frame
         run = sensitivities(
             self.rope,
             motion.shifted(-seen.t),
@@ -156,4 +135,4 @@ class SimulatedCamera:
             wrt=["q0", "qd0"],
         )
         step = np.concatenate([run.dq[-1], run.dqd[-1]])
-        return np.asarray(step @ self._frame_covariance() @ step.T)
+        return np.asarray(step @ of_frame @ step.T)

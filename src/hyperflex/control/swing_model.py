@@ -21,20 +21,12 @@ from hyperflex.trajectory import State
 SAMPLE_TIME = 0.02  # s, of predictions
 PLANNING_TOL = 1e-4  # m; docs/how-to/accuracy.md
 SOON = 1e-6  # s after now within which a crossing is not looked for: it may be the last one
-SHORTFALL_COST = 3.0  # s/m
 
 
 def swing_period(rope: Rope) -> float:
-    """Return the period of a small swing of the rope as a rigid rod, s; that of the rope itself is 2 % longer.
+    """Return the period of a small swing of a rope as a rigid rod, s; that of the rope itself is 2 % longer.
 
-    Parameters
-    ----------
-    rope : Rope
-
-    Raises
-    ------
-    InvalidInput
-        If the rope has no weight.
+    Raises InvalidInput if the rope has no weight.
     """
     base = np.concatenate([[0.0], np.cumsum(rope.length)[:-1]])
     centre = base + rope.com
@@ -50,15 +42,7 @@ def swing_period(rope: Rope) -> float:
 class SwingModel:
     """A controller's model of a rope on an arm that makes half turns; the true rope may differ.
 
-    Parameters
-    ----------
-    rope, arm : Rope, Arm
-    t_move : float
-        Duration of a half turn, s.
-    profile : {"bang-bang", "ramp", "minimum-jerk"}
-        Of the half turn.
-    path : {"under", "over"}
-        Through the bottom or over the top.
+    A half turn takes `t_move`, s; `profile` and `path` are as of :func:`hyperflex.arm_swings`.
     """
 
     rope: Rope
@@ -84,14 +68,7 @@ class SwingModel:
     def crossing(self, now: RopeState, motion: Motion, *, after: float, until: float) -> float:
         """Return the time at which the tip first passes below or above the shaft in a span, s; inf if it does not.
 
-        Parameters
-        ----------
-        now : RopeState
-            State of the rope.
-        motion : Motion
-            Of the arm, on the clock of `now`.
-        after, until : float
-            The span, s; it ends after `now`.
+        `motion` is the arm's, on the clock of `now`; the span from `after` to `until`, s, ends after `now`.
         """
         run = simulate(
             self.rope,
@@ -105,12 +82,12 @@ class SwingModel:
         return math.inf if run.event is None else run.event[1]
 
     def predict(self, now: RopeState, made: int, rests: npt.ArrayLike, horizon: float) -> tuple[Array, Array]:
-        """Predict the tip's distance |x| from the shaft for several sequences of rests before the next half turns.
+        """Predict the tip's distance from the shaft for several sequences of rests before the next half turns.
 
         Parameters
         ----------
         now : RopeState
-            State of the rope; the arm rests.
+            The arm rests.
         made : int
             Half turns made so far.
         rests : (m, k) array_like
@@ -128,7 +105,7 @@ class SwingModel:
         """
         ahead = checks.array("rests", rests, (-1, -1), sign="nonnegative", unit="s")
         more = max(0, math.ceil(horizon / self.t_move) - ahead.shape[1])
-        ahead = np.concatenate([ahead, np.full((len(ahead), more), self.usual_rest)], axis=1)
+        ahead = np.pad(ahead, ((0, 0), (0, more)), constant_values=self.usual_rest)
         first = np.cumsum(ahead + self.t_move, axis=1) - self.t_move
         motions = [self.motion(row[row < horizon], made) for row in first]
         t: Array = SAMPLE_TIME * np.arange(1.0, max(2, round(horizon / SAMPLE_TIME)) + 1.0)
@@ -146,21 +123,9 @@ class SwingModel:
 
 
 def arrival_time(t: Array, amplitude: Array, target: float) -> Array:
-    """Return the time at which an amplitude is first reached.
+    """Return the time (m,), s, at which an amplitude `target`, m, is first reached in each of m runs; inf if never.
 
-    Parameters
-    ----------
-    t : (T,) float64
-        Time, s.
-    amplitude : (m, T) float64
-        ``|x|`` of the tip in m runs, m.
-    target : float
-        m.
-
-    Returns
-    -------
-    (m,) float64
-        Time, s, linear between samples; inf if the amplitude is never reached.
+    `amplitude` (m, T) is ``|x|`` of the tip, m, at times `t` (T,), s; the time is linear between samples.
 
     Examples
     --------
@@ -174,9 +139,3 @@ def arrival_time(t: Array, amplitude: Array, target: float) -> Array:
     rise = amplitude[rows, k] - amplitude[rows, before]
     part = np.where((k > 0) & (rise > 0.0), (target - amplitude[rows, before]) / np.where(rise > 0.0, rise, 1.0), 1.0)
     return np.where(beyond.any(axis=1), t[before] + part * (t[k] - t[before]), np.inf)
-
-
-def arrival_cost(t: Array, amplitude: Array, target: float) -> Array:
-    """Return the arrival time (m,), s; without arrival the end and SHORTFALL_COST times the shortfall."""
-    first = arrival_time(t, amplitude, target)
-    return np.where(np.isfinite(first), first, t[-1] + SHORTFALL_COST * (target - amplitude.max(axis=1)))

@@ -15,14 +15,9 @@ class Rule(Protocol):
     """A rule for the start of the next half turn."""
 
     def next_start(self, now: RopeState, made: int) -> float:
-        """Return the start of the next half turn, s, not before now; inf for none.
+        """Return the start of the next half turn, s, not before `now`, after `made` half turns; inf for none.
 
-        Parameters
-        ----------
-        now : RopeState
-            State of the rope; the arm rests.
-        made : int
-            Half turns made so far.
+        The arm rests.
         """
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -53,34 +54,26 @@ def lagged(motion: Motion, lag: float) -> Motion:
         )
     if lag == 0.0:
         return motion
-    breaks, rows, switch = [float(motion.breaks[0])], [], []
-    behind = 0.0  # of the filter's answer to the piece alone
-    value = float(motion.coef[0, ANGLE, 0])
-    for k, piece in enumerate(motion.coef[:, ANGLE]):
-        answer = _answer(piece, lag)
-        behind = value - answer[0]
-        span = float(motion.breaks[k + 1] - motion.breaks[k])
-        edges = [0.0, *(lag * node for node in NODES if lag * node < 0.99 * span), span]
-        ends = [_state(answer, behind, lag, s) for s in edges]
-        rows += [_hermite(one, two, b - a) for one, two, a, b in _pairs(ends, edges)]
-        breaks += [float(motion.breaks[k]) + s for s in edges[1:]]
-        switch += [True] + [False] * (len(edges) - 2)
-        value = float(ends[-1][0])
     still = np.zeros(POWERS)
     still[0] = float(motion.angle(motion.breaks[-1]))
-    edges = [0.0, *(lag * node for node in NODES), lag * FADED]
-    ends = [_state(still, value - still[0], lag, s) for s in edges[:-1]] + [np.array([still[0], 0.0, 0.0])]
-    rows += [_hermite(one, two, b - a) for one, two, a, b in _pairs(ends, edges)]
-    breaks += [float(motion.breaks[-1]) + s for s in edges[1:]]
-    switch += [True] + [False] * len(NODES) + [True]
+    breaks, rows, switch = [float(motion.breaks[0])], [], []
+    value = float(motion.coef[0, ANGLE, 0])
+    spans = [*np.diff(motion.breaks).tolist(), lag * FADED]
+    for begin, span, piece in zip(motion.breaks.tolist(), spans, [*motion.coef[:, ANGLE], still], strict=True):
+        answer = _answer(piece, lag)
+        edges = [0.0, *(lag * node for node in NODES if lag * node < 0.99 * span), span]
+        states = [_state(answer, value - answer[0], lag, s) for s in edges]
+        if piece is still:
+            states[-1] = still[:3]
+        pairs = zip(pairwise(states), pairwise(edges), strict=True)
+        rows += [_hermite(one, two, b - a) for (one, two), (a, b) in pairs]
+        breaks += [begin + s for s in edges[1:]]
+        switch += [True] + [False] * (len(edges) - 2)
+        value = float(states[-1][0])
     coef = np.zeros((len(rows), CHANNELS, POWERS))
     coef[:] = motion.coef[0] * (np.arange(POWERS) == 0)
     coef[:, ANGLE] = rows
-    return Motion(np.array(breaks), coef, np.array(switch))
-
-
-def _pairs(ends: list[Array], edges: list[float]) -> list[tuple[Array, Array, float, float]]:
-    return list(zip(ends[:-1], ends[1:], edges[:-1], edges[1:], strict=True))
+    return Motion(np.array(breaks), coef, np.array([*switch, True]))
 
 
 def _answer(piece: Array, lag: float) -> Array:

@@ -147,15 +147,12 @@ class Motion:
         at = checks.number("time of the change", at, unit="s")
         if not isinstance(other, Motion):
             raise InvalidInput("what follows is not a motion", got=other, allowed="a Motion, such as hold(angle)")
-        for name, one, two in (
-            ("arm angle", self.angle(at), other.angle(at)),
-            ("pivot x", self.point(at)[..., 0], other.point(at)[..., 0]),
-            ("pivot y", self.point(at)[..., 1], other.point(at)[..., 1]),
-        ):
-            if abs(float(one) - float(two)) > _MEET:
+        for name, channel in (("arm angle", ANGLE), ("pivot x", X), ("pivot y", Y)):
+            one, two = (float(each._evaluate(at, channel, 0)) for each in (self, other))
+            if abs(one - two) > _MEET:
                 raise InvalidInput(
                     f"{name} jumps at t = {at:g} s",
-                    got=[float(one), float(two)],
+                    got=[one, two],
                     allowed=f"motions that meet within {_MEET:g}",
                     fix="Shift the second motion or move to its start first",
                 )
@@ -174,14 +171,9 @@ class Motion:
     def _since(self, at: float) -> Motion:
         """Pieces from `at` on, with a switch there."""
         if at < self.breaks[0]:
-            still = _standing(self.coef[:1], 0.0)
-            breaks, coef, switch, loop = self.breaks, self.coef, self.switch, self.loop
-            return Motion(
-                np.append(at, breaks),
-                np.concatenate([still, coef]),
-                np.append(True, switch),
-                loop + 1 if loop >= 0 else -1,
-            )
+            held = np.concatenate([_standing(self.coef[:1], 0.0), self.coef])
+            first = self.loop + 1 if self.loop >= 0 else -1
+            return Motion(np.append(at, self.breaks), held, np.append(True, self.switch), first)
         breaks, coef, switch = self._unrolled(at)
         loop = -1
         if self.loop >= 0:  # one whole cycle behind what is left of the one in which `at` lies

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
+from hyperflex.checks import Array
 from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y
 from hyperflex.errors import InvalidInput
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
@@ -18,14 +20,17 @@ PROFILES = ("bang-bang", "ramp", "minimum-jerk")
 PATHS = ("under", "over")
 
 
-def _pieces(durations: list[float], rows: list[list[float]], spec: dict[str, Any], *, repeat: bool = False) -> Motion:
-    """Motion of the arm angle alone, from t = 0, from ascending coefficients of each piece."""
-    breaks = np.concatenate([[0.0], np.cumsum(durations)])
+def arm_motion(breaks: Array, rows: list[list[float]], spec: dict[str, Any], loop: int = -1) -> Motion:
+    """Motion of the arm angle alone from breaks (k + 1,), s, and ascending coefficients of each piece."""
     coef = np.zeros((len(rows), CHANNELS, POWERS))
     for piece, row in zip(coef, rows, strict=True):
         piece[ANGLE, : len(row)] = row
-    switch = np.ones(breaks.size, dtype=np.bool_)
-    return Motion(breaks, coef, switch, 0 if repeat else -1, spec)
+    return Motion(breaks, coef, np.ones(breaks.size, dtype=np.bool_), loop, spec)
+
+
+def motion_of_pieces(durations: list[float], rows: list[list[float]], spec: dict[str, Any], loop: int = -1) -> Motion:
+    """As :func:`arm_motion`, from t = 0, from the duration of each piece, s."""
+    return arm_motion(np.concatenate([[0.0], np.cumsum(durations)]), rows, spec, loop)
 
 
 def move_pieces(
@@ -59,9 +64,7 @@ def hold_arm(angle: float = 0.0) -> Motion:
         Arm angle, rad; 0 hangs down.
     """
     angle = checks.number("angle", angle, unit="rad")
-    coef = np.zeros((1, CHANNELS, POWERS))
-    coef[0, ANGLE, 0] = angle
-    return Motion(np.array([0.0, 1.0]), coef, np.zeros(2, dtype=np.bool_), -1, {"kind": "hold", "angle": angle})
+    return replace(motion_of_pieces([1.0], [[angle]], {"kind": "hold", "angle": angle}), switch=np.zeros(2, np.bool_))
 
 
 def move_arm(start: float, end: float, duration: float, profile: Profile = "bang-bang", *, ramp: float = 0.1) -> Motion:
@@ -84,7 +87,7 @@ def move_arm(start: float, end: float, duration: float, profile: Profile = "bang
     profile = checks.choice("profile", profile, PROFILES)  # type: ignore[assignment]
     ramp = _ramp(ramp)
     spec = {"kind": "move", "start": start, "end": end, "duration": duration, "profile": profile, "ramp": ramp}
-    return _pieces(*move_pieces(start, end, duration, profile, ramp), spec)
+    return motion_of_pieces(*move_pieces(start, end, duration, profile, ramp), spec)
 
 
 def _ramp(value: float) -> float:
@@ -115,20 +118,31 @@ def arm_swings(
     ramp : float
         See :func:`move_arm`.
     """
-    t_move = checks.number("t_move", t_move, sign="positive", unit="s")
-    t_rest = checks.number("t_rest", t_rest, sign="nonnegative", unit="s")
-    profile = checks.choice("profile", profile, PROFILES)  # type: ignore[assignment]
-    path = checks.choice("path", path, PATHS)  # type: ignore[assignment]
-    ramp = _ramp(ramp)
-    spec = {"kind": "swings", "t_move": t_move, "t_rest": t_rest, "profile": profile, "path": path, "ramp": ramp}
-    return _pieces(*swing_pieces(t_move, t_rest, profile, path, ramp), spec, repeat=True)
+    given = checked_half_turn(t_move, profile, path, ramp)
+    given["t_rest"] = checks.number("t_rest", t_rest, sign="nonnegative", unit="s")
+    return motion_of_pieces(*swing_pieces(**given), {"kind": "swings", **given}, loop=0)
+
+
+def checked_half_turn(t_move: float, profile: str, path: str, ramp: float) -> dict[str, Any]:
+    """Return the checked arguments of a half turn by name."""
+    return {
+        "t_move": checks.number("t_move", t_move, sign="positive", unit="s"),
+        "profile": checks.choice("profile", profile, PROFILES),
+        "path": checks.choice("path", path, PATHS),
+        "ramp": _ramp(ramp),
+    }
+
+
+def half_turn_ends(path: str) -> tuple[float, float]:
+    """Arm angles at the start and after a half turn, rad."""
+    return -0.5 * math.pi, (0.5 if path == "under" else -1.5) * math.pi
 
 
 def swing_pieces(
     t_move: float, t_rest: float, profile: str, path: str, ramp: float
 ) -> tuple[list[float], list[list[float]]]:
     """Durations and coefficients of one cycle of :func:`arm_swings`; takes complex numbers too."""
-    start, end = -0.5 * math.pi, (0.5 if path == "under" else -1.5) * math.pi
+    start, end = half_turn_ends(path)
     durations: list[float] = []
     rows: list[list[float]] = []
     for here, there in ((start, end), (end, start)):
@@ -157,7 +171,7 @@ def moving_pivot(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike) -> Motion
     Parameters
     ----------
     t : (T,) array_like
-        Increasing times, s, at least two.
+        As of :func:`sampled_motion`.
     x, y : (T,) array_like
         Displacement of the pivot, m.
     """

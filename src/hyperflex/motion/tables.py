@@ -11,9 +11,8 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import profiles
-from hyperflex.motion.half_turns import arm_strokes
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
-from hyperflex.motion.sequence import arm_moves
+from hyperflex.motion.sequence import arm_moves, arm_strokes
 
 
 def read_motion(path: str | Path) -> Motion:

@@ -14,23 +14,15 @@ from hyperflex.motion.piecewise import Motion
 from hyperflex.motion.profiles import move_pieces, moving_pivot, sampled_motion, swing_pieces, torque_profile
 from hyperflex.motion.sequence import BANG_BANG, move_rows
 
-Pieces = tuple[list[complex], list[list[complex]]]
 _TINY = 1e-40  # of a complex step: no difference is formed, so nothing is lost
 
 
-def _hold_pieces(angle: complex) -> Pieces:
-    return [1.0], [[angle]]
-
-
-# kind: (its pieces, the parameters that may vary)
+# kind: (durations and coefficients of its pieces, the parameters that may vary; of a list each number)
 _FORMULAS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
-    "hold": (_hold_pieces, ("angle",)),
+    "hold": (lambda angle: ([1.0], [[angle]]), ("angle",)),
     "move": (move_pieces, ("start", "end", "duration", "ramp")),
     "swings": (swing_pieces, ("t_move", "t_rest", "ramp")),
-}
-# kind: (its pieces from lists of numbers, the lists, each of whose numbers may vary)
-_LISTS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
-    "moves": (move_rows, ("angles", "rests", "durations", "ramps"))
+    "moves": (move_rows, ("angles", "rests", "durations", "ramps")),
 }
 # motions that depend linearly on their samples
 _SAMPLES: dict[str, tuple[Callable[..., Motion], tuple[str, ...]]] = {
@@ -42,14 +34,10 @@ _SAMPLES: dict[str, tuple[Callable[..., Motion], tuple[str, ...]]] = {
 
 def parameters(motion: Motion) -> list[str]:
     """Return the names by which a motion can vary: its times and angles, each of its samples, and its delay."""
-    kind = motion.spec.get("kind")
     names = ["delay"]
-    if kind in _FORMULAS:
-        names += _FORMULAS[kind][1]
-    if kind in _LISTS:
-        names += [f"{name}[{i}]" for name in _LISTS[kind][1] for i in range(len(motion.spec[name]))]
-    if kind in _SAMPLES:
-        names += [f"{name}[{i}]" for name in _SAMPLES[kind][1] for i in range(len(motion.spec["t"]))]
+    for name in {**_FORMULAS, **_SAMPLES}.get(motion.spec.get("kind", ""), (None, ()))[1]:
+        value = motion.spec[name]
+        names += [f"{name}[{i}]" for i in range(len(value))] if isinstance(value, list) else [name]
     return names
 
 
@@ -79,15 +67,7 @@ def variation(motion: Motion, name: str) -> tuple[Array, Array]:
     kind = motion.spec["kind"]
     if kind in _SAMPLES:
         return _of_sample(motion, kind, name)
-    formula, _ = _FORMULAS.get(kind) or _LISTS[kind]
-    values = {key: value for key, value in motion.spec.items() if key not in ("kind", "delay")}
-    if kind in _LISTS:
-        values = _turned(values, name)
-    else:
-        if values[name] == 0.0 and name == "t_rest":
-            raise InvalidInput("swings without a rest cannot vary it", got=0.0, allowed="t_rest > 0, in s")
-        values[name] += 1j * _TINY
-    durations, rows = formula(**values)
+    durations, rows = _FORMULAS[kind][0](**_complex_step(motion, name))
     breaks = np.concatenate([[0.0], np.cumsum(np.imag(durations))]) / _TINY
     coef = np.zeros_like(motion.coef)
     for piece, row in zip(coef, rows, strict=True):
@@ -105,13 +85,16 @@ def _of_sample(motion: Motion, kind: str, name: str) -> tuple[Array, Array]:
     return np.zeros_like(motion.breaks), np.array(maker(t, **samples).coef)
 
 
-def _turned(values: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return lists of numbers, one of which, as ``rests[2]``, goes a tiny step along the imaginary axis."""
+def _complex_step(motion: Motion, name: str) -> dict[str, Any]:
+    """Return the parameters of a motion, of which one, such as ``rests[2]``, has a tiny imaginary part."""
     key, _, index = name.rstrip("]").partition("[")
-    changed = list(values[key])
-    if (key == "rests" and changed[int(index)] == 0.0) or (key == "ramps" and changed[int(index)] > BANG_BANG):
+    values = {key: value for key, value in motion.spec.items() if key not in ("kind", "delay")}
+    value = values[key][int(index)] if index else values[key]
+    if (key in ("rests", "t_rest") and value == 0.0) or (key == "ramps" and value > BANG_BANG):
         raise InvalidInput(
-            f"{name} cannot vary where it is", got=changed[int(index)], allowed="a rest > 0, a ramp < 0.5"
+            f"motion without a rest or a ramp cannot vary {name}", got=value, allowed="a rest > 0, in s, a ramp < 0.5"
         )
-    changed[int(index)] += 1j * _TINY
-    return {**values, key: changed}
+    value = value + 1j * _TINY
+    if index:
+        value = [*values[key][: int(index)], value, *values[key][int(index) + 1 :]]
+    return values | {key: value}

@@ -51,44 +51,27 @@ class MotorLimits:
     angles: tuple[float, float] = (-math.pi, math.pi)
 
     def __post_init__(self) -> None:
-        for name, unit in (("speed", "rad/s"), ("acceleration", "rad/s^2")):
-            value = checks.number(f"motor {name}", getattr(self, name), sign="positive", unit=unit)
+        for name, unit in (("speed", "rad/s"), ("acceleration", "rad/s^2"), ("torque", "N m")):
+            value, may = getattr(self, name), name == "torque"
+            value = checks.number(f"motor {name}", value, sign="positive", unit=unit, infinite=may)
             object.__setattr__(self, name, value)
-        torque = checks.number("motor torque", self.torque, sign="positive", unit="N m", infinite=True)
         least, greatest = checks.array("motor angles", self.angles, (2,), unit="rad").tolist()
         if greatest - least < 0.1:
             raise InvalidInput(
                 "motor angles leave no room to move", got=[least, greatest], allowed="(least, greatest), 0.1 rad apart"
             )
-        object.__setattr__(self, "torque", torque)
         object.__setattr__(self, "angles", (least, greatest))
 
     def start_angle(self, side: int) -> float:
-        """Return the arm angle at t = 0, rad: a quarter turn to one side, clipped to the motor's range.
-
-        Parameters
-        ----------
-        side : {-1, 1}
-            Left or right.
-        """
+        """Return the arm angle at t = 0, rad: a quarter turn to `side` (-1: left), clipped to the motor's range."""
         return float(np.clip(side * 0.5 * np.pi, *self.angles))
 
     def fastest_moves(self, angles: npt.ArrayLike, speed: npt.ArrayLike = 1.0) -> tuple[Array, Array]:
-        """Return duration and ramp of the fastest moves, as :func:`hyperflex.arm_moves` takes them.
+        """Return duration (k,), s, and ramp (k,) of the fastest moves, as :func:`hyperflex.arm_moves` takes them.
 
-        Parameters
-        ----------
-        angles : (k,) array_like
-            Angles to turn through, rad, not 0.
-        speed : float or (k,) array_like
-            Fraction of the motor's speed that may be used, 0 to 1; of its acceleration the square of that.
-
-        Returns
-        -------
-        durations : (k,) float64
-            s.
-        ramps : (k,) float64
-            Fraction of the duration that speeds up; 0.5 where the greatest speed is not reached.
+        `angles` (k,) are those to turn through, rad, not 0. `speed`, a number or (k,), is the fraction of the motor's
+        speed that may be used, 0 to 1; of its acceleration it is the square of that. A ramp of 0.5 does not reach the
+        greatest speed.
         """
         way, part = np.abs(np.asarray(angles, dtype=np.float64)), np.asarray(speed, dtype=np.float64)
         top, rise = part * self.speed, part**2 * self.acceleration

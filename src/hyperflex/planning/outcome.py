@@ -107,8 +107,6 @@ def verify_cast(
 
     Parameters
     ----------
-    cast_setup : CastSetup
-    peg : Peg
     motion : Motion
         With an end, after which the arm stands still.
     tol, contact_step : float
@@ -205,18 +203,10 @@ def _load_ratio(wound: Winding, watched: npt.NDArray[np.bool_], peg: Peg) -> flo
 
 @dataclass(frozen=True, eq=False)
 class HoldingForce:
-    """Force that a wound rope bears, by a simulated tug and by Capstan's rule.
+    """Force that a wound rope bears, by a simulated tug from the end of a run and by Capstan's rule.
 
-    Attributes
-    ----------
-    tug : Tug
-        The tug, from the end of the run.
-    tail_weight : float
-        Weight of the rope that hangs beyond the peg, N.
-    contact_angle : float
-        Angle about the peg from the first to the last link in contact, rad, >= 0.
-    mu : float
-        Friction coefficient between rope and peg.
+    `tail_weight` is that of the rope that hangs beyond the peg, N, `contact_angle` >= 0 the angle about the peg from
+    the first to the last link in contact, rad, `mu` the friction coefficient between rope and peg.
     """
 
     tug: TugTest
@@ -236,19 +226,7 @@ class HoldingForce:
 
 
 def measure_holding_force(run: Trajectory, peg: Peg) -> HoldingForce | None:
-    """Tug at the rope from the end of a run.
-
-    Parameters
-    ----------
-    run : Trajectory
-        Simulated with this peg.
-    peg : Peg
-
-    Returns
-    -------
-    HoldingForce or None
-        None if the rope is not on the peg or the tug cannot be simulated.
-    """
+    """Tug at the rope from the end of a run with a peg; None if it is not on the peg or the tug cannot be simulated."""
     wound = winding.measure_winding(run, peg)
     if not np.isfinite(wound.tail[-1]):
         return None

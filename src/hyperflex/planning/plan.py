@@ -17,6 +17,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.throw import Moves
 from hyperflex.trajectory import Trajectory
 
 T = TypeVar("T")
@@ -45,6 +46,7 @@ class Plan(ABC):
 
     kind: ClassVar[str]  # in files
     cast_setup: CastSetup
+    outcome: Any
     message: str
     runs: int
     seconds: float
@@ -52,13 +54,18 @@ class Plan(ABC):
 
     @property
     @abstractmethod
-    def motion(self) -> Motion | None:
-        """Motion of the arm, from rest at t = 0; None if no motion was found."""
+    def moves(self) -> Moves | None:
+        """Moves of the arm; None if none were found."""
 
     @property
-    @abstractmethod
+    def motion(self) -> Motion | None:
+        """Motion of the arm, from rest at t = 0; None if no motion was found."""
+        return None if self.moves is None else self.moves.motion(self.cast_setup.limits)
+
+    @property
     def run(self) -> Trajectory | None:
         """The verified run; None if there is none, or if the plan was read from a file."""
+        return None if self.outcome is None else self.outcome.run
 
     @property
     @abstractmethod
@@ -94,15 +101,7 @@ class Plan(ABC):
         return FAILED if self.refuted else NOT_VERIFIED
 
     def required(self, value: T | None, name: str) -> T:
-        """Return a part of the plan; raises InvalidInput if it is None.
-
-        Parameters
-        ----------
-        value : object or None
-            The part.
-        name : str
-            Its name in the message.
-        """
+        """Return a part of the plan, its `value`; raises InvalidInput, with its `name`, if that is None."""
         if value is None:
             raise InvalidInput(f"the plan holds no {name}", got=self.message, fix="Plan for a target that is feasible")
         return value
@@ -135,8 +134,9 @@ class Plan(ABC):
         rate = checks.number("rate", rate, sign="positive", unit="Hz")
         count = math.ceil(float(motion.breaks[-1]) * rate - 1e-9) + 1
         if not 2 < count <= MAX_ROWS:
-            allowed = "some rows a move, and 10 million in all"
-            raise InvalidInput("rate does not suit the motion", got=rate, allowed=allowed)
+            raise InvalidInput(
+                "rate does not suit the motion", got=rate, allowed="some rows a move, and 10 million in all"
+            )
         t = np.arange(count) / rate
         columns = {
             "contents": "planned motion of the arm",
@@ -147,28 +147,14 @@ class Plan(ABC):
         files.write_table(path, ["t", "angle"], np.column_stack([t, motion.angle(t)]), notes=self.notes() | columns)
 
     def to_netcdf(self, path: str | Path) -> None:
-        """Write the verified run to NetCDF; raises InvalidInput if there is none.
-
-        Parameters
-        ----------
-        path : str or Path
-            Where to write, whole or not at all.
-        """
+        """Write the verified run to a NetCDF file `path`, whole or not at all; raises InvalidInput if there is none."""
         self.required(self.run, "run").to_netcdf(path)
 
     def to_toml(self, path: files.PathLike) -> None:
-        """Write the plan to TOML; :func:`hyperflex.read_plan` reads all of it but the runs.
+        """Write the plan to a TOML file `path`, whole or not at all; raises InvalidInput if no motion was found.
 
-        Parameters
-        ----------
-        path : path-like
-            Where to write, whole or not at all. ``hyperflex simulate`` and :meth:`hyperflex.Setup.from_toml` read the
-            set-up of the verified run.
-
-        Raises
-        ------
-        InvalidInput
-            If no motion was found.
+        :func:`hyperflex.read_plan` reads all of it but the runs, ``hyperflex simulate`` and
+        :meth:`hyperflex.Setup.from_toml` the set-up of the verified run.
         """
         table = {"kind": self.kind, "source": "simulated", **to_table(self)}
         files.write_text(path, self.setup().dumps() + "\n" + files.dumps_toml({PLAN: table}))

@@ -23,8 +23,7 @@ def read_plan(path: files.PathLike) -> CastPlan | WhipPlan:
     Returns
     -------
     CastPlan or WhipPlan
-        Equal to the plan that was written, but without the runs of its outcomes. ``hyperflex.simulate`` repeats the
-        verified run from the set-up in the same file.
+        Equal to the plan that was written, but without its runs.
 
     Raises
     ------

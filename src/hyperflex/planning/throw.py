@@ -1,7 +1,8 @@
-"""A throw (strokes of the arm to and fro, then a last move) and the parameters by which a search varies it."""
+"""Moves of the arm, a throw (strokes to and fro, then a last move) and the parameters by which a search varies it."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -22,8 +23,36 @@ KEEPING_STEP = 0.54  # periods from stroke to stroke that keep step with a swing
 SPREAD, END_SPREAD = 0.15, 0.5  # initial standard deviations: strokes and rests; end of the last move
 
 
+class Moves(ABC):
+    """Moves of the arm, each after a rest, from an arm that points to one side. `limits` are those of the motor."""
+
+    side: int
+
+    @abstractmethod
+    def angles(self, limits: MotorLimits) -> Array:
+        """Arm angles (k + 1,) at the start and after each of k moves, rad."""
+
+    @abstractmethod
+    def timing(self, limits: MotorLimits) -> tuple[Array, Array, Array]:
+        """Rest before each move, s, its duration, s, and the fraction of that which speeds up, (k,) each."""
+
+    def motion(self, limits: MotorLimits) -> Motion:
+        """Return the motion of the arm; it stays where the last move ends."""
+        return arm_moves(self.angles(limits), *self.timing(limits))
+
+    def starts(self, limits: MotorLimits) -> Array:
+        """Start of each move (k,), s."""
+        rests, durations, _ = self.timing(limits)
+        return np.asarray(np.cumsum(rests) + np.cumsum(durations) - durations)
+
+    def stops(self, limits: MotorLimits) -> float:
+        """Time at which the arm stops, s."""
+        rests, durations, _ = self.timing(limits)
+        return float(rests.sum() + durations.sum())
+
+
 @dataclass(frozen=True, eq=False)
-class Throw:
+class Throw(Moves):
     """Strokes with rests before them, and a last move.
 
     Attributes
@@ -56,7 +85,7 @@ class Throw:
     more: int = 0
 
     def angles(self, limits: MotorLimits) -> Array:
-        """Arm angles (count + 2,) at the start and after each move, rad."""
+        """Arm angles (count + 2,) at the start and after each stroke and the last move, rad."""
         least, greatest = limits.angles
         angles = [limits.start_angle(self.side)]
 
@@ -73,21 +102,6 @@ class Throw:
         move_to(self.end)
         return np.array(angles)
 
-    def motion(self, limits: MotorLimits) -> Motion:
-        """Return the motion of the arm."""
-        angles, rests, durations, ramps = self._moves(limits)
-        return arm_moves(angles, rests, durations, ramps)
-
-    def starts(self, limits: MotorLimits) -> Array:
-        """Start of each move, the last one included (count + 1,), s."""
-        _, rests, durations, _ = self._moves(limits)
-        return np.asarray(np.cumsum(rests) + np.cumsum(durations) - durations)
-
-    def stops(self, limits: MotorLimits) -> float:
-        """Time at which the arm stops, s."""
-        _, rests, durations, _ = self._moves(limits)
-        return float(rests.sum() + durations.sum())
-
     def cut(self, t: float, limits: MotorLimits) -> Throw:
         """Return the throw without the strokes that start after time t, s, except `more`; the last move waits until t.
 
@@ -98,12 +112,11 @@ class Throw:
         ready = float(shorter.starts(limits)[-1]) - abs(self.rest)
         return replace(shorter, rest=abs(self.rest) + max(0.0, t - ready))
 
-    def _moves(self, limits: MotorLimits) -> tuple[Array, Array, Array, Array]:
-        angles = self.angles(limits)
+    def timing(self, limits: MotorLimits) -> tuple[Array, Array, Array]:
+        """Rest, s, duration, s, and ramp of each stroke and of the last move, (count + 1,) each."""
         speed = np.append(np.ones(self.count), np.clip(self.speed, MIN_SPEED, 1.0))
-        durations, ramps = limits.fastest_moves(np.diff(angles), speed)
         rests = np.append(np.abs(self.rests[: self.count]), abs(self.rest))
-        return angles, np.where(rests < MIN_REST, 0.0, rests), durations, ramps
+        return np.where(rests < MIN_REST, 0.0, rests), *limits.fastest_moves(np.diff(self.angles(limits)), speed)
 
 
 @dataclass(frozen=True)
@@ -114,11 +127,7 @@ class ThrowParametrization:
     the strike (integer part, up to MAX_MORE); then of the last move its end in half turns, the rest before it in
     periods, and its speed as a fraction of the motor's.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    side : {-1, 1}
-        Side on which the arm starts.
+    The arm starts on a side, -1 or 1.
     """
 
     cast_setup: CastSetup

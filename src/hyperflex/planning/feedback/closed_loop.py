@@ -134,10 +134,6 @@ def follow_plan(
     seed : int
     threads : int, optional
 
-    Returns
-    -------
-    FollowResult
-
     Raises
     ------
     InvalidInput
@@ -187,16 +183,8 @@ def swing_down(throw: Throw, made: int, rest: float = 0.0) -> Throw:
 
 
 class ScenarioRanking:
-    """Sampled scenarios, ranked by their errors in predicting the observed states.
+    """Sampled scenarios, ranked by their errors in predicting the observed states of a rope that begins at rest.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-        The rope hangs at rest at t = 0.
-    scenarios : sequence of Scenario
-
-    Notes
-    -----
     Each scenario predicts every observed state from the one before. Squared errors of the joints' positions and
     velocities (:func:`matching.features`) add up. Delays of moves are not part of the prediction.
     """
@@ -208,14 +196,12 @@ class ScenarioRanking:
 
     def observe(self, state: RopeState, motion: Motion, *, threads: int | None = None) -> None:
         """Add the errors in predicting an observed state, under a commanded motion of moves until then."""
-        last, count = self._last, len(self.scenarios)
-        if state.t <= last.t:
+        if state.t <= self._last.t:
             return
         motions = [scenario.without_delays().executed_motion(motion) for scenario in self.scenarios]
-        q, qd = (np.broadcast_to(part, (count, part.size)) for part in (last.q, last.qd))
         ropes = [scenario.rope for scenario in self.scenarios]
-        batch = RolloutBatch(ropes, [], [m.shifted(-last.t) for m in motions], q, qd, last.t)
-        _, q, qd = free_flight(batch, self.cast_setup.arm, state.t - last.t, at_end=True, threads=threads)
+        batch = RolloutBatch.from_state(ropes, [], motions, self._last)
+        _, q, qd = free_flight(batch, self.cast_setup.arm, state.t - batch.since, at_end=True, threads=threads)
         for m, (rope, executed) in enumerate(zip(ropes, motions, strict=True)):
             base = arm_tip(self.cast_setup.arm, executed, np.array([state.t]))
             observed = features(rope, state.q[None], state.qd[None], *base)
@@ -280,10 +266,9 @@ class _Loop:
     ) -> tuple[Array, Array]:
         """Return the fraction of the scenarios in which each throw succeeds, and its mean value (W,)."""
         pairs = [(throw, scenario) for throw in throws for scenario in scenarios]
-        motions = [scenario.motion(throw, self.cast_setup).shifted(-state.t) for throw, scenario in pairs]
-        q, qd = (np.broadcast_to(part, (len(pairs), part.size)) for part in (state.q, state.qd))
+        motions = [scenario.motion(throw, self.cast_setup) for throw, scenario in pairs]
         ropes, pegs = [scenario.rope for _, scenario in pairs], [scenario.peg for _, scenario in pairs]
-        batch = RolloutBatch(ropes, pegs, motions, q, qd, state.t)
+        batch = RolloutBatch.from_state(ropes, pegs, motions, state)
         found = winding_scores(batch, self.cast_setup.arm, self.cast_setup.time, threads=self.threads)
         shape = (len(throws), len(scenarios))
         won = (found.turns >= MIN_TURNS).reshape(shape)

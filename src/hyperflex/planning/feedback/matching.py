@@ -27,15 +27,7 @@ MAX_THROWS = 3  # returned
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """The planned state at the strike.
-
-    Attributes
-    ----------
-    t : float
-        Time of the strike, s.
-    features : (4 n,) float64
-        Positions and velocities of the joints, see :func:`features`.
-    """
+    """The planned state at the strike: its time `t`, s, and `features` (4 n,) of the joints, see :func:`features`."""
 
     t: float
     features: Array
@@ -54,11 +46,7 @@ class Goal:
 def features(rope: Rope, q: Array, qd: Array, base: Array, base_velocity: Array) -> Array:
     """Positions and velocities of the joints (T, 4 n), scaled by POSITION_SCALE, SPEED_SCALE and 1 / sqrt(n).
 
-    Parameters
-    ----------
-    rope : Rope
-    q, qd : (T, n) rad, rad/s
-    base, base_velocity : (T, 2) m, m/s
+    `q`, rad, and `qd`, rad/s, are (T, n); `base`, m, and `base_velocity`, m/s, of the first joint (T, 2).
     """
     along, across = np.stack([np.sin(q), -np.cos(q)], axis=-1), np.stack([np.cos(q), np.sin(q)], axis=-1)
     places = base[:, None] + np.cumsum(rope.length[:, None] * along, axis=1)
@@ -80,25 +68,8 @@ def match(
 ) -> list[Throw]:
     """Change the strokes and rests of a throw from `move` on, so that the rope comes near the goal.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    scenario : Scenario
-        In which the rope is simulated.
-    goal : Goal
-    throw : Throw
-    move : int
-        First move that may be changed.
-    state : RopeState
-        Observed state.
-    pause : float
-        Least rest before that move, s.
-    threads : int, optional
-
-    Returns
-    -------
-    list of Throw
-        Changed throws, the nearest to the goal first, all nearer than `throw`.
+    The rope is simulated in one `scenario` from the observed `state`; `pause` is the least rest before that move, s.
+    Returns changed throws, the nearest to the goal first, all nearer than `throw`.
 
     Notes
     -----
@@ -169,18 +140,15 @@ class _Match:
     def simulate(self, throw: Throw, points: list[Array]) -> tuple[Array, Array, Array]:
         """Simulate points (M); return squared distances from the goal (M,), features at its time, and their rates."""
         cast_setup, rope, since = self.cast_setup, self.scenario.rope, self.state.t
-        motions = [self.scenario.motion(self.throw(throw, x), cast_setup).shifted(-since) for x in points]
-        count, n = len(points), self.state.q.size
-        start = [np.broadcast_to(part, (count, n)) for part in (self.state.q, self.state.qd)]
-        peg: list[Peg] = []
-        batch = RolloutBatch([rope] * count, peg, motions, start[0], start[1], since)
+        motions = [self.scenario.motion(self.throw(throw, x), cast_setup) for x in points]
+        batch = RolloutBatch.from_state([rope] * len(points), [], motions, self.state)
         t, q, qd = free_flight(batch, cast_setup.arm, self.goal.t - since + WINDOW, threads=self.threads)
         near = np.flatnonzero(np.abs(t + since - self.goal.t) <= WINDOW)
         at = int(np.abs(t[near] + since - self.goal.t).argmin())
         rows = np.stack(
             [
                 features(rope, q[m, near], qd[m, near], *arm_tip(cast_setup.arm, motion, t[near]))
-                for m, motion in enumerate(motions)
+                for m, motion in enumerate(batch.motions)
             ]
         )
         rows = np.nan_to_num(rows, nan=1e3)

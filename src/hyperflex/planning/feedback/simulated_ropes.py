@@ -12,13 +12,7 @@ from hyperflex.planning.robust.uncertainty import Scenario
 
 
 class ScenarioStateSource:
-    """True state of the rope of a scenario, under what the scenario's motor makes of the commanded motion.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    arm : Arm
-    """
+    """True state of the rope of a scenario, under what the scenario's motor makes of the commanded motion."""
 
     def __init__(self, scenario: Scenario, arm: Arm) -> None:
         self.scenario, self._true = scenario, TrueState(scenario.rope, arm)
@@ -31,12 +25,7 @@ class ScenarioStateSource:
 class MotorStateSource:
     """True state of a rope on a simulated motor, under the motion that the motor has made.
 
-    Parameters
-    ----------
-    rope : Rope
-    arm : Arm
-    motor : SimulatedMotor
-        The motor that is commanded; it stands where the arm is at t = 0.
+    The motor is the one that is commanded; it stands where the arm is at t = 0.
     """
 
     def __init__(self, rope: Rope, arm: Arm, motor: SimulatedMotor) -> None:

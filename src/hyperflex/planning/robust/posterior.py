@@ -62,10 +62,7 @@ class RopePosterior:
     def from_toml(cls, path: str | Path) -> RopePosterior | None:
         """Read it from a rope file that identify wrote; None if the file holds no covariance.
 
-        Raises
-        ------
-        FileProblem, InvalidInput
-            If the file cannot be read, or its table of the identification is not complete.
+        Raises FileProblem or InvalidInput if the file cannot be read, or its table of the identification is incomplete.
         """
         table: Any = files.read_toml(path).get("identification")
         if not isinstance(table, dict) or not {"parameters", "covariance"} <= table.keys():
@@ -105,17 +102,17 @@ def _properties(labels: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in found if PROPERTIES[name].owner in ("link", "rope"))
 
 
-def _undetermined(labels: Sequence[str], covariance: Array, sds: Mapping[str, Any]) -> tuple[str, ...]:
+def _undetermined(labels: Sequence[str], covariance: Array, stds: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the labels whose standard deviation is not finite, or whose row of the covariance (P, P) is 0."""
     rows = np.abs(np.atleast_2d(covariance)).max(axis=1)
-    return tuple(label for label, row in zip(labels, rows, strict=True) if not (row > 0.0 and _finite(label, sds)))
+    return tuple(label for label, row in zip(labels, rows, strict=True) if not (row > 0.0 and _finite(label, stds)))
 
 
-def _finite(label: str, sds: Mapping[str, Any]) -> bool:
+def _finite(label: str, stds: Mapping[str, Any]) -> bool:
     """Whether a standard deviation is finite, or not in the table."""
     parts = parsed(label)
-    sd = sds.get(label, sds.get(parts.name) if parts else None)
-    if sd is None:
+    std = stds.get(label, stds.get(parts.name) if parts else None)
+    if std is None:
         return True
-    each = sd if np.ndim(sd) == 0 else sd[(parts.place or 0) if parts else 0]
+    each = std if np.ndim(std) == 0 else std[(parts.place or 0) if parts else 0]
     return not isinstance(each, str) and bool(np.isfinite(each))

@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.model import Peg
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.robust.scenario_rollouts import nominal_strike_times, scenario_scores
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
-from hyperflex.planning.search.candidates import Candidate, same_swing
+from hyperflex.planning.search.candidates import Candidate, near, same_swing
 from hyperflex.planning.search.contact_phase import WindingScores
 from hyperflex.planning.search.evolution import cma_es
-from hyperflex.planning.throw import ThrowParametrization
+from hyperflex.planning.search.throw_search import ThrowSearch
 
 POOL, HALVING = 16, (4, 4, 8)  # candidates at first, and scenarios of each round; the better half goes on
 EACH = 4  # candidates of one swing while there are others: they mostly fail in the same scenarios
@@ -53,23 +51,8 @@ class RobustCandidate:
 class RobustRefinement:
     """Successive halving of the candidates of a nominal search, then CMA-ES about the best, in sampled scenarios.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    peg : Peg
-    parametrizations : dict of int to ThrowParametrization
-        Of each side, as in the nominal search.
-    uncertainty : Uncertainty
-    left : callable, optional
-        Returns the time that is left, s. Without any no second round is begun, nor a generation that takes more.
-    seed : int
-    threads : int, optional
-
-    Attributes
-    ----------
-    order : list of RobustCandidate
-        Best first.
-    runs, generations : int
+    `left` returns the time that is left, s; without
+    any no second round is begun, nor a generation that takes more. `order` holds the candidates, best first.
 
     Notes
     -----
@@ -80,18 +63,9 @@ class RobustRefinement:
     """
 
     def __init__(
-        self,
-        cast_setup: CastSetup,
-        peg: Peg,
-        parametrizations: dict[int, ThrowParametrization],
-        uncertainty: Uncertainty,
-        *,
-        left: Callable[[], float] = lambda: math.inf,
-        seed: int = 0,
-        threads: int | None = None,
+        self, search: ThrowSearch, uncertainty: Uncertainty, *, left: Callable[[], float] = lambda: math.inf
     ) -> None:
-        self.cast_setup, self.peg, self.parametrizations = cast_setup, peg, parametrizations
-        self.uncertainty, self.left, self.seed, self.threads = uncertainty, left, seed, threads
+        self.search, self.uncertainty, self.left = search, uncertainty, left
         self.common = self._scenarios(max(sum(HALVING), COMMON), COMMON_STREAM)
         self.order: list[RobustCandidate] = []
         self.runs = self.generations = 0
@@ -99,8 +73,8 @@ class RobustRefinement:
         self._duration = 0.0  # s, of the last generation
 
     def _scenarios(self, count: int, *stream: int) -> list[Scenario]:
-        seed = [stream[0], self.seed, *stream[1:]]
-        return self.uncertainty.sample(count, self.cast_setup, self.peg, seed=seed)
+        seed = [stream[0], self.search.seed, *stream[1:]]
+        return self.uncertainty.sample(count, self.search.cast_setup, self.search.peg, seed=seed)
 
     @property
     def incumbent(self) -> RobustCandidate:
@@ -159,8 +133,8 @@ class RobustRefinement:
         incumbent = self.incumbent
         side = incumbent.candidate.side
         if self._optimizer is None:
-            random = np.random.default_rng([CMA_STREAM, self.seed, self.generations])
-            spreads = self.parametrizations[side].spreads()
+            random = np.random.default_rng([CMA_STREAM, self.search.seed, self.generations])
+            spreads = self.search.parametrizations[side].spreads()
             self._optimizer = cma_es(incumbent.candidate.x, NARROW, spreads, MEMBERS, random)
         points = self._optimizer.ask()
         fresh = self._scenarios(SCENARIOS, GENERATION_STREAM, self.generations)
@@ -182,11 +156,12 @@ class RobustRefinement:
 
     def candidates(self, side: int, points: list[Array]) -> list[Candidate]:
         """Return points as throws that are cut at their strikes in the nominal scenario."""
-        throws = [self.parametrizations[side].throw(x) for x in points]
-        times = nominal_strike_times(self.cast_setup, self.peg, throws, threads=self.threads)
+        cast_setup = self.search.cast_setup
+        throws = [self.search.parametrizations[side].throw(x) for x in points]
+        times = nominal_strike_times(cast_setup, self.search.peg, throws, threads=self.search.threads)
         self.runs += len(points)
         cut = [
-            throw if np.isnan(t) else throw.cut(float(t), self.cast_setup.limits)
+            throw if np.isnan(t) else throw.cut(float(t), cast_setup.limits)
             for throw, t in zip(throws, times, strict=True)
         ]
         return [Candidate(0.0, 0.0, side, x, throw) for x, throw in zip(points, cut, strict=True)]
@@ -196,7 +171,7 @@ class RobustRefinement:
         if not (runners and scenarios):
             return
         pairs = [(one.candidate.throw, scenario) for one in runners for scenario in scenarios]
-        found = scenario_scores(self.cast_setup, pairs, threads=self.threads)
+        found = scenario_scores(self.search.cast_setup, pairs, threads=self.search.threads)
         self.runs += 2 * len(pairs)
         won = (found.turns >= MIN_TURNS).reshape(len(runners), -1)
         values = robust_values(found).reshape(won.shape)
@@ -218,10 +193,6 @@ def _pool(found: Sequence[Candidate], seeded: Sequence[Candidate] = ()) -> list[
     for one in sorted(found, key=lambda one: (one.turns < MIN_TURNS, -one.score)):
         crowded = sum(same_swing(one, other) for other in chosen) >= EACH
         among = others if one.turns < MIN_TURNS else more if crowded else chosen
-        if len(among) < POOL and not any(_alike(one, other) for other in chosen + more + others):
+        if len(among) < POOL and not any(near(one, other, ALIKE) for other in chosen + more + others):
             among.append(one)
     return (chosen + more + others)[:POOL]
-
-
-def _alike(one: Candidate, other: Candidate) -> bool:
-    return one.side == other.side and bool(np.abs(one.x - other.x).max() <= ALIKE)

@@ -38,21 +38,10 @@ def scenario_scores(
 
 
 def winding_scores(batch: RolloutBatch, arm: Arm, time: float, *, threads: int | None = None) -> WindingScores:
-    """Simulate throws in free flight until they strike, and in contact from there.
+    """Simulate throws (M,) in free flight until they strike, and in contact from there.
 
-    Parameters
-    ----------
-    batch : RolloutBatch
-    arm : Arm
-    time : float
-        Time within which they must strike, s, on the clock of `batch.since`; a strike until AFTER_STOP after the arm's
-        stop counts in any case.
-    threads : int, optional
-
-    Returns
-    -------
-    WindingScores
-        (M,); 0 turns without a strike or if a run fails.
+    They must strike within `time`, s, on the clock of `batch.since`; a strike until AFTER_STOP after the arm's stop
+    counts in any case. Turns are 0 without a strike or if a run fails.
     """
     score, turns = np.full(len(batch), strikes.NEVER), np.zeros(len(batch))
     for low in range(0, len(batch), TOGETHER):
@@ -122,12 +111,7 @@ def nominal_strike_times(
 
 @dataclass(frozen=True)
 class SuccessProbability:
-    """Number of sampled scenarios in which a throw succeeds.
-
-    Attributes
-    ----------
-    successes, samples : int
-    """
+    """Number of sampled scenarios in which a throw succeeds."""
 
     successes: int
     samples: int
@@ -171,18 +155,8 @@ def estimate_success_probability(
 ) -> SuccessProbability:
     """Estimate how often a throw winds and stays wound, by simulation in sampled scenarios.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    peg : Peg
-    throw : Throw
-        Made in open loop: its moves start when planned, apart from the timing noise of each scenario.
-    uncertainty : Uncertainty, optional
-        By default that of a realistic identification.
-    samples : int
-    seed : int
-        Of the scenarios; those of a search are others in any case.
-    threads : int, optional
+    The throw is made in open loop: its moves start when planned, apart from the timing noise of each scenario. By
+    default the uncertainty is that of a realistic identification. The scenarios of a search are others in any case.
     """
     known = uncertainty or Uncertainty()
     scenarios = known.sample(samples, cast_setup, peg, seed=[STREAM, checks.count("seed", seed, least=0)])

@@ -33,14 +33,8 @@ MIN_LAG = 2e-4  # s; smaller lags are left out
 class Scenario:
     """One sample of rope, target and motor.
 
-    Attributes
-    ----------
-    rope : Rope
-    peg : Peg
-    lag : float
-        Time constant of the motor's first-order lag, s.
-    delays : (MOVES,) float64
-        Delay of each move's start, s; < 0 for an early one.
+    `lag` is the time constant of the motor's first-order lag, s; `delays` (MOVES,), s, are those of each move's start,
+    < 0 for an early one.
     """
 
     rope: Rope
@@ -131,14 +125,10 @@ class Uncertainty:
 
     @classmethod
     def from_identification(cls, fit: Identification, **others: float) -> Uncertainty:
-        """Take the rope's uncertainty from a fit's covariance.
+        """Take the rope's uncertainty from the covariance of a `fit`; `others` are parameters of the class.
 
-        Parameters
-        ----------
-        fit : Identification
-        **others : float
-            As the parameters of the class. Those of the rope are 0 by default, but for properties that the fit could
-            not determine: these have the usual default.
+        Those of the rope are 0 by default, but for properties that the fit could not determine: these have the usual
+        default.
         """
         posterior = RopePosterior.from_identification(fit)
         undetermined = set(posterior.undetermined_properties)
@@ -147,14 +137,10 @@ class Uncertainty:
 
     @classmethod
     def from_rope_file(cls, path: str | Path) -> Uncertainty:
-        """Take the rope's uncertainty from a rope file that identify wrote.
+        """Take the rope's uncertainty from a rope file, at `path`, that identify wrote.
 
-        Properties that were not fitted, or that the fit could not determine, have the usual default.
-
-        Parameters
-        ----------
-        path : path-like
-            TOML file with a rope. Without a covariance in it all is as usual.
+        Properties that were not fitted, or that the fit could not determine, have the usual default; without a
+        covariance all have.
         """
         posterior = RopePosterior.from_toml(path)
         if posterior is None:
@@ -176,15 +162,9 @@ class Uncertainty:
         return "; ".join([*parts, assumed] if assumed else parts)
 
     def sample(self, count: int, cast_setup: CastSetup, peg: Peg, *, seed: int | Sequence[int] = 0) -> list[Scenario]:
-        """Return sampled scenarios.
+        """Return `count` scenarios sampled for a `cast_setup` and a `peg`.
 
-        Parameters
-        ----------
-        count : int
-        cast_setup : CastSetup
-        peg : Peg
-        seed : int or sequence of int
-            Scenario number m is the same for any `count`.
+        Scenario number m of a `seed`, an integer or several, is the same for any `count`.
         """
         stem = [seed] if isinstance(seed, int) else list(seed)
         rngs = [np.random.default_rng([*stem, m]) for m in range(checks.count("samples", count))]

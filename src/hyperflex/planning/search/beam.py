@@ -106,21 +106,10 @@ class BeamSearch:
         return any(one.ready(time, most) for one in self._swings)
 
     def extend(self, time: float, most: int, left: Callable[[], float] | None = None) -> list[Strike]:
-        """Continue all swings that are ready until none is, or no time is left.
+        """Continue all swings that are ready until none is, or no time is left; return all strikes, best first.
 
-        Parameters
-        ----------
-        time : float
-            Swings end, and strikes come, before this, s.
-        most : int
-            Strokes of a swing.
-        left : callable, optional
-            Returns the time that is left, s.
-
-        Returns
-        -------
-        list of Strike
-            All strikes before `time`, best first.
+        Swings of at most `most` strokes end, and strikes come, before `time`, s. `left` returns the time that is left,
+        s.
         """
         while self.ready(time, most) and (left is None or left() > 0.0):
             later = [one for one in self._swings if not one.ready(time, most)]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -36,15 +36,23 @@ class Candidate(NamedTuple):
     confirmed: bool = False  # whether score and turns take a run with shorter links into account
 
 
-def distinct(swings: Sequence[Swing], others: Sequence[Swing], count: int) -> list[Swing]:
-    """Return the first swings, `count` at most, that are not like each other, nor like others."""
-    found: list[Swing] = []
-    for one in swings:
+Point = TypeVar("Point", Swing, Candidate)
+
+
+def distinct(some: Iterable[Point], others: Sequence[Point], count: int, apart: float = APART) -> list[Point]:
+    """Return the first swings or throws, `count` at most, that are not near each other, nor near others."""
+    found: list[Point] = []
+    for one in some:
         if len(found) == count:
             break
-        if all(one.side != other.side or np.abs(one.x - other.x).max() > APART for other in [*others, *found]):
+        if not any(near(one, other, apart) for other in [*others, *found]):
             found.append(one)
     return found
+
+
+def near(one: Swing | Candidate, other: Swing | Candidate, apart: float) -> bool:
+    """Whether two points of one side differ by `apart` at most in every coordinate."""
+    return one.side == other.side and bool(np.abs(one.x - other.x).max() <= apart)
 
 
 def same_swing(one: Candidate, other: Candidate) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -33,12 +34,8 @@ LATE_COST = 0.02  # turns that a second of delay costs
 class WindingScores:
     """Scores of M throws.
 
-    Attributes
-    ----------
-    score : (M,) float64
-        Greater is better: turns that stay, and a little for turns that do not and for an early strike.
-    turns : (M,) float64
-        Turns that stay: the least over the last LAST seconds; 0 if a run failed.
+    `score` (M,): greater is better; turns that stay, and a little for turns that do not and for an early strike.
+    `turns` (M,): turns that stay, the least over the last LAST seconds; 0 if a run failed.
     """
 
     score: Array
@@ -48,18 +45,10 @@ class WindingScores:
 def simulate_contact(
     batch: RolloutBatch, begin: Array, *, arm: Arm, time_budget: float = TIME_BUDGET, threads: int | None = None
 ) -> WindingScores:
-    """Simulate ropes beside pegs from shortly before their strikes.
+    """Simulate ropes (M,) beside pegs from shortly before their strikes, under motions that end.
 
-    Parameters
-    ----------
-    batch : RolloutBatch
-        (M,); its motions end.
-    begin : (M,) float64
-        Time of each strike, s: the later, the lower the score.
-    arm : Arm
-    time_budget : float
-        Processor time of each run, s; a run that takes more has failed.
-    threads : int, optional
+    A strike that begins later, at `begin` (M,), s, lowers the score. `time_budget` is the processor time of each run,
+    s; a run that takes more has failed.
     """
     stops = np.maximum([float(motion.breaks[-1]) for motion in batch.motions], 0.5)
     score, turns = np.empty(stops.size), np.empty(stops.size)
@@ -92,7 +81,7 @@ def _simulate_contact(
     found = WindingScores(found.score - undone, np.minimum(found.turns, MIN_HOPE))
     on = np.flatnonzero(np.abs(np.nan_to_num(turns[:, -1])) >= MIN_HOPE)
     after = float(early[-1])
-    on = np.array([k for k in on if _outside(batch, int(k), run.q[k, -1], after, arm)], dtype=np.int64)
+    on = np.array([k for k in on if _clear_of_peg(batch, int(k), run.q[k, -1], after, arm)], dtype=np.int64)
     if on.size:
         some = batch.select(on.tolist())
         motions = [motion.shifted(-after) for motion in some.motions]
@@ -106,10 +95,15 @@ def _simulate_contact(
     return found
 
 
-def _outside(batch: RolloutBatch, k: int, q: Array, t: float, arm: Arm) -> bool:
+def _clear_of_peg(batch: RolloutBatch, k: int, q: Array, t: float, arm: Arm) -> bool:
     """Whether rope k at angles q keeps clear of its peg at time t, s: a coarse run may leave it too deep."""
+    return starts_outside(Setup(batch.ropes[k], batch.motions[k], arm, pegs=(batch.pegs[k],)), t, q)
+
+
+def starts_outside(setup: Setup, *start: Any) -> bool:
+    """Whether a rope keeps clear of its pegs at the start, as of :func:`check_outside`."""
     try:
-        check_outside(Setup(batch.ropes[k], batch.motions[k], arm, pegs=(batch.pegs[k],)), t, q)
+        check_outside(setup, *start)
     except InvalidInput:
         return False
     return True

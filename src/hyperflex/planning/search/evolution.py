@@ -12,18 +12,8 @@ from hyperflex.checks import Array
 def cma_es(centre: Array, size: float, spreads: Array, members: int, random: np.random.Generator) -> Any:
     """Return a CMA-ES optimizer with ``ask`` and ``tell``; numpy's global generator is left alone.
 
-    Parameters
-    ----------
-    centre : (k,) float64
-        Initial point.
-    size : float
-        Initial step size, in units of `spreads`.
-    spreads : (k,) float64
-        Standard deviations of the coordinates relative to each other.
-    members : int
-        Points of a generation.
-    random : Generator
-        Source of its random numbers.
+    It starts at `centre` (k,) with a step `size` in units of `spreads` (k,), the standard deviations of the coordinates
+    relative to each other; `members` are the points of a generation.
     """
     import cma
 

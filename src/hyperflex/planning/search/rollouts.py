@@ -9,25 +9,19 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.simulation import Batch, simulate_batch
 from hyperflex.simulation.time_budget import INTERRUPTED
 
 
 @dataclass(frozen=True, eq=False)
 class RolloutBatch:
-    """A batch of M rollouts, each with a rope, a peg and a motion.
+    """A batch of M rollouts, each with a rope, a peg and a motion of its own.
 
-    Attributes
-    ----------
-    ropes, pegs, motions : (M,) sequences
-        Motions begin with the rollout, at t = 0. Without contact `pegs` may be empty.
-    q, qd : (M, n) float64
-        Angles, rad, and rates, rad/s, at the start.
-    since : float
-        Time of the throw at the start of the rollout, s.
+    Motions begin with the rollout, at t = 0; without contact `pegs` may be empty. `q`, rad, and `qd`, rad/s, (M, n) are
+    those at the start, `since`, s, the time of the throw there.
     """
 
     ropes: Sequence[Rope]
@@ -43,6 +37,14 @@ class RolloutBatch:
         q = np.array([np.full(rope.n_links, rope.hanging_angle) for rope in ropes])
         return cls(ropes, pegs, motions, q, np.zeros_like(q))
 
+    @classmethod
+    def from_state(
+        cls, ropes: Sequence[Rope], pegs: Sequence[Peg], motions: Sequence[Motion], state: RopeState
+    ) -> RolloutBatch:
+        """Return rollouts (M,) that go on from an observed state, under motions on the clock of the throw."""
+        q, qd = (np.broadcast_to(part, (len(ropes), part.size)) for part in (state.q, state.qd))
+        return cls(ropes, pegs, [motion.shifted(-state.t) for motion in motions], q, qd, state.t)
+
     def __len__(self) -> int:
         return len(self.ropes)
 
@@ -53,7 +55,10 @@ class RolloutBatch:
         return RolloutBatch(ropes, pegs, motions, self.q[list(rows)], self.qd[list(rows)], self.since)
 
     def run(self, arm: Arm, t: Array, **options: Any) -> Batch:
-        """Simulate to the last of the times t (T,), s, with samples there; `options` as for ``simulate_batch``."""
+        """Simulate to the last of the times t (T,), s, with samples there; `options` as for ``simulate_batch``.
+
+        Raises KeyboardInterrupt if Ctrl-C ended the batch.
+        """
         batch = simulate_batch(
             list(self.ropes),
             list(self.motions),
@@ -67,24 +72,8 @@ class RolloutBatch:
         return not_interrupted(batch)
 
 
-def simulate_swings(cast_setup: CastSetup, motions: Sequence[Motion], t: Array, **options: Any) -> Batch:
-    """Simulate free swings from rest at t = 0 under motions (M,), with samples at times t (T,), s.
-
-    `options` as for ``simulate_batch``. Raises KeyboardInterrupt if Ctrl-C ended the batch.
-    """
-    rope, arm, duration = cast_setup.rope, cast_setup.arm, float(t[-1])
-    return not_interrupted(simulate_batch(rope, list(motions), arm=arm, duration=duration, t_eval=t, **options))
-
-
 def not_interrupted(batch: Batch) -> Batch:
-    """Return the batch.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        If Ctrl-C ended the batch: it keeps the members that are done and marks the rest, and a search must not go on
-        with these.
-    """
+    """Return a batch; raise KeyboardInterrupt if Ctrl-C ended it, since a search must not go on with a part of it."""
     if INTERRUPTED in batch.status:
         raise KeyboardInterrupt
     return batch

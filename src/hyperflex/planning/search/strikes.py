@@ -17,7 +17,7 @@ from hyperflex.checks import Array
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.search.rollouts import simulate_swings
+from hyperflex.planning.search.rollouts import RolloutBatch
 
 SAMPLE_TIME = 0.02  # s
 COARSE_TOL = 1e-4  # m, of swings in a search; with 1e-3, no more than a quarter faster, the best were often errors
@@ -31,18 +31,10 @@ NEVER = -1.0  # score of a swing without a strike, less its distance in metres
 class Strikes:
     """First strikes of M swings.
 
-    Attributes
-    ----------
-    score : (M,) float64
-        Greater is better; below 0 without a strike.
-    energy_ratio : (M,) float64
-        Energy of turning about the peg over the energy that lifts the tail's centre of mass over the top.
-    tail_turns : (M,) float64
-        Length of the tail in turns about the peg.
-    t : (M,) float64
-        Last sample before the strike, s; NaN without a strike.
-    q, qd : (M, n) float64
-        State there, rad and rad/s.
+    `score` (M,): greater is better; below 0 without a strike. `energy_ratio` (M,): energy of turning about the peg over
+    the energy that lifts the tail's centre of mass over the top. `tail_turns` (M,): length of the tail in turns about
+    the peg. `t` (M,): last sample before the strike, s, NaN without a strike; `q`, rad, and `qd`, rad/s, (M, n): state
+    there.
     """
 
     score: Array
@@ -61,9 +53,9 @@ def simulate_strikes(
     cast_setup: CastSetup, peg: Peg, motions: Sequence[Motion], *, threads: int | None = None
 ) -> Strikes:
     """Simulate free swings from rest at t = 0 under each motion (M,), and find their first strikes on a peg."""
-    count = round(cast_setup.time / SAMPLE_TIME)
-    t: Array = SAMPLE_TIME * np.arange(1.0, count + 1.0)
-    batch = simulate_swings(cast_setup, motions, t, tol=COARSE_TOL, keep=("q", "qd"), threads=threads)
+    t: Array = SAMPLE_TIME * np.arange(1.0, round(cast_setup.time / SAMPLE_TIME) + 1.0)
+    swings = RolloutBatch.from_rest([cast_setup.rope] * len(motions), [], motions)
+    batch = swings.run(cast_setup.arm, t, tol=COARSE_TOL, keep=("q", "qd"), threads=threads)
     return find_strikes(cast_setup, peg, motions, t, batch.q, batch.qd)
 
 
@@ -97,23 +89,10 @@ def arm_tip(arm: Arm, motion: Motion, t: Array) -> tuple[Array, Array]:
 
 
 def first_contact(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) -> tuple[Array, Array, Array]:
-    """Return the sample and the link of the first strike on a peg, and the smallest gap.
+    """Return sample and link of the first strike on a peg, and the smallest gap, m, (M,) each; sample 0: no strike.
 
-    Parameters
-    ----------
-    q : (M, T, n) rad
-    base : (M, T, 2) m, position of the rope's first joint
-    length : (n,) or (M, 1, n) m, of the links
-    peg : Peg
-    rope_radius : float, m
-
-    Returns
-    -------
-    at : (M,) int64
-        Sample; 0 without a strike.
-    link : (M,) int64
-    gap : (M,) float64
-        Smallest gap, m.
+    `q` (M, T, n) are angles, rad, `base` (M, T, 2) positions of the rope's first joint, m, `length` (n,) or (M, 1, n)
+    those of the links, m, and `rope_radius` is in m.
     """
     links = np.moveaxis(q, 2, 0)
     sin, cos = np.sin(links, order="C"), np.cos(links, order="C")
@@ -139,11 +118,7 @@ def first_contact(q: Array, base: Array, length: Array, peg: Peg, rope_radius: f
 def mass_points(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
     """Positions, m, and velocities, m/s, of the links' centres of mass and of the tip (M, n + 1, 2).
 
-    Parameters
-    ----------
-    rope : Rope
-    q, qd : (M, n) rad, rad/s
-    base, velocity : (M, 2) m, m/s, of the first joint
+    Angles `q` (M, n), rad, and rates `qd`, rad/s; `base`, m, and `velocity`, m/s, (M, 2) of the first joint.
     """
     along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
     across = np.stack([np.cos(q), np.sin(q)], axis=-1) * qd[..., None]
@@ -161,15 +136,8 @@ def tail_energy(
 ) -> tuple[Array, Array]:
     """Return the energy ratio and the turns of tail (M,) of strikes with link `link` (M,); see :class:`Strikes`.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    peg : Peg
-    state : (q, qd), (M, n) each
-        rad, rad/s.
-    base : (position, velocity) of the first joint, (M, 2) each
-        m, m/s.
-    link : (M,) int64
+    `state` is (q, qd), (M, n) each, rad and rad/s; `base` position and velocity of the first joint, (M, 2) each, m and
+    m/s.
     """
     rope = cast_setup.rope
     places, speeds = mass_points(rope, *state, *base)

@@ -19,11 +19,10 @@ from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.beam import FINER, BeamSearch, Strike
 from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, unconfirmed
-from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, simulate_contact
+from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, simulate_contact, starts_outside
 from hyperflex.planning.search.evolution import cma_es
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.throw import LAST, Throw, ThrowParametrization
-from hyperflex.simulation.contact.start import check_outside
 
 MEMBERS, CONTACT_MEMBERS = 32, 16  # of a generation of free swings, and of one in contact
 KEPT = 4  # swings of a generation that may be tried in contact
@@ -41,26 +40,9 @@ NARROW = 0.25  # step size of CMA-ES in contact, relative to that of free swings
 class ThrowSearch:
     """A search for throws: over free swings by beam search and by CMA-ES, then by CMA-ES in contact with the peg.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    peg : Peg
-    seed : int
-    threads : int, optional
-        One a processor by default.
-    holding_force : float
-        Pull that the wound rope must bear, N; used where the candidates are verified.
-
-    Attributes
-    ----------
-    swings : list of Swing
-        Best first.
-    candidates : list of Candidate
-        Best first.
-    runs : int
-        Simulated runs.
-    left : callable or None
-        Returns the time that is left for the search, s; None for no limit.
+    Swings and candidates are kept best first; `runs` counts the simulated runs. `holding_force`, N, is the pull that
+    the wound rope must bear; it is used where the candidates are verified. `left` returns the time that is left for the
+    search, s; None for no limit. `threads` is one a processor by default.
     """
 
     cast_setup: CastSetup
@@ -84,7 +66,9 @@ class ThrowSearch:
         self._begin()
 
     def _begin(self) -> None:
-        sides = [side for side in (-1, 1) if _clear(self.cast_setup, self.peg, side)]
+        rope, arm, limits = self.cast_setup.rope, self.cast_setup.arm, self.cast_setup.limits
+        starts = {side: Setup(rope, hold_arm(limits.start_angle(side)), arm, pegs=(self.peg,)) for side in (-1, 1)}
+        sides = [side for side, start in starts.items() if starts_outside(start)]
         self.parametrizations = {side: ThrowParametrization(self.cast_setup, side) for side in sides}
         self._free = {side: self._cma_es(g.centre(), 1.0, MEMBERS, side) for side, g in self.parametrizations.items()}
         self.swings.clear()
@@ -133,7 +117,10 @@ class ThrowSearch:
         """
         some = distinct(sorted(found, key=lambda one: -one.score), (), CONFIRMED)
         if some:
-            throws = [self._throw(one.side, one.x).cut(self.cast_setup.time, self.cast_setup.limits) for one in some]
+            throws = [
+                self.parametrizations[one.side].throw(one.x).cut(self.cast_setup.time, self.cast_setup.limits)
+                for one in some
+            ]
             again = self._strikes(self._finer, throws).score
             self.runs += len(some)
             for one, score in zip(some, again, strict=True):
@@ -144,9 +131,6 @@ class ThrowSearch:
     def _check(self) -> None:
         if not self.parametrizations:
             raise InvalidInput("the rope starts inside the target on either side of the arm", got=self.peg)
-
-    def _throw(self, side: int, x: Array) -> Throw:
-        return self.parametrizations[side].throw(x)
 
     def _strikes(self, cast_setup: CastSetup, throws: list[Throw], threads: int | None = None) -> strikes.Strikes:
         motions = [throw.motion(cast_setup.limits) for throw in throws]
@@ -159,7 +143,7 @@ class ThrowSearch:
         each = max(1, self.workers // len(asked))
 
         def simulated(side: int) -> strikes.Strikes:
-            return self._strikes(self.cast_setup, [self._throw(side, x) for x in asked[side]], each)
+            return self._strikes(self.cast_setup, [self.parametrizations[side].throw(x) for x in asked[side]], each)
 
         with ThreadPoolExecutor(len(asked)) as pool:
             found = dict(zip(asked, pool.map(simulated, asked), strict=True))
@@ -236,7 +220,7 @@ class ThrowSearch:
 
     def evaluate(self, side: int, points: list[Array]) -> Array:
         """Simulate points (M) in contact, keep those that strike as candidates, and return their scores (M,)."""
-        throws = [self._throw(side, x) for x in points]
+        throws = [self.parametrizations[side].throw(x) for x in points]
         found = self._first_strikes(points, throws)
         score = found.score.copy()
         struck = np.flatnonzero(np.isfinite(found.t))
@@ -265,14 +249,3 @@ class ThrowSearch:
         self.runs += len(order)
         some = [throws[keys.index(key)].cut(self.cast_setup.time, self.cast_setup.limits) for key in order]
         return self._strikes(self.cast_setup, some).select([order.index(key) for key in keys])
-
-
-def _clear(cast_setup: CastSetup, peg: Peg, side: int) -> bool:
-    """Whether a rope that hangs from the arm on one side keeps clear of the peg."""
-    try:
-        check_outside(
-            Setup(cast_setup.rope, hold_arm(cast_setup.limits.start_angle(side)), cast_setup.arm, pegs=(peg,))
-        )
-    except InvalidInput:
-        return False
-    return True

@@ -28,21 +28,11 @@ FRICTION_STD, LENGTH_STD, TIMING_STD = 0.05, 0.002, 2e-3  # relative, relative, 
 
 @dataclass(frozen=True, eq=False)
 class AimedPeak:
-    """A peak of the tip's speed, and its derivatives by the parameters of the strokes.
+    """A peak of the tip's speed, and its derivatives by the P parameters of the strokes.
 
-    Attributes
-    ----------
-    strokes : Strokes
-    t : float
-        s.
-    place, velocity : (2,) float64
-        Of the tip, m, m/s.
-    dt : (P,) float64
-        Derivatives of the time, s per rad and s.
-    dplace, dvelocity : (2, P) float64
-        Derivatives of place and velocity at the peak, which moves.
-    position_std : float
-        Standard deviation of the place, m, by the delta method, from FRICTION_STD, LENGTH_STD and TIMING_STD.
+    Time `t`, s, `place`, m, and `velocity`, m/s, (2,) of the tip; `dt` (P,), `dplace` and `dvelocity` (2, P) at the
+    peak, which moves. `position_std` is the standard deviation of the place, m, by the delta method, from FRICTION_STD,
+    LENGTH_STD and TIMING_STD.
     """
 
     strokes: Strokes
@@ -119,20 +109,7 @@ def aim_residuals(target: TipTarget, aim: AimedPeak) -> tuple[Array, Array]:
 
 
 def aim_peak(cast_setup: CastSetup, target: TipTarget, found: WhipCandidate) -> AimedPeak | None:
-    """Move a swing's peak onto a target by the smallest changes of strokes and rests (Gauss-Newton).
-
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    target : TipTarget
-    found : WhipCandidate
-        Initial strokes.
-
-    Returns
-    -------
-    AimedPeak or None
-        The best; None if there is no peak at the start.
-    """
+    """Move a swing's peak onto a target by small changes of strokes and rests; None without a peak at the start."""
     best = find_peak(cast_setup, found.strokes.cut(found.t + WINDOW, cast_setup.limits), found.t)
     if best is None:
         return None

@@ -15,11 +15,8 @@ from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 
-IMPACT_RADIUS, IMPACT_TIME, WINDOW = (
-    0.01,
-    0.05,
-    0.15,
-)  # m, s, s: radius of the peg; duration of an impact; before and after it
+IMPACT_RADIUS = 0.01  # m, of the peg
+IMPACT_TIME, WINDOW = 0.05, 0.15  # s: duration of an impact; before and after it
 SUDDEN = 0.01  # fraction of the lost energy above which a sample's loss is that of a collision
 
 
@@ -57,25 +54,10 @@ def simulate_impact(
     radius: float = IMPACT_RADIUS,
     mu: float = 0.3,
 ) -> Impact:
-    """Simulate a motion beside a small fixed peg at the target and measure the impact.
+    """Simulate a motion beside a small fixed peg at the target and measure the impact, expected at time `near`, s.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    target : TipTarget
-        The peg lies behind it in the asked direction, so that the tip touches the peg where it passes the target.
-    motion : Motion
-    near : float
-        Expected time of the impact, s.
-    radius : float
-        Of the peg, m.
-    mu : float
-        Friction coefficient of the peg.
-
-    Raises
-    ------
-    SimulationError
-        If the run fails.
+    The peg (`radius`, m, friction coefficient `mu`) lies behind the target in the asked direction, so that the tip
+    touches it where it passes the target. Raises SimulationError if the run fails.
     """
     radius = checks.number("radius", radius, sign="positive", unit="m")
     way = np.array([np.cos(target.direction), np.sin(target.direction)])
@@ -105,11 +87,10 @@ def simulate_impact(
 
 
 def collision_impulse(run: Trajectory, peg: Peg, k: int) -> Array:
-    """Impulse (2,), N s, of a collision on the rope between samples k - 1 and k.
+    """Impulse (2,), N s, of a collision on the rope between samples k - 1 and k; finite forces are neglected.
 
-    From the jump of the generalised momenta: an impulse P at distance s along link c changes that of link i by
-    l_i t_i P before c, by s t_c P at c and not beyond, with t_i across link i. Finite
-    forces are neglected.
+    From the jump of the generalised momenta: an impulse P at distance s along link c changes that of link i by l_i t_i
+    P before c, by s t_c P at c and not beyond, with t_i across link i.
     """
     length = run.setup.rope.length
     link, along = _touching(run, peg, k)

@@ -51,17 +51,7 @@ class Verified(NamedTuple):
 
 
 class WhipPlanner:
-    """Aims swings of a map until enough of them meet the target or the time is over.
-
-    Parameters
-    ----------
-    whip_map : WhipMap
-    target : TipTarget
-    time_budget : float
-        Without compiling, s.
-    seed : int
-    threads : int, optional
-    """
+    """Aims swings of a map until enough of them meet the target or the `time_budget`, s without compiling, is over."""
 
     def __init__(
         self, whip_map: WhipMap, target: TipTarget, time_budget: float, seed: int, threads: int | None
@@ -108,12 +98,7 @@ class WhipPlanner:
     def verified(self) -> tuple[Verified | None, bool]:
         """Verify the best whip, and while none succeeds those after it that meet the target by the search.
 
-        Returns
-        -------
-        best : Verified or None
-            The first that succeeds, else the first. None if no whip was found.
-        interrupted : bool
-            Whether Ctrl-C came.
+        Return the first that succeeds, else the first, None if no whip was found, and whether Ctrl-C came.
         """
         best = Verified(self.aims[0], None, None, "interrupted before it was verified") if self.aims else None
         try:
@@ -176,14 +161,12 @@ def plan_whip(
 
     Parameters
     ----------
-    rope, arm : Rope, Arm
-        The rope hangs at rest from the arm, which points to one side.
+    rope, arm, limits, skip_feasibility, seed, threads, progress
+        As of :func:`hyperflex.plan_cast`.
     point : (2,) array_like
         Place of the tip at the peak, m.
     direction : (2,) array_like, optional
         Direction of the tip's velocity there: a vector of any length but 0. By default any direction.
-    limits : MotorLimits, optional
-        Of the motor; by default the paper's.
     least_speed : float
         Of the tip, m/s.
     angle_tolerance : float
@@ -193,17 +176,9 @@ def plan_whip(
         the rope's swing.
     time_budget : float
         Time to search, s, without the map, verifications and compiling.
-    skip_feasibility : bool
-        Search even for a target that the feasibility check calls out of reach.
     whip_map : WhipMap, optional
         Of the same rope, arm, limits and time, from :func:`build_whip_map`; by default it is built, which takes some
         seconds.
-    seed : int
-        Of the search.
-    threads : int, optional
-        One a processor by default.
-    progress : bool
-        Show a progress bar.
 
     Returns
     -------

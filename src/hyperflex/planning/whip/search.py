@@ -13,18 +13,19 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.search.evolution import cma_es
+from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.whip.strokes import Strokes
 from hyperflex.planning.whip.tip_target import (
     NEVER,
-    SAMPLE_TIME,
     Peaks,
     TipTarget,
     cheapest_peaks,
     find_peaks,
     peak_costs,
-    simulate_tips,
+    tip_velocity,
 )
 
+SAMPLE_TIME, COARSE_TOL = 0.02, 1e-3  # s, m: of swings in a search
 SWINGS, SEED = 512, 1  # of a map
 STROKES, STEPS = (0.3, 1.1), (0.35, 0.65)  # half turns; periods from stroke to stroke: means of a map's swings
 SPREAD_ENDS, SPREAD_RESTS = 0.15, 0.06  # half turns, periods: standard deviations in a swing of the map
@@ -60,12 +61,7 @@ class WhipMap:
     peaks: Peaks
 
     def candidates(self, target: TipTarget) -> list[WhipCandidate]:
-        """Return the cheapest peak of each swing for a target, the cheapest first.
-
-        Parameters
-        ----------
-        target : TipTarget
-        """
+        """Return the cheapest peak of each swing for a `target`, the cheapest first."""
         cost, t = peak_costs(target, self.peaks), self.peaks.t
         best = cheapest_peaks(cost, self.peaks.row, len(self.strokes))
         found = [WhipCandidate(float(cost[k]), float(t[k]), self.strokes[self.peaks.row[k]]) for k in best if k >= 0]
@@ -76,15 +72,8 @@ class WhipMap:
 class WhipFeasibility:
     """Result of the feasibility check of a target.
 
-    Attributes
-    ----------
-    distance : float
-        From the arm's pivot, m.
-    cost : float
-        Of the cheapest peak of the map, m: its distance from the target, and more if its speed or direction are not as
-        asked.
-    message : str
-        Why the target is not feasible; empty if it is.
+    `distance` is that from the arm's pivot, m. `cost`, m, is that of the cheapest peak of the map: its distance from
+    the target, and more if its speed or direction are not as asked. `message` tells why the target is not feasible.
     """
 
     distance: float
@@ -122,15 +111,14 @@ def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibil
     return WhipFeasibility(distance, cost, message)
 
 
-def sample_times(cast_setup: CastSetup) -> Array:
-    """Times (T,), s, at which a search samples a swing."""
-    return np.asarray(SAMPLE_TIME * np.arange(round(cast_setup.time / SAMPLE_TIME) + 1.0))
-
-
 def simulate_peaks(cast_setup: CastSetup, strokes: list[Strokes], threads: int | None = None) -> Peaks:
-    """Simulate free swings and find the peaks of the tip's speed."""
-    t, motions = sample_times(cast_setup), [each.motion(cast_setup.limits) for each in strokes]
-    return find_peaks(t, *simulate_tips(cast_setup, motions, t, threads=threads))
+    """Simulate free swings from rest and find the peaks of the tip's speed."""
+    t = np.asarray(SAMPLE_TIME * np.arange(round(cast_setup.time / SAMPLE_TIME) + 1.0))
+    motions = [each.motion(cast_setup.limits) for each in strokes]
+    swings = RolloutBatch.from_rest([cast_setup.rope] * len(motions), [], motions)
+    batch = swings.run(cast_setup.arm, t, tol=COARSE_TOL, keep=("tip", "q", "qd"), threads=threads)
+    angle, rate = (np.stack(each) for each in zip(*((m.angle(t), m.rate(t)) for m in motions), strict=True))
+    return find_peaks(t, batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate))
 
 
 def build_whip_map(cast_setup: CastSetup, swings: int = SWINGS, threads: int | None = None) -> WhipMap:
@@ -148,7 +136,7 @@ def build_whip_map(cast_setup: CastSetup, swings: int = SWINGS, threads: int | N
     InvalidInput
         If the time of the set-up is too short for a peak.
     KeyboardInterrupt
-        If Ctrl-C ended the batch; a part of a map is of no use.
+        If Ctrl-C ended the batch.
     """
     if cast_setup.time < MIN_TIME:
         raise InvalidInput(
@@ -171,33 +159,13 @@ def build_whip_map(cast_setup: CastSetup, swings: int = SWINGS, threads: int | N
 
 
 class WhipSearch:
-    """CMA-ES over strokes, about a swing that nearly meets a target.
-
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    target : TipTarget
-    begin : WhipCandidate
-        Initial strokes.
-    seed : int
-    threads : int, optional
-
-    Attributes
-    ----------
-    best : WhipCandidate
-    runs : int
-    """
+    """CMA-ES over strokes, about a swing that nearly meets a target; keeps the best and counts the runs."""
 
     def __init__(
-        self,
-        cast_setup: CastSetup,
-        target: TipTarget,
-        begin: WhipCandidate,
-        seed: int = 0,
-        threads: int | None = None,
+        self, cast_setup: CastSetup, target: TipTarget, begin: WhipCandidate, seed: int = 0, threads: int | None = None
     ) -> None:
         self.cast_setup, self.target, self.threads = cast_setup, target, threads
-        self.best, self.runs, self._side = begin, 0, begin.strokes.side
+        self.best, self.runs = begin, 0
         k = begin.strokes.ends.size
         self._scale = np.repeat([np.pi, swing_period(cast_setup.rope)], k)
         spread = np.repeat([SPREAD_ENDS, SPREAD_RESTS], k)
@@ -221,4 +189,4 @@ class WhipSearch:
 
     def _strokes(self, x: Array) -> Strokes:
         ends, rests = np.split(np.asarray(x, dtype=np.float64) * self._scale, 2)
-        return Strokes(self._side, ends, np.abs(rests))
+        return Strokes(self.best.strokes.side, ends, np.abs(rests))

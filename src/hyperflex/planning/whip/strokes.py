@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.motion import Motion, arm_moves
 from hyperflex.motion.variation import variation
 from hyperflex.planning.cast_setup import MotorLimits
+from hyperflex.planning.throw import Moves
 
 MIN_STROKE = 0.05  # rad
 MIN_REST = 1e-3  # s; there is always one, so that it can vary
 
 
 @dataclass(frozen=True, eq=False)
-class Strokes:
+class Strokes(Moves):
     """Strokes at the motor's full speed, each after a rest, from an arm that points to one side.
 
     Attributes
@@ -50,16 +50,9 @@ class Strokes:
             angles.append(float(end))
         return np.array(angles)
 
-    def motion(self, limits: MotorLimits) -> Motion:
-        """Return the motion of the arm; it stays where the last stroke ends."""
-        angles = self.angles(limits)
-        durations, ramps = limits.fastest_moves(np.diff(angles))
-        return arm_moves(angles, np.maximum(self.rests, MIN_REST), durations, ramps)
-
-    def starts(self, limits: MotorLimits) -> Array:
-        """Start of each stroke (k,), s."""
-        durations, _ = limits.fastest_moves(np.diff(self.angles(limits)))
-        return np.asarray(np.cumsum(np.maximum(self.rests, MIN_REST)) + np.cumsum(durations) - durations)
+    def timing(self, limits: MotorLimits) -> tuple[Array, Array, Array]:
+        """Rest, s, duration, s, and ramp of each stroke, (k,) each."""
+        return np.maximum(self.rests, MIN_REST), *limits.fastest_moves(np.diff(self.angles(limits)))
 
     def cut(self, t: float, limits: MotorLimits) -> Strokes:
         """Return the strokes that start before time t, s, at least one."""
@@ -77,34 +70,23 @@ class Strokes:
         Those by an end outside the motor's range, or by a rest of MIN_REST, are 0.
         """
         motion, angles = self.motion(limits), self.angles(limits)
-        ways = np.diff(angles)
-        count, top = ways.size, limits.speed
-        durations, ramps = limits.fastest_moves(ways)
+        ways, (_, durations, ramps) = np.diff(angles), self.timing(limits)
         full = ramps < 0.5
-        by_way = np.where(full, 1.0 / top, 0.5 * durations / np.abs(ways)) * np.sign(ways)
+        by_way = np.where(full, 1.0 / limits.speed, 0.5 * durations / np.abs(ways)) * np.sign(ways)
         shorter = np.where(full, -ramps / durations * by_way, 0.0)
 
-        def of(name: str) -> tuple[Array, Array]:
-            return variation(motion, name)
+        def by(name: str, k: int) -> Array:
+            """Derivatives of breaks and coefficients in one array, by number k of a list of the motion."""
+            return np.concatenate([part.ravel() for part in variation(motion, f"{name}[{k}]")])
 
         # by each stroke's size alone: its duration, and the fraction of that which speeds up
-        timing = []
-        for k in range(count):
-            breaks, coef = (by_way[k] * part for part in of(f"durations[{k}]"))
-            if full[k]:
-                more = of(f"ramps[{k}]")
-                breaks, coef = breaks + shorter[k] * more[0], coef + shorter[k] * more[1]
-            timing.append((breaks, coef))
-        found = []
-        for k in range(count):
-            breaks, coef = of(f"angles[{k + 1}]")
-            breaks, coef = breaks + timing[k][0], coef + timing[k][1]
-            if k + 1 < count:
-                breaks, coef = breaks - timing[k + 1][0], coef - timing[k + 1][1]
-            free = float(abs(self.ends[k] - angles[k + 1]) < 1e-12)
-            found.append({"breaks": free * breaks, "coef": free * coef})
-        for k in range(count):
-            breaks, coef = of(f"rests[{k}]")
-            free = float(self.rests[k] > MIN_REST)
-            found.append({"breaks": free * breaks, "coef": free * coef})
-        return found
+        timing = [by_way[k] * by("durations", k) for k in range(ways.size)]
+        timing = [part + shorter[k] * by("ramps", k) if full[k] else part for k, part in enumerate(timing)]
+        free = np.append(np.abs(self.ends - angles[1:]) < 1e-12, self.rests > MIN_REST)
+        found = [by("angles", k + 1) + timing[k] for k in range(ways.size)]
+        found = [part - after for part, after in zip(found, [*timing[1:], 0.0], strict=True)]
+        found += [by("rests", k) for k in range(ways.size)]
+        return [
+            {"breaks": part[: motion.breaks.size], "coef": part[motion.breaks.size :].reshape(motion.coef.shape)}
+            for part in (float(each) * part for each, part in zip(free, found, strict=True))
+        ]

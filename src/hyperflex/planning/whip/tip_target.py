@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,17 +11,11 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.search.rollouts import simulate_swings
 
-SAMPLE_TIME, COARSE_TOL = 0.02, 1e-3  # s, m: of swings in a search
 ANGLE_MARGIN, SPEED_MARGIN = 0.6, 1.05  # of the allowed angle and the asked speed, at which a search aims
-ANGLE_COST, SPEED_COST, EARLIER_COST = (
-    0.3,
-    1.0,
-    0.5,
-)  # m/rad; m per missing fraction of the speed, and of an earlier peak
+ANGLE_COST, SPEED_COST = 0.3, 1.0  # m/rad; m per missing fraction of the speed
+EARLIER_COST = 0.5  # m per fraction by which a peak is lower than an earlier one
 TIME_COST = 0.004  # m/s: of equal whips the sooner one is less uncertain
 NEVER = 10.0  # m, cost of a swing without a peak
 
@@ -67,16 +60,9 @@ class TipTarget:
     def at(
         cls, point: npt.ArrayLike, direction: npt.ArrayLike | None, speed: float, angle_tolerance: float = np.pi
     ) -> TipTarget:
-        """Return a target with a direction given as a vector.
+        """Return a target at a `point` (2,), m, with a `direction` given as a vector of any length but 0; None: any.
 
-        Parameters
-        ----------
-        point : (2,) array_like
-            m.
-        direction : (2,) array_like or None
-            Vector of any length but 0; None: any direction.
-        speed, angle_tolerance : float
-            As of the class, m/s and rad.
+        `speed` and `angle_tolerance` as of the class, m/s and rad.
         """
         x, y = checks.array("point", point, (2,), unit="m")
         if direction is None:
@@ -92,13 +78,7 @@ class TipTarget:
         return self.angle_tolerance == np.pi
 
     def allowed_angle(self, fraction: float) -> float:
-        """Return a fraction of the angle tolerance, rad; all of it if any direction is allowed.
-
-        Parameters
-        ----------
-        fraction : float
-            0 to 1.
-        """
+        """Return a `fraction` of the angle tolerance, rad; all of it if any direction is allowed."""
         return self.angle_tolerance if self.any_direction else fraction * self.angle_tolerance
 
     @property
@@ -107,13 +87,7 @@ class TipTarget:
         return np.array([self.x, self.y])
 
     def angle_error(self, velocity: Array) -> Array:
-        """Return the signed angle from the direction to a velocity, rad.
-
-        Parameters
-        ----------
-        velocity : (..., 2) float64
-            m/s.
-        """
+        """Return the signed angle (...) from the direction to a `velocity` (..., 2), m/s, in rad."""
         turn = np.arctan2(velocity[..., 1], velocity[..., 0]) - self.direction
         return np.asarray((turn + np.pi) % (2.0 * np.pi) - np.pi)
 
@@ -121,18 +95,8 @@ class TipTarget:
 class Peaks(NamedTuple):
     """Peaks of the tip's speed in several swings (P,), interpolated between samples.
 
-    Attributes
-    ----------
-    row : (P,) int64
-        Number of the swing.
-    t : (P,) float64
-        s.
-    place, velocity : (P, 2) float64
-        Of the tip, m, m/s.
-    speed : (P,) float64
-        m/s.
-    highest : (P,) float64
-        Speed of the highest peak of the swing until then, this one included, m/s.
+    `row` is the number of the swing, `t` in s; `place`, m, and `velocity`, m/s, (P, 2) are those of the tip. `highest`
+    is the speed of the highest peak of the swing until then, this one included, m/s.
     """
 
     row: npt.NDArray[np.int64]
@@ -143,40 +107,8 @@ class Peaks(NamedTuple):
     highest: Array
 
 
-def simulate_tips(
-    cast_setup: CastSetup, motions: Sequence[Motion], t: Array, *, tol: float = COARSE_TOL, threads: int | None = None
-) -> tuple[Array, Array]:
-    """Simulate free swings from rest at t = 0; return the tip's position, m, and velocity, m/s, (M, T, 2).
-
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    motions : (M,) sequence of Motion
-    t : (T,) float64
-        s.
-    tol : float
-        m.
-    threads : int, optional
-
-    Raises
-    ------
-    KeyboardInterrupt
-        If Ctrl-C ended the batch.
-    """
-    batch = simulate_swings(cast_setup, motions, t, tol=tol, keep=("tip", "q", "qd"), threads=threads)
-    angle, rate = (np.stack([f(t) for f in fs]) for fs in zip(*((m.angle, m.rate) for m in motions), strict=True))
-    return batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate)
-
-
 def tip_velocity(cast_setup: CastSetup, q: Array, qd: Array, angle: Array, rate: Array) -> Array:
-    """Velocity of the tip (..., 2), m/s.
-
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    q, qd : (..., n) rad, rad/s
-    angle, rate : (...) rad, rad/s, of the arm
-    """
+    """Velocity of the tip (..., 2), m/s, from q, qd (..., n) and the arm's angle and rate (...), rad and rad/s."""
     spin, arm = cast_setup.rope.length * qd, cast_setup.arm.length * rate
     vx = (spin * np.cos(q)).sum(axis=-1) + arm * np.cos(angle)
     vy = (spin * np.sin(q)).sum(axis=-1) + arm * np.sin(angle)
@@ -184,14 +116,9 @@ def tip_velocity(cast_setup: CastSetup, q: Array, qd: Array, angle: Array, rate:
 
 
 def find_peaks(t: Array, tip: Array, velocity: Array) -> Peaks:
-    """Find the peaks of the tip's speed.
+    """Find the peaks of the tip's speed in samples at evenly spaced times t (T,), s.
 
-    Parameters
-    ----------
-    t : (T,) float64
-        Evenly spaced, s.
-    tip, velocity : (M, T, 2) float64
-        m, m/s; NaN if a run failed.
+    `tip`, m, and `velocity`, m/s, are (M, T, 2), NaN if a run failed.
     """
     step = float(t[1] - t[0])
     square = np.nan_to_num((velocity**2).sum(axis=2))

@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hyperflex.model import Setup
-from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.plan import Plan
 from hyperflex.planning.whip.impact import IMPACT_RADIUS, Impact, simulate_impact
@@ -17,7 +16,6 @@ from hyperflex.planning.whip.outcome import WINDOW, TipStrike
 from hyperflex.planning.whip.search import WhipFeasibility
 from hyperflex.planning.whip.strokes import Strokes
 from hyperflex.planning.whip.tip_target import TipTarget
-from hyperflex.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +54,9 @@ class WhipPlan(Plan):
     interrupted: bool = False
 
     @property
-    def motion(self) -> Motion | None:
-        """Motion of the arm, from rest at t = 0; None if there are no strokes."""
-        return None if self.strokes is None else self.strokes.motion(self.cast_setup.limits)
-
-    @property
-    def run(self) -> Trajectory | None:
-        """The verified run; None if there is none, or if the plan was read from a file."""
-        return None if self.outcome is None else self.outcome.run
+    def moves(self) -> Strokes | None:
+        """The strokes."""
+        return self.strokes
 
     @property
     def refuted(self) -> bool:
@@ -79,17 +72,7 @@ class WhipPlan(Plan):
     def impact(self, *, radius: float = IMPACT_RADIUS, mu: float = 0.3) -> Impact:
         """Simulate the impact on a small fixed peg whose surface is at the target; see :class:`Impact`.
 
-        Parameters
-        ----------
-        radius : float
-            Of the peg, m.
-        mu : float
-            Its friction coefficient.
-
-        Raises
-        ------
-        InvalidInput
-            If the plan holds no outcome.
+        The peg has a `radius`, m, and a friction coefficient `mu`. Raises InvalidInput if the plan holds no outcome.
         """
         outcome, target = self.required(self.outcome, "outcome"), self.target
         if target.any_direction:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from hyperflex.model import Peg, Setup, refine_rope
-from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import (
     MAX_SLIP,
@@ -20,7 +19,6 @@ from hyperflex.planning.plan import Plan
 from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
 from hyperflex.planning.throw import Throw
 from hyperflex.planning.wind.feasibility import Feasibility
-from hyperflex.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +62,9 @@ class CastPlan(Plan):
     remedies: tuple[str, ...] = ()
 
     @property
-    def motion(self) -> Motion | None:
-        """Motion of the arm, from rest at t = 0; None without a throw."""
-        return None if self.throw is None else self.throw.motion(self.cast_setup.limits)
-
-    @property
-    def run(self) -> Trajectory | None:
-        """The verified run; None if there is none, or if the plan was read from a file."""
-        return None if self.outcome is None else self.outcome.run
+    def moves(self) -> Throw | None:
+        """The throw."""
+        return self.throw
 
     @property
     def refuted(self) -> bool:
@@ -126,16 +119,8 @@ class CastPlan(Plan):
 class FallbackTarget:
     """The nearest target with a plan that succeeds, or that is expected to be feasible.
 
-    Attributes
-    ----------
-    target : Peg
-        Like the one asked for, at another place.
-    distance : float
-        From the one asked for, m.
-    plan : CastPlan or None
-        A plan for it that succeeds; None if it is only expected to be feasible.
-    failed_plans : int
-        Nearer targets for which planning failed.
+    `target` is like the one asked for, `distance`, m, from it. `plan` succeeds; None if the target is only expected to
+    be feasible. `failed_plans` counts nearer targets for which planning failed.
     """
 
     target: Peg

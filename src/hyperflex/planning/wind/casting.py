@@ -155,11 +155,11 @@ def _search(
                 planner.refine_robustly(uncertainty, report)
             except KeyboardInterrupt:
                 interrupted = True
-    throw, often = planner.best[0], None
+    throw, probability = planner.best[0], None
     if uncertainty is not None and throw is not None and not interrupted:
         given = (search.cast_setup, search.peg, throw, uncertainty)
         try:
-            often = estimate_success_probability(*given, seed=search.seed, threads=search.threads)
+            probability = estimate_success_probability(*given, seed=search.seed, threads=search.threads)
         except KeyboardInterrupt:
             interrupted = True
-    return replace(planner.plan(known, interrupted), success_probability=often)
+    return replace(planner.plan(known, interrupted), success_probability=probability)

@@ -29,19 +29,10 @@ PER_RING, THROWS = 8, 6  # targets of a ring, and throws tried on each
 
 
 def expected_fallback(plan: CastPlan, holding_force: float) -> FallbackTarget | None:
-    """Return the nearest target that is expected to be feasible, by the feasibility check alone.
+    """Return the nearest target expected to be feasible for a failed plan, by the feasibility check alone.
 
-    Parameters
-    ----------
-    plan : CastPlan
-        That fails.
-    holding_force : float
-        Pull that the wound rope must bear, N.
-
-    Returns
-    -------
-    FallbackTarget or None
-        None if there is none, or if the plan is unfinished (:attr:`CastPlan.unfinished`).
+    `holding_force` is the pull that the wound rope must bear, N. None if there is no such target, or if the plan is
+    unfinished (:attr:`CastPlan.unfinished`).
     """
     return None if plan.unfinished else _expected(plan, holding_force)
 
@@ -59,16 +50,7 @@ def plan_fallback(
 ) -> CastPlan:
     """Plan for the nearest targets until a plan succeeds; return the failed plan with its fallback.
 
-    Parameters
-    ----------
-    plan : CastPlan
-        That fails.
-    search : ThrowSearch
-        That it came from.
-    time_budget : float
-        Of the search, s.
-    plan_for : callable
-        Plans for another peg.
+    `search` is the one that the plan came from, `time_budget` its time, s, and `plan_for` plans for another peg.
     """
     force = search.holding_force
     try:
@@ -112,10 +94,7 @@ def _with_existing_throws(plan: CastPlan, search: ThrowSearch, time_budget: floa
 def searches_near_by(search: ThrowSearch) -> Iterator[ThrowSearch]:
     """Try the best throws of a search on pegs about its own, nearest first.
 
-    Yields
-    ------
-    ThrowSearch
-        For each peg, with the throws that strike it as candidates.
+    Yields a search for each peg, with the throws that strike it as candidates.
     """
     best, cast_setup = search.candidates[:THROWS], search.cast_setup
     for radius in RADII:
@@ -135,21 +114,9 @@ def searches_near_by(search: ThrowSearch) -> Iterator[ThrowSearch]:
 def nearest_feasible(
     cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0, margin: float = 0.0
 ) -> FallbackTarget | None:
-    """Find the nearest place at which a peg passes the feasibility check.
+    """Find the nearest place at which a peg passes the feasibility check; None if there is none.
 
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    peg : Peg
-    holding_force : float
-        Pull that the wound rope must bear, N.
-    margin : float
-        Least :meth:`Feasibility.margin`.
-
-    Returns
-    -------
-    FallbackTarget or None
-        None if there is no such place.
+    `holding_force` is the pull that the wound rope must bear, N, `margin` the least :meth:`Feasibility.margin`.
 
     Notes
     -----

@@ -74,14 +74,7 @@ class Feasibility:
 
 
 def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0) -> Feasibility:
-    """Check whether a target is feasible.
-
-    Parameters
-    ----------
-    cast_setup : CastSetup
-    peg : Peg
-    holding_force : float
-        Pull that the wound rope must bear, N.
+    """Check whether a target is feasible; `holding_force` is the pull that the wound rope must bear, N.
 
     Notes
     -----

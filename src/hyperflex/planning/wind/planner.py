@@ -12,7 +12,7 @@ from hyperflex.model import divided
 from hyperflex.planning.outcome import MAX_SLIP, MIN_TURNS, CastOutcome, require_holding_force, verify_cast
 from hyperflex.planning.robust.refinement import RobustCandidate, RobustRefinement
 from hyperflex.planning.robust.uncertainty import Uncertainty
-from hyperflex.planning.search.candidates import Candidate
+from hyperflex.planning.search.candidates import Candidate, distinct
 from hyperflex.planning.search.contact_phase import SLIP_COST
 from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
 from hyperflex.planning.search.throw_search import ThrowSearch
@@ -48,15 +48,9 @@ Verified = tuple[Throw | None, CastOutcome | None, CastOutcome | None]  # throw,
 
 
 class CastPlanner:
-    """Rounds of a search until a plan succeeds or the time is over.
+    """Rounds of a search until a plan succeeds or the `time_budget` of the nominal search, s, is over.
 
-    Parameters
-    ----------
-    search : ThrowSearch
-    time_budget : float
-        Of the nominal search, s.
-    longer : bool
-        Whether a cast may take LONGER times as long if the swings that the search allows promise too little.
+    `longer`: whether a cast may take LONGER times as long if the swings that the search allows promise too little.
     """
 
     def __init__(self, search: ThrowSearch, time_budget: float, *, longer: bool = False) -> None:
@@ -165,15 +159,7 @@ class CastPlanner:
         """
         self.time_budget /= NOMINAL
         search, known, some = self.search, dict[RobustCandidate, Verified](), list[RobustCandidate]()
-        refinement = RobustRefinement(
-            search.cast_setup,
-            search.peg,
-            search.parametrizations,
-            uncertainty,
-            left=lambda: REFINING * self.time_budget - self.spent,
-            seed=search.seed,
-            threads=search.threads,
-        )
+        refinement = RobustRefinement(search, uncertainty, left=lambda: REFINING * self.time_budget - self.spent)
         try:
             refinement.halve(search.candidates, [one for one in self.checked if one.throw is self.best[0]])
             complete = [found for found in self.verified if not _incomplete(found)]
@@ -198,13 +184,8 @@ class CastPlanner:
 
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, and are not like one that was verified nor like each other."""
-        found: list[Candidate] = []
-        for one in (one for one in self.search.candidates if one.confirmed and one.turns >= MIN_TURNS):
-            if len(found) == self.search.workers:
-                break
-            if all(one.side != old.side or np.abs(one.x - old.x).max() > ALIKE for old in self.checked + found):
-                found.append(one)
-        return found
+        winding = (one for one in self.search.candidates if one.confirmed and one.turns >= MIN_TURNS)
+        return distinct(winding, self.checked, self.search.workers, ALIKE)
 
     def check(self, some: Sequence[Candidate]) -> None:
         """Verify candidates, keep the best, and correct the scores of those that fail."""
@@ -248,15 +229,7 @@ class CastPlanner:
         return outcome, worst
 
     def plan(self, known: Feasibility, interrupted: bool = False) -> CastPlan:
-        """Return the plan so far; if nothing was verified, with the best candidate.
-
-        Parameters
-        ----------
-        known : Feasibility
-            Of the target.
-        interrupted : bool
-            Whether Ctrl-C ended the search.
-        """
+        """Return the plan so far; if nothing was verified, with the best candidate. `interrupted`: by Ctrl-C."""
         search, (throw, outcome, finer) = self.search, self.best
         if throw is None and search.candidates:
             throw = search.candidates[0].throw
