@@ -21,6 +21,7 @@ from hyperflex.cli.demo import demo
 from hyperflex.cli.identify import identify
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
+from hyperflex.cli.warm import warm
 from hyperflex.cli.whip import whip
 from hyperflex.errors import HyperflexError
 
@@ -35,6 +36,7 @@ for _command, _example in (
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 10 -o whipped"),
     (reproduce, "reproduce fig10 fig12 -o paper"),
     (demo, "demo -o demo-output"),
+    (warm, "warm"),
 ):
     app.command(epilog=f"\b\nExample:\n  hyperflex {_example}")(_command)
 

@@ -19,6 +19,7 @@ import hashlib
 import os
 import sys
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 import numba
@@ -136,3 +137,8 @@ def _complain(reason: str) -> None:
         f"hyperflex: cannot keep compiled kernels in {reason}. Each process compiles its own. "
         "HYPERFLEX_CACHE_DIR names another folder.\n"
     )
+
+
+def fingerprint(modules: Iterable[str]) -> str:
+    """Return a hash of all kernels of modules, as their sources are now."""
+    return hashlib.sha256("".join(sorted(map(source_hash, set(modules)))).encode()).hexdigest()[:16]

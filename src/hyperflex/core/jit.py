@@ -15,8 +15,6 @@ from numba.core import event
 from numba.core.imputils import impl_ret_borrowed
 from numba.extending import intrinsic, register_jitable
 
-from hyperflex.core.cache import folder
-
 try:
     from hyperflex.core import compiler
 except (ImportError, AttributeError):
@@ -28,6 +26,8 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 # Not "reassoc" (the argument reduction of sincos relies on the order of its operations) and not "nnan" (isnan works).
 _FASTMATH = {"contract", "arcp", "nsz"}
 
+
+KERNELS: list[tuple[str, str]] = []  # module and name of each kernel of the modules that have been imported
 
 # numba's minor versions with the insides that `compiler` uses; pyproject.toml ends there too
 _KNOWN = range(66, 69)
@@ -73,6 +73,7 @@ def _compiled(function: _F, counts: bool = True) -> _F:
     options = {"error_model": "numpy", "fastmath": _FASTMATH, "nogil": True, "_nrt": counts}
     if numba.config.DISABLE_JIT:
         return function
+    KERNELS.append((function.__module__, function.__qualname__))
     compiled = compiler.door(function, options) if _is_known() else numba.njit(**options)(function)
     return compiled  # type: ignore[no-any-return]
 
@@ -116,12 +117,23 @@ class _Timer(event.Listener):  # type: ignore[misc]
     def on_start(self, _event: event.Event) -> None:
         if self._depth == 0:
             self._since = time.monotonic()
+            _announce()
         self._depth += 1
 
     def on_end(self, _event: event.Event) -> None:
         self._depth -= 1
         if self._depth == 0:
             self.spent += time.monotonic() - self._since
+
+
+@functools.cache
+def _announce() -> None:
+    """Say on standard error, once a process, that kernels are being compiled."""
+    sys.stderr.write(
+        "hyperflex: compiling kernels for this machine, once; about 20 s for a first simulation (hyperflex warm "
+        "compiles all of them in advance) ...\n"
+    )
+    sys.stderr.flush()
 
 
 _TIMER = _Timer()
@@ -131,11 +143,3 @@ event.register("numba:compile", _TIMER)
 def compiling() -> float:
     """Return the time that this process has spent on compiling until now, s."""
     return _TIMER.spent
-
-
-@functools.cache
-def announce_compilation() -> None:
-    """Say on standard error, once a process, that kernels are about to be compiled (nothing if they are cached)."""
-    if not numba.config.DISABLE_JIT and not any(folder().glob("*/*.nbc")):
-        sys.stderr.write("hyperflex: compiling the rope kernels for this machine (once, about half a minute) ...\n")
-        sys.stderr.flush()

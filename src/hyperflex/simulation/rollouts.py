@@ -21,7 +21,6 @@ from hyperflex.core.integrate.end_conditions import NEVER, Until
 from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import scheme
-from hyperflex.core.jit import announce_compilation
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope, Setup
@@ -89,7 +88,6 @@ def prepare(
     chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits, log: Array | None = None
 ) -> Rollout:
     """Make a rollout of angles and rates `start` (n,) from time ``t[0]`` with outputs at `t`; steps go to the `log`."""
-    announce_compilation()
     n = chain.length.size
     y = np.zeros(2 * n + 2)
     y[:n], y[n : 2 * n] = start

@@ -7,9 +7,7 @@ contact matrix: (M.8)-(M.13) with the terms of B and C.
 
 from __future__ import annotations
 
-import numpy as np
-
-from hyperflex.core.jit import inlined, kernel, lean
+from hyperflex.core.jit import inlined, lean
 
 # of a row of `touch`: sums over the contacts of a link at places s, n the direction across the link
 BXX, BXY, BYX, BYY = range(4)  # B, kg
@@ -143,9 +141,3 @@ def add_contact(touch, i, s, sin, cos, b, c):  # type: ignore[no-untyped-def]
     row[CX] += cx
     row[CY] += cy
     row[RC] += s * (cos * cx + sin * cy)
-
-
-@kernel
-def new_touch(n):  # type: ignore[no-untyped-def]
-    """Rows for n links without contact."""
-    return np.zeros((n, TOUCH))

@@ -16,7 +16,6 @@ from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
 from hyperflex.core.batch.members import LENGTH, Members, Terms, observe_block
 from hyperflex.core.chain.lanes import MEMBERS
-from hyperflex.core.jit import announce_compilation
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
@@ -209,7 +208,6 @@ def simulate_batch(
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
     terms = terms_of(setups[0], chains[0], chosen)
     work = _Work(members, terms, t, keep, setups)
-    announce_compilation()
     return work.run(workers, progress)
 
 

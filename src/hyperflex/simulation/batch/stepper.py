@@ -16,7 +16,6 @@ from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
 from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.chain.lanes import MEMBERS
-from hyperflex.core.jit import announce_compilation
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope
 from hyperflex.simulation.batch.members import INITIAL_CLOCK, members_of, setups_of, starts_of, terms_of
@@ -123,7 +122,6 @@ class BatchStepper:
         size = -(-len(setups) // (workers * len(MEMBERS))) * len(MEMBERS)
         self._blocks = [(low, min(low + size, len(setups))) for low in range(0, len(setups), size)]
         self._pool = ThreadPoolExecutor(len(self._blocks)) if len(self._blocks) > 1 else None
-        announce_compilation()
 
     def start(
         self,

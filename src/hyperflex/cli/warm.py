@@ -1,0 +1,239 @@
+"""``hyperflex warm``: compile all kernels in advance, in several processes."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hyperflex import checks, files
+from hyperflex.cli import output
+from hyperflex.errors import FileProblem, HyperflexError
+
+POLL = 0.2  # s, between two looks at what has been compiled
+
+
+def warm(
+    jobs: Annotated[int, typer.Option(help="Processes: 1 or 2.")] = 2,
+    json: output.Json = False,
+) -> None:
+    """Compile all kernels in advance: about 80 s of processor time, once for each version.
+
+    Without it each kernel is compiled when it is first needed. Of the kernels for ropes whose friction is as the source
+    paper prints it (friction_model="printed"), which only the paper's own figures use, nothing is compiled.
+    """
+    import numba
+
+    from hyperflex.core import cache
+
+    count = checks.count("--jobs", jobs, most=len(LANES))
+    begin, spent = time.monotonic(), 0.0
+    if numba.config.DISABLE_JIT:
+        _tell(json, {"kernels": 0, "compiled": 0}, "Nothing to do: NUMBA_DISABLE_JIT is set, and nothing is compiled.")
+        return
+    kernels = _kernels()
+    stamp = cache.folder() / f"warm-{cache.fingerprint(module for module, _ in kernels)}.txt"
+    before = _compiled(kernels)
+    if not _is_whole(stamp):
+        _check_folder(cache.folder())
+        spent = _compile(kernels, count, json)
+        _stamp(stamp, kernels)
+    now = _compiled(kernels)
+    result = {
+        "kernels": len(kernels),
+        "compiled": now - before,
+        "already_there": before,
+        "seconds": time.monotonic() - begin,
+        "processor_seconds": spent,
+        "folder": cache.folder(),
+    }
+    did = f"Compiled {now - before} of {len(kernels)} kernels" if spent else "Nothing to do: all kernels are compiled"
+    _tell(json, result, f"{did} ({result['seconds']:.0f} s); they lie in {cache.folder()}.")
+
+
+def _tell(as_json: bool, result: dict[str, Any], sentence: str) -> None:
+    if as_json:
+        output.print_json(result)
+    else:
+        output.console().print(sentence, soft_wrap=True)
+
+
+def _kernels() -> list[tuple[str, str]]:
+    """Return module and name of every kernel."""
+    from hyperflex import core
+    from hyperflex.core.jit import KERNELS
+
+    for each in pkgutil.walk_packages(core.__path__, f"{core.__name__}."):
+        importlib.import_module(each.name)
+    return KERNELS
+
+
+def _files(kernels: list[tuple[str, str]]) -> Iterator[tuple[str, Path]]:
+    """Yield the files of compiled kernels, each with its kernel's name."""
+    from hyperflex.core import cache
+
+    for module in dict.fromkeys(module for module, _ in kernels):
+        folder = cache.module_folder(module)
+        for path in folder.glob("*.nbc") if folder.is_dir() else ():
+            yield f"{module}.{path.name.partition('-')[0]}", path
+
+
+def _compiled(kernels: list[tuple[str, str]]) -> int:
+    """Return how many kernels have been compiled, for whatever arguments."""
+    there = {name for name, _ in _files(kernels)}
+    return sum(f"{module}.{name}" in there for module, name in kernels)
+
+
+def _is_whole(stamp: Path) -> bool:
+    """Return whether all the files that a stamp names are still there."""
+    try:
+        names = stamp.read_text("utf-8").splitlines()
+    except OSError:
+        return False
+    return all((stamp.parent / name).is_file() for name in names)
+
+
+def _stamp(stamp: Path, kernels: list[tuple[str, str]]) -> None:
+    """Note which files make up a full cache."""
+    names = sorted(path.relative_to(stamp.parent).as_posix() for _, path in _files(kernels))
+    files.write_text(stamp, "\n".join(names) + "\n")
+
+
+def _check_folder(folder: Path) -> None:
+    """Refuse a folder that cannot be written to."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise FileProblem(
+            f"compiled kernels cannot be kept in {folder}: {error.strerror}. HYPERFLEX_CACHE_DIR names another folder."
+        ) from error
+
+
+def _compile(kernels: list[tuple[str, str]], count: int, as_json: bool) -> float:
+    """Run the lanes in `count` processes, and return the processor time that they took, s."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    lanes = [[name for lane in LANES[k::count] for name in lane] for k in range(min(count, len(LANES)))]
+    command = [sys.executable, "-c", "import sys; from hyperflex.cli.warm import call; call(sys.argv[1:])"]
+    workers = [
+        subprocess.Popen([*command, *lane], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        for lane in lanes
+    ]
+    columns = TextColumn("kernel {task.completed:.0f} of {task.total:.0f}"), BarColumn(), TimeElapsedColumn()
+    begin = _children_time()
+    try:
+        with Progress(*columns, console=Console(stderr=True), disable=not output.watched(as_json)) as bar:
+            task = bar.add_task("", total=len(kernels))
+            while any(worker.poll() is None for worker in workers):
+                bar.update(task, completed=_compiled(kernels))
+                if any(worker.poll() for worker in workers):
+                    break
+                time.sleep(POLL)
+            bar.update(task, completed=_compiled(kernels))
+    finally:
+        failed = [worker for worker in workers if worker.poll()]
+        for worker in workers:
+            worker.terminate()
+        said = {worker: worker.communicate()[1].decode("utf-8", "replace").strip() for worker in workers}
+    for worker in failed:
+        last = said[worker].splitlines()[-1] if said[worker] else f"exit status {worker.returncode}"
+        raise HyperflexError(f"a process that compiled kernels failed: {last}. What was compiled is kept.")
+    return _children_time() - begin
+
+
+def call(names: list[str]) -> None:
+    """Make some of the calls that compile kernels, one after the other."""
+    for name in names:
+        CALLS[name]()
+
+
+def _children_time() -> float:
+    """Return the processor time of all processes that this one has waited for, s."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
+def _simulate() -> None:
+    hf, rope, arm, _ = _parts()
+    for each in (rope, rope.replace(dry_friction=[1e-3] * rope.n_links)):
+        hf.simulate(each, hf.arm_swings(), arm=arm, duration=0.02)
+    hf.simulate(rope, hf.arm_swings(), arm=arm, duration=0.02, method="rk4", step=1e-4)
+    hf.simulate(rope, torque=lambda *_: 0.0, arm=hf.Arm(length=0.1, inertia=1e-3), duration=0.02, control_rate=100.0)
+    hf.predictability(rope, hf.arm_swings(), arm=arm, duration=0.1)
+
+
+def _sensitivities() -> None:
+    hf, rope, arm, _ = _parts()
+    hf.sensitivities(rope, hf.arm_swings(), arm=arm, duration=0.02, wrt="friction")
+    rest = [0.0] * rope.n_links
+    hf.linearize(rope, arm, rest, rest)
+    stepper = hf.Stepper(rope, arm=arm)
+    stepper.linearize(stepper.start(), 0.1, dt=0.02)
+
+
+def _batch() -> None:
+    hf, rope, arm, _ = _parts()
+    hf.simulate_batch([rope, rope], hf.arm_swings(), arm=arm, duration=0.02)
+    stepper = hf.BatchStepper([rope, rope], arm=arm)
+    stepper.step(stepper.start(), [0.0, 0.0], dt=0.02)
+
+
+def _contact() -> None:
+    """Compile the steps in contact alone: under a force there is no free flight."""
+    hf, rope, arm, peg = _parts()
+    hf.simulate(
+        rope, hf.arm_swings(), arm=arm, duration=0.02, pegs=[peg], tip_force=(0.01, 0.0)
+    )  # never in free flight
+
+
+def _wound() -> None:
+    hf, rope, arm, peg = _parts()
+    run = hf.simulate(rope, hf.arm_swings(), arm=arm, duration=0.02, pegs=[peg])
+    hf.tug_test(run, peg)
+    stepper = hf.Stepper(rope, arm=arm, pegs=[peg])
+    stepper.step(stepper.start(), 0.1, dt=0.02)
+
+
+def _dense() -> None:
+    import numpy as np
+
+    from hyperflex import dynamics
+    from hyperflex.sensors import MotorTorque
+
+    hf, rope, arm, _ = _parts()
+    rest = np.zeros(rope.n_links)
+    hf.mass_matrix(rope, rest)
+    dynamics.bias(rope, rest, rest)
+    MotorTorque(arm).measure(rope, hf.State(0.0, rest, rest))
+
+
+def _parts() -> tuple[Any, Any, Any, Any]:
+    """Return hyperflex, and a small rope, arm and peg."""
+    import hyperflex as hf
+
+    rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=4, radius=0.005, friction=5e-4)
+    return hf, rope, hf.Arm(length=0.1), hf.Peg(0.05, -0.7, 0.02)
+
+
+CALLS: dict[str, Callable[[], None]] = {
+    "simulate": _simulate,
+    "sensitivities": _sensitivities,
+    "batch": _batch,
+    "contact": _contact,
+    "dense": _dense,
+    "wound": _wound,
+}
+# What one process compiles while another does the other: they share little, and "wound" needs what "simulate" has made.
+LANES = (("simulate", "sensitivities"), ("contact", "batch", "dense", "wound"))

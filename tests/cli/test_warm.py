@@ -1,0 +1,135 @@
+"""``hyperflex warm``: after it, typical calls compile nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+from hyperflex.cli import warm
+from hyperflex.cli.app import run
+from hyperflex.core import cache
+
+needs_compiler = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+
+CALLS = """
+import numpy as np
+import hyperflex as hf
+from hyperflex.core.jit import compiling
+from hyperflex.sensors import MotorTorque
+
+rope = hf.Rope.uniform(length=1.2, mass=0.1, n_links=6, radius=0.004, friction=4e-4)
+dry = rope.replace(dry_friction=np.full(6, 1e-3))
+airy = rope.replace(drag=np.full(6, 1e-3))
+short = rope.with_bend_radius(0.1)
+arm, motor, peg = hf.Arm(length=0.1), hf.Arm(length=0.1, inertia=1e-3), hf.Peg(0.05, -0.7, 0.02)
+free = hf.Peg(0.05, -0.7, 0.02, inertia=1e-6)
+swing, torque = hf.arm_swings(), hf.torque_profile([0.0, 0.1], [0.0, 0.01])
+runs = [hf.simulate(each, swing, arm=arm, duration=0.1) for each in (rope, dry, airy, short)]
+hf.simulate(rope, swing, arm=arm, duration=0.1, method="rk4", step=1e-4)
+hf.simulate(rope, swing, arm=arm, duration=0.3, until=hf.tip_speed_peak())
+hf.simulate(rope, torque=torque, arm=motor, duration=0.1)
+hf.simulate(rope, torque=lambda *_: 0.01, arm=motor, duration=0.1, control_rate=100.0)
+wound = hf.simulate(rope, swing, arm=arm, duration=0.3, pegs=[peg])
+hf.simulate(dry, swing, arm=arm, duration=0.1, pegs=[free])
+hf.simulate(rope, duration=0.1, state=runs[0].state)
+hf.tug_test(wound, peg)
+hf.measure_winding(wound, peg)
+hf.simulate_batch([rope, dry], swing, arm=arm, duration=0.1)
+hf.simulate_batch([rope, rope], swing, arm=arm, duration=0.1, pegs=[peg])
+hf.sensitivities(dry, swing, arm=arm, duration=0.1, wrt=["q0", "friction", "dry_friction", "drag", "motion.t_rest"])
+hf.predictability(rope, swing, arm=arm, duration=0.2)
+for command in ("acceleration", "angle", "torque"):
+    stepper = hf.Stepper(rope, arm=motor, command=command)
+    stepper.linearize(stepper.step(stepper.start(), 0.1, dt=0.02), 0.1, dt=0.02)
+    batch = hf.BatchStepper([rope, dry], arm=motor, command=command)
+    batch.step(batch.start(), np.zeros(2), dt=0.02)
+beside = hf.Stepper(rope, arm=arm, pegs=[peg])
+beside.step(beside.start(), 0.1, dt=0.02)
+rest = np.zeros(6)
+hf.mass_matrix(rope, rest)
+hf.forward_kinematics(rope, rest)
+hf.linearize(rope, arm, rest, rest)
+MotorTorque(motor).measure(rope, hf.State(0.0, rest, rest))
+swung = hf.simulate(rope, duration=3.0, q0=np.full(6, 0.7), t_eval=np.arange(0.0, 3.0, 0.02))
+hf.identify(hf.Recording(swung.t, swung.q + 1e-3 * np.cos(97.0 * swung.t)[:, None], kind="angles"), rope)
+print(compiling())
+"""
+
+
+@pytest.fixture(scope="module")
+def warmed() -> None:
+    """The cache of this machine, filled."""
+    if not numba.config.DISABLE_JIT:
+        assert run(["warm", "--json"]) == 0
+
+
+@needs_compiler
+def test_typical_calls_compile_nothing(warmed: None) -> None:
+    done = subprocess.run([sys.executable, "-c", CALLS], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert float(done.stdout) == 0.0
+
+
+@needs_compiler
+def test_second_time_there_is_nothing_to_do(warmed: None, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert run(["warm", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["compiled"] == 0
+    assert result["processor_seconds"] == 0.0
+    assert result["already_there"] == result["kernels"] > 200
+
+
+@needs_compiler
+def test_a_lost_file_is_noticed(warmed: None, tmp_path: Path) -> None:
+    kept = tmp_path / "kernel.nbc"
+    kept.touch()
+    stamp = tmp_path / "stamp.txt"
+    stamp.write_text("kernel.nbc\n")
+    assert warm._is_whole(stamp)
+    kept.unlink()
+    assert not warm._is_whole(stamp)
+
+
+@needs_compiler
+def test_a_folder_that_cannot_be_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    blocked = tmp_path / "file"
+    blocked.touch()
+    monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(blocked / "cache"))
+    assert run(["warm", "--json"]) == 2
+    assert "cannot be kept in" in json.loads(capsys.readouterr().out)["error"]
+
+
+@needs_compiler
+def test_a_process_that_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(warm, "LANES", (("nothing of this name",),))
+    assert run(["warm", "--jobs", "1", "--json"]) == 2
+    assert "KeyError" in json.loads(capsys.readouterr().out)["error"]
+    assert not any(tmp_path.glob("warm-*"))  # what was cut short does not look finished
+
+
+def test_without_the_compiler() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "hyperflex", "warm"],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "Nothing to do" in done.stdout
+
+
+def test_fingerprint_follows_the_modules() -> None:
+    modules = ["hyperflex.core.assign", "hyperflex.core.status"]
+    assert cache.fingerprint(modules) == cache.fingerprint(modules[::-1]) != cache.fingerprint(modules[:1])
