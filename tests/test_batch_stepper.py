@@ -117,3 +117,46 @@ def test_bad_input_is_refused() -> None:
         batch.step(hf.BatchStepper(each, arm=ARM).start(), 1.0, DT)
     with pytest.raises(InvalidInput, match="do not fit together"):
         batch.start(np.zeros((2, N)))
+
+
+def test_restarted_members_are_as_in_a_batch_of_their_own() -> None:
+    each, others = ropes(1e-3), [rope.replace(friction=6e-4) for rope in ropes(1e-3)]
+    batch = hf.BatchStepper(each, arm=ARM)
+    state = walk(batch, batch.start(), given("acceleration", 4))
+    wild = np.full(COUNT, 1.0)
+    wild[2] = 1e300
+    with np.errstate(all="ignore"):
+        state = batch.step(state, wild, DT)
+    which = np.isin(np.arange(COUNT), [2, 5])
+    state = batch.restart(state, which, [others[2], others[5]], np.full(N, 0.3), arm_angle=[0.1, 0.2])
+    assert set(state.status) == {"ok"}
+    end = batch.step(state, 1.0, DT)
+    few = hf.BatchStepper([others[2], others[5]], arm=ARM)
+    alone = few.step(few.start(np.full(N, 0.3), arm_angle=[0.1, 0.2], t=state.t), 1.0, DT)
+    for name in ("q", "qd", "arm_angle", "work", "memory"):
+        np.testing.assert_array_equal(getattr(end, name)[which], getattr(alone, name))
+    rest = hf.BatchStepper(each, arm=ARM)
+    np.testing.assert_array_equal(end.q[~which], rest.step(state, 1.0, DT).q[~which])
+    with pytest.raises(InvalidInput, match="do not fit the members"):
+        batch.restart(state, [1], hf.Rope.uniform(1.0, 0.06, N + 1, radius=0.003))
+
+
+def test_tips_are_those_of_steppers() -> None:
+    each = ropes()
+    batch = hf.BatchStepper(each, arm=ARM)
+    state = walk(batch, batch.start(np.full(N, 0.4)), given("acceleration", 5))
+    places, velocities = batch.tips(state)
+    after = batch.tips(batch.step(state, 0.0, 1e-5))[0]
+    np.testing.assert_allclose((after - places) / 1e-5, velocities, atol=1e-3)  # accelerations of some 100 m/s^2
+    alone = hf.Stepper(each[3], arm=ARM)
+    one = hf.State(state.t, state.q[3], state.qd[3], arm_angle=state.arm_angle[3], arm_rate=state.arm_rate[3])
+    for found, want in zip(alone.tip(one), (places[3], velocities[3]), strict=True):
+        np.testing.assert_allclose(found, want, rtol=0, atol=1e-12)
+
+
+def test_a_state_of_the_wrong_shape() -> None:
+    batch = hf.BatchStepper(ropes(), arm=ARM)
+    with pytest.raises(InvalidInput, match="one time for all"):
+        batch.step(replace(batch.start(), t=np.zeros(COUNT)), 0.0, DT)
+    with pytest.raises(InvalidInput, match="wrong shape"):
+        batch.step(replace(batch.start(), arm_angle=np.zeros(2)), 0.0, DT)

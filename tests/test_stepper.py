@@ -316,3 +316,19 @@ def test_a_step_that_fails_says_so_and_leaves_nothing_behind() -> None:
     with np.errstate(all="ignore"), pytest.raises(SimulationError, match="stopped at"):
         stepper.step(state, 1e300, DT)
     np.testing.assert_array_equal(vector(stepper.step(state, 5.0, DT)), vector(want))
+
+
+def test_gap_to_a_peg() -> None:
+    rope = hf.Rope.uniform(1.0, 0.06, 8, radius=0.003, friction=3e-4)
+    peg = hf.Peg(0.1, -0.9, 0.05)
+    stepper = hf.Stepper(rope, arm=hf.Arm(length=0.1), pegs=[peg], refine=False)
+    assert stepper.gap(stepper.start(arm_angle=0.0)) == pytest.approx(0.1 - 0.05 - 0.003)  # the rope hangs at x = 0
+    assert stepper.step(stepper.start(), np.array([0.1]), 0.01).t == pytest.approx(0.01)
+    with pytest.raises(InvalidInput, match="nothing to touch"):
+        hf.Stepper(rope, arm=hf.Arm(length=0.1)).gap(stepper.start())
+
+
+def test_subpackages_are_attributes() -> None:
+    assert hf.sensors.Markers is not None
+    with pytest.raises(AttributeError, match="no attribute"):
+        hf.nothing_of_this_name  # noqa: B018

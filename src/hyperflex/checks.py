@@ -25,6 +25,8 @@ def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infi
     allowed = f"a number, {_ALLOWED[sign]}" + (" (or inf)" if infinite else "") + (f", in {unit}" if unit else "")
     if isinstance(value, (str, bytes, bool)):
         raise InvalidInput(f"{name} is not a number", got=value, allowed=allowed)
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.item()
     try:
         result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):

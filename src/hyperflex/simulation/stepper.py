@@ -13,6 +13,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import can_stick
 from hyperflex.core.chain.drive import ANGLE, TORQUE
+from hyperflex.core.contact.run import clearance
 from hyperflex.core.integrate.progress import JOINT, MARK, MODES, REJECTED, TAKEN
 from hyperflex.core.tangent import forward_sensitivity
 from hyperflex.core.tangent.directions import Directions
@@ -213,6 +214,33 @@ class Stepper:
         size = len(moved)
         return Linearization(self._state(arm), moved[:, :size].copy(), moved[:, size : size + 1].copy())
 
+    def tip(self, state: State) -> tuple[Array, Array]:
+        """Return place (2,), m, and velocity (2,), m/s, of the tip."""
+        arm, rope, q = self.setup.arm or Arm(), self.setup.rope, state.q  # a stepper has an arm
+        angle, rate = self._arm_of(state)
+        place = rope.joints(q, arm.tip(np.array([angle]))[0])[-1]
+        turn = arm.length * rate * np.array([np.cos(angle), np.sin(angle)])
+        return place, turn + np.array([np.cos(q), np.sin(q)]) @ (rope.length * state.qd)
+
+    def gap(self, state: State) -> float:
+        """Return the smallest gap between rope and obstacles, m.
+
+        Raises
+        ------
+        InvalidInput
+            Of a stepper without obstacles.
+        """
+        if self._contact_run is None or not self.setup.pegs:
+            raise InvalidInput("there is nothing to touch", fix="Make the stepper with pegs=[...]")
+        self._begin(state, 0.0, 1.0)
+        run = self._run
+        return float(clearance(run.chain, run.drive, self._contact_run.contacts, run.time, run.progress.y, np.inf)[0])
+
+    def _arm_of(self, state: State) -> tuple[float, float]:
+        """Return angle and rate of the arm in a state."""
+        angle = self.setup.arm_angle0 if state.arm_angle is None else state.arm_angle
+        return angle, self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate
+
     def _state(self, arm: tuple[float, float]) -> State:
         run = self._run
         return state_of(run, self.setup, run.progress.y, run.progress.clock[:MARK], run.spin, arm, **run.kept)
@@ -227,8 +255,7 @@ class Stepper:
         run.progress.clock[MARK:] = 0.0
         if span != self._polynomials[0]:
             self._polynomials = (span, *arm_polynomials(self.command, span))
-        angle = self.setup.arm_angle0 if state.arm_angle is None else state.arm_angle
-        rate = self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate
+        angle, rate = self._arm_of(state)
         known, t = np.array([angle, rate, u]), run.time
         run.limits = run.limits._replace(stop=t + span)
         self._interval.set(t, t + span, self._channel, known @ self._polynomials[1])

@@ -243,8 +243,10 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
 
 
 @kernel
-def clearance(chain, drive, pegs, t, y):  # type: ignore[no-untyped-def]
+def clearance(chain, drive, pegs, t, y, near):  # type: ignore[no-untyped-def]
     """What is left at time t until rope and pegs, or joints and their limits, meet; y as in ``ContactState``.
+
+    Gaps above `near`, m, may be told too small.
 
     Returns
     -------
@@ -262,4 +264,4 @@ def clearance(chain, drive, pegs, t, y):  # type: ignore[no-untyped-def]
     for i in range(n + 1):
         fastest = max(fastest, math.hypot(speed[0, i], speed[1, i]))
     _, left = bend_clearance(chain, y[:n], y[n : 2 * n], base[4], base[3])
-    return find(chain, pegs, y[:n], trig, xy, np.zeros(n), found), fastest, left
+    return find(chain, pegs, y[:n], trig, xy, np.full(n, near), found), fastest, left

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -60,7 +60,7 @@ class BatchState:
 
 
 class BatchStepper:
-    """:class:`hyperflex.Stepper` for many members at once, in free flight.
+    """:class:`hyperflex.Stepper` for many members at once, without pegs and joint limits.
 
     Parameters
     ----------
@@ -145,13 +145,83 @@ class BatchStepper:
         time, memory = checks.number("t", t, unit="s"), np.tile(INITIAL_CLOCK, (count, 1))
         return BatchState(time, begin[:, :n], begin[:, n : 2 * n], angle, rate, nothing, nothing, codes, memory)
 
+    def restart(
+        self,
+        state: BatchState,
+        which: npt.ArrayLike,
+        ropes: Rope | Sequence[Rope] | None = None,
+        q0: npt.ArrayLike | None = None,
+        qd0: npt.ArrayLike | None = None,
+        *,
+        arm_angle: npt.ArrayLike = 0.0,
+        arm_rate: npt.ArrayLike = 0.0,
+    ) -> BatchState:
+        """Return the state with some members begun anew, also those that had failed; time goes on for all.
+
+        Parameters
+        ----------
+        state : BatchState
+        which : (K,) array_like of int, or (M,) of bool
+            The members.
+        ropes : Rope or sequence of Rope, optional
+            New ropes for them, one or one each; the stepper has them from here on.
+        q0, qd0, arm_angle, arm_rate
+            Of these members, as in :meth:`start`.
+        """
+        chosen = np.arange(len(self.setups))[np.asarray(which)]
+        old = [self.setups[m] for m in chosen]
+        given = [setup.rope for setup in old] if ropes is None else ropes
+        given = [given] * len(old) if isinstance(given, Rope) else list(given)
+        first = self.setups[0]
+        if len(given) != len(old) or any(
+            (rope.n_links, rope.friction_model) != (first.rope.n_links, first.rope.friction_model) for rope in given
+        ):
+            allowed = f"{len(old)} ropes of {first.rope.n_links} links and the batch's friction model"
+            raise InvalidInput("ropes do not fit the members", got=[rope.n_links for rope in given], allowed=allowed)
+        if ropes is not None:
+            setups = [replace(first, rope=rope) for rope in given]
+            if any(setup.touches for setup in setups):
+                raise InvalidInput("a batch has no joint limits", got="ropes with joint limits", fix="Use hf.Stepper")
+            drives = [Interval(setup.drive()).drive for setup in setups]
+            rows = members_of([setup.chain() for setup in setups], drives, self._members.start[chosen])
+            links = self._members.links.copy()
+            links[chosen], self._members.whole[chosen] = rows.links, rows.whole
+            links.setflags(write=False)
+            self._members = self._members._replace(links=links)
+            changed = dict(zip(chosen.tolist(), setups, strict=True))
+            self.setups = tuple(changed.get(m, setup) for m, setup in enumerate(self.setups))
+        n = first.rope.n_links
+        begin = starts_of(setups_of(given, start=(q0, qd0), arm=first.arm))
+        angle = checks.array("arm_angle", arm_angle, (len(old),), scalar=True, unit="rad")
+        rate = checks.array("arm_rate", arm_rate, (len(old),), scalar=True, unit="rad/s")
+        new = (begin[:, :n], begin[:, n : 2 * n], angle, rate, 0.0, 0.0, status.OK, INITIAL_CLOCK)
+        names = ("q", "qd", "arm_angle", "arm_rate", "work", "dissipated", "codes", "memory")
+        values = {name: getattr(state, name).copy() for name in names}
+        for name, value in zip(names, new, strict=True):
+            values[name][chosen] = value
+        return replace(state, **values)
+
+    def tips(self, state: BatchState) -> tuple[Array, Array]:
+        """Return places (M, 2), m, and velocities (M, 2), m/s, of the tips."""
+        lengths = np.stack([setup.rope.length for setup in self.setups])
+        arm = self.setups[0].arm or Arm()  # a batch has one
+        place, turn = arm.tip(state.arm_angle), (arm.length * state.arm_rate)[:, None]
+        across = np.stack([np.cos(state.q), np.sin(state.q)], axis=1)
+        along = np.stack([np.sin(state.q), -np.cos(state.q)], axis=1)
+        swing = np.stack([np.cos(state.arm_angle), np.sin(state.arm_angle)], axis=1)
+        return (
+            place + np.einsum("mci,mi->mc", along, lengths),
+            turn * swing + np.einsum("mci,mi->mc", across, lengths * state.qd),
+        )
+
     def step(self, state: BatchState, commands: npt.ArrayLike, dt: float) -> BatchState:
         """Return the state an interval later, as :meth:`hyperflex.Stepper.step` does.
 
         Parameters
         ----------
         state : BatchState
-            From :meth:`start` or :meth:`step`, or one with some rows replaced (``dataclasses.replace``).
+            From :meth:`start`, :meth:`step` or :meth:`restart`, or one with some values replaced
+            (``dataclasses.replace``).
         commands : (M,) array_like or float
             One a member, or one for all: rad/s^2, rad or N m.
         dt : float
@@ -166,6 +236,11 @@ class BatchStepper:
         n = members.links.shape[2]
         if not isinstance(state, BatchState) or state.q.shape != (count, n - own) or state.qd.shape != state.q.shape:
             raise InvalidInput("state is not one of this batch", got=state, allowed=f"{count} x {n - own} angles")
+        if np.ndim(state.t) or any(
+            np.shape(value) != (count,) for value in (state.arm_angle, state.arm_rate, state.work, state.dissipated)
+        ):
+            allowed = f"one time for all; arm_angle, arm_rate, work and dissipated of {count} members"
+            raise InvalidInput("state has values of the wrong shape", got=np.shape(state.t), allowed=allowed)
         given = checks.array("commands", commands, (count,), scalar=True)
         span = checks.number("dt", dt, sign="positive", unit="s")
         if span != self._polynomials[0]:

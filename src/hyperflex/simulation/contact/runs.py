@@ -96,7 +96,7 @@ class ContactRun:
             return status.OK
         if self.pull.any():
             return status.LEFT
-        gap, speed, left = core.clearance(run.chain, run.drive, self.contacts, run.time, run.progress.y)
+        gap, speed, left = core.clearance(run.chain, run.drive, self.contacts, run.time, run.progress.y, 0.0)
         bound = FASTER * speed + SUDDEN
         self.clear = max(CLEAR, SHORTEST_FLIGHT * bound)
         if gap < self.clear or left <= SLACK:
@@ -111,7 +111,7 @@ class ContactRun:
         run.limits = run.limits._replace(stop=stop)
         if code not in (status.OK, status.LIMIT):
             return code
-        gap, speed, _ = core.clearance(run.chain, run.drive, self.contacts, run.time, run.progress.y)
+        gap, speed, _ = core.clearance(run.chain, run.drive, self.contacts, run.time, run.progress.y, 0.0)
         if np.isfinite(span) and (speed > bound or gap <= 0.0):
             run.progress.y[:], clock[:], self.contact.spin[:] = y, before, spin
             return self._touch(begin + span)
