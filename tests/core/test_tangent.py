@@ -136,7 +136,7 @@ def kernel_slopes(
         tg.step_state(ln.COLUMNS, chain.reaction, flat)
     else:
         links_seeds = np.stack([seeds_of(links, it) for it in pair])
-        dg.tangent_drag(ln.COLUMNS, flat, air, links_seeds)
+        dg.write_torques(ln.COLUMNS, flat, air, links_seeds)
         tg.step_all(ln.COLUMNS, chain.reaction, flat, links_seeds, np.array([it.stretch for it in pair]))
     slots = [[tg.DQ + d, tg.DW + d, tg.ALPHA + d] for d in range(2)]
     return np.array([[rows[1 : n + 1, slot, j].T.ravel() for slot in slots] for j in range(K)])

@@ -20,8 +20,8 @@ def add_contact_impulse(found, impulses, motion, c, heavy, pn, pt):  # type: ign
         b = (heavy, 0.0, 0.0, heavy)
         add_contact(motion.touch, i, s, sin, cos, b, (pn * nx - pt * ny, pn * ny + pt * nx))
     else:
-        drag = friction_ratio(found, impulses, c)
-        fx, fy = nx - drag * ny, ny + drag * nx
+        ratio = friction_ratio(found, impulses, c)
+        fx, fy = nx - ratio * ny, ny + ratio * nx
         b = (heavy * fx * nx, heavy * fx * ny, heavy * fy * nx, heavy * fy * ny)
         add_contact(motion.touch, i, s, sin, cos, b, (pn * fx, pn * fy))
 

@@ -121,18 +121,18 @@ def add_peg_equation(found, impulses, motion, spin, heavy, c):  # type: ignore[n
     i, k, lever = found.link[c], spin.row[found.peg[c]], spin.reach[found.peg[c]]
     nx, ny = found.nx[c], found.ny[c]
     vn, vt = velocity(found, motion, c)
-    sticks, drag = impulses.mode[c] == STICK, friction_ratio(found, impulses, c)
+    sticks, ratio = impulses.mode[c] == STICK, friction_ratio(found, impulses, c)
     if sticks:
         pt = impulses.tangent0[c] - heavy * (vt + impulses.lean[c])
         spin.system[k, k] += lever * heavy * lever
     else:
-        pt = drag * (impulses.normal0[c] - heavy * (vn + impulses.target[c]))
+        pt = ratio * (impulses.normal0[c] - heavy * (vn + impulses.target[c]))
     spin.system[k, last] -= lever * pt
     for j in range(last):
         turn = found.place[c] * spin.change[j, i]
         vx = spin.place[j, 0, i] + turn * motion.trig[n + i]
         vy = spin.place[j, 1, i] + turn * motion.trig[i]
-        along = vy * nx - vx * ny if sticks else drag * (vx * nx + vy * ny)
+        along = vy * nx - vx * ny if sticks else ratio * (vx * nx + vy * ny)
         spin.system[k, j] -= lever * heavy * along
 
 

@@ -7,9 +7,11 @@ each direction's changes of angles and rates are copied in, and the changes of t
 
 from __future__ import annotations
 
+import numpy as np
+
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.air import drag_slopes, link_drag
-from hyperflex.core.jit import inlined, lean
+from hyperflex.core.jit import inlined, kernel, lean
 from hyperflex.core.tangent import step as tg
 
 # of a link: sine, cosine, length, rate; force across it and moment, N and N m, for a unit of drag; its drag
@@ -24,6 +26,12 @@ VX, VY, FX, FY = range(14, 18)
 DQ, DW, DVX, DVY, DFORCE, DMOMENT, DFX, DFY, TORQUE = range(18, 36, 2)
 ROW = 36
 UP, AT = 0, ROW
+
+
+@kernel
+def new_air(width, chain):  # type: ignore[no-untyped-def]
+    """Lanes ((n + 2) ROW k,) for a chain; none where it has no drag."""
+    return np.zeros((chain.length.size + 2) * ROW * len(width) if chain.drag.any() else 0)
 
 
 @lean
@@ -95,7 +103,7 @@ def inward(row, k, j, d, longer):  # type: ignore[no-untyped-def]
 
 
 @lean
-def tangent_drag(width, lanes, air, links):  # type: ignore[no-untyped-def]
+def write_torques(width, lanes, air, links):  # type: ignore[no-untyped-def]
     """Write the changes of the torques to RHS of the links in `lanes`, for changes of their angles and rates there.
 
     Parameters

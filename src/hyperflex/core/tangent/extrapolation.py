@@ -72,7 +72,7 @@ def new_tangent_workspace(chain, pairs):  # type: ignore[no-untyped-def]
         np.zeros((3, 2 * n, 2 * pairs)),
         np.zeros((3, n, 2 * pairs)),
         np.zeros(2 * n + 2),
-        np.zeros((n + 2) * dg.ROW * K if chain.drag.any() else 0),
+        dg.new_air(ln.COLUMNS, chain),
     )
 
 
@@ -188,7 +188,7 @@ def begin_pairs(reaction, lanes, air, base):  # type: ignore[no-untyped-def]
 def step_pair(reaction, lanes, air, links, stretch):  # type: ignore[no-untyped-def]
     """Derivatives of that step for changes of everything, see ``step.step_all``."""
     if air.size > 0:
-        dg.tangent_drag(ln.COLUMNS, lanes, air, links)
+        dg.write_torques(ln.COLUMNS, lanes, air, links)
     tg.step_all(ln.COLUMNS, reaction, lanes, links, stretch)
 
 
