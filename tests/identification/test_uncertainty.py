@@ -66,7 +66,7 @@ def test_what_the_fit_absorbs_is_given_back() -> None:
         raw += [(left**2).sum(), (left[1:] * left[:-1]).sum()]
         pieces.append(piece(left, curve))
     assert raw[1] / raw[0] < 0.75  # as the residuals show it
-    # 2400 samples: sd sqrt((1 - 0.81) / 2400) = 0.009 if nothing were absorbed, some three times that so
+    # 2400 samples: std sqrt((1 - 0.81) / 2400) = 0.009 if nothing were absorbed, some three times that so
     assert correlations(autoregression(pieces)[0], 2)[1] == pytest.approx(part, abs=0.08)
 
 
@@ -209,7 +209,7 @@ def test_robust_losses_know_how_their_estimates_scatter(loss: LossName) -> None:
     low, high = band(count, 1e-3)
     assert (held >= low).all()
     assert (held <= high).all()
-    np.testing.assert_allclose(ratio, 1.0, atol=0.35)  # a variance from 200 draws has a relative sd of 0.1
+    np.testing.assert_allclose(ratio, 1.0, atol=0.35)  # a variance from 200 draws has a relative std of 0.1
 
 
 def test_coloured_noise_counts_at_the_frequencies_at_which_a_parameter_acts() -> None:

@@ -131,7 +131,7 @@ def identify(
     Notes
     -----
     Without a known force or torque a common factor of masses, inertias and frictions cannot be known; `verdict` says
-    so, `sd` is inf there, and `ratios` hold what is known. Samples denser than 200 a window are thinned (picked); the
+    so, `std` is inf there, and `ratios` hold what is known. Samples denser than 200 a window are thinned (picked); the
     step is in ``settings["decimation"]``. Samples without given noise count alike. With fewer markers than links,
     a prior keeps neighbouring links about in line (0.5 rad over the root of their number): what no marker sees is
     taken from there.

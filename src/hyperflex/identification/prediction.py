@@ -36,7 +36,7 @@ class HeldOut:
     t (m,), measured (m, C), predicted (m, C)
         All predicted samples, for drawing; measured is NaN in gaps. A stretch that could not be predicted, or whose
         prediction does not stay finite, is inf throughout, and so is its rms and that of all.
-    sd (m, C) : rad or m
+    std (m, C) : rad or m
         Standard deviation of measured less predicted as the fit expects it, from the parameters' covariance, the
         fitted state and the noise, to first order; NaN where it is not known.
     """
@@ -49,14 +49,14 @@ class HeldOut:
     t: Array
     measured: Array
     predicted: Array
-    sd: Array
+    std: Array
 
     @property
     def inside(self) -> float:
         """Part of the predicted values that lie within 1.96 standard deviations; NaN where none is known."""
-        known = ~np.isnan(self.measured) & ~np.isnan(self.sd)
+        known = ~np.isnan(self.measured) & ~np.isnan(self.std)
         away = np.abs(self.measured - self.predicted)[known]
-        return float((away <= BAND * self.sd[known]).mean()) if known.any() else float("nan")
+        return float((away <= BAND * self.std[known]).mean()) if known.any() else float("nan")
 
     @property
     def failed(self) -> Array:
@@ -94,7 +94,7 @@ def predict(
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
     prior = np.zeros((0, 2 * angles.shape[1])) if measured.prior is None else measured.prior
     size = 1.0 if uncertainty is None else max(float(np.sqrt(np.mean(uncertainty.noise**2))), TINY)
-    starts, times, seen, predicted, sd = [], [], [], [], []
+    starts, times, seen, predicted, std = [], [], [], [], []
     for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
         before = (t >= start - lead - slack) & (t < start + slack)
         after = (t > start + slack) & (t <= start + ahead + slack)
@@ -109,7 +109,7 @@ def predict(
         seen.append(data[after])
         reached = _ahead(plant, x, window, found, t[after], uncertainty)
         predicted.append(reached[0])
-        sd.append(reached[1])
+        std.append(reached[1])
     if not starts:
         return None
     errors = [p - m for p, m in zip(predicted, seen, strict=True)]
@@ -122,7 +122,7 @@ def predict(
         np.concatenate(times),
         np.concatenate(seen),
         np.concatenate(predicted),
-        np.concatenate(sd),
+        np.concatenate(std),
     )
 
 

@@ -41,10 +41,10 @@ class Identification(Ended):
     ----------
     rope : Rope
         The guess with the free parameters at their fitted values.
-    values, sd : dict of str to ndarray
+    values, std : dict of str to ndarray
         By the names in ``free``, SI units: per-link properties (n,), others single. The standard deviation is 0 where
         a link's value was held, and inf where this motion cannot tell it.
-    ratios, ratio_sd : dict of str to ndarray (n,)
+    ratios, ratio_std : dict of str to ndarray (n,)
         ``J/p1``, ``p/p1``, ``c/p1`` and, where fitted, ``dry/p1``, ``k/p1``: what a motion without known forces can
         tell (p_i = m_i a_i + l_i m_beyond, J_i = inertia_i + m_i a_i^2 + l_i^2 m_beyond; p1 is that of link 0).
     intervals : dict of str to Interval
@@ -87,9 +87,9 @@ class Identification(Ended):
 
     rope: Rope
     values: dict[str, Array]
-    sd: dict[str, Array]
+    std: dict[str, Array]
     ratios: dict[str, Array]
-    ratio_sd: dict[str, Array]
+    ratio_std: dict[str, Array]
     intervals: dict[str, Interval]
     verdict: tuple[str, ...]
     identifiable: bool
@@ -131,7 +131,7 @@ class Identification(Ended):
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
-        alike = ("identifiable", "unit", "values", "sd", "ratios", "ratio_sd", "parameters", "covariance")
+        alike = ("identifiable", "unit", "values", "std", "ratios", "ratio_std", "parameters", "covariance")
         result: dict[str, Any] = self.ending() | {name: getattr(self, name) for name in alike}
         result["intervals"] = {
             name: {"low": each.low, "high": each.high, "kind": each.kind} for name, each in self.intervals.items()
@@ -158,7 +158,7 @@ class Identification(Ended):
     def __str__(self) -> str:
         settings = (f"{k} {_short(v)}" for k, v in self.settings.items() if not isinstance(v, list))
         lines = [f"Identification {self.message}: " + ", ".join(settings)]
-        for title, value, spread in (("value", self.values, self.sd), ("ratio", self.ratios, self.ratio_sd)):
+        for title, value, spread in (("value", self.values, self.std), ("ratio", self.ratios, self.ratio_std)):
             for name, numbers in value.items():
                 if said := _with_std(np.atleast_1d(numbers), np.atleast_1d(spread[name])):
                     lines.append(f"  {title} {name:<13} {said}")
@@ -229,9 +229,9 @@ def assemble_result(
     if plant.motor is not None:
         residuals, torque = residuals[:, :-1], residuals[:, -1]
     rms = np.sqrt(np.nanmean(residuals**2, axis=0))
-    ratio_sd = ratio_spread(parameters, information)
+    ratio_std = ratio_spread(parameters, information)
     message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
-    words = not_converged(message) + verdict(parameters, information, rope, ratio_sd)
+    words = not_converged(message) + verdict(parameters, information, rope, ratio_std)
     words += poor_fit(windows, residuals, unit, found.loss) + poor_torque(windows, torque, found.loss)
     words += not_noise(information.correlation, information.whiteness)
     words += noise_not_modelled(information.agrees, information.freedom) + failed_predictions(held_out) + remarks
@@ -239,13 +239,13 @@ def assemble_result(
         words += too_large(information.variance, information.freedom)
     words += [each.remark for each in (intervals or {}).values() if each.remark]
     if intervals is not None:
-        intervals = intervals | of_ratios(ratios(rope), ratio_sd, information.freedom)
+        intervals = intervals | of_ratios(ratios(rope), ratio_std, information.freedom)
     return Identification(
         rope=rope,
         values=_by_name(plant, rope, parameters.values(x)),
-        sd=_by_name(plant, None, spreads),
+        std=_by_name(plant, None, spreads),
         ratios=ratios(rope),
-        ratio_sd=ratio_sd,
+        ratio_std=ratio_std,
         intervals=intervals or {},
         verdict=tuple(consistent(words)),
         identifiable=information.unknown.shape[1] == 0,

@@ -18,7 +18,7 @@ from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
 CORRELATED = 10.0  # samples
-FEW = 2.0  # independent values; a variance from fewer has no sd
+FEW = 2.0  # independent values; a variance from fewer has no std
 CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
 COLOURED = (
     "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
@@ -164,7 +164,7 @@ def _unknown(parameters: Parameters, information: Information, spreads: dict[str
 
 def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -> str:
     """Return what to say of `count` directions in which several parameters cannot be told apart."""
-    lost = [name for name, sd in spreads.items() if np.isinf(sd).any()]
+    lost = [name for name, std in spreads.items() if np.isinf(std).any()]
     known = f"Not even these ratios are known: {', '.join(lost)}." if lost else "The ratios over p1 are known."
     if common:
         what = "One common factor" if count == 1 else f"{count} combinations"
@@ -184,9 +184,9 @@ def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -
 def _values(parameters: Parameters, information: Information, rope: Rope) -> list[str]:
     """Return what looks odd about single values."""
     said = []
-    sd = information.deviations(parameters.derivatives(information.x))
+    std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
-    for parameter, value, spread in zip(parameters.all, values, sd, strict=True):
+    for parameter, value, spread in zip(parameters.all, values, std, strict=True):
         if parameter.form == "nonnegative" and value == 0.0:
             said.append(f"{parameter.label} went to 0, the least allowed: the data show none of it.")
         elif parameter.kind.form != "linear" and np.isfinite(spread) and spread > 0.5 * value:

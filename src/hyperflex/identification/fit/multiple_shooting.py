@@ -20,7 +20,7 @@ from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.plant import Plant
 
 LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
-ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their sd
+ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their std
 SHORT = 1.0  # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
 ROUGH = 1e-5  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
 STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up

@@ -53,7 +53,7 @@ class Information:
     growing: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def spread(self, gradient: Array) -> Array:
-        """Return the sd (k,) of functions of x with the given gradients (k, P); inf where x alone cannot tell."""
+        """Return the std (k,) of functions of x with the given gradients (k, P); inf where x alone cannot tell."""
         variance = np.einsum("ij,jk,ik->i", gradient, self.covariance, gradient)
         scaled = gradient * self.widths
         length = np.sqrt((scaled**2).sum(axis=1))
@@ -61,7 +61,7 @@ class Information:
         return np.where(beyond & (length > 0.0), np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
     def deviations(self, slopes: Array) -> Array:
-        """Return the sd (P,) of the parameters' values, `slopes` (P,) of their x; inf where they cannot be known."""
+        """Return the std (P,) of the parameters' values, `slopes` (P,) of their x; inf where they cannot be known."""
         own = self.spread(np.diag(slopes))
         return np.where(self.growing, np.inf, own) if self.growing.size else own
 
@@ -200,7 +200,7 @@ def ratios(rope: Rope, *, every: bool = False) -> dict[str, Array]:
 
 
 def ratio_spread(parameters: Parameters, information: Information) -> dict[str, Array]:
-    """Return the sd (n,) of each ratio by the delta method; inf where even the ratio cannot be known."""
+    """Return the std (n,) of each ratio by the delta method; inf where even the ratio cannot be known."""
     x, names = information.x, ratios(parameters.rope(information.x))
     step = 1e-6
     columns = []

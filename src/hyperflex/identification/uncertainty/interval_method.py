@@ -27,9 +27,9 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Repor
     ----------
     basis : Basis
     how : {"auto", "covariance", "profile"}
-        ``auto`` profiles up to four parameters whose covariance is skewed: a non-negative one within four sd of 0,
+        ``auto`` profiles up to four parameters whose covariance is skewed: a non-negative one within four std of 0,
         those that correlate with it, and those along which the squares do not rise as a parabola does; of more, those
-        nearest to their bounds in sd.
+        nearest to their bounds in std.
     level : float
         How often they shall hold the truth.
     report : callable, optional
@@ -80,15 +80,15 @@ def _remark(found: Profile) -> str:
 def skewed(basis: Basis, which: int) -> bool:
     """Tell whether the covariance does not do for a parameter.
 
-    Beside a bound, its own or that of one it correlates with; or where two sd away, on the straight line along which
+    Beside a bound, its own or that of one it correlates with; or where two std away, on the straight line along which
     the covariance sends states and parameters, the squares rise otherwise than by four. Two rollouts of all windows.
     """
     information = basis.information
-    covariance, sd = information.covariance, np.sqrt(np.diag(information.covariance))
+    covariance, std = information.covariance, np.sqrt(np.diag(information.covariance))
     near = np.flatnonzero(near_bounds(covariance, information.x - basis.plant.parameters.lower))
-    if sd[which] == 0.0:
+    if std[which] == 0.0:
         return False
-    if any(abs(covariance[which, k]) > TIED * sd[which] * sd[k] for k in near):
+    if any(abs(covariance[which, k]) > TIED * std[which] * std[k] for k in near):
         return True
     for step in (-2.0, 2.0):
         move = step * information.plain[:, which] / np.sqrt(information.plain[which, which])
@@ -101,9 +101,9 @@ def skewed(basis: Basis, which: int) -> bool:
 def _skewed_parameters(basis: Basis) -> list[int]:
     """Return which parameters "auto" profiles."""
     information = basis.information
-    sd = np.sqrt(np.diag(information.covariance))
-    above = (information.x - basis.plant.parameters.lower) / np.where(sd > 0.0, sd, 1.0)
-    known = np.isfinite(information.deviations(np.ones(sd.size)))
+    std = np.sqrt(np.diag(information.covariance))
+    above = (information.x - basis.plant.parameters.lower) / np.where(std > 0.0, std, 1.0)
+    known = np.isfinite(information.deviations(np.ones(std.size)))
     chosen: list[int] = []
     for k in np.argsort(above, kind="stable"):
         if len(chosen) < MOST and known[k] and skewed(basis, int(k)):

@@ -54,20 +54,20 @@ def by_covariance(basis: Basis, which: int, level: float) -> tuple[float, float,
     """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
     information, parameter = basis.information, basis.plant.parameters.all[which]
     least, x = float(basis.plant.parameters.lower[which]), float(information.x[which])
-    sd = float(information.deviations(np.ones(information.x.size))[which])
-    half = sd * float(np.sqrt(quantile(level, information.freedom)))
+    std = float(information.deviations(np.ones(information.x.size))[which])
+    half = std * float(np.sqrt(quantile(level, information.freedom)))
     end: End = "bound" if x - half < least else "crossed"
     return parameter.value(max(x - half, least)), parameter.value(x + half), (end, "crossed")
 
 
-def of_ratios(ratios: dict[str, Array], sd: dict[str, Array], freedom: float) -> dict[str, Interval]:
+def of_ratios(ratios: dict[str, Array], std: dict[str, Array], freedom: float) -> dict[str, Interval]:
     """Return intervals of the ratios, by name and link, e.g. ``J/p1[0]``, from their standard deviations.
 
     They end at 0 where the ratio cannot be negative.
     """
     times, result = float(np.sqrt(quantile(LEVEL, freedom))), {}
     for name, values in ratios.items():
-        for k, (value, spread) in enumerate(zip(values, sd[name], strict=True)):
+        for k, (value, spread) in enumerate(zip(values, std[name], strict=True)):
             if not np.isfinite(spread):
                 low = -np.inf if name in SIGNED else 0.0
                 result[f"{name}[{k}]"] = Interval(low, np.inf, "unknown", ("bound" if low == 0.0 else "open", "open"))

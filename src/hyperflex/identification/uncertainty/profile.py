@@ -19,7 +19,7 @@ from hyperflex.identification.uncertainty.threshold import quantile, threshold
 from hyperflex.model import Rope
 
 FINISH = 1e-2  # gain of a round, in units of the residual variance, below which a point of the profile has settled
-CLOSE = 0.01  # sd to which an end is found
+CLOSE = 0.01  # std to which an end is found
 LONGEST = 3.0  # factor by which a step may grow
 TRIES = 25  # points on either side
 MOST_ROUNDS = 100  # of all fits on one side; usual are ten
@@ -79,7 +79,7 @@ class _Point:
 
     @property
     def excess(self) -> float:
-        """How far beyond the limit it stands, in sd; negative within."""
+        """How far beyond the limit it stands, in std; negative within."""
         return float(np.sqrt(max(self.rise, 0.0)) - np.sqrt(self.limit))
 
 
@@ -175,7 +175,7 @@ class _ProfileSearch:
         self.lower = basis.plant.parameters.lower
         self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
         self.column = information.covariance[:, which] / information.covariance[which, which]
-        self.sd = float(np.sqrt(information.covariance[which, which]))
+        self.std = float(np.sqrt(information.covariance[which, which]))
         self.unit = information.variance * float(information.covariance[which, which] / information.plain[which, which])
         self.enough = FINISH * information.variance / max(found.cost, 1e-300)
         best = self._fit(found.x, found.states, 10)
@@ -223,7 +223,7 @@ class _ProfileSearch:
         bound = float(self.lower[self.which]) if sign < 0.0 else np.inf
         inside, outside = self.points[0], None
         origin = float(inside.x[self.which])
-        step = self.sd * float(np.sqrt(quantile(self.level, self.basis.information.freedom)))
+        step = self.std * float(np.sqrt(quantile(self.level, self.basis.information.freedom)))
         value = origin + sign * step
         for _ in range(TRIES):
             value = max(value, bound) if sign < 0.0 else value

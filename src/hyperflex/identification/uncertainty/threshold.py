@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 
-NEAR = 4.0  # sd: a bound so far off is not felt
+NEAR = 4.0  # std: a bound so far off is not felt
 DRAWS = 4000  # their chance error is mostly cancelled by that of the F quantile on the same draws
 SWEEPS = 300  # of coordinate descent, at most
-SETTLED = 1e-4  # sd
+SETTLED = 1e-4  # std
 SEED = 1
 Mask = npt.NDArray[np.bool_]
 
@@ -32,9 +32,9 @@ def quantile(level: float, freedom: float) -> float:
 
 
 def near_bounds(covariance: Array, above: Array) -> Mask:
-    """Return which parameters (P,) stand less than NEAR sd `above` their bounds (P,), inf where there is none."""
-    sd = np.sqrt(np.diag(covariance))
-    result: Mask = (above < NEAR * sd) & (sd > 0.0)
+    """Return which parameters (P,) stand less than NEAR std `above` their bounds (P,), inf where there is none."""
+    std = np.sqrt(np.diag(covariance))
+    result: Mask = (above < NEAR * std) & (std > 0.0)
     return result
 
 
@@ -67,13 +67,13 @@ def threshold(level: float, freedom: float, which: int, covariance: Array, above
         return usual
     index = np.append(which, others)
     part = covariance[np.ix_(index, index)]
-    sd = np.sqrt(np.diag(part))
-    scaled = part / np.outer(sd, sd)
+    std = np.sqrt(np.diag(part))
+    scaled = part / np.outer(std, std)
     normal, size = _draws(index.size, freedom)
     values, vectors = np.linalg.eigh(scaled)
     shifted = normal @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
     inverse = np.linalg.pinv(scaled, rcond=1e-10, hermitian=True)
-    limit = np.where(np.isfinite(above[index]), -above[index] / sd, -np.inf)
+    limit = np.where(np.isfinite(above[index]), -above[index] / std, -np.inf)
     rise = _rise(shifted, inverse, limit, tested=True) - _rise(shifted, inverse, limit, tested=False)
     plain = shifted[:, 0] ** 2
     return usual * float(np.quantile(rise / size, level) / np.quantile(plain / size, level))
