@@ -522,9 +522,9 @@ def test_a_prediction_that_diverges_counts_as_infinitely_wrong(free_swing: Recor
     assert not np.isnan(held.window_rms).any()
     assert np.isinf(held.rms).all()
     np.testing.assert_allclose(held.failed, [5.5])
-    assert "1 of 3 held-out predictions failed (from t = 5.5 s)" in failed_predictions(held)[0]
+    assert "1 of 3 held-out predictions failed (from t = 5.5 s)" in failed_predictions(held)
     good = held_out(plain(DOUBLE), free_swing.window(4.0, np.inf))
-    assert failed_predictions(good) == failed_predictions(None) == []
+    assert failed_predictions(good) == failed_predictions(None) == ""
 
 
 def test_failed_predictions_are_in_the_verdict(free_swing: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -690,14 +690,14 @@ def test_the_window_does_not_depend_on_the_guess() -> None:
 
 
 def test_the_verdict_leads_with_what_is_wrong() -> None:
-    assert not_converged("converged") == []
-    assert not_converged("not converged")[0].startswith("The fit is not converged")
-    assert not_noise(1.0) == []
-    assert "no noise" in not_noise(50.0)[0]
+    assert not_converged("converged") == ""
+    assert not_converged("not converged").startswith("The fit is not converged")
+    assert not_noise(1.0) == ""
+    assert "no noise" in not_noise(50.0)
 
 
 def test_a_wrong_scale_of_the_markers_is_noticed() -> None:
     places = np.array([[0.0, 0.0, 0.0, -0.3], [0.0, 0.0, 0.1, -0.28]])
     markers = Recording([0.0, 0.1], places, kind="markers")
-    assert other_lengths(markers, Rope(length=[0.3], mass=[0.1])) == []
-    assert "0.2987 for 0.2 m" in other_lengths(markers, Rope(length=[0.2], mass=[0.1]))[0]
+    assert other_lengths(markers, Rope(length=[0.3], mass=[0.1])) == ""
+    assert "0.2987 for 0.2 m" in other_lengths(markers, Rope(length=[0.2], mass=[0.1]))

@@ -119,7 +119,7 @@ def test_a_page_warns_where_predictions_leave_their_band(tmp_path, swing):
 @pytest.mark.usefixtures("unseen")
 def test_model_error_and_predictions_that_hold_are_one_statement(tmp_path, swing):
     recording, found = swing
-    (told,) = not_noise(50.0)
+    told = not_noise(50.0)
     wide = dataclasses.replace(found.held_out, std=3.0 * found.held_out.std)
     text = page(tmp_path, (recording, changed(found, verdict=(told,), held_out=wide)))
     verdict = text[text.index("<h2>Verdict") : text.index("<h2>Parameters")]

@@ -32,33 +32,28 @@ def quantile(level: float, freedom: float) -> float:
 
 
 def near_bounds(covariance: Array, above: Array) -> Mask:
-    """Return which parameters (P,) stand less than NEAR std `above` their bounds (P,), inf where there is none."""
+    """Return which parameters (P,) are less than NEAR standard deviations `above` their bounds (P,), inf for none."""
     std = np.sqrt(np.diag(covariance))
     result: Mask = (above < NEAR * std) & (std > 0.0)
     return result
 
 
 def threshold(level: float, freedom: float, which: int, covariance: Array, above: Array) -> float:
-    """Return the rise, over the residual variance, at which the value of one parameter is refused.
+    """Return the rise, over the residual variance, at which the value of parameter `which` is refused.
 
     Parameters
     ----------
-    level : float
-        Part of all experiments in which the interval shall hold the truth.
-    freedom : float
-        Of the residual variance.
-    which : int
-        Which parameter is tested.
+    level, freedom : float
+        Confidence level; degrees of freedom of the residual variance.
     covariance : (P, P) array
         As it would be without bounds.
     above : (P,) array
-        How far the parameters stand above their bounds, at the value that is tested and what the others take there;
-        inf where there is no bound.
+        Distance above the bounds, at the tested value and the others' estimates there; inf where there is no bound.
 
     Notes
     -----
-    The others stand at their estimates, not at the truth: beside a bound of another parameter the level is met nearly,
-    not exactly. About 1 ms a bound that is felt.
+    The other parameters stand at their estimates, not at the truth: the level is met nearly, not exactly. About 1 ms a
+    bound that is near.
     """
     usual = quantile(level, freedom)
     chosen = np.flatnonzero(near_bounds(covariance, above))
@@ -105,7 +100,7 @@ def _rise(points: Array, inverse: Array, limit: Array, *, tested: bool) -> Array
 
 
 def _descend(points: Array, away: Array, inverse: Array, limit: Array, free: npt.NDArray[np.intp]) -> Array:
-    """Return the best v - u (N, k) within the limits, coordinate by coordinate; those not `free` stay."""
+    """Return the best v - u (N, k) within the limits by coordinate descent; those not `free` stay."""
     for _ in range(SWEEPS):
         moved = 0.0
         for j in free:
