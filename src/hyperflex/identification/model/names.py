@@ -20,16 +20,10 @@ ORIGIN = 0.1  # scale of the place of the first joint, in lengths of the rope
 def parse(
     guess: Rope, free: Sequence[str], arc_lengths: Array | None = None, *, moved: bool = False, arm: Arm | None = None
 ) -> list[Parameter]:
-    """Return the parameters that the words in `free` stand for.
+    """Return the parameters that the words in `free` (see :func:`hyperflex.identify`) stand for.
 
     Parameters
     ----------
-    guess : Rope
-    free : sequence of str
-        A property, for each link's own value; ``friction[2]`` of one link; ``friction:shared`` one value for all;
-        ``friction:factor`` one factor on all links' guesses; ``friction:taper`` its logarithmic growth along the rope;
-        ``tip_mass``, ``gravity_angle``, ``delay``, ``origin_x``, ``origin_y``, ``arm_inertia``, ``arm_friction`` of the
-        whole; ``arc[2]`` of a marker.
     arc_lengths : (K,) array, m, optional
         Where markers sit along the rope.
     moved : bool
@@ -140,7 +134,7 @@ def _arcs(guess: Rope, marker: int | None, law: str, arc_lengths: Array | None) 
 
 
 def scales(guess: Rope, name: str) -> Array:
-    """Return the scales (n,) of a property of the links: its value, or by its unit what is typical, if that is more."""
+    """Return the scales (n,) of a property of the links: its value, or what is typical by its unit, if that is more."""
     value: Array = np.array(getattr(guess, name))
     if FREE[name].form == "log":
         if not (value > 0.0).all():
@@ -161,14 +155,15 @@ def scales(guess: Rope, name: str) -> Array:
 
 
 def perturbed(rope: Rope, off: Mapping[str, float]) -> Rope:
-    """Return the rope with fitted numbers off by so much, kept within their bounds.
+    """Return the rope with fitted parameters changed, kept within their bounds.
 
     Parameters
     ----------
     rope : Rope
         As fitted.
     off : mapping of str to float
-        By labels such as ``friction[1]``, in SI units; of a factor relative. What is none of the rope's is left out.
+        Changes by labels such as ``friction[1]``, SI units; of a factor relative. What is none of the rope's is left
+        out.
     """
     owners = {label: FREE[parts.name].owner for label in off if (parts := parsed(label))}
     own = {label: off[label] for label, owner in owners.items() if owner in ("link", "rope")}
