@@ -51,29 +51,26 @@ def read_recording(
     unit : str
         ``rad``, ``mrad``, ``deg`` or ``turn`` for angles (rates are per second); ``m``, ``cm``, ``mm`` or ``px`` for
         markers; ``px`` needs `scale`.
-    frame_rate : float, frames/s
-        For times that count frames.
+    frame_rate, scale : float
+        Frames/s, of times that count frames; length of a pixel, m.
     y_axis : {"up", "down"}
-        Where the markers' y axis points (pixels mostly count downwards).
-    scale : float, m
-        Length of a pixel.
+        Direction of the markers' y axis (mostly down for pixels).
     zero : {"hanging", "up"}
-        Where angles are 0; "hanging" when nothing is declared (the package's convention), "up" for ``.mat``.
+        Where angles are 0; by default "hanging", "up" for ``.mat``.
     sense : {"+x", "-x"}
-        Side to which angles grow; "+x" when nothing is declared.
+        Side to which angles grow; by default "+x".
     angles : {"absolute", "relative"}
-        Whether each link's angle is against the vertical or the link before; "absolute" when nothing is declared.
+        Whether each link's angle is against the vertical (default) or the link before.
     wrapped : bool
         True for angles that jump by whole turns; they are unwrapped, the smaller turn from sample to sample.
     columns : sequence of str, optional
         Names of the data columns in order (CSV), for other names than ``th1, ..`` or ``x0, y0, ..``; needs `kind`.
     noise : float or array_like (C,) or (T, C), optional
-        Standard deviation in the unit of the data. CSV columns ``std_th1, ..`` or a note say
-        the same.
+        Standard deviation in the unit of the data; also by CSV columns ``std_th1, ..`` or a note.
     max_rate : float, rad/s
         Angles that change faster are refused as wrong units.
     name : str, optional
-        Short name for reports; the file's name when left out.
+        Short name for reports; by default the file's.
 
     Returns
     -------

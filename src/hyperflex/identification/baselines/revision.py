@@ -205,9 +205,8 @@ def iterative_revision(
 
 def _unchanged(before: Round, now: Round, std: dict[str, float]) -> bool:
     """Whether a revision has moved neither parameter."""
-    moves = {"inertia": now.inertia - before.inertia, "friction": now.friction - before.friction}
-    sizes = {"inertia": now.inertia, "friction": now.friction}
-    return all(abs(moves[name]) <= max(SETTLED * std[name], FALSE_DIGITS * sizes[name]) for name in moves)
+    pairs = {"inertia": (before.inertia, now.inertia), "friction": (before.friction, now.friction)}
+    return all(abs(b - a) <= max(SETTLED * std[name], FALSE_DIGITS * b) for name, (a, b) in pairs.items())
 
 
 class _Revision:
@@ -231,9 +230,8 @@ class _Revision:
         try:
             rope = self.rope(values)
         except InvalidInput as error:
-            raise IdentificationError(
-                f"J = {values[0]:.3g} kg m^2, eta = {values[1]:.3g} N m s/rad: {error}"
-            ) from error
+            what = f"J = {values[0]:.3g} kg m^2, eta = {values[1]:.3g} N m s/rad"
+            raise IdentificationError(f"{what}: {error}") from error
         start = None if before is None else (before.q, before.qd)
         found = estimate_initial_state(self.measured, rope, rates=self.rates, start=start, max_evaluations=self.limit)
         self.interrupted = found.message == INTERRUPTED

@@ -150,10 +150,8 @@ def squared_error(measured: Recording, rope: Rope, state: Array) -> float:
 
     Parameters
     ----------
-    measured : Recording
-        Of angles.
-    rope : Rope
-        With as many links.
+    measured, rope : Recording, Rope
+        Angles of as many links as the rope's.
     state : (2 n,) float64
         Angles, rad, and rates, rad/s, at the first sample.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -22,14 +23,8 @@ def parse(
 ) -> list[Parameter]:
     """Return the parameters that the words in `free` (see :func:`hyperflex.identify`) stand for.
 
-    Parameters
-    ----------
-    arc_lengths : (K,) array, m, optional
-        Where markers sit along the rope.
-    moved : bool
-        Whether the first joint is moved, so that a delay means something.
-    arm : Arm, optional
-        The arm whose motor's torque is measured, if it is.
+    `arc_lengths` (K,), m, are of the markers; `moved` tells whether the first joint moves, so that a delay has a
+    meaning; `arm` is that whose motor torque is measured.
     """
     if isinstance(free, str) or len(free) == 0:
         raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
@@ -51,16 +46,12 @@ def parse(
 def _refuse_twice(chosen: list[Parameter], free: Sequence[str]) -> None:
     """Refuse words that free one number twice."""
     twice: set[str] = set()
-    for k, one in enumerate(chosen):
-        for other in chosen[:k]:
-            if one.name != other.name:
-                continue
-            both = one.law == other.law == "own"
-            if both and one.links and not set(one.links) & set(other.links):
-                continue
-            if one.law == other.law or "own" in (one.law, other.law):
-                shared = sorted(set(one.links) & set(other.links)) if both else []
-                twice |= {f"{one.name}[{link}]" for link in shared} or {one.name}
+    for one, other in combinations(chosen, 2):
+        both = one.law == other.law == "own"
+        shared = set(one.links) & set(other.links) if both else set()
+        apart = both and one.links and not shared
+        if one.name == other.name and not apart and (one.law == other.law or "own" in (one.law, other.law)):
+            twice |= {f"{one.name}[{link}]" for link in shared} or {one.name}
     if twice:
         raise InvalidInput(
             "free names the same thing twice", got=list(free), allowed=f"{', '.join(sorted(twice))} only once"

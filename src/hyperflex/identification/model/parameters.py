@@ -88,6 +88,9 @@ class Parameters:
     def __init__(self, guess: Rope, chosen: Sequence[Parameter]) -> None:
         self.guess = guess
         self.all = tuple(chosen)
+        self.labels = tuple(p.label for p in self.all)  # e.g. ``friction[1]``
+        self.lower = np.array([p.least for p in self.all])  # bounds of x
+        self.widths = np.array([p.width for p in self.all])  # comparable changes of x
         self.led = {name: np.ones(guess.n_links, dtype=bool) for name in LED}  # which links' are not free themselves
         for parameter in self.all:
             if parameter.name in LED:
@@ -98,28 +101,13 @@ class Parameters:
         return len(self.all)
 
     @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the single numbers, e.g. ``friction[1]``."""
-        return tuple(p.label for p in self.all)
-
-    @property
     def start(self) -> Array:
         """First guess x (P,)."""
         return np.array([p.first for p in self.all])
 
-    @property
-    def lower(self) -> Array:
-        """Lower bounds of x (P,)."""
-        return np.array([p.least for p in self.all])
-
     def rounded(self, x: Array) -> Array:
         """Return x (P,) with 0 for what is left at its bound."""
         return np.where((x > 0.0) & (x <= self.lower), 0.0, x)
-
-    @property
-    def widths(self) -> Array:
-        """Comparable changes of x (P,), see ``Parameter.width``."""
-        return np.array([p.width for p in self.all])
 
     def values(self, x: Array) -> Array:
         """Return the values (P,) in SI units."""

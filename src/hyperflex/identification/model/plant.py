@@ -49,16 +49,9 @@ class PredictedChannels:
 
 
 class Plant:
-    """Predicts the channels of a window.
+    """Predicts the channels of a window, those of `sensor` and, with `torque`, of the arm's motor as the last.
 
-    Parameters
-    ----------
-    parameters : Parameters
-    sensor : Sensor
-    motion, arm : Motion, Arm, optional
-        Of the first joint; by default it is fixed.
-    torque : bool
-        Whether the torque of the arm's motor is measured as well: the last channel.
+    `motion` and `arm` move the first joint; by default it is fixed.
     """
 
     def __init__(
