@@ -134,7 +134,6 @@ def _require_all(raw: Raw, declared: Mapping[str, object]) -> None:
 
 
 def _seconds(raw: Raw, declared: Mapping[str, object]) -> Array:
-    """Return the sample times in s."""
     unit = checks.choice("time_unit", declared.get("time_unit"), OPTIONS["time_unit"])
     if unit == "frame":
         return raw.t / checks.number("frame_rate", declared.get("frame_rate"), sign="positive", unit="frames/s")

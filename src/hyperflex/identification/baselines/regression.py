@@ -170,15 +170,13 @@ def fit_regression(
     moved = checks.array("pivot_acceleration", moved, (shape[0], 2), unit="m/s^2")
     velocity = np.zeros((shape[0], 2)) if pivot_velocity is None else pivot_velocity
     velocity = checks.array("pivot_velocity", velocity, (shape[0], 2), unit="m/s")
-    first = [
-        checks.array(name, value, (shape[0],), unit=unit, scalar=True)
-        for name, value, unit in (("arm_angle", arm_angle, "rad"), ("arm_rate", arm_rate, "rad/s"))
-    ]
+    arm_angle = checks.array("arm_angle", arm_angle, shape[:1], unit="rad", scalar=True)
+    arm_rate = checks.array("arm_rate", arm_rate, shape[:1], unit="rad/s", scalar=True)
     unknowns = _unknowns(rope, names)
     every = np.concatenate(
         [
             *_moments(rope, angles, rates, accelerations, rope.gravity - moved),
-            *_joints(rope, angles, rates, first[0], first[1]),
+            *_joints(rope, angles, rates, arm_angle, arm_rate),
             _drag(rope, angles, rates, velocity),
         ],
         axis=2,

@@ -222,8 +222,7 @@ class _Revision:
 
     def rope(self, values: Array) -> Rope:
         """Return the guess with one J and one eta (2,) for all links."""
-        n = self.guess.n_links
-        return self.guess.replace(inertia=np.full(n, values[0]), friction=np.full(n, values[1]))
+        return self.guess.replace(inertia=values[0], friction=values[1])
 
     def state(self, values: Array, before: Round | None, began: float) -> Round:
         """Find the initial state (steps 2 and 3 of Fig. 4)."""

@@ -59,7 +59,6 @@ def candidates(
 
 
 def _own(name: str, guess: Rope, value: object) -> Candidate:
-    """Return a candidate of the user's."""
     if isinstance(value, tuple) and len(value) == 2 and isinstance(value[0], Rope):
         guess, value = value
     if isinstance(value, str) or not isinstance(value, Sequence):

@@ -132,7 +132,6 @@ def _refit_from_nested(
 
 
 def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], stopped: bool) -> ModelComparison:
-    """Return the comparison of the candidates done."""
     fits = [each.basis for each in done if not isinstance(each, str) and each.success]
     scores = dict(zip(map(id, fits), criteria(fits) if fits else [], strict=True))
     models, evidence, unit = [], [], "rad"
@@ -150,7 +149,6 @@ def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], s
 
 
 def _fitted_model(candidate: Candidate, found: Identification, bic: float | None) -> FittedModel:
-    """Return a candidate with its figures."""
     reason = "" if bic is not None else "it fits other samples than the rest, so its BIC is another thing"
     information = found.basis.information
     return FittedModel(

@@ -96,10 +96,9 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> In
     slopes = _sensitivities(windows, fit)
     mean = max(float(slopes.mean()), LEAST_SENSITIVITY)
     models = _models(plant, windows, fit, mean)
-    singular, directions = _svd([model.shared * widths for model in models], total)
-    determined = singular > UNKNOWN * singular[0]
-    known, unknown = directions[determined].T, directions[~determined].T
-    inner = known / singular[determined]  # A^+ = inner inner^T
+    rows = [model.shared * widths for model in models]
+    singular, known, unknown = known_directions([*rows, np.zeros((total, total))])
+    inner = known / singular[: known.shape[1]]  # A^+ = inner inner^T
     pieces = [model.piece(inner * widths[:, None]) for model in models]
     terms, agrees = autoregression(pieces)
     absorbed = sum(float((piece.basis * correlated(terms, piece.basis)).sum()) for piece in pieces)
@@ -178,11 +177,12 @@ def _sensitivities(windows: Sequence[Window], fit: Fit) -> Array:
     return np.concatenate([fit.loss.sensitivity(r)[s] for r, s in zip(fit.residuals, seen, strict=True)])
 
 
-def _svd(rows: Sequence[Array], total: int) -> tuple[Array, Array]:
-    """Return singular values (P,) and directions (P, P) of stacked rows (M, P)."""
+def known_directions(rows: Sequence[Array]) -> tuple[Array, Array, Array]:
+    """Return singular values (P,), known (P, k) and unknown (P, P - k) directions of stacked rows (M >= P, P)."""
     small = [np.linalg.qr(each, mode="r") for each in rows]
-    _, singular, directions = np.linalg.svd(np.vstack([*small, np.zeros((total, total))]), full_matrices=False)
-    return singular, directions
+    _, singular, directions = np.linalg.svd(np.vstack(small), full_matrices=False)
+    determined = singular > UNKNOWN * singular[0]
+    return singular, directions[determined].T, directions[~determined].T
 
 
 def ratios(rope: Rope, *, every: bool = False) -> dict[str, Array]:

@@ -82,7 +82,6 @@ def skewed(basis: Basis, which: int) -> bool:
 
 
 def _skewed_parameters(basis: Basis) -> list[int]:
-    """Return the parameters that "auto" profiles."""
     information = basis.information
     std = np.sqrt(np.diag(information.covariance))
     above = (information.x - basis.plant.parameters.lower) / np.where(std > 0.0, std, 1.0)
