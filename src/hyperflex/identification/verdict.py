@@ -157,7 +157,6 @@ def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -
 
 
 def _values(parameters: Parameters, information: Information, rope: Rope) -> list[str]:
-    """Return what looks odd about single values."""
     said = []
     std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))

@@ -36,12 +36,8 @@ class Measurement(NamedTuple):
 class Sensor(ABC):
     """A sensor of the posture of a rope.
 
-    Attributes
-    ----------
-    placed : bool
-        Whether it measures places, which depend on the first joint's.
-    values : (V,) float64
-        Values of the sensor itself that may be fitted.
+    `placed` tells whether it measures places, which depend on the first joint's; `values` (V,) are its own values that
+    may be fitted.
     """
 
     placed = False

@@ -86,10 +86,8 @@ class LeastSquares:
 
     Attributes
     ----------
-    names : tuple of str
-        The unknowns, (P,).
-    values : (P,) float64
-        In SI units, not bounded.
+    names, values : tuple of str, (P,) float64
+        The unknowns and their values, SI units, not bounded.
     covariance : (P, P) float64
         Of the values, for white errors in the known torques. Noise in the columns (rates and accelerations by
         differences) biases the values, and is not covered.
@@ -108,7 +106,6 @@ class LeastSquares:
         return np.sqrt(np.diag(self.covariance))
 
     def __getitem__(self, name: str) -> float:
-        """Return the value of one unknown by its name."""
         return float(self.values[self.names.index(name)])
 
 

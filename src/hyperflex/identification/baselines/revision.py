@@ -49,10 +49,8 @@ class Round:
         Initial angles, rad, and rates, rad/s.
     error, measured_start : float
         E of (7) with that state, and with the measured initial angles, rad^2.
-    evaluations : int
-        Rollouts of the downhill simplex.
-    seconds : float
-        Time since the revision began.
+    evaluations, seconds : int, float
+        Rollouts of the downhill simplex; time since the revision began.
     """
 
     inertia: float
@@ -71,10 +69,8 @@ class IterativeRevision(Ended):
 
     Attributes
     ----------
-    rope : Rope
-        With the J and eta of the best round.
-    best : Round
-        The last round, or the one of least error if it did not converge.
+    rope, best : Rope, Round
+        The last round, or the one of least error if it did not converge, and the rope with its J and eta.
     std : dict of str to float
         Standard deviations of "inertia" and "friction" from the regression.
     rounds : tuple of Round

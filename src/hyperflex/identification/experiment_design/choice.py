@@ -42,10 +42,9 @@ class Plan:
     Attributes
     ----------
     experiment : Experiment
-    std : dict of str to float
-        Predicted standard deviation of each wanted number, SI units; inf where the experiment cannot tell it.
-    relative : dict of str to float
-        The same over the number's value (over a typical change where it is 0, or an offset).
+    std, relative : dict of str to float
+        Predicted standard deviation of each wanted number, SI units, and over its value (over a typical change where
+        that is 0, or an offset); inf where the experiment cannot tell it.
     reason : str
         Why it could not be simulated, or empty.
     """
@@ -228,7 +227,6 @@ def _plan(asked: DesignQuestion, experiment: Experiment, seen: list[ExpectedInfo
 
 
 def _advice(asked: DesignQuestion, ranked: Sequence[Plan], seen: Sequence[ExpectedInformation]) -> str:
-    """Return what to do, in words."""
     if all(plan.reason for plan in ranked):
         return "No candidate could be simulated."
     best = ranked[0]
@@ -266,7 +264,6 @@ def _alternatives(asked: DesignQuestion, experiments: Sequence[Experiment], seen
 
 
 def _weigh(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
-    """Return how weighing the links would help."""
     kept = tuple(word for word in asked.free if word.partition(":")[0].partition("[")[0] not in WEIGHED)
     own = [word for word in asked.want if word.partition("[")[0] in WEIGHED]
     if own:
@@ -279,7 +276,6 @@ def _weigh(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
 
 
 def _torque(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
-    """Return how a measured motor torque would help."""
     if asked.arm is None:
         return "Or swing it by a motor whose torque is measured (arm=..., torque_noise)."
     moved = [each for each in experiments if each.motion is not None and each.torque_noise is None]

@@ -16,6 +16,12 @@ from hyperflex.model.properties import FREE, Label, parsed
 SHARE = 0.01  # size of an unknown small torque, as a part of gravity's, in the scale of a friction that starts from 0
 DELAY = 0.05  # s, scale of the time between camera and motor
 ORIGIN = 0.1  # scale of the place of the first joint, in lengths of the rope
+NEEDS = {  # what must be measured for parameters that are not the rope's
+    "motion": ("nothing moves the first joint", "motion=..."),
+    "camera": ("no places are measured", "arc_lengths=..."),
+    "marker": ("no places are measured", "arc_lengths=..."),
+    "arm": ("no torque is measured", "torque=... and arm=..."),
+}
 
 
 def parse(
@@ -61,12 +67,17 @@ def _refuse_twice(chosen: list[Parameter], free: Sequence[str]) -> None:
 def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm: Arm | None) -> list[Parameter]:
     """Return the parameters of one word in `free`."""
     name, place, law = label
-    if FREE[name].owner == "marker":
+    owner = FREE[name].owner
+    unseen = arc_lengths is None
+    if {"motion": not moved, "camera": unseen, "marker": unseen, "arm": arm is None}.get(owner):
+        why, fix = NEEDS[owner]
+        raise InvalidInput(f"{name} is free, but {why}", fix=f"Give {fix}, or leave it out")
+    if arc_lengths is not None and owner == "marker":
         return _arcs(guess, place, law, arc_lengths)
-    if FREE[name].owner != "link":
+    if owner != "link":
         if place is not None or law:
             raise InvalidInput(f"{name} belongs to the whole rope, or camera", got=f"{name}[{place}]", allowed=name)
-        return [_whole(guess, name, arc_lengths, moved, arm)]
+        return [_whole(guess, name, arm or Arm())]
     n = guess.n_links
     if place is not None and place >= n:
         raise InvalidInput(
@@ -84,18 +95,8 @@ def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm:
     return [Parameter(name, (k,), f"{name}[{k}]", float(starts[k]), float(sizes[k])) for k in chosen]
 
 
-def _whole(guess: Rope, name: str, arc_lengths: Array | None, moved: bool, arm: Arm | None) -> Parameter:
+def _whole(guess: Rope, name: str, arm: Arm) -> Parameter:
     """Return a parameter that belongs to no link; what starts from 0 gets a typical size as scale."""
-    owner = FREE[name].owner
-    if owner == "motion" and not moved:
-        raise InvalidInput("delay is free, but nothing moves the first joint", fix="Give motion=..., or leave it out")
-    if owner == "camera" and arc_lengths is None:
-        raise InvalidInput(f"{name} is free, but no places are measured", fix="Give arc_lengths=..., or leave it out")
-    if owner == "arm" and arm is None:
-        raise InvalidInput(
-            f"{name} is free, but no torque is measured", fix="Give torque=... and arm=..., or leave it out"
-        )
-    held = arm or Arm()
     level = SHARE * guess.total_mass * guess.total_length**2  # of the level rope
     typical = level * float(np.sqrt(np.hypot(*guess.gravity) / guess.total_length))
     place = (0.0, ORIGIN * guess.total_length)
@@ -105,16 +106,13 @@ def _whole(guess: Rope, name: str, arc_lengths: Array | None, moved: bool, arm: 
         "delay": (0.0, DELAY),
         "origin_x": place,
         "origin_y": place,
-        "arm_inertia": (held.inertia, level),
-        "arm_friction": (held.friction, typical or level),
+        "arm_inertia": (arm.inertia, level),
+        "arm_friction": (arm.friction, typical or level),
     }[name]
     return Parameter(name, (), name, start, max(start, size))
 
 
-def _arcs(guess: Rope, marker: int | None, law: str, arc_lengths: Array | None) -> list[Parameter]:
-    """Return the places of markers along the rope."""
-    if arc_lengths is None:
-        raise InvalidInput("arc is free, but no places are measured", fix="Give a first guess, arc_lengths=...")
+def _arcs(guess: Rope, marker: int | None, law: str, arc_lengths: Array) -> list[Parameter]:
     if law or (marker is not None and marker >= arc_lengths.size):
         raise InvalidInput(
             "arc names no marker", got=law or marker, allowed=f"arc, or arc[0] to arc[{arc_lengths.size - 1}]"

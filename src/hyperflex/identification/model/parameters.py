@@ -65,8 +65,7 @@ class Parameter:
     def width(self) -> float:
         """Change of x that makes parameters comparable when judging what can be known.
 
-        A factor of e, a link's length, its whole inertia, a torque of 1 % of gravity's, 0.1 rad, 0.1 of a time or
-        place scale.
+        A factor of e, a length, a whole inertia, 1 % of gravity's torque, 0.1 rad, 0.1 of a time or place scale.
         """
         return SMALL if self.form == "linear" and self.law == "own" and self.name != "com" else 1.0
 

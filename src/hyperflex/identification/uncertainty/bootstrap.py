@@ -13,8 +13,7 @@ from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit, one_thread
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.intervals import LEVEL, Interval, checked_level
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level
 from hyperflex.identification.uncertainty.noise import correlations
 from hyperflex.simulation.rollouts import progress_bar
 

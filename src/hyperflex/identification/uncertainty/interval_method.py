@@ -8,8 +8,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.fit.multiple_shooting import Report, with_entries
-from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.intervals import LEVEL, Interval, from_covariance
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, from_covariance
 from hyperflex.identification.uncertainty.profile import BETTER, Profile, profiled
 from hyperflex.identification.uncertainty.threshold import near_bounds
 
@@ -46,7 +45,6 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Repor
 
 
 def _remark(found: Profile) -> str:
-    """Return a warning about a profile, or ""."""
     if found.gain > BETTER:
         return (
             f"Beside {found.name} the squares fall {found.gain:.3g} residual variances below those of this fit: it is "
