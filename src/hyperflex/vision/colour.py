@@ -84,21 +84,7 @@ class MarkerColour:
         InvalidInput
             If the place is not in the picture, or what is there does not stand out against what is around it.
         """
-        import cv2
-
-        u, v = np.rint(checks.array("place", place, (2,), unit="px")).astype(int)
-        height, width = image.shape[:2]
-        if not (0 <= u < width and 0 <= v < height):
-            raise InvalidInput("the click is not in the picture", got=[u, v], allowed=f"within {width} x {height} px")
-        smooth = cv2.medianBlur(image, 3)
-        mask = np.zeros((height + 2, width + 2), np.uint8)
-        flags = 8 | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE
-        cv2.floodFill(smooth, mask, (int(u), int(v)), 0, (_TOLERANCE,) * 3, (_TOLERANCE,) * 3, flags)
-        inside = mask[1:-1, 1:-1] > 0
-        around = cv2.dilate(inside.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
-        around &= cv2.dilate(inside.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0
-        core = cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        colour = np.median(image[core if core.any() else inside], axis=0)
+        colour, inside, around = surface(image, place)
         if inside.mean() > 0.05 or not around.any():
             raise InvalidInput(
                 "the click shows a large surface, not a marker",
@@ -199,6 +185,32 @@ class MarkerColour:
         contrast = np.array([0.5 * _LEAST_CONTRAST, _NOISE])
         noise = discriminant(region, self.axes, self.axes @ self.bgr, contrast, result)
         return result, float(noise)
+
+
+def surface(
+    image: Image, place: npt.ArrayLike
+) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Return the colour (3,) of the surface at a place (2,), px, and masks of it and of what is around it.
+
+    Raises
+    ------
+    InvalidInput
+        If the place is not in the picture.
+    """
+    import cv2
+
+    u, v = np.rint(checks.array("place", place, (2,), unit="px")).astype(int).tolist()
+    height, width = image.shape[:2]
+    if not (0 <= u < width and 0 <= v < height):
+        raise InvalidInput("the click is not in the picture", got=[u, v], allowed=f"within {width} x {height} px")
+    smooth = cv2.medianBlur(image, 3)
+    mask = np.zeros((height + 2, width + 2), np.uint8)
+    flags = 8 | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE
+    cv2.floodFill(smooth, mask, (u, v), 0, (_TOLERANCE,) * 3, (_TOLERANCE,) * 3, flags)
+    inside = (mask[1:-1, 1:-1] > 0).astype(np.uint8)
+    core = cv2.erode(inside, np.ones((3, 3), np.uint8)) > 0
+    far, near = (cv2.dilate(inside, np.ones((size, size), np.uint8)) > 0 for size in (9, 5))
+    return np.median(image[core if core.any() else inside > 0], axis=0), inside > 0, far & ~near
 
 
 def _is_compact(stats: npt.NDArray[np.int32]) -> bool:
