@@ -12,7 +12,7 @@ from hyperflex.checks import Array
 
 SLACK = 0.02  # by which a rope may look longer than it is
 CERTAIN = 4.0  # cost by which the next order must be worse
-_SHORT, _TURN = 0.08, 0.35  # scales of missing chord over arc, and of the turn from chord to chord, rad
+_SHORT, _TURN = 0.08, 0.6  # scales of missing chord over arc, and of the turn from chord to chord, rad
 _MISSING, _CLUTTER = 5.0, 2.5  # costs of a marker not seen, and of something seen that is no marker
 _BEAM = 600
 

@@ -10,6 +10,7 @@ AREA, MEAN_U, MEAN_V, COV_UU, COV_UV, COV_VV, PEAK, PIXELS, BORDER, SPREAD, FULL
 COLUMNS = COLOUR + 3
 LARGEST = 64  # blobs in one picture
 GROWTH = 2  # px beyond the threshold that still count
+FAINT = 0.2  # of a blob's greatest weight: less is no part of it
 FULLY = 0.85  # weight from which a pixel shows the marker alone
 
 
@@ -32,7 +33,7 @@ def blob_moments(image, weights, threshold, out):  # type: ignore[no-untyped-def
     weights : (h, w) float64
         Share of the pixel that a marker covers; noise about 0 elsewhere.
     threshold : float
-        Weight above which pixels belong together (eight neighbours).
+        Weight above which pixels belong together (eight neighbours), where it is a fifth of the blob's greatest, too.
     out : (M, COLUMNS) float64
         Set on return, a row for each component, in the order of their first rows: area (sum of weights), means and
         covariances of u and v, greatest weight, pixels, whether it touches the border, sum of squared distances from
@@ -50,7 +51,11 @@ def blob_moments(image, weights, threshold, out):  # type: ignore[no-untyped-def
     """
     h, w = weights.shape
     label, members = np.zeros((h, w), np.int64), np.empty(h * w, np.int64)
-    count, size = label_blobs(weights, threshold, label, members, out.shape[0])
+    _, size = label_blobs(weights, threshold, label, members, out.shape[0])
+    sure = weights.copy()
+    drop_faint(sure, label, members, size)
+    label[:] = 0
+    count, size = label_blobs(sure, threshold, label, members, out.shape[0])
     for _ in range(GROWTH):
         size = grow(label, members, size)
     out[:] = 0.0
@@ -114,6 +119,20 @@ def label_blobs(weights, threshold, label, members, most):  # type: ignore[no-un
                         members[size] = b * w + a
                         size += 1
     return count, size
+
+
+@kernel
+def drop_faint(weights, label, members, size):  # type: ignore[no-untyped-def]
+    """Set to zero what is much fainter than the greatest weight of its component: a rope that touches a marker, say."""
+    w = weights.shape[1]
+    peak = np.zeros(size + 1)
+    for i in range(size):
+        v, u = members[i] // w, members[i] % w
+        peak[label[v, u]] = max(peak[label[v, u]], weights[v, u])
+    for i in range(size):
+        v, u = members[i] // w, members[i] % w
+        if weights[v, u] < FAINT * peak[label[v, u]]:
+            weights[v, u] = 0.0
 
 
 @kernel
