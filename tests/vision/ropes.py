@@ -10,7 +10,7 @@ ARCS = np.linspace(0.2, 2.0, 10)
 
 
 def swinging(speed=6.0, links=100, until=2.0, **more):
-    """Return a rope of 2 m whose link angles are sums of travelling waves; its tip moves at up to about `speed`, m/s."""
+    """Return a rope of 2 m whose link angles are sums of travelling waves; its tip reaches about `speed`, m/s."""
     t = np.arange(0.0, until, 0.005)[:, None]
     s = (np.arange(links) + 0.5)[None] / links
     rate = speed / 1.5

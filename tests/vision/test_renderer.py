@@ -48,7 +48,7 @@ def test_a_marker_at_rest_is_where_the_truth_says(shift):
 @pytest.mark.parametrize("readout", [0.0, 0.03])
 @pytest.mark.parametrize("velocity", [(3.0, 2.0), (-2.0, 4.0)])
 def test_a_streak_lies_about_the_place_of_the_truth(direction, readout, velocity):
-    """The middle within 0.1 px of 12 px or more of blur, for each way of reading rows out; seen at 1.3 m from the top."""
+    """The middle within 0.1 px of 12 px or more of blur, for each way of reading rows out."""
     seen = camera(exposure=0.012, readout=readout, readout_direction=direction, delay=0.004)
     renderer = Renderer(seen, sliding(velocity, (0.0, -0.7)), ONE)
     truth = renderer.truth([0.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -88,7 +89,7 @@ def assign_markers(
     limits = None if reach is None else checks.array("reach", reach, (max(count - 1, 0),), sign="positive", unit="px")
     forbidden = np.zeros((count, len(seen.places)), bool)
     while True:
-        indices = _settle(seen, mean, prior, -2.0 * math.log(1.0 - p), forbidden)
+        indices = _best(seen, mean, prior, -2.0 * math.log(1.0 - p), forbidden)
         distances, worst = _check_reach(seen, indices, mean, prior, limits)
         if worst < 0:
             break
@@ -111,21 +112,86 @@ def _joint(covariance: npt.ArrayLike, count: int) -> Array:
     return result.reshape(2 * count, 2 * count)
 
 
-def _settle(
+def _best(
     seen: Observations, mean: Array, prior: Array, gate: float, forbidden: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.int64]:
-    """Return the observation (K,) of each marker, or -1; the clearest first, the others conditioned on them."""
+    """Return the observation (K,) of each marker, or -1.
+
+    Where no pair is clear to begin with, each that the surest marker may have is tried, and the one kept that explains
+    all markers together best.
+    """
+    if not forbidden.size:
+        return np.full(len(mean), -1)
+    cost = _costs(seen, mean, prior, gate)
+    cost[forbidden] = _FORBIDDEN
+    pairs = np.argwhere(cost < _FORBIDDEN).tolist()
+    greedy = _settle(seen, mean, prior, gate, forbidden, None)
+    if not pairs or max(_margin(cost, k, j) for k, j in pairs) > UNSURE or not _correlated(prior):
+        return greedy
+    widths = np.array([prior[2 * k, 2 * k] + prior[2 * k + 1, 2 * k + 1] for k in range(len(mean))])
+    widths[(cost >= _FORBIDDEN).all(axis=1)] = np.inf
+    surest = int(np.argmin(widths))
+    tries = [greedy] + [
+        _settle(seen, mean, prior, gate, forbidden, (surest, int(j))) for j in np.flatnonzero(cost[surest] < _FORBIDDEN)
+    ]
+    return min(tries, key=lambda indices: _joint_cost(seen, mean, prior, gate, indices))
+
+
+def _correlated(prior: Array) -> bool:
+    """Whether markers tell of each other at all."""
+    count = len(prior) // 2
+    off = prior.reshape(count, 2, count, 2).copy()
+    off[np.arange(count), :, np.arange(count)] = 0.0
+    return bool(off.any())
+
+
+def _joint_cost(seen: Observations, mean: Array, prior: Array, gate: float, indices: npt.NDArray[np.int64]) -> float:
+    """Return the cost of all pairs together against nothing being seen."""
+    found = np.flatnonzero(indices >= 0)
+    if not found.size:
+        return 0.0
+    off, S = _innovation(seen, mean, prior, indices, found)
+    own = [np.linalg.slogdet(S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2])[1] for i in range(found.size)]
+    return float(off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1] - sum(own) - gate * found.size)
+
+
+def _innovation(
+    seen: Observations, mean: Array, prior: Array, indices: npt.NDArray[np.int64], found: npt.NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Return the innovation (2 F,) of the markers found, and its covariance (2 F, 2 F)."""
+    rows = np.concatenate([[2 * k, 2 * k + 1] for k in found])
+    S = prior[np.ix_(rows, rows)].copy()
+    for i, k in enumerate(found):
+        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += seen.covariances[indices[k]]
+    return (seen.places[indices[found]] - mean[found]).ravel(), S
+
+
+def _settle(
+    seen: Observations,
+    mean: Array,
+    prior: Array,
+    gate: float,
+    forbidden: npt.NDArray[np.bool_],
+    given: tuple[int, int] | None,
+) -> npt.NDArray[np.int64]:
+    """Return the observation (K,) of each marker, or -1; the clearest first, the others conditioned on them.
+
+    `given` is a pair that is settled before all others.
+    """
     from scipy.optimize import linear_sum_assignment
 
     count, many = forbidden.shape
     indices = np.full(count, -1)
-    if not many:
-        return indices
     m, P = mean.ravel().copy(), prior.copy()
     taken = np.zeros(many, bool)
     while True:
         cost = _costs(seen, m.reshape(-1, 2), P, gate)
         cost[forbidden] = _FORBIDDEN
+        if given is not None:
+            only = cost[given]
+            cost[:] = _FORBIDDEN
+            cost[given] = only
+            given = None
         cost[indices >= 0] = _FORBIDDEN
         cost[:, taken] = _FORBIDDEN
         full = np.full((count, many + count), _FORBIDDEN)
@@ -180,12 +246,12 @@ def _check_reach(
         return distances, -1
     along = np.concatenate([[0.0], np.cumsum(limits)])
     found = np.flatnonzero(indices >= 0)
-    for one, two in zip(found[:-1], found[1:], strict=True):
+    for one, two in pairwise(found.tolist()):
         i, j = indices[one], indices[two]
         doubt = 3.0 * math.sqrt(np.trace(seen.covariances[i]) + np.trace(seen.covariances[j]))
         apart = float(np.linalg.norm(seen.places[i] - seen.places[j]))
         if apart > (1.0 + SLACK) * (along[two] - along[one]) + doubt:
-            return distances, int(one if distances[one] > distances[two] else two)
+            return distances, one if distances[one] > distances[two] else two
     return distances, -1
 
 
@@ -202,12 +268,8 @@ def _spread_swaps(
     swappable = np.zeros(len(indices), bool)
     if found.size < 2:
         return swappable
-    rows = np.concatenate([[2 * k, 2 * k + 1] for k in found])
-    S = prior[np.ix_(rows, rows)].copy()
-    for i, k in enumerate(found):
-        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += seen.covariances[indices[k]]
+    off, S = _innovation(seen, mean, prior, indices, found)
     precision = np.linalg.inv(S)
-    off = (seen.places[indices[found]] - mean[found]).ravel()
     pull = precision @ off
     for a in range(found.size):
         for b in range(a + 1, found.size):

@@ -155,7 +155,7 @@ class MarkerColour:
         return cls(colour, bright, area)
 
     def adapted(self, bgr: Array, rate: float) -> MarkerColour:
-        """Return this colour moved by a share `rate` towards one seen (3,); as it is where that would be no marker's."""
+        """Return this colour moved by a share `rate` towards one seen (3,), unless that would be too grey."""
         moved = self.bgr + rate * (np.clip(bgr, 0.0, 255.0) - self.bgr)
         if not self.bright and np.linalg.norm(_CHROMA @ moved) < LEAST_CHROMA:
             return self
@@ -164,7 +164,7 @@ class MarkerColour:
     @property
     def axes(self) -> Array:
         """Directions (2, 3) in blue, green, red in which the marker is told; by brightness the second one is zero."""
-        return _GREY if self.bright else _CHROMA
+        return np.asarray(_GREY if self.bright else _CHROMA)
 
     def functional(self, region: Image) -> tuple[Array, float]:
         """Return coefficients (4,) of the share that a marker covers of a pixel, and the share's noise.
@@ -187,9 +187,7 @@ class MarkerColour:
         return result, float(noise)
 
 
-def surface(
-    image: Image, place: npt.ArrayLike
-) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+def surface(image: Image, place: npt.ArrayLike) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
     """Return the colour (3,) of the surface at a place (2,), px, and masks of it and of what is around it.
 
     Raises

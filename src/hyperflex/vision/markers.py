@@ -21,7 +21,7 @@ _SIGMAS, _LEAST_SHARE = 4.5, 0.06  # threshold of a pixel's share: times its noi
 _SEARCH_SHARE = 0.25  # in a whole frame, where noise has more chances
 _MOST_REGIONS = 150
 _MERGED = 1.6  # areas of a marker, from which a blob is two of them
-_BEND = 60.0  # px, radius of the arc that a streak may follow
+_BEND = 200.0  # px, radius of the arc that a streak may follow
 _RATE = 0.1  # of the colour's adaptation a frame
 
 
@@ -95,7 +95,7 @@ class MarkerDetector:
     -----
     A place is the mean of the shares that the marker covers of each pixel (see :class:`MarkerColour`), taken over the
     blob and two pixels around it. A disc that moves steadily during the exposure leaves the variance of a disc and a
-    twelfth of its streak's square along it: so streak = sqrt(12 (l1 - l2)) with the eigenvalues of the blob's covariance.
+    twelfth of its streak's square along it: so streak = sqrt(12 (l1 - l2)), l: eigenvalues of the blob's covariance.
     """
 
     def __init__(self, colour: MarkerColour, *, adapt: bool = True) -> None:

@@ -1,4 +1,4 @@
-"""Order of identical markers along the rope in a frame without a prediction: a short, smooth path from a known origin."""
+"""Order of identical markers along the rope in a frame without a prediction: a short, smooth path from the origin."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def order_markers(
 
     Notes
     -----
-    Two markers cannot be further apart than the rope between them. Among the paths that obey this, the one of least cost
-    is taken: a term log(1 + x^2) for each chord that is shorter than its arc and for each turn between chords, heavy
-    tails for the few sharp bends of a rope, and fixed costs for what is missing or left over. Beam search, 600 paths.
+    Two markers cannot be further apart than the rope between them. Among the paths that obey this, that of least cost
+    is taken: a term log(1 + x^2) for each chord that is shorter than its arc and for each turn from chord to chord
+    (heavy tails, for the few sharp bends of a rope), and fixed costs for what is missing or left over. Beam search.
     """
     seen = checks.array("places", places, (-1, 2), unit="m")
     arcs = checks.array("arc_lengths", arc_lengths, (-1,), sign="positive", unit="m")

@@ -66,7 +66,10 @@ def discriminant(image, axes, target, contrast, out):  # type: ignore[no-untyped
         wall_x += mx
         wall_y += my
         dx, dy = target[0] - wall_x, target[1] - wall_y
-        hx, hy = cyy * dx - cxy * dy, cxx * dy - cxy * dx  # inverse of the covariance times the contrast, but for a factor
+        hx, hy = (
+            cyy * dx - cxy * dy,
+            cxx * dy - cxy * dx,
+        )  # inverse of the covariance times the contrast, but for a factor
         size = hx * dx + hy * dy
         if not size > 0.0:
             return 0.0

@@ -99,7 +99,8 @@ class RopeMotion:
         x = (inside - self.t[k])[:, None] / step
         smooth = x * x * (3.0 - 2.0 * x)
         values = self._values[k] + smooth * (self._values[k + 1] - self._values[k])
-        return values + step * x * (1.0 - x) * ((1.0 - x) * self._rates[k] - x * self._rates[k + 1])
+        moved = step * x * (1.0 - x) * ((1.0 - x) * self._rates[k] - x * self._rates[k + 1])
+        return np.asarray(values + moved)
 
 
 def sway(amplitude: float, frequency: float, length: float, *, tilt: float = 0.0) -> OffPlane:

@@ -167,9 +167,9 @@ class Renderer:
                 shapes.append(_Shape(marker, marker, radius, np.asarray(scene.marker_colours)[k]))
                 if hidden is not None and hidden[k]:
                     shapes.append(_Shape(marker, marker, _COVER_SIZE * radius, np.array(_COVER)))
-        for k, bar in enumerate(scene.occluders):
+        for k, front in enumerate(scene.occluders):
             at = self._arcs.size + 2 * k
-            shapes.append(_Shape([at], [at + 1], 0.5 * bar.width, np.array(bar.colour)))
+            shapes.append(_Shape([at], [at + 1], 0.5 * front.width, np.array(front.colour)))
         return shapes
 
     def _capsules(self, stamp: float) -> tuple[Capsules | None, RowTimes]:

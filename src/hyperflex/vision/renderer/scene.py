@@ -150,8 +150,8 @@ class Scene:
             size = rng.uniform(0.004, 0.03) * width
             if k % 2:
                 end = place + rng.uniform(-0.15, 0.15, 2) * width
-                ends = [tuple(map(int, point)) for point in (place, end)]
-                cv2.line(image, *ends, colour.tolist(), max(2, int(size)), cv2.LINE_AA)
+                near, far = (point.astype(int).tolist() for point in (place, end))
+                cv2.line(image, near, far, colour.tolist(), max(2, int(size)), cv2.LINE_AA)
             else:
                 cv2.circle(image, tuple(map(int, place)), int(size), colour.tolist(), -1, cv2.LINE_AA)
         v, u = np.mgrid[0:height, 0:width]
@@ -162,7 +162,8 @@ class Scene:
         """Return the factor (3,) of each channel at a time, s."""
         phase = 2.0 * np.pi * t / self.drift_period
         gain = 1.0 - 0.5 * self.light_drift * (1.0 - np.cos(phase))
-        return gain * (1.0 + 0.25 * self.light_drift * np.sin(0.7 * phase) * np.array([1.0, 0.0, -1.0]))
+        balance = 1.0 + 0.25 * self.light_drift * np.sin(0.7 * phase) * np.array([1.0, 0.0, -1.0])
+        return np.asarray(gain * balance)
 
     def is_black(self, t: float) -> bool:
         """Whether nothing of the rope is seen at a time, s."""
