@@ -40,7 +40,7 @@ def test_rendered_pendulum():
         if detector is None:
             detector = BarDetector.from_clicks(image, pixels)
         seen = detector.find(image)
-        q = renderer.motion._at(np.array([t]))[0, :2]
+        q = [2.0 * np.sin(4.0 * t), 3.0 * np.sin(5.3 * t + 1.0)]
         for k in np.flatnonzero(seen.areas > 0.93):
             off = turned(seen.angles[k] - (np.pi / 2 - q[k]))
             angles.append(off)

@@ -124,9 +124,8 @@ def _best(
         return np.full(len(mean), -1)
     cost = _costs(seen, mean, prior, gate)
     cost[forbidden] = _FORBIDDEN
-    pairs = np.argwhere(cost < _FORBIDDEN).tolist()
     greedy = _settle(seen, mean, prior, gate, forbidden, None)
-    if not pairs or max(_margin(cost, k, j) for k, j in pairs) > UNSURE or not _correlated(prior):
+    if not (cost < _FORBIDDEN).any() or not _correlated(prior) or _margins(cost)[cost < _FORBIDDEN].max() > UNSURE:
         return greedy
     widths = np.array([prior[2 * k, 2 * k] + prior[2 * k + 1, 2 * k + 1] for k in range(len(mean))])
     widths[(cost >= _FORBIDDEN).all(axis=1)] = np.inf
@@ -201,7 +200,7 @@ def _settle(
         pairs = [(k, j) for k, j in zip(rows.tolist(), columns.tolist(), strict=True) if j < many]
         if not pairs:
             return indices
-        margins = np.array([_margin(cost, k, j) for k, j in pairs])
+        margins = _margins(cost)[tuple(np.transpose(pairs))]
         clear = np.flatnonzero(margins > CLEAR)
         for i in clear if clear.size else [int(np.argmax(margins))]:
             k, j = pairs[i]
@@ -226,10 +225,15 @@ def _costs(seen: Observations, mean: Array, P: Array, gate: float) -> Array:
     return np.where(squared > gate, _FORBIDDEN, cost)
 
 
-def _margin(cost: Array, k: int, j: int) -> float:
-    """Return by how much a pair is better than the next one of its marker or of its observation."""
-    others = np.concatenate([np.delete(cost[k], j), np.delete(cost[:, j], k), [_FORBIDDEN]])
-    return float(others.min() - cost[k, j])
+def _margins(cost: Array) -> Array:
+    """Return by how much each pair (K, M) is better than the next one of its marker or of its observation."""
+    others = np.full_like(cost, _FORBIDDEN)
+    for axis in (0, 1):
+        if cost.shape[axis] > 1:
+            two = np.partition(cost, 1, axis=axis).take([0, 1], axis=axis)
+            least, second = np.split(two, 2, axis=axis)
+            others = np.minimum(others, np.where(cost > least, least, second))
+    return np.asarray(others - cost)
 
 
 def _check_reach(
@@ -270,20 +274,19 @@ def _spread_swaps(
         return swappable
     off, S = _innovation(seen, mean, prior, indices, found)
     precision = np.linalg.inv(S)
-    pull = precision @ off
-    for a in range(found.size):
-        for b in range(a + 1, found.size):
-            one, two = found[a], found[b]
-            between = seen.places[indices[two]] - seen.places[indices[one]]
-            change = np.zeros_like(off)
-            change[2 * a : 2 * a + 2], change[2 * b : 2 * b + 2] = between, -between
-            dearer = float(2.0 * change @ pull + change @ precision @ change)
-            if dearer >= UNSURE:
-                continue
-            swappable[[one, two]] = True
-            share = 1.0 / (1.0 + math.exp(0.5 * max(dearer, 0.0)))  # probability of the swapped pair
-            spread = share * (1.0 - share) * np.outer(between, between)
-            for k, side in ((one, 1.0), (two, -1.0)):
-                places[k] = seen.places[indices[k]] + side * share * between
-                covariances[k] = seen.covariances[indices[k]] + spread
+    pull = (precision @ off).reshape(-1, 2)
+    blocks = precision.reshape(found.size, 2, found.size, 2).transpose(0, 2, 1, 3)
+    own = blocks[np.arange(found.size), np.arange(found.size)]
+    between = seen.places[indices[found]][None] - seen.places[indices[found]][:, None]
+    stiffness = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
+    apart = 2.0 * ((pull[:, None] - pull[None]) * between).sum(axis=2)
+    dearer = apart + np.einsum("abi,abij,abj->ab", between, stiffness, between)  # the swapped pair than this one
+    for a, b in np.argwhere(np.triu(dearer < UNSURE, 1)).tolist():
+        one, two, step = found[a], found[b], between[a, b]
+        swappable[[one, two]] = True
+        share = 1.0 / (1.0 + math.exp(0.5 * max(float(dearer[a, b]), 0.0)))  # probability of the swapped pair
+        spread = share * (1.0 - share) * np.outer(step, step)
+        for k, side in ((one, 1.0), (two, -1.0)):
+            places[k] = seen.places[indices[k]] + side * share * step
+            covariances[k] = seen.covariances[indices[k]] + spread
     return swappable
