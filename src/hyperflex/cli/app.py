@@ -16,6 +16,7 @@ import typer
 
 from hyperflex import __version__
 from hyperflex.cli import output
+from hyperflex.cli.calibrate import calibrate
 from hyperflex.cli.cast import cast
 from hyperflex.cli.demo import demo
 from hyperflex.cli.identify import identify
@@ -34,6 +35,7 @@ for _command, _example in (
     (identify, "identify swing.csv --guess guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 10 -o whipped"),
+    (calibrate, "calibrate board.mp4 --squares 8 6 --square 0.03 --marker 0.022 --plane plane.png -o camera.toml"),
     (reproduce, "reproduce fig10 fig12 -o paper"),
     (demo, "demo -o demo-output"),
     (warm, "warm"),
