@@ -25,7 +25,8 @@ SPEED = 6.0  # rad/s, of its rate, in units of sqrt(g / L)
 START_CORRELATION = 0.1  # of the rope's length
 ROUNDS = 4  # of Gauss-Newton in an update; more at the start
 FIRST_ROUNDS = 30
-CLOSE = 1e-3  # of a standard deviation: an update has converged
+SHORTEST = 1e-2  # part of a Gauss-Newton step
+CLOSE = 0.03  # of a standard deviation: an update has converged
 GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 
 
@@ -147,8 +148,8 @@ class RopeFilter:
             raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
         rows = np.zeros(len(self.model.arc_lengths)) if rows is None else rows
         places, slope = self.model.predict(self.x, self.process.base(self.t), rows, self._qdd)
-        spread = np.einsum("ij,kcj->kic", self.factor, slope)
-        return places, np.einsum("kic,kid->kcd", spread, spread)
+        spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
+        return places, np.matmul(spread.transpose(0, 2, 1), spread)
 
     def update(self, seen: Observations) -> None:
         """Look: go on to the time of the observations, and correct.
@@ -201,67 +202,40 @@ class RopeFilter:
     def _correct(self, seen: Observations, rounds: int) -> None:
         """Correct by Gauss-Newton on the posterior, and the covariance about where that ends."""
         base = self.process.base(seen.t)
-        places, slope = self.model.predict(self.x, base, seen.rows, self._qdd)
-        good = seen.seen & self._plausible(seen, places, slope, rounds)
+        found = self.model.predict(self.x, base, seen.rows, self._qdd)
+        good = seen.seen & (self._plausible(seen, *found) if rounds == ROUNDS else True)
         if not good.any():
             return
         self.age = 0.0
-        std = np.repeat(seen.std[good] * self.measurement_noise.value, 2)
-        y = seen.places[good].ravel()
-        before, prior = self.x, np.zeros(self.x.size)
-        x, across, cost = before, prior, np.inf
+        y, std = seen.places[good].ravel(), np.repeat(seen.std[good] * self.measurement_noise.value, 2)
+        before, u, cost = self.x, np.zeros(self.x.size), np.inf  # the state is before + factor' u
+        x, (left, jacobian) = before, _compared(y, found, good)
         for turn in range(rounds):
-            places, slope = self.model.predict(x, base, seen.rows, self._qdd)
-            jacobian = slope[good].reshape(y.size, -1)
-            left = y - places[good].ravel()
-            gain, upper = sr.gain(self.factor, jacobian, np.diag(std))
+            gain, upper = sr.whitened_gain(self.factor, jacobian, std)
             if turn == 0:
                 self.innovation = sr.compared(upper, left)
                 self.log_likelihood += self.innovation.log_likelihood
                 self._learn(jacobian, upper, std)
-            step = gain @ (left + jacobian @ (x - before)) - (x - before)
-            x, across, cost, moved = self._line_search(x, step, seen, good, base, std, y, before, cost)
-            if moved < CLOSE:
+            step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
+            while True:
+                tried = before + self.factor.T @ (u + part * step)
+                left, jacobian = _compared(y, self.model.predict(tried, base, seen.rows, self._qdd), good)
+                now = float(((u + part * step) ** 2).sum() + ((left / std) ** 2).sum())
+                if now <= cost or part < SHORTEST:
+                    break
+                part *= 0.5
+            x, u, cost = tried, u + part * step, now
+            if part * np.abs(step).max() < CLOSE:
                 break
-        places, slope = self.model.predict(x, base, seen.rows, self._qdd)
-        self.factor = sr.updated(self.factor, slope[good].reshape(y.size, -1), np.diag(std))
+        self.factor = sr.updated(self.factor, jacobian, std)
         first = 2 * self.n_links
         x[first:] = self.parameters.possible(x[first:])
         self.x = x
 
-    def _line_search(
-        self,
-        x: Array,
-        step: Array,
-        seen: Observations,
-        good: npt.NDArray[np.bool_],
-        base: Array,
-        std: Array,
-        y: Array,
-        before: Array,
-        cost: float,
-    ) -> tuple[Array, Array, float, float]:
-        """Return the state after a step that lowers the posterior's cost, and how far it went in standard deviations."""
-        part = 1.0
-        while True:
-            tried = x + part * step
-            away = solve_triangular(self.factor, tried - before, trans="T", check_finite=False)
-            places, _ = self.model.predict(tried, base, seen.rows, self._qdd)
-            left = (y - places[good].ravel()) / std
-            found = float(away @ away + left @ left)
-            if found <= cost or part < 1e-3:
-                size = solve_triangular(self.factor, part * step, trans="T", check_finite=False)
-                return tried, away, found, float(np.abs(size).max())
-            part *= 0.5
-
-    def _plausible(
-        self, seen: Observations, places: Array, slope: Array, rounds: int
-    ) -> npt.NDArray[np.bool_]:
+    def _plausible(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
         """Return which places lie within their gates; all of them where hardly any does, for then it is the state."""
-        if rounds == FIRST_ROUNDS:
-            return np.ones(len(places), dtype=np.bool_)
-        spread = np.einsum("ij,kcj->kic", self.factor, slope)
-        wide = np.einsum("kic,kid->kcd", spread, spread)
+        spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
+        wide = np.matmul(spread.transpose(0, 2, 1), spread)
         wide += (seen.std * self.measurement_noise.value)[:, None, None] ** 2 * np.eye(2)
         left = np.nan_to_num(seen.places - places)
         far = np.einsum("kc,kc->k", left, np.linalg.solve(wide, left[:, :, None])[:, :, 0])
@@ -276,6 +250,11 @@ class RopeFilter:
             self.process_noise.see(self.innovation.whitened, half @ half.T)
             half = solve_triangular(upper, np.diag(std), trans="T", check_finite=False)
             self.measurement_noise.see(self.innovation.whitened, half @ half.T)
+
+
+def _compared(y: Array, predicted: tuple[Array, Array], good: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return what is left of places y (m,) of the good markers, and the derivatives (m, N) of their prediction."""
+    return y - predicted[0][good].ravel(), predicted[1][good].reshape(y.size, -1)
 
 
 def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:

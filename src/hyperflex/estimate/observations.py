@@ -49,9 +49,7 @@ class Observations:
     std: Array
     rows: Array
 
-    def __init__(
-        self, t: float, places: npt.ArrayLike, std: npt.ArrayLike, rows: npt.ArrayLike | None = None
-    ) -> None:
+    def __init__(self, t: float, places: npt.ArrayLike, std: npt.ArrayLike, rows: npt.ArrayLike | None = None) -> None:
         found = np.array(places, dtype=np.float64)
         if found.ndim != 2 or found.shape[1] != 2:
             raise InvalidInput("places of markers have the wrong shape", got=found.shape, allowed="(K, 2)")
@@ -112,11 +110,11 @@ class MarkerModel:
         before = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[self.link]
         self.arms = before * rope.length
         self.arms[np.arange(arcs.size), self.link] = arcs - (ends - rope.length)[self.link]
-        self._arc_states = {
-            k: int(name[4:-1]) for k, name in enumerate(parameters.names) if name.startswith("arc[")
-        }
+        self._arc_states = {k: int(name[4:-1]) for k, name in enumerate(parameters.names) if name.startswith("arc[")}
         if any(marker >= arcs.size for marker in self._arc_states.values()):
-            raise InvalidInput("an arc length is of no marker", got=parameters.names, allowed=f"arc[0..{arcs.size - 1}]")
+            raise InvalidInput(
+                "an arc length is of no marker", got=parameters.names, allowed=f"arc[0..{arcs.size - 1}]"
+            )
 
     def predict(self, x: Array, base: Array, rows: Array, qdd: Array | None = None) -> tuple[Array, Array]:
         """Return where the markers are seen (K, 2), and the derivatives (K, 2, 2 n + P) with respect to x.

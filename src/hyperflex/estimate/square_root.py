@@ -32,7 +32,7 @@ class Innovation(NamedTuple):
 
 def triangular(rows: Array) -> Array:
     """Return the upper triangular S (n, n) with S^T S = rows^T rows, for rows (m, n), m >= n."""
-    return np.linalg.qr(rows, mode="r")
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def predicted(factor: Array, transition: Array, noise: Array) -> Array:
@@ -41,20 +41,23 @@ def predicted(factor: Array, transition: Array, noise: Array) -> Array:
 
 
 def updated(factor: Array, jacobian: Array, std: Array) -> Array:
-    """Return the factor after a measurement with derivatives H (m, n) and a noise factor (m, m), R = std^T std."""
+    """Return the factor after a measurement with derivatives H (m, n) and independent noise `std` (m,)."""
     m, n = jacobian.shape
     both = np.zeros((m + n, m + n))
-    both[:m, :m] = std
+    both[range(m), range(m)] = std
     both[m:, :m] = factor @ jacobian.T
     both[m:, m:] = factor
     return triangular(both)[m:, m:]
 
 
-def gain(factor: Array, jacobian: Array, std: Array) -> tuple[Array, Array]:
-    """Return the gain P H^T (H P H^T + R)^-1, (n, m), and the upper factor of H P H^T + R, (m, m)."""
+def whitened_gain(factor: Array, jacobian: Array, std: Array) -> tuple[Array, Array]:
+    """Return S H^T (H P H^T + R)^-1, (n, m), and the upper factor of H P H^T + R, (m, m), for noise `std` (m,).
+
+    ``S^T`` times the first is the Kalman gain.
+    """
     across = factor @ jacobian.T
-    upper = triangular(np.concatenate([across, std]))
-    half = solve_triangular(upper, (factor.T @ across).T, trans="T", check_finite=False)
+    upper = triangular(np.concatenate([across, np.diag(std)]))
+    half = solve_triangular(upper, across.T, trans="T", check_finite=False)
     return np.asarray(solve_triangular(upper, half, check_finite=False).T), upper
 
 
