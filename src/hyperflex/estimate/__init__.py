@@ -1,0 +1,9 @@
+"""Online estimation: a rope's state, and what is unknown of it, from the places of its markers."""
+
+from __future__ import annotations
+
+from hyperflex.estimate.filter import RopeFilter
+from hyperflex.estimate.observations import MarkerModel, Observations, Projection
+from hyperflex.estimate.parameters import EstimatedParameter
+
+__all__ = ["EstimatedParameter", "MarkerModel", "Observations", "Projection", "RopeFilter"]
