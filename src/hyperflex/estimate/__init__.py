@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hyperflex.estimate.filter import RopeFilter
-from hyperflex.estimate.observations import MarkerModel, Observations, Projection
+from hyperflex.estimate.observations import MarkerModel, Observations
 from hyperflex.estimate.parameters import EstimatedParameter
 
-__all__ = ["EstimatedParameter", "MarkerModel", "Observations", "Projection", "RopeFilter"]
+__all__ = ["EstimatedParameter", "MarkerModel", "Observations", "RopeFilter"]

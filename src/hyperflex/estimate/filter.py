@@ -13,12 +13,13 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.noise import NoiseLevel
-from hyperflex.estimate.observations import MarkerModel, Observations, Projection
+from hyperflex.estimate.observations import MarkerModel, Observations
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.process import Process, smooth_shapes
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
+from hyperflex.vision import Camera
 
 BEND = 0.6  # rad, standard deviation of a link's angle about the line through the markers, before any is seen
 SPEED = 6.0  # rad/s, of its rate, in units of sqrt(g / L)
@@ -40,7 +41,7 @@ class RopeFilter:
         How far along the rope each marker sits, m from the first joint.
     motion, arm : Motion, Arm, optional
         What the first joint does; by default it hangs from a fixed point.
-    camera : Projection, optional
+    camera : Camera, optional
         Where places are seen in pixels; by default in metres of the rope's plane.
     parameters : sequence of EstimatedParameter
         What is estimated beside the state.
@@ -71,7 +72,7 @@ class RopeFilter:
         *,
         motion: Motion | None = None,
         arm: Arm | None = None,
-        camera: Projection | None = None,
+        camera: Camera | None = None,
         parameters: Sequence[EstimatedParameter] = (),
         process_noise: float = 1.0,
         readout: float = 0.0,
@@ -174,8 +175,9 @@ class RopeFilter:
         """Take the first shape from the line through the markers, and correct it by what was seen."""
         n, rope = self.n_links, self.process.rope
         self.t = seen.t
-        base = self.process.base(seen.t)
-        self.x[:n] = polyline_angles(rope, self.model.arc_lengths, self._in_metres(seen.places, base[0]), base[0])
+        base, camera = self.process.base(seen.t), self.model.camera
+        in_metres = seen.places if camera is None else camera.locate(seen.places)
+        self.x[:n] = polyline_angles(rope, self.model.arc_lengths, in_metres, base[0])
         rate = SPEED * np.sqrt(np.hypot(*rope.gravity) / rope.total_length)
         shapes = smooth_shapes(rope, START_CORRELATION)
         rows = np.zeros((2 * len(shapes) + 2 * n + len(self.parameters), self.x.size))
@@ -188,17 +190,6 @@ class RopeFilter:
         self.factor = sr.triangular(rows)
         self._correct(seen, FIRST_ROUNDS)
 
-    def _in_metres(self, places: Array, base: Array) -> Array:
-        """Return places (K, 2) in the rope's plane, m, of those that a camera shows."""
-        camera = self.model.camera
-        if camera is None:
-            return places
-        found = np.where(np.isnan(places), np.nan, base)
-        for _ in range(20):  # Newton: a camera's picture of a plane bends little
-            shown, slope = camera.project(np.nan_to_num(found))
-            found = found + np.linalg.solve(slope, (places - shown)[:, :, None])[:, :, 0]
-        return found
-
     def _correct(self, seen: Observations, rounds: int) -> None:
         """Correct by Gauss-Newton on the posterior, and the covariance about where that ends."""
         base = self.process.base(seen.t)
@@ -207,20 +198,27 @@ class RopeFilter:
         if not good.any():
             return
         self.age = 0.0
-        y, std = seen.places[good].ravel(), np.repeat(seen.std[good] * self.measurement_noise.value, 2)
+        whiten = np.linalg.inv(np.linalg.cholesky(seen.covariances[good])) / self.measurement_noise.value
+
+        def compared(found: tuple[Array, Array]) -> tuple[Array, Array]:
+            """Return whitened differences (m,) from a prediction, and the whitened derivatives (m, N) of that."""
+            left = whiten @ (seen.places[good] - found[0][good])[:, :, None]
+            return left.ravel(), (whiten @ found[1][good]).reshape(left.size, -1)
+
+        std = np.ones(2 * len(whiten))
         before, u, cost = self.x, np.zeros(self.x.size), np.inf  # the state is before + factor' u
-        x, (left, jacobian) = before, _compared(y, found, good)
+        x, (left, jacobian) = before, compared(found)
         for turn in range(rounds):
             gain, upper = sr.whitened_gain(self.factor, jacobian, std)
             if turn == 0:
                 self.innovation = sr.compared(upper, left)
-                self.log_likelihood += self.innovation.log_likelihood
-                self._learn(jacobian, upper, std)
+                self.log_likelihood += self.innovation.log_likelihood + np.log(np.linalg.det(whiten)).sum()
+                self._learn(self.innovation, jacobian, upper)
             step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
             while True:
                 tried = before + self.factor.T @ (u + part * step)
-                left, jacobian = _compared(y, self.model.predict(tried, base, seen.rows, self._qdd), good)
-                now = float(((u + part * step) ** 2).sum() + ((left / std) ** 2).sum())
+                left, jacobian = compared(self.model.predict(tried, base, seen.rows, self._qdd))
+                now = float(((u + part * step) ** 2).sum() + (left**2).sum())
                 if now <= cost or part < SHORTEST:
                     break
                 part *= 0.5
@@ -236,25 +234,19 @@ class RopeFilter:
         """Return which places lie within their gates; all of them where hardly any does, for then it is the state."""
         spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
         wide = np.matmul(spread.transpose(0, 2, 1), spread)
-        wide += (seen.std * self.measurement_noise.value)[:, None, None] ** 2 * np.eye(2)
+        wide += self.measurement_noise.value**2 * seen.covariances
         left = np.nan_to_num(seen.places - places)
         far = np.einsum("kc,kc->k", left, np.linalg.solve(wide, left[:, :, None])[:, :, 0])
         good = far < GATE
         return good if (good & seen.seen).sum() * 2 > seen.seen.sum() else np.ones_like(good)
 
-    def _learn(self, jacobian: Array, upper: Array, std: Array) -> None:
+    def _learn(self, innovation: sr.Innovation, jacobian: Array, upper: Array) -> None:
         """Correct the levels of process and measurement noise by the innovation."""
-        assert self.innovation is not None
         if self._last is not None:
             half = solve_triangular(upper, jacobian @ self._last.T, trans="T", check_finite=False)
-            self.process_noise.see(self.innovation.whitened, half @ half.T)
-            half = solve_triangular(upper, np.diag(std), trans="T", check_finite=False)
-            self.measurement_noise.see(self.innovation.whitened, half @ half.T)
-
-
-def _compared(y: Array, predicted: tuple[Array, Array], good: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return what is left of places y (m,) of the good markers, and the derivatives (m, N) of their prediction."""
-    return y - predicted[0][good].ravel(), predicted[1][good].reshape(y.size, -1)
+            self.process_noise.see(innovation.whitened, half @ half.T)
+            half = solve_triangular(upper, np.eye(len(upper)), trans="T", check_finite=False)
+            self.measurement_noise.see(innovation.whitened, half @ half.T)
 
 
 def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -13,14 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.model import Rope
-
-
-class Projection(Protocol):
-    """Turns places in the rope's plane into what a camera shows."""
-
-    def project(self, places: Array) -> tuple[Array, Array]:
-        """Return pixels (K, 2) of places (K, 2), m, and their derivatives (K, 2, 2), px/m."""
-        ...
+from hyperflex.vision import Camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +25,10 @@ class Observations:
         Middle of the exposure, s.
     places : (K, 2) array_like
         Of each marker along the rope; m, or px where there is a camera. NaN: not seen.
-    std : float or (K,) array_like
+    std : float or (K,) array_like, optional
         Standard deviation of each coordinate, same unit.
+    covariances : (K, 2, 2) array_like, optional
+        In place of `std`: of each place.
     rows : (K,) array_like, optional
         When each was read, as a part of the picture's readout: -0.5 in the first row, 0.5 in the last. By default 0.
 
@@ -46,25 +40,39 @@ class Observations:
 
     t: float
     places: Array
-    std: Array
+    covariances: Array
     rows: Array
 
-    def __init__(self, t: float, places: npt.ArrayLike, std: npt.ArrayLike, rows: npt.ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        t: float,
+        places: npt.ArrayLike,
+        std: npt.ArrayLike | None = None,
+        rows: npt.ArrayLike | None = None,
+        *,
+        covariances: npt.ArrayLike | None = None,
+    ) -> None:
         found = np.array(places, dtype=np.float64)
         if found.ndim != 2 or found.shape[1] != 2:
             raise InvalidInput("places of markers have the wrong shape", got=found.shape, allowed="(K, 2)")
         found[np.isnan(found).any(axis=1)] = np.nan
         if np.isinf(found).any():
             raise InvalidInput("places of markers are infinite", got=found, allowed="numbers, or NaN: not seen")
-        k = len(found)
-        wide = np.broadcast_to(np.asarray(std, dtype=np.float64), (k,))
-        if not (wide[~np.isnan(found[:, 0])] > 0.0).all():
-            raise InvalidInput("std of an observation is not positive", got=std, allowed="> 0")
+        if (std is None) == (covariances is None):
+            raise InvalidInput("an observation needs its uncertainty", allowed="either std or covariances")
+        seen, k = ~np.isnan(found[:, 0]), len(found)
+        wide = np.zeros((k, 2, 2))
+        if covariances is None:
+            wide[:] = np.broadcast_to(np.asarray(std, dtype=np.float64), (k,))[:, None, None] ** 2 * np.eye(2)
+        else:
+            wide[:] = covariances
+        wide[~seen] = np.eye(2)
+        if not np.isfinite(wide).all() or (np.linalg.eigvalsh(wide) <= 0.0).any():
+            raise InvalidInput("the uncertainty of an observation is not positive", got=std, allowed="> 0")
         late = np.zeros(k) if rows is None else np.nan_to_num(np.broadcast_to(np.asarray(rows, float), (k,)))
-        object.__setattr__(self, "t", checks.number("time of an observation", t, unit="s"))
-        object.__setattr__(self, "places", found)
-        object.__setattr__(self, "std", wide.copy())
-        object.__setattr__(self, "rows", late.copy())
+        values = {"t": checks.number("time of an observation", t, unit="s"), "places": found, "covariances": wide}
+        for name, value in {**values, "rows": late.copy()}.items():
+            object.__setattr__(self, name, value)
 
     @property
     def seen(self) -> npt.NDArray[np.bool_]:
@@ -81,7 +89,7 @@ class MarkerModel:
     arc_lengths : (K,) array_like
         How far along the rope each marker sits, m from the first joint.
     parameters : ParameterStates
-    camera : Projection, optional
+    camera : Camera, optional
         By default places are seen in metres.
     readout : float
         Known time from the first row of a picture to the last, s.
@@ -97,7 +105,7 @@ class MarkerModel:
         rope: Rope,
         arc_lengths: npt.ArrayLike,
         parameters: ParameterStates,
-        camera: Projection | None = None,
+        camera: Camera | None = None,
         readout: float = 0.0,
     ) -> None:
         arcs = checks.array("arc_lengths", arc_lengths, (-1,), unit="m")
@@ -186,5 +194,5 @@ class MarkerModel:
                 moved[:, :, first + names.index(name)] = change
         if self.camera is None:
             return shown, moved
-        pixels, slope = self.camera.project(shown)
-        return pixels, slope @ moved
+        found = self.camera.linearize(shown)
+        return found.pixels, found.by_point @ moved
