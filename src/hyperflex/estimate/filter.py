@@ -152,6 +152,16 @@ class RopeFilter:
         spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
         return places, np.matmul(spread.transpose(0, 2, 1), spread)
 
+    def speeds(self) -> Array:
+        """Return how fast the markers should move (K,), px/s or m/s."""
+        n = self.n_links
+        base = self.process.base(self.state.t)
+        _, slope = self.model.predict(self.x, base, np.zeros(len(self.model.arc_lengths)))
+        turning = slope[:, :, :n] @ self.x[n : 2 * n]
+        camera = self.model.camera
+        moved = base[1] if camera is None else camera.linearize(base[:1]).by_point[0] @ base[1]
+        return np.asarray(np.linalg.norm(turning + moved, axis=1))
+
     def update(self, seen: Observations) -> None:
         """Look: go on to the time of the observations, and correct.
 
