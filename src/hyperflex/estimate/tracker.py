@@ -80,8 +80,8 @@ class RopeTracker:
     Notes
     -----
     The first frame is searched as a whole, and its blobs are put in order by the rope between them
-    (:func:`hyperflex.vision.order_markers`). From then on each marker is looked for where the dynamics say, as far around
-    as they are unsure; all are assigned together. Where several frames in a row show nothing, the whole picture is
+    (:func:`hyperflex.vision.order_markers`). From then on each marker is looked for where the dynamics say, as far
+    around as they are unsure; all are assigned together. Where several frames in a row show nothing, the whole picture is
     searched again, with what the dynamics still say.
     """
 
@@ -132,7 +132,7 @@ class RopeTracker:
         arcs = self.estimator.model.arc_lengths
         order = order_markers(places, np.maximum(arcs, 1e-6), self.estimator.process.base(t)[0], noise=max(noise, 1e-4))
         self._waited += 1
-        if not order.certain and self._waited < PATIENT or not (order.indices >= 0).any():
+        if (not order.certain and self._waited < PATIENT) or not (order.indices >= 0).any():
             return None, None
         found = order.indices >= 0
         pixels, wide = np.full((arcs.size, 2), np.nan), np.full((arcs.size, 2, 2), np.nan)

@@ -215,7 +215,7 @@ class Stepper:
         return Linearization(self._state(arm), moved[:, :size].copy(), moved[:, size : size + 1].copy())
 
     def tip(self, state: State) -> tuple[Array, Array]:
-        """Return place (2,), m, and velocity (2,), m/s, of the tip."""
+        """Return place (2,), m, and velocity (2,), m/s, of the tip in a `state`."""
         arm, rope, q = self.setup.arm or Arm(), self.setup.rope, state.q  # a stepper has an arm
         angle, rate = self._arm_of(state)
         place = rope.joints(q, arm.tip(np.array([angle]))[0])[-1]
@@ -223,7 +223,7 @@ class Stepper:
         return place, turn + np.array([np.cos(q), np.sin(q)]) @ (rope.length * state.qd)
 
     def gap(self, state: State) -> float:
-        """Return the smallest gap between rope and obstacles, m.
+        """Return the smallest gap between rope and obstacles in a `state`, m.
 
         Raises
         ------

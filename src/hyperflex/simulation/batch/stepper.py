@@ -202,7 +202,7 @@ class BatchStepper:
         return replace(state, **values)
 
     def tips(self, state: BatchState) -> tuple[Array, Array]:
-        """Return places (M, 2), m, and velocities (M, 2), m/s, of the tips."""
+        """Return places (M, 2), m, and velocities (M, 2), m/s, of the tips in a `state`."""
         lengths = np.stack([setup.rope.length for setup in self.setups])
         arm = self.setups[0].arm or Arm()  # a batch has one
         place, turn = arm.tip(state.arm_angle), (arm.length * state.arm_rate)[:, None]
