@@ -22,6 +22,7 @@ from hyperflex.cli.demo import demo
 from hyperflex.cli.identify import identify
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
+from hyperflex.cli.track import track
 from hyperflex.cli.warm import warm
 from hyperflex.cli.whip import whip
 from hyperflex.errors import HyperflexError
@@ -36,6 +37,7 @@ for _command, _example in (
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 10 -o whipped"),
     (calibrate, "calibrate board.mp4 --squares 8 6 --square 0.03 --marker 0.022 --plane plane.png -o camera.toml"),
+    (track, "track swing.mp4 --rope rope.toml --camera camera.toml --arc-lengths 0.2,0.4,0.6 -o markers.nc"),
     (reproduce, "reproduce fig10 fig12 -o paper"),
     (demo, "demo -o demo-output"),
     (warm, "warm"),

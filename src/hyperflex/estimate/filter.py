@@ -49,7 +49,7 @@ class RopeFilter:
         First guess of how much the links' accelerations differ from the model's, rad/s^2 per square root of Hz; it is
         corrected by what is seen.
     readout : float
-        Known time from the first row of a picture to the last, s.
+        Known time from the first row of a picture to the last, s, where there is no `camera` to say so.
 
     Examples
     --------
@@ -79,7 +79,9 @@ class RopeFilter:
     ) -> None:
         self.parameters = ParameterStates(parameters, rope)
         self.process = Process(rope, self.parameters, motion, arm)
-        self.model = MarkerModel(rope, arc_lengths, self.parameters, camera, readout)
+        self.model = MarkerModel(
+            rope, arc_lengths, self.parameters, camera, readout if camera is None else camera.readout
+        )
         self.process_noise = NoiseLevel(checks.number("process_noise", process_noise, sign="positive"))
         self.measurement_noise = NoiseLevel(1.0, doubt=0.7)
         self.t: float | None = None
@@ -151,6 +153,16 @@ class RopeFilter:
         places, slope = self.model.predict(self.x, self.process.base(self.t), rows, self._qdd)
         spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
         return places, np.matmul(spread.transpose(0, 2, 1), spread)
+
+    def readout_shift(self, rows: Array) -> tuple[Array, Array]:
+        """Return by how much markers move until they are read (K, 2), and the covariances (K, 2, 2) of that.
+
+        `rows` (K,) are those of :class:`Observations`.
+        """
+        base = self.process.base(self.state.t)
+        late, now = (self.model.predict(self.x, base, each, self._qdd) for each in (rows, np.zeros_like(rows)))
+        spread = np.matmul(self.factor, (late[1] - now[1]).transpose(0, 2, 1))
+        return late[0] - now[0], np.matmul(spread.transpose(0, 2, 1), spread)
 
     def speeds(self) -> Array:
         """Return how fast the markers should move (K,), px/s or m/s."""

@@ -31,6 +31,7 @@ from hyperflex.vision import Observations as Blobs
 
 LOST = 8  # frames in a row without a marker, after which the whole picture is searched anew
 WIDEST = 0.25  # of the picture's height, standard deviation of a place beyond which there is no gate to search
+LEAST_STD = 0.2  # px, of a place: what compression and a marker that sits askew add to a detector's own noise
 PATIENT = 30  # frames until a first frame is taken whose order is the best, but not certain
 
 
@@ -45,9 +46,9 @@ class TrackedFrame:
     pixels : (K, 2) float64
         Where each marker was seen, px; NaN: not seen.
     covariances : (K, 2, 2) float64
-        px^2.
+        Of that, and of how far they moved between `t` and their own row, px^2.
     places : (K, 2) float64
-        The same in the swing plane at `t`, m.
+        In the swing plane at `t`, m.
     predicted : (K, 2) float64
         Where they were expected, px; NaN before anything was known.
     state : RopeState or None
@@ -79,10 +80,10 @@ class RopeTracker:
 
     Notes
     -----
-    The first frame is searched as a whole, and its blobs are put in order by the rope between them
-    (:func:`hyperflex.vision.order_markers`). From then on each marker is looked for where the dynamics say, as far
-    around as they are unsure; all are assigned together. Where several frames in a row show nothing, the whole picture is
-    searched again, with what the dynamics still say.
+    The first frame is searched as a whole, and its blobs are put in order by the rope between them (``order_markers``).
+    From then on each marker is looked for where the dynamics say, as far around as they are unsure; all are assigned
+    together. Where several frames in a row show nothing, the whole picture is searched again, with what the dynamics
+    still say.
     """
 
     def __init__(self, estimator: RopeFilter, detector: MarkerDetector) -> None:
@@ -104,8 +105,10 @@ class RopeTracker:
         self.estimator.predict_to(t)
         predicted, spread = self._expected()
         gates = self._gates(predicted, spread) if self._dark < LOST else None
-        blobs = self.detector.find(frame.image, gates)
-        found = assign_markers(blobs, predicted, spread)
+        blobs = self._detected(frame.image, gates)
+        level = max(1.0, self.estimator.measurement_noise.value)
+        found = assign_markers(blobs._replace(covariances=level**2 * blobs.covariances), predicted, spread)
+        found = found._replace(covariances=found.covariances / level**2)
         rows = self._rows(found.places)
         self.estimator.update(Observations(t, found.places, rows=rows, covariances=found.covariances))
         self._dark = 0 if (found.indices >= 0).any() else self._dark + 1
@@ -113,7 +116,7 @@ class RopeTracker:
 
     def _first(self, image: Image, t: float) -> TrackedFrame:
         """Look for the whole rope."""
-        model, blobs = self.estimator.model, self.detector.find(image)
+        model, blobs = self.estimator.model, self._detected(image)
         count = len(model.arc_lengths)
         nothing, wide = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
         if not len(blobs.places):
@@ -124,6 +127,11 @@ class RopeTracker:
         rows = self._rows(pixels)
         self.estimator.update(Observations(t, pixels, rows=rows, covariances=covariances))
         return self._result(t, pixels, covariances, nothing, rows)
+
+    def _detected(self, image: Image, gates: list[Gate] | None = None) -> Blobs:
+        """Return what looks like a marker."""
+        blobs = self.detector.find(image, gates)
+        return blobs._replace(covariances=blobs.covariances + LEAST_STD**2 * np.eye(2))
 
     def _ordered(self, blobs: Blobs, t: float) -> tuple[Array | None, Array | None]:
         """Return places and covariances of the markers, or None where the frame does not tell which is which."""
@@ -160,9 +168,9 @@ class RopeTracker:
         return np.nan_to_num(self.camera.readout_share(pixels) - 0.5)
 
     def _result(self, t: float, pixels: Array, covariances: Array, predicted: Array, rows: Array) -> TrackedFrame:
-        places = self.camera.locate(pixels)
-        shift = self.camera.locate(self.estimator.markers(rows)[0]) - self.camera.locate(self.estimator.markers()[0])
-        return TrackedFrame(t, pixels, covariances, places - shift, predicted, self.estimator.state)
+        shift, unsure = self.estimator.readout_shift(rows)
+        places = self.camera.locate(pixels - shift)
+        return TrackedFrame(t, pixels, covariances + unsure, places, predicted, self.estimator.state)
 
 
 @dataclass(frozen=True, eq=False)
