@@ -106,11 +106,11 @@ def test_the_command_says_what_it_saw(
     u, v = truth.pixels[0, 3].tolist()
     named = ["--rope", tmp_path / "rope.toml", "--camera", tmp_path / "camera.toml", "-o", tmp_path / "markers.nc"]
     words = ["track", path, *named, "--arc-lengths", *[",".join(map(str, ARCS))], "--click", u, v, "--json"]
-    assert run([str(word) for word in [*words, "--estimate", "delay=0.01"]]) == 0
+    assert run([str(word) for word in [*words, "--estimate", "scale=0.02"]]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["frames"] == stamps().size
     assert result["seen"] > 0.86  # 7 % are in the blackout
-    assert abs(result["estimated"]["delay"]["value"]) < 2e-3  # there is none
+    assert abs(result["estimated"]["scale"]["value"]) < 5e-3  # it is right, and gravity tells; 12 links for 100
 
 
 def test_no_rope_in_the_video(tmp_path: Path, video: tuple[Path, Truth]) -> None:
