@@ -10,7 +10,7 @@ from scipy.linalg import solve_triangular
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.noise import NoiseLevel
 from hyperflex.estimate.observations import MarkerModel, Observations
@@ -57,9 +57,8 @@ class RopeFilter:
     >>> from hyperflex.estimate import Observations, RopeFilter
     >>> rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, radius=0.002, friction=1e-4)
     >>> run = hf.simulate(rope, duration=1.0, q0=np.full(10, 0.5))
-    >>> tracker = RopeFilter(rope, [0.25, 0.5, 0.75, 1.0])
-    >>> for t in np.arange(0.0, 1.0, 0.04):
-    ...     joints = run.joints[np.searchsorted(run.t, t)]
+    >>> tracker = RopeFilter(rope, [0.2, 0.5, 0.7, 1.0])
+    >>> for t, joints in zip(run.t[::4], run.joints[::4]):
     ...     tracker.update(Observations(t, joints[[2, 5, 7, 10]], std=0.002))
     >>> bool(np.linalg.norm(tracker.markers()[0][-1] - joints[10]) < 0.005)
     True
@@ -125,6 +124,8 @@ class RopeFilter:
         ------
         InvalidInput
             If nothing has been seen yet, or dt is negative.
+        SimulationError
+            If no rope can move on from this state; :meth:`update` begins anew then.
         """
         if self.t is None:
             raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
@@ -138,7 +139,11 @@ class RopeFilter:
             return
         found = self.process.predict(self.x, self.t, t)
         self._last = self.process.noise(t - self.t, self.process_noise.value)
-        self.factor = sr.predicted(self.factor, found.transition, self._last)
+        with np.errstate(over="ignore", invalid="ignore"):
+            factor = sr.predicted(self.factor, found.transition, self._last)
+        if not (np.isfinite(factor).all() and np.isfinite(found.x).all()):
+            raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
+        self.factor = factor
         self.age += t - self.t
         self.x, self.t, self._qdd = found.x, t, found.qdd
 
@@ -190,12 +195,25 @@ class RopeFilter:
         if self.t is None:
             self._begin(seen)
             return
-        self.predict_to(seen.t)
+        try:
+            self.predict_to(seen.t)
+        except SimulationError:  # a state that no rope has comes of places that are no markers'
+            self.restart()
+            self._begin(seen)
+            return
         self._correct(seen, ROUNDS)
+
+    def restart(self) -> None:
+        """Forget the state; what was learnt of parameters and noise stays as a first guess."""
+        self.t, self._last = None, None
+        self.x[: 2 * self.n_links] = 0.0
+        self._qdd[:] = 0.0
 
     def _begin(self, seen: Observations) -> None:
         """Take the first shape from the line through the markers, and correct it by what was seen."""
         n, rope = self.n_links, self.process.rope
+        if not seen.seen.any():
+            return
         self.t = seen.t
         base, camera = self.process.base(seen.t), self.model.camera
         in_metres = seen.places if camera is None else camera.locate(seen.places)

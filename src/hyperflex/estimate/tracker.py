@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.observations import Observations
 from hyperflex.files import PathLike
@@ -102,7 +102,11 @@ class RopeTracker:
         t = frame.time - self.camera.delay + 0.5 * self.camera.readout
         if self.estimator.t is None:
             return self._first(frame.image, t)
-        self.estimator.predict_to(t)
+        try:
+            self.estimator.predict_to(t)
+        except SimulationError:  # the state is none that a rope has
+            self.estimator.restart()
+            return self._first(frame.image, t)
         predicted, spread = self._expected()
         gates = self._gates(predicted, spread) if self._dark < LOST else None
         blobs = self._detected(frame.image, gates)
