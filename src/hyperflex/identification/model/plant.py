@@ -120,7 +120,7 @@ class Plant:
         q, dq = y[:, :n], dy[:, :n, : len(at.parameter_directions.names)]
         dpivot = np.zeros((t.size, 2, at.parameter_directions.width))
         if self.sensor.placed:
-            place_changes(at.drive, at.seeds, t, dpivot)
+            place_changes(at.drive, at.seeds, np.array(t), dpivot)
         dpivot = dpivot[:, :, : dq.shape[2]]
         seen = at.sensor.predict(at.rope, q, self._pivot(at, t))
         moved = at.sensor.jacobian(at.rope, q, dq, dpivot, at.parameter_directions.lengths(n))

@@ -288,7 +288,7 @@ def _labelled(
     reach = np.stack([(chain.length * sin).sum(axis=1), -(chain.length * cos).sum(axis=1)], axis=1)
     tip = motion.point(t) + drive.arm_length * np.stack([np.sin(angle), -np.cos(angle)], axis=1) + reach
     dtip = np.zeros((t.size, 2, directions.width))
-    place_changes(drive, directions.directions(chain, drive), t, dtip)
+    place_changes(drive, directions.directions(chain, drive), np.array(t), dtip)  # compiled for arrays of one kind
     dtip = dtip[:, :, :p] + np.matmul(chain.length * np.stack([cos, sin], axis=1), dq)
     dtip += np.matmul(np.stack([sin, -cos], axis=1), directions.lengths(n))
     qd, dqd, names = y[:, n : 2 * n], dy[:, n:, :p], directions.names
