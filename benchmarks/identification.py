@@ -127,7 +127,7 @@ def cable_problem(repeats: int) -> dict[str, Any]:
     error, friction = float((found.residuals**2).mean()) ** 0.5, float(found.values["friction"][0])
     clock = statistics.median(timed.clock)
     made = row("50 links, 10 markers, 3 s", "shooting", timed.median, error, (float("nan"), friction), clock)
-    return made | {"sd": float(found.sd["friction"][0])}
+    return made | {"std": float(found.std["friction"][0])}
 
 
 def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
@@ -145,7 +145,7 @@ def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
     return "\n".join(lines) + (
         f"\n\nSimulated recordings, {RATE:g} frames a second. True: J {PAPER.inertia[0]:.3g}, eta "
         f"{PAPER.friction[0]:.4g}; of the cable eta {CABLE.friction[0]:.3g}, found with a standard deviation of "
-        f"{cable['sd']:.1g} (J held). From {len(drawn)} starts drawn over {DECADES:g} decades in J and eta and "
+        f"{cable['std']:.1g} (J held). From {len(drawn)} starts drawn over {DECADES:g} decades in J and eta and "
         f"{SHIFT:g} rad in the angles, {len(same)} reach the same optimum (cost within {SAME:g}); the slowest took "
         f"{slowest:.2g} s. {NOTE}"
     )

@@ -104,7 +104,7 @@ def draw() -> list[dict[str, float]]:
 def true_rope(index: int, pieces: int) -> hf.Rope:
     """A rope that differs from the cable as a real one does, each of its links in so many pieces."""
     rng = np.random.default_rng([5, index])
-    length, mass, friction = (1.0 + sd * rng.standard_normal() for sd in SPREAD.values())
+    length, mass, friction = (1.0 + std * rng.standard_normal() for std in SPREAD.values())
     rope = CABLE.replace(
         length=length * CABLE.length,
         com=length * CABLE.com,

@@ -36,7 +36,7 @@ def test_triple_pendulum_ratios(triple: Identification) -> None:
     assert not triple.identifiable
     assert triple.verdict[0].startswith("One common factor of inertia, com, friction")
     for name in ("J/p1", "p/p1"):  # known to better than 1 %, and not absurdly well for residuals of milliradians
-        relative = triple.ratio_sd[name] / triple.ratios[name]
+        relative = triple.ratio_std[name] / triple.ratios[name]
         assert (relative < 0.01).all()
         assert (relative[1:] > 1e-4).all()
     assert triple.settings["fitted_to"] < 33.858
@@ -80,7 +80,7 @@ def test_the_air_brakes_the_triple_pendulum(data_dir: Path) -> None:
     assert air.identification is not None
     np.testing.assert_allclose(air.identification.ratios["J/p1"], J, rtol=0.01)  # as without: ratios do not hang on it
     np.testing.assert_allclose(air.identification.ratios["p/p1"], P, rtol=0.01)
-    assert (air.identification.ratios["d/p1"][1:] > 3.0 * air.identification.ratio_sd["d/p1"][1:]).all()
+    assert (air.identification.ratios["d/p1"][1:] > 3.0 * air.identification.ratio_std["d/p1"][1:]).all()
 
 
 def test_triple_pendulum_from_markers(data_dir: Path) -> None:
@@ -110,7 +110,7 @@ def double(data_dir: Path, run: int, masses: tuple[float, ...] = (0.1, 0.1)) -> 
 
 def figures(found: Identification) -> tuple[list[float], list[float]]:
     """J/p1 of both links and p/p1 of the second, and their standard deviations."""
-    kinds = found.ratios, found.ratio_sd
+    kinds = found.ratios, found.ratio_std
     values, spreads = ([*kind["J/p1"], kind["p/p1"][1]] for kind in kinds)
     return values, spreads
 
@@ -123,11 +123,11 @@ def test_double_pendulum_from_video_markers(data_dir: Path) -> None:
         np.testing.assert_allclose(figures(result)[0], [0.0905, 0.00686, 0.1019], rtol=0.01)
         assert result.residual_rms_all < 3e-3  # the markers' own noise is about 2.5 mrad
         assert abs(result.values["gravity_angle"]) < np.radians(1.0)  # README: camera roll of about 0.5 degrees
-    (one, one_sd), (two, two_sd) = figures(first), figures(second)
-    gap = np.abs(np.subtract(one, two)) / np.hypot(one_sd, two_sd)
+    (one, one_std), (two, two_std) = figures(first), figures(second)
+    gap = np.abs(np.subtract(one, two)) / np.hypot(one_std, two_std)
     assert (gap < 3.0).all()  # the same pendulum: within the joint uncertainty of both runs
     # another guess, the same optimum: what a stop leaves is a small part of the uncertainty
-    np.testing.assert_allclose(figures(other)[0], one, atol=0.2 * max(one_sd))
+    np.testing.assert_allclose(figures(other)[0], one, atol=0.2 * max(one_std))
 
 
 def test_a_little_more_data_hardly_moves_standard_deviations(data_dir: Path) -> None:
@@ -137,12 +137,12 @@ def test_a_little_more_data_hardly_moves_standard_deviations(data_dir: Path) -> 
     guess = Rope(length=[0.0917, 0.0701], mass=[0.05, 0.03], friction=1e-5)
     free = ["inertia", "com", "friction", "gravity_angle"]
     short, long = (identify(recording, guess, free, train=end, intervals=None) for end in (14.0, 14.14))
-    for name, sd in short.ratio_sd.items():
-        known = sd > 0.0  # p/p1 of the first link is 1
+    for name, std in short.ratio_std.items():
+        known = std > 0.0  # p/p1 of the first link is 1
         # 1 % more data: less than a factor 2 was asked for; the noise itself is known to a tenth
-        np.testing.assert_allclose(long.ratio_sd[name][known], sd[known], rtol=0.3)
-    np.testing.assert_allclose(long.sd["gravity_angle"], short.sd["gravity_angle"], rtol=0.3)
-    assert (short.ratio_sd["J/p1"] < 0.01 * short.ratios["J/p1"].max()).all()  # a fifth of the value when it ran away
+        np.testing.assert_allclose(long.ratio_std[name][known], std[known], rtol=0.3)
+    np.testing.assert_allclose(long.std["gravity_angle"], short.std["gravity_angle"], rtol=0.3)
+    assert (short.ratio_std["J/p1"] < 0.01 * short.ratios["J/p1"].max()).all()  # a fifth of the value when it ran away
     assert any("Standard deviations and intervals then tell little" in text for text in short.verdict)
 
 

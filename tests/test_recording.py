@@ -201,7 +201,7 @@ def test_csv_notes_declare_wrapping_and_noise(tmp_path: Path) -> None:
         with pytest.raises(InvalidInput, match=f"declares {next(iter(argument))} = .*argument something else"):
             read_recording(path, **argument)  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match="noise twice"):
-        read_recording(csv(tmp_path, "t,th1,sd_th1", np.column_stack([table, t + 1.0]), notes))
+        read_recording(csv(tmp_path, "t,th1,std_th1", np.column_stack([table, t + 1.0]), notes))
     two = csv(tmp_path, "t,th1,th2", np.column_stack([t, angle, angle]), notes.replace("0.01", "0.01, 0.02"))
     noise = read_recording(two).noise
     assert noise is not None
@@ -259,7 +259,7 @@ def test_csv_columns_by_name_and_noise_columns(tmp_path: Path) -> None:
     )
     np.testing.assert_array_equal(named.data, data)
     assert named.name == "lab"
-    path = csv(tmp_path, "t,th0,th1,sd_th0,sd_th1", np.column_stack([t, data, np.full((t.size, 2), 2e-3)]))
+    path = csv(tmp_path, "t,th0,th1,std_th0,std_th1", np.column_stack([t, data, np.full((t.size, 2), 2e-3)]))
     noisy = read_recording(path, time_unit="s", unit="rad")
     assert noisy.noise is not None
     np.testing.assert_array_equal(noisy.noise, 2e-3)
@@ -312,7 +312,7 @@ HEADERS = {
     "no data": ("t,a", "which columns to take"),
     "both kinds": ("t,th1,x0,y0,x1,y1", "kind='angles' or 'markers'"),
     "half a marker": ("t,x0,y0,x1", "lacks coordinates"),
-    "some noise": ("t,th1,th2,sd_th1", "some columns only"),
+    "some noise": ("t,th1,th2,std_th1", "some columns only"),
 }
 
 
@@ -370,14 +370,14 @@ def test_unsorted_and_infinite_samples_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("name", ["t", "th1", "w1", "sd_th1"])
+@pytest.mark.parametrize("name", ["t", "th1", "w1", "std_th1"])
 @pytest.mark.parametrize("wrapped", [False, True])
 def test_huge_numbers_are_named_without_warnings(tmp_path: Path, name: str, wrapped: bool) -> None:
     t, data, rates = swing(n=1)
     table = np.column_stack([t, data, rates, np.full(t.size, 1e-3)])
-    column = ["t", "th1", "w1", "sd_th1"].index(name)
+    column = ["t", "th1", "w1", "std_th1"].index(name)
     table[-2:, column] = -1e308, 1e308
-    path = csv(tmp_path, "t,th1,w1,sd_th1", table)
+    path = csv(tmp_path, "t,th1,w1,std_th1", table)
     with pytest.raises(InvalidInput, match=r"\[398(, 0)?\] cannot be used: got -1e\+308"):
         read_recording(path, time_unit="min", unit="turn", wrapped=wrapped)
 

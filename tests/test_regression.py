@@ -173,7 +173,7 @@ def test_standard_deviations_are_those_of_repeated_noise():
         draws.append(noisy.solve())
     spread = np.std([draw.values for draw in draws], axis=0)
     # A standard deviation from 400 draws is known within 3.5 % (one sigma).
-    np.testing.assert_allclose(draws[0].sd, spread, rtol=0.14)
+    np.testing.assert_allclose(draws[0].std, spread, rtol=0.14)
 
 
 def test_samples_with_gaps_are_left_out():

@@ -117,8 +117,8 @@ def test_the_uncertainty_of_the_revision_is_that_of_repeated_noise():
     for name in ("inertia", "friction"):
         values = np.array([getattr(draw.best, name) for draw in draws])
         # 16 draws: a standard deviation known within 18 % (one sigma), and a mean within a quarter of it.
-        assert 0.6 < values.std(ddof=1) / draws[0].sd[name] < 1.6
-        assert abs(values.mean() - getattr(ROPE, name)[0]) < 1.0 * draws[0].sd[name]
+        assert 0.6 < values.std(ddof=1) / draws[0].std[name] < 1.6
+        assert abs(values.mean() - getattr(ROPE, name)[0]) < 1.0 * draws[0].std[name]
 
 
 def test_a_calculated_profile_returns_what_it_was_calculated_with():
@@ -171,10 +171,10 @@ def test_what_would_become_negative_stops_at_zero_and_the_rest_adapts():
     lost = [
         hf.estimate_initial_state(recording, found.rope.replace(friction=found.rope.friction + step)).error
         - found.error
-        for step in (-found.sd["friction"], found.sd["friction"])
+        for step in (-found.std["friction"], found.std["friction"])
     ]
     assert min(lost) > 0.0
-    assert lost[0] == pytest.approx(lost[1], rel=0.25)  # a tenth of sd, where it settles, makes a fifth of it at most
+    assert lost[0] == pytest.approx(lost[1], rel=0.25)  # a tenth of std, where it settles, makes a fifth of it at most
 
 
 def test_ctrl_c_keeps_the_best_round_so_far(monkeypatch):

@@ -45,8 +45,8 @@ def test_c6_ir_finds_the_truth_within_its_uncertainty(swing):
     claim = finds_the_truth(swing)
     assert claim.measured <= 2.0, claim.note
     # In the small swing J is compatible with 0, and the uncertainty says so; in the wide one eta is known within 1 %.
-    assert revised(SMALL).sd["inertia"] > INERTIA
-    assert revised(WIDE).sd["friction"] < 0.01 * FRICTION
+    assert revised(SMALL).std["inertia"] > INERTIA
+    assert revised(WIDE).std["friction"] < 0.01 * FRICTION
 
 
 def test_c6_ir_finds_the_truth_for_other_noise_too():
@@ -94,7 +94,7 @@ def test_on_data_of_a_finer_chain_inertia_and_friction_are_biased():
         assert found.success
         assert 5.0e-6 < found.best.inertia < 6.5e-6
         assert found.best.friction == pytest.approx(0.8 * FRICTION, rel=0.05)
-        assert FRICTION - found.best.friction > 5.0 * found.sd["friction"]
+        assert FRICTION - found.best.friction > 5.0 * found.std["friction"]
     # And where the swing is wide the misfit shows in the error too: 0.073 rad^2 where noise alone leaves 0.040.
     assert revised(FINER[1]).error > 1.5 * revised(WIDE).error
 
@@ -110,9 +110,9 @@ def test_free_initial_rates_tell_less_but_the_same():
     # take half a minute otherwise.
     start = guess().replace(inertia=np.full(5, 2.0 * INERTIA), friction=np.full(5, 1.1 * FRICTION))
     found = iterative_revision(record(WIDE), start, rates="free", rounds=2, max_evaluations=100)
-    assert abs(found.best.friction - FRICTION) < 3.0 * found.sd["friction"]
-    assert abs(found.best.inertia - INERTIA) < 3.0 * found.sd["inertia"]
-    assert found.sd["inertia"] > revised(WIDE).sd["inertia"]
+    assert abs(found.best.friction - FRICTION) < 3.0 * found.std["friction"]
+    assert abs(found.best.inertia - INERTIA) < 3.0 * found.std["inertia"]
+    assert found.std["inertia"] > revised(WIDE).std["inertia"]
 
 
 def test_a_revision_of_fewer_samples_is_judged_by_all_of_them():

@@ -50,7 +50,7 @@ def test_intervals_cover_the_mapped_truth_and_exclude_the_guess(demo_report):
 
 def test_a_parameter_outside_its_interval_is_told(demo_report):
     each = demo_report.demo.parameters[0]
-    assert not dataclasses.replace(each, mapped=each.value + 2.0 * each.sd).covered
+    assert not dataclasses.replace(each, mapped=each.value + 2.0 * each.std).covered
 
 
 def test_the_prediction_is_near_the_noise(demo_report):

@@ -118,5 +118,5 @@ def test_the_tip_alone_identifies_a_rope(links: int) -> None:
         recording.angles()
     found = identify(recording, guess, free, arc_lengths=[0.4], origin=(0.3, 0.1), intervals=None)
     assert found.success
-    value, sd = float(found.values["friction"][0]), float(found.sd["friction"][0])
-    assert abs(value - 3e-4) < 4.0 * sd < 6e-5  # chance of more: 6e-5; far less than the guess is off
+    value, std = float(found.values["friction"][0]), float(found.std["friction"][0])
+    assert abs(value - 3e-4) < 4.0 * std < 6e-5  # chance of more: 6e-5; far less than the guess is off

@@ -112,11 +112,11 @@ def test_the_band_holds_what_it_says() -> None:
     result = identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], train=5.0)
     held = result.held_out
     assert held is not None
-    assert held.sd.shape == held.measured.shape
+    assert held.std.shape == held.measured.shape
     # 1800 values, errors of the 18 states shared by 100 each: 95 % within about 1.5 %, three times that is allowed.
     assert abs(held.inside - 0.95) < 0.045
     assert result.summary()["held_out"]["inside_band"] == held.inside
-    assert (held.sd > 0.9 * NOISE).all()
+    assert (held.std > 0.9 * NOISE).all()
 
 
 def test_outliers_do_not_widen_the_band() -> None:
@@ -128,7 +128,7 @@ def test_outliers_do_not_widen_the_band() -> None:
         hf.Recording(clean.t, spoilt), ROPE.replace(friction=1e-3), ["friction"], train=5.0, loss="cauchy"
     )
     assert result.held_out is not None
-    assert np.median(result.held_out.sd) < 1.5 * NOISE  # 0.07 with the outliers as noise
+    assert np.median(result.held_out.std) < 1.5 * NOISE  # 0.07 with the outliers as noise
 
 
 def test_a_rope_with_few_markers_is_predicted_to_its_noise() -> None:
@@ -148,8 +148,8 @@ def test_a_rope_with_few_markers_is_predicted_to_its_noise() -> None:
     ).all()  # noise of 1 mm and what a state on 12 samples adds; 0.1 m without weights
     # Where the camera sees the first joint, told in its own frame.
     for name, truth in (("origin_x", 0.3), ("origin_y", -0.1)):
-        assert abs(result.values[name] - truth) < 4.0 * result.sd[name]
-        assert result.sd[name] < 2e-3
+        assert abs(result.values[name] - truth) < 4.0 * result.std[name]
+        assert result.std[name] < 2e-3
 
 
 def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,7 +160,7 @@ def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch: pytest.MonkeyPatch) 
     result = identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], train=5.0)
     assert result.message == "interrupted"
     assert result.held_out is None
-    assert (np.abs(result.values["friction"] - ROPE.friction) < 5.0 * result.sd["friction"]).all()
+    assert (np.abs(result.values["friction"] - ROPE.friction) < 5.0 * result.std["friction"]).all()
 
 
 def test_markers_without_given_noise_are_not_outweighed_by_the_prior() -> None:
@@ -171,5 +171,5 @@ def test_markers_without_given_noise_are_not_outweighed_by_the_prior() -> None:
     recording = hf.Recording(t, data, kind="markers")
     places = {"arc_lengths": [0.2, 0.4, 0.6, 0.8], "origin": [0.0, 0.0]}
     result = identify(recording, rope.replace(friction=1e-3), ["friction:shared"], train=np.inf, **places)  # type: ignore[arg-type]
-    assert (np.abs(result.values["friction"] - 5e-4) < 4.0 * result.sd["friction"]).all()
-    assert (result.residual_rms < 1.5e-3).all()  # noise of 1 mm; 6 to 34 mm where a prior in sd beats errors in m
+    assert (np.abs(result.values["friction"] - 5e-4) < 4.0 * result.std["friction"]).all()
+    assert (result.residual_rms < 1.5e-3).all()  # noise of 1 mm; 6 to 34 mm where a prior in std beats errors in m

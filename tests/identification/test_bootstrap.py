@@ -42,10 +42,12 @@ def test_fits_scatter_as_the_covariance_says(found: Identification) -> None:
     result = bootstrap(found, 60)
     assert result.names == found.parameters
     assert (result.samples.shape, result.failed, result.interrupted) == ((60, 2), 0, False)
-    sd = np.sqrt(np.diag(found.covariance))
-    np.testing.assert_allclose(result.samples.std(axis=0), sd, rtol=0.35)  # an sd from 60 draws is known to 9 %
+    std = np.sqrt(np.diag(found.covariance))
+    np.testing.assert_allclose(
+        result.samples.std(axis=0), std, rtol=0.35
+    )  # a standard deviation from 60 draws is known to 9 %
     middle = np.array([found.values[name][0] for name in ("inertia", "friction")])
-    np.testing.assert_array_less(np.abs(result.samples.mean(axis=0) - middle), 4.0 * sd / np.sqrt(60))
+    np.testing.assert_array_less(np.abs(result.samples.mean(axis=0) - middle), 4.0 * std / np.sqrt(60))
     one = result.interval("friction[0]", 0.8)
     inside = (result.samples[:, 1] > one.low) & (result.samples[:, 1] < one.high)
     assert (one.kind, inside.sum()) == ("bootstrap", 48)

@@ -156,8 +156,8 @@ def test_dry_friction_is_preferred_where_there_is_some_and_not_where_there_is_no
     assert found.preferred == ("viscous + dry" if dry else "viscous")
     assert found.best is not None
     assert found["viscous + dry"].identification is not None
-    value, sd = (getattr(found["viscous + dry"].identification, name)["dry_friction"][0] for name in ("values", "sd"))
-    assert abs(value - dry) < 4.0 * sd or (dry == 0.0 and np.isinf(sd))
+    value, std = (getattr(found["viscous + dry"].identification, name)["dry_friction"][0] for name in ("values", "std"))
+    assert abs(value - dry) < 4.0 * std or (dry == 0.0 and np.isinf(std))
 
 
 def test_a_candidate_that_fails_is_told_with_its_reason(stiff: hf.ModelComparison) -> None:

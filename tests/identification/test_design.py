@@ -21,7 +21,7 @@ NOISE = 2e-3
 
 
 def test_predicted_deviations_are_those_of_many_fits() -> None:
-    """40 twins: an sd from 40 draws is known to 1 / sqrt(78) = 11 %; 3.5 of these. Stated sds agree much better."""
+    """40 twins: a deviation from 40 draws is known to 1 / sqrt(78) = 11 %; 3.5 of these. Stated ones agree better."""
     planned = design_experiment(SINGLE, ["inertia", "friction"], [SHORT], noise=NOISE).plans[0]
     run = simulate(SINGLE, duration=3.0, t_eval=SHORT.t, q0=[0.8], tol=1e-9)
     values, stated = [], []
@@ -29,15 +29,15 @@ def test_predicted_deviations_are_those_of_many_fits() -> None:
         noise = NOISE * np.random.default_rng(seed).standard_normal(run.q.shape)
         found = identify(Recording(SHORT.t, run.q + noise), SINGLE, ["inertia", "friction"], train=np.inf)
         values.append([float(found.values[name][0]) for name in ("inertia", "friction")])
-        stated.append([float(found.sd[name][0]) for name in ("inertia", "friction")])
-    predicted = np.array(list(planned.sd.values()))
+        stated.append([float(found.std[name][0]) for name in ("inertia", "friction")])
+    predicted = np.array(list(planned.std.values()))
     np.testing.assert_allclose(np.std(values, axis=0, ddof=1), predicted, rtol=0.39)
     # The fits estimate the noise from some 115 values (6 % each, 1 % on the mean) and differ in curvature by the noise
     np.testing.assert_allclose(np.mean(stated, axis=0), predicted, rtol=0.05)
 
 
 def test_markers_are_foreseen_as_a_fit_of_places_sees_them() -> None:
-    """One fit: its sd follows from 720 values' noise, known to 1 / sqrt(1440) = 3 %; three and a half of these."""
+    """One fit: its std follows from 720 values' noise, known to 1 / sqrt(1440) = 3 %; three and a half of these."""
     look = Experiment("markers", q0=[0.8, 1.2], rate=40.0, duration=3.0, markers=3)
     planned = design_experiment(DOUBLE, "inertia", [look], noise=1e-3).plans[0]
     run = simulate(DOUBLE, duration=3.0, t_eval=look.t, q0=[0.8, 1.2], tol=1e-9)
@@ -48,20 +48,20 @@ def test_markers_are_foreseen_as_a_fit_of_places_sees_them() -> None:
     seen = places.reshape(look.t.size, -1) + 1e-3 * np.random.default_rng(0).standard_normal((look.t.size, 6))
     recording = Recording(look.t, seen, kind="markers", noise=1e-3)  # type: ignore[arg-type]
     found = identify(recording, DOUBLE, ["inertia", "friction"], arc_lengths=arc_lengths, train=np.inf)
-    np.testing.assert_allclose(found.sd["inertia"], list(planned.sd.values()), rtol=0.1)
+    np.testing.assert_allclose(found.std["inertia"], list(planned.std.values()), rtol=0.1)
 
 
 def test_noise_and_frame_rate_scale_as_they_must() -> None:
     """Deviations are proportional to the noise, exactly; four times the frames halve them but for the ends' share."""
     noisy = [
-        design_experiment(SINGLE, "friction", [SHORT], noise=size).plans[0].sd["friction[0]"] for size in (1e-3, 3e-3)
+        design_experiment(SINGLE, "friction", [SHORT], noise=size).plans[0].std["friction[0]"] for size in (1e-3, 3e-3)
     ]
     assert noisy[1] / noisy[0] == pytest.approx(3.0, rel=1e-9)
     often = [Experiment("", q0=0.8, rate=rate, duration=4.0) for rate in (50.0, 200.0)]
-    slow, fast = (design_experiment(SINGLE, "friction", [each]).plans[0].sd["friction[0]"] for each in often)
+    slow, fast = (design_experiment(SINGLE, "friction", [each]).plans[0].std["friction[0]"] for each in often)
     assert slow / fast == pytest.approx(2.0, rel=0.1)
     own = Experiment("own noise", q0=0.8, rate=40.0, duration=3.0, noise=3e-3)
-    assert design_experiment(SINGLE, "friction", [own], noise=1e-3).plans[0].sd["friction[0]"] == pytest.approx(
+    assert design_experiment(SINGLE, "friction", [own], noise=1e-3).plans[0].std["friction[0]"] == pytest.approx(
         noisy[1]
     )
 
@@ -83,13 +83,13 @@ def test_candidates_are_ranked_and_the_best_is_named() -> None:
 def test_the_table_and_the_file_hold_what_was_found(tmp_path: Path) -> None:
     found = design_experiment(DOUBLE, ["friction", "J/p1"], [Experiment("a swing", q0=0.8, rate=40.0, duration=3.0)])
     plan = found.plans[0]
-    assert list(plan.sd) == ["friction[0]", "friction[1]", "J/p1[0]", "J/p1[1]"]
+    assert list(plan.std) == ["friction[0]", "friction[1]", "J/p1[0]", "J/p1[1]"]
     assert plan.score == max(plan.relative.values())
-    assert plan.relative["friction[1]"] == pytest.approx(plan.sd["friction[1]"] / 1e-4)
+    assert plan.relative["friction[1]"] == pytest.approx(plan.std["friction[1]"] / 1e-4)
     assert "a swing" in str(found)
     found.to_json(tmp_path / "design.json")
     content = json.loads((tmp_path / "design.json").read_text("utf-8"))
-    assert content["plans"][0]["sd"]["J/p1[1]"] == plan.sd["J/p1[1]"]
+    assert content["plans"][0]["std"]["J/p1[1]"] == plan.std["J/p1[1]"]
     assert content["plans"][0]["markers"] is None
 
 

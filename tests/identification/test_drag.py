@@ -49,7 +49,7 @@ def test_drag_is_known_beside_joint_friction(windy: tuple[Recording, Array]) -> 
     assert found.success
     assert within(found, "drag:shared", DRAG)
     assert within(found, "friction:shared", CORD.friction[0])
-    assert found.sd["drag"][0] < 0.02 * DRAG
+    assert found.std["drag"][0] < 0.02 * DRAG
 
 
 def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tuple[Recording, Array]) -> None:
@@ -59,8 +59,8 @@ def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tup
     found = hf.identify(recording, CORD, words, arc_lengths=arc_lengths, origin=(0.0, 0.0))
     assert not found.identifiable
     assert "One common factor of mass, inertia, friction, drag" in found.verdict[0]
-    assert np.isinf(found.sd["drag"]).all()
-    assert np.isfinite(found.ratio_sd["d/p1"]).all()
+    assert np.isinf(found.std["drag"]).all()
+    assert np.isfinite(found.ratio_std["d/p1"]).all()
     truth = DRAG / hf.identification.lumped(CORD)[0][0]
     assert within(found, "d/p1[0]", truth)
 
@@ -75,5 +75,5 @@ def test_drag_is_told_from_joint_friction(rope: hf.Rope) -> None:
     both = found["both"].identification
     assert both is not None
     # Without any joint friction the finer twin bends more sharply than ten links can: that moves drag by 3 %.
-    assert both.values["drag"][0] == pytest.approx(rope.drag[0], rel=0.06, abs=4.0 * both.sd["drag"][0])
-    assert both.values["friction"][0] == pytest.approx(rope.friction[0], rel=0.06, abs=4.0 * both.sd["friction"][0])
+    assert both.values["drag"][0] == pytest.approx(rope.drag[0], rel=0.06, abs=4.0 * both.std["drag"][0])
+    assert both.values["friction"][0] == pytest.approx(rope.friction[0], rel=0.06, abs=4.0 * both.std["friction"][0])

@@ -66,7 +66,7 @@ def test_a_rope_of_fitted_length_can_be_cut() -> None:
         recording, GUESS, ["length:factor", "friction:factor"], window=np.inf, train=np.inf, intervals=None
     )
     assert found.success
-    factor, sd = float(found.values["length:factor"]), float(found.sd["length:factor"])
-    assert abs(factor - 1.04) < 4.0 * sd < 0.004  # held centres of mass leave it 3 % away
+    factor, std = float(found.values["length:factor"]), float(found.std["length:factor"])
+    assert abs(factor - 1.04) < 4.0 * std < 0.004  # held centres of mass leave it 3 % away
     assert divided(found.rope, 2).n_links == 6
     np.testing.assert_allclose(found.rope.inertia, true.inertia, rtol=0.01)

@@ -38,11 +38,11 @@ def test_fewer_markers_than_links_find_friction_within_its_interval() -> None:
     )
     assert found.success
     assert found.unit == "m"
-    gap = abs(found.values["friction"][0] - 3e-4) / found.sd["friction"][0]
+    gap = abs(found.values["friction"][0] - 3e-4) / found.std["friction"][0]
     assert gap < 4.0  # 6e-5 of chance; the seed is fixed
-    assert found.sd["friction"][0] < 0.2 * 3e-4  # and it is told: three seconds of four markers
+    assert found.std["friction"][0] < 0.2 * 3e-4  # and it is told: three seconds of four markers
     for name, truth in (("origin_x", 0.4), ("origin_y", 1.2)):
-        assert abs(found.values[name] - truth) < 4.0 * found.sd[name]
+        assert abs(found.values[name] - truth) < 4.0 * found.std[name]
     np.testing.assert_allclose(found.residual_rms, NOISE, rtol=0.4)  # 46 values a channel: 10 %, four times
 
 
@@ -59,8 +59,8 @@ def test_where_a_marker_sits_can_be_found() -> None:
     )
     assert found.success
     assert found.values["arc"].shape == (5,)
-    assert abs(found.values["arc"][2] - 0.6) < 4.0 * found.sd["arc"][2]
-    assert 0.0 < found.sd["arc"][2] < 2e-3
+    assert abs(found.values["arc"][2] - 0.6) < 4.0 * found.std["arc"][2]
+    assert 0.0 < found.std["arc"][2] < 2e-3
     assert found.values["arc"][3] == 0.8
 
 
@@ -79,9 +79,9 @@ def test_gaps_and_gross_outliers_move_nothing_by_three_deviations() -> None:
     other = identify(Recording(t, spoilt), guess, free, train=np.inf, loss="cauchy")
     assert other.success
     for name in free:  # three of the clean run's deviations: what the task asks
-        assert (np.abs(other.values[name] - one.values[name]) < 3.0 * one.sd[name]).all()
+        assert (np.abs(other.values[name] - one.values[name]) < 3.0 * one.std[name]).all()
     ruled = identify(Recording(t, spoilt), guess, free, train=np.inf)
-    off = np.concatenate([np.abs(ruled.values[name] - one.values[name]) / one.sd[name] for name in free])
+    off = np.concatenate([np.abs(ruled.values[name] - one.values[name]) / one.std[name] for name in free])
     assert off.max() > 10.0  # squares alone are ruled by the outliers
 
 
@@ -93,9 +93,9 @@ def test_a_camera_with_its_own_clock() -> None:
     run = simulate(cable, motion.shifted(late), arm=arm, duration=5.0, t_eval=t, tol=1e-9)
     recording = Recording(t, run.q + NOISE * np.random.default_rng(3).standard_normal(run.q.shape))
     found = identify(recording, cable.replace(friction=6e-4), ["friction:shared", "delay"], motion=motion, arm=arm)
-    assert abs(found.values["delay"] - late) < 4.0 * found.sd["delay"]
-    assert found.sd["delay"] < 1e-3
-    assert abs(found.values["friction"][0] - 2e-4) < 4.0 * found.sd["friction"][0]
+    assert abs(found.values["delay"] - late) < 4.0 * found.std["delay"]
+    assert found.std["delay"] < 1e-3
+    assert abs(found.values["friction"][0] - 2e-4) < 4.0 * found.std["friction"][0]
 
 
 def test_a_taper_is_found_as_two_numbers() -> None:
@@ -104,8 +104,8 @@ def test_a_taper_is_found_as_two_numbers() -> None:
     run = simulate(true, duration=t[-1], t_eval=t, q0=np.full(12, 0.8), tol=1e-8)
     recording = Recording(t, run.q + NOISE * np.random.default_rng(4).standard_normal(run.q.shape))
     found = identify(recording, CABLE.replace(friction=2e-4), ["friction:factor", "friction:taper"], train=np.inf)
-    assert abs(found.values["friction:factor"] - 1.5) < 4.0 * found.sd["friction:factor"]
-    assert abs(found.values["friction:taper"] - 1.2) < 4.0 * found.sd["friction:taper"]
+    assert abs(found.values["friction:factor"] - 1.5) < 4.0 * found.std["friction:factor"]
+    assert abs(found.values["friction:taper"] - 1.2) < 4.0 * found.std["friction:taper"]
     np.testing.assert_allclose(found.rope.friction, true.friction, rtol=0.1)
 
 

@@ -62,7 +62,7 @@ def test_away_from_bounds_the_limit_is_that_of_f(freedom: float) -> None:
 
 @pytest.mark.parametrize("above", [0.0, 0.3, 1.0, 1.7, 3.0])
 def test_beside_its_own_bound_intervals_hold_the_truth_as_often_as_they_say(above: float) -> None:
-    """One parameter of sd 1, the truth at `above`; estimates u below 0 become 0.
+    """One parameter of std 1, the truth at `above`; estimates u below 0 become 0.
 
     The rise at the truth is (u - above)^2 for u >= 0, else above^2 - 2 u above.
     """
@@ -169,11 +169,11 @@ class Dipped(Line):
 def test_a_better_optimum_on_the_way_is_told() -> None:
     noise = np.random.default_rng(4).standard_normal((60, 1))
     plain = fitted(waves(60), noise)
-    sd = float(np.sqrt(plain.information.covariance[0, 0]))
-    dipped = Dipped(waves(60), plain.fit.x[0] + 2.0 * sd, 0.4 * sd)
+    std = float(np.sqrt(plain.information.covariance[0, 0]))
+    dipped = Dipped(waves(60), plain.fit.x[0] + 2.0 * std, 0.4 * std)
     data = noise + dipped.third  # the third wave is there
     basis = fitted(dipped, data)
-    assert basis.fit.x[0] == pytest.approx(dipped.at, abs=sd)  # the search itself finds it, near as it is
+    assert basis.fit.x[0] == pytest.approx(dipped.at, abs=std)  # the search itself finds it, near as it is
     stuck = replace(
         plain,
         plant=dipped,
@@ -184,7 +184,7 @@ def test_a_better_optimum_on_the_way_is_told() -> None:
     assert one.gain > 1.0
     assert one.better is not None
     first = dipped.parameters.all[0]
-    assert one.better.inertia[0] == pytest.approx(first.value(dipped.at), abs=first.value(sd))
+    assert one.better.inertia[0] == pytest.approx(first.value(dipped.at), abs=first.value(std))
     assert (one.rise >= 0.0).all()
     told = all_intervals(stuck, "profile")["inertia[0]"].remark
     assert "not the best one" in told
@@ -248,7 +248,7 @@ def test_the_papers_inertia_ends_at_0_and_at_a_value_that_the_data_refuse(
     rise = (squares[0] - squares[1]) / (squares[1] / freedom)
     assert rise == pytest.approx(
         np.interp(one.high, one.values, one.limit), rel=0.02
-    )  # ends are found to CLOSE, 0.01 of 2 sd
+    )  # ends are found to CLOSE, 0.01 of 2 std
     assert (np.diff(one.values) > 0.0).all()
 
 
@@ -264,7 +264,10 @@ def test_what_cannot_be_known_has_no_limits() -> None:
         one = profile(found, name)
         assert np.isinf(one.high)
         assert one.ends[1] == "open"
-    low, high = found.ratios["J/p1"] - 3.0 * found.ratio_sd["J/p1"], found.ratios["J/p1"] - 1.5 * found.ratio_sd["J/p1"]
+    low, high = (
+        found.ratios["J/p1"] - 3.0 * found.ratio_std["J/p1"],
+        found.ratios["J/p1"] - 1.5 * found.ratio_std["J/p1"],
+    )
     assert low[0] < found.intervals["J/p1[0]"].low < high[0]
     assert "p/p1[0]" not in found.intervals  # 1 by definition
 

@@ -38,7 +38,7 @@ def test_the_papers_recording_with_gaps_and_outliers(seed: int) -> None:
     found = hf.identify(recording, guess, free, train=np.inf, loss="cauchy", intervals=None)
     assert found.success
     for name in ("inertia", "friction"):
-        assert abs(found.values[name][0] - whole.values[name][0]) < 3.0 * whole.sd[name][0]
+        assert abs(found.values[name][0] - whole.values[name][0]) < 3.0 * whole.std[name][0]
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -60,7 +60,7 @@ def test_windows_whose_first_states_outliers_spoilt(seed: int) -> None:
         # some hundred values of 2 mrad tell a state to below 1 mrad; 10 mrad is no other minimum, which is 100s off
         assert np.sqrt(((seen - truth) ** 2).mean()) < 1e-2
     for name in ("inertia", "friction"):
-        assert (abs(found.values[name] - getattr(PAIR, name)) < 4.0 * found.sd[name]).all()
+        assert (abs(found.values[name] - getattr(PAIR, name)) < 4.0 * found.std[name]).all()
 
 
 def test_friction_does_not_fall_to_its_bound_and_stay_there() -> None:
@@ -74,7 +74,7 @@ def test_friction_does_not_fall_to_its_bound_and_stay_there() -> None:
     found = hf.identify(
         recording, guess, ["friction:shared"], arc_lengths=arc_lengths, origin=(0.0, 0.0), train=np.inf, intervals=None
     )
-    assert abs(found.values["friction"][0] - 3e-4) < 3.0 * found.sd["friction"][0]
+    assert abs(found.values["friction"][0] - 3e-4) < 3.0 * found.std["friction"][0]
 
 
 def dry() -> hf.Recording:

@@ -34,7 +34,7 @@ def test_what_is_at_0_beside_an_unknown_factor_has_no_interval_of_its_own(record
     one, ten = guessed(recording, 1.0), guessed(recording, 10.0)
     for found in (one, ten):
         assert found.values["friction"][1] == 0.0
-        assert np.isinf(found.sd["friction"]).all()
+        assert np.isinf(found.std["friction"]).all()
         alone = found.intervals["friction[1]"]
         assert (alone.low, alone.high, alone.kind, alone.ends) == (0.0, np.inf, "unknown", ("bound", "open"))
         ratio = found.intervals["c/p1[1]"]

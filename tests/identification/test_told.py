@@ -72,5 +72,5 @@ def test_a_delay_far_off_is_found(late: float) -> None:
         hf.Recording(T + late, data), PAIR.replace(friction=1e-3), ["friction", "delay"], motion=motion, arm=arm
     )
     assert found.success
-    assert abs(found.values["delay"] - late) < 4.0 * found.sd["delay"] < 4e-3
+    assert abs(found.values["delay"] - late) < 4.0 * found.std["delay"] < 4e-3
     assert abs(found.settings["delay_from"] - late) < 0.1  # the grid's step is a sixteenth of a window

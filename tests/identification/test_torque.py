@@ -213,7 +213,7 @@ def fit(*, torque: bool) -> Identification:
 def test_without_the_torque_the_scale_is_unknown() -> None:
     found = fit(torque=False)
     assert found.verdict[0].startswith("One common factor of mass, inertia, friction cannot be known")
-    assert np.isinf(found.sd["mass"]).all()
+    assert np.isinf(found.std["mass"]).all()
     assert found.torque_residuals is None
     assert "torque_rms" not in found.summary()
 
@@ -224,16 +224,16 @@ def test_the_torque_fixes_the_scale() -> None:
     assert found.identifiable
     assert found.verdict[0].startswith("All free parameters can be known")
     for name, truth in (("mass", ROPE.mass), ("inertia", ROPE.inertia), ("friction", ROPE.friction)):
-        assert (np.abs(found.values[name] - truth) < 4.0 * found.sd[name]).all(), name
-        assert (found.sd[name] < 0.1 * truth).all(), name
-    assert abs(found.values["arm_inertia"] - ARM.inertia) < 4.0 * found.sd["arm_inertia"]
-    assert (found.sd["mass"] < 0.01 * ROPE.mass).all()  # 5 mN m of some 0.25, over 250 samples: 0.15 % at best
+        assert (np.abs(found.values[name] - truth) < 4.0 * found.std[name]).all(), name
+        assert (found.std[name] < 0.1 * truth).all(), name
+    assert abs(found.values["arm_inertia"] - ARM.inertia) < 4.0 * found.std["arm_inertia"]
+    assert (found.std["mass"] < 0.01 * ROPE.mass).all()  # 5 mN m of some 0.25, over 250 samples: 0.15 % at best
 
 
 def test_what_is_left_of_the_torque_stands_beside_the_angles() -> None:
     found = fit(torque=True)
     assert found.residuals.shape[1] == found.residual_rms.size == 2
-    np.testing.assert_allclose(found.residual_rms, NOISE, rtol=0.15)  # 3 sd of 200 samples each
+    np.testing.assert_allclose(found.residual_rms, NOISE, rtol=0.15)  # 3 std of 200 samples each
     assert found.torque_rms == pytest.approx(TORQUE_NOISE, rel=0.15)
     assert found.torque_residuals is not None
     assert found.torque_residuals.shape == found.residual_t.shape
@@ -266,7 +266,7 @@ def test_gaps_in_the_torque_and_a_held_out_part() -> None:
     np.testing.assert_allclose(found.held_out.rms, NOISE, rtol=0.5)  # 50 samples, and the error of the state
     assert found.torque_residuals is not None
     assert np.isnan(found.torque_residuals).sum() >= 50
-    assert (np.abs(found.values["mass"] - ROPE.mass) < 4.0 * found.sd["mass"]).all()
+    assert (np.abs(found.values["mass"] - ROPE.mass) < 4.0 * found.std["mass"]).all()
 
 
 def test_models_are_compared_with_the_torque() -> None:
@@ -307,4 +307,4 @@ def test_an_arm_that_is_held_tells_the_scale_as_well() -> None:
     torque = swing.motor_torque + TORQUE_NOISE * rng.standard_normal(t.size)
     found = identify(recording, GUESS, SCALED, motion=motion, arm=ARM, torque=torque, torque_noise=TORQUE_NOISE)
     assert found.identifiable
-    assert (np.abs(found.values["mass"] - rope.mass) < 4.0 * found.sd["mass"]).all()
+    assert (np.abs(found.values["mass"] - rope.mass) < 4.0 * found.std["mass"]).all()

@@ -66,7 +66,7 @@ def test_a_drawn_length_leaves_a_rope_that_can_be_cut() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sd", "row", "unknown"),
+    ("std", "row", "unknown"),
     [
         ({"friction": np.array([0.0, 1e-4, np.inf, 0.0])}, 1e-8, ("friction[2]",)),
         ({"friction": [0.0, "unknown", 1e-4, 0.0]}, 1e-8, ("friction[1]",)),
@@ -74,10 +74,10 @@ def test_a_drawn_length_leaves_a_rope_that_can_be_cut() -> None:
         ({}, 1e-8, ()),
     ],
 )
-def test_what_a_fit_could_not_tell_is_known(sd: dict[str, Any], row: float, unknown: tuple[str, ...]) -> None:
+def test_what_a_fit_could_not_tell_is_known(std: dict[str, Any], row: float, unknown: tuple[str, ...]) -> None:
     """An infinite deviation, the word for it in a file, or a row of 0: all that is said of a direction left out."""
     names = ("friction[1]", "friction[2]")
-    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=np.diag([1e-8, row]), values={}, sd=sd)
+    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=np.diag([1e-8, row]), values={}, std=std)
     found = RopePosterior.from_identification(fit)  # type: ignore[arg-type]
     assert found.undetermined == unknown
     assert found.undetermined_properties == (("friction",) if unknown else ())
@@ -95,9 +95,9 @@ def test_gravity_turns_and_what_is_none_of_the_rope_s_is_left() -> None:
 def test_a_file_says_what_the_fit_said(tmp_path: Path) -> None:
     values = {"friction:factor": np.array(2.0), "mass": ROPE.mass}
     covariance = np.array([[0.04, 1e-5], [1e-5, 1e-6]])
-    sd = {"friction:factor": np.array(0.2), "mass": np.array([0.0, 0.0, 1e-3, 0.0])}
+    std = {"friction:factor": np.array(0.2), "mass": np.array([0.0, 0.0, 1e-3, 0.0])}
     names = ("friction:factor", "mass[2]")
-    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=covariance, values=values, sd=sd)
+    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=covariance, values=values, std=std)
     told = {
         "parameters": list(fit.parameters),
         "covariance": covariance.tolist(),

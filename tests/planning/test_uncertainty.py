@@ -33,10 +33,10 @@ def test_the_spread_is_the_one_asked_for_and_nothing_turns_negative() -> None:
         "mu": [d.peg.mu / 0.3 for d in draws],
     }
     for name, values in seen.items():
-        sd = getattr(wide, name)
-        # 1500 draws tell a mean within 0.026 sd and a deviation within 2 %, a skew one within 4 %: three of each.
-        assert np.std(values) == pytest.approx(sd, rel=0.12), name
-        assert np.mean(values) == pytest.approx(1.0, abs=0.08 * sd), name
+        std = getattr(wide, name)
+        # 1500 draws tell a mean within 0.026 std and a deviation within 2 %, a skew one within 4 %: three of each.
+        assert np.std(values) == pytest.approx(std, rel=0.12), name
+        assert np.mean(values) == pytest.approx(1.0, abs=0.08 * std), name
         assert min(values) > 0.0
     lags = [d.lag for d in draws]
     assert min(lags) >= 0.0
@@ -95,12 +95,12 @@ def test_a_lag_makes_the_arm_late() -> None:
 
 
 def test_ropes_are_drawn_from_a_fit_and_the_rest_as_usual() -> None:
-    told = {"sd": {"friction": np.full(6, 2e-4)}, "values": {}}
+    told = {"std": {"friction": np.full(6, 2e-4)}, "values": {}}
     fit = SimpleNamespace(rope=ROPE, parameters=("friction:shared",), covariance=np.array([[4e-8]]), **told)
     known = Uncertainty.from_identification(fit)  # type: ignore[arg-type]
     assert (known.length, known.mass, known.friction, known.mu) == (0.0, 0.0, 0.0, Uncertainty().mu)
     draws = known.sample(1500, CAST_SETUP, PEG)
-    assert np.std([d.rope.friction[0] for d in draws]) == pytest.approx(2e-4, rel=0.06)  # 3 sd of a sd of 1500 draws
+    assert np.std([d.rope.friction[0] for d in draws]) == pytest.approx(2e-4, rel=0.06)  # 3 deviations of one from 1500
     assert all(d.rope.total_length == ROPE.total_length for d in draws[:9])
     assert np.std([d.peg.mu for d in draws]) == pytest.approx(0.03, rel=0.06)
     other = replace(CAST_SETUP, rope=hf.Rope.uniform(length=1.0, mass=0.1, n_links=5))
@@ -128,17 +128,17 @@ def test_a_rope_file_tells_what_it_can_and_the_rest_is_as_usual(tmp_path: Path) 
 def test_what_a_fit_could_not_tell_is_as_uncertain_as_usual(tmp_path: Path) -> None:
     """A length that did not show and whose row of the covariance is 0: not known exactly, but not at all."""
     told = {"parameters": ["length:factor", "friction:shared"], "covariance": [[0.0, 0.0], [0.0, 4e-8]]}
-    told |= {"values": {"length:factor": 1.0}, "sd": {"length:factor": "unknown", "friction": [2e-4] * 6}}
+    told |= {"values": {"length:factor": 1.0}, "std": {"length:factor": "unknown", "friction": [2e-4] * 6}}
     files.write_toml(tmp_path / "fitted.toml", {"rope": ROPE.table(), "identification": told})
     known = Uncertainty.from_rope_file(tmp_path / "fitted.toml")
     assert (known.length, known.mass, known.friction) == (0.01, 0.0, 0.0)
     assert "the fit could not tell all of length; as a usual identification leaves it: length 1 %" in known.describe()
     draws = known.sample(500, CAST_SETUP, PEG)
-    assert np.std([d.rope.total_length for d in draws]) == pytest.approx(0.01, rel=0.1)  # 3 sd of a sd of 500 draws
+    assert np.std([d.rope.total_length for d in draws]) == pytest.approx(0.01, rel=0.1)  # 3 deviations of one from 500
     covariance, values = np.diag([0.0, 4e-8]), {"length:factor": np.array(1.0)}
-    sd = {"length:factor": np.array(np.inf), "friction": np.full(6, 2e-4)}
+    std = {"length:factor": np.array(np.inf), "friction": np.full(6, 2e-4)}
     names = ("length:factor", "friction:shared")
-    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=covariance, values=values, sd=sd)
+    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=covariance, values=values, std=std)
     again = Uncertainty.from_identification(fit)  # type: ignore[arg-type]
     assert (again.length, again.mass, again.friction) == (0.01, 0.0, 0.0)
     assert Uncertainty.from_identification(fit, length=0.0).length == 0.0  # type: ignore[arg-type]

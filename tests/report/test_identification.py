@@ -111,7 +111,7 @@ def test_a_page_says_on_top_what_cannot_be_known(tmp_path, swing):
 @pytest.mark.usefixtures("unseen")
 def test_a_page_warns_where_predictions_leave_their_band(tmp_path, swing):
     recording, found = swing
-    narrow = dataclasses.replace(found.held_out, sd=0.2 * found.held_out.sd)
+    narrow = dataclasses.replace(found.held_out, std=0.2 * found.held_out.std)
     text = page(tmp_path, (recording, changed(found, held_out=narrow)))
     assert re.search(r'class="warn">Only \d+ % of the values that the fit has not seen', text)
 
@@ -119,8 +119,8 @@ def test_a_page_warns_where_predictions_leave_their_band(tmp_path, swing):
 @pytest.mark.usefixtures("unseen")
 def test_model_error_and_predictions_that_hold_are_one_statement(tmp_path, swing):
     recording, found = swing
-    (told,) = not_noise(50.0)
-    wide = dataclasses.replace(found.held_out, sd=3.0 * found.held_out.sd)
+    told = not_noise(50.0)
+    wide = dataclasses.replace(found.held_out, std=3.0 * found.held_out.std)
     text = page(tmp_path, (recording, changed(found, verdict=(told,), held_out=wide)))
     verdict = text[text.index("<h2>Verdict") : text.index("<h2>Parameters")]
     assert "can be believed" not in verdict
@@ -157,10 +157,10 @@ def test_predictions_that_failed_are_drawn_as_failed(tmp_path, swing):
     window_rms = held.window_rms.copy()
     window_rms[0] = np.inf
     lost = held.t <= held.starts[0] + held.ahead
-    predicted, sd = held.predicted.copy(), held.sd.copy()
-    predicted[lost], sd[lost] = np.inf, np.nan
+    predicted, std = held.predicted.copy(), held.std.copy()
+    predicted[lost], std[lost] = np.inf, np.nan
     rms = np.full(2, np.inf)
-    failed = dataclasses.replace(held, rms=rms, window_rms=window_rms, predicted=predicted, sd=sd)
+    failed = dataclasses.replace(held, rms=rms, window_rms=window_rms, predicted=predicted, std=std)
     text = page(tmp_path, (recording, changed(found, held_out=failed)))
     assert "<b>failed</b>" in text
     titles = [axis.get_title("left") for axis in prediction_figure(fitted_channels(recording, found), failed).axes]
@@ -194,18 +194,18 @@ def test_parameters_are_told_with_unit_deviation_interval_and_guess(markers):
     found = changed(markers[1])
     table = parameters_table(found, hf.Rope.uniform(length=0.6, mass=0.1, n_links=6, friction=4e-4))
     rows = {row[0]: row for row in table.rows}
-    value, sd = found.values["friction"][0], found.sd["friction"][0]
+    value, std = found.values["friction"][0], found.std["friction"][0]
     name, words, told, spread, interval, guess = rows["friction[0]"]
     number, unit = told.split("\u00a0", 1)
     assert words == "viscous friction, link 0"
     assert unit in ("µN\u00a0m\u00a0s/rad", "mN\u00a0m\u00a0s/rad")
     size = {"µ": 1e-6, "m": 1e-3}[unit[0]]
     # Rounded to the second digit of the standard deviation.
-    assert float(number) * size == pytest.approx(value, abs=0.05 * sd)
-    assert float(spread) * size == pytest.approx(sd, rel=0.05)
+    assert float(number) * size == pytest.approx(value, abs=0.05 * std)
+    assert float(spread) * size == pytest.approx(std, rel=0.05)
     low, high = (float(end) * size for end in interval.split(" to "))
-    assert high == pytest.approx(value + 1.96 * sd, abs=0.1 * sd)
-    assert low == pytest.approx(max(value - 1.96 * sd, 0.0), abs=0.1 * sd)
+    assert high == pytest.approx(value + 1.96 * std, abs=0.1 * std)
+    assert low == pytest.approx(max(value - 1.96 * std, 0.0), abs=0.1 * std)
     assert float(guess) * size == pytest.approx(4e-4)
     assert name == "friction[0]"
 
@@ -218,8 +218,8 @@ def test_intervals_of_the_identification_itself_come_first(markers):
         "c/p1[3]": SimpleNamespace(low=0.25, high=0.75),
     }
     object.__setattr__(found, "intervals", given)
-    object.__setattr__(found, "sd", found.sd | {"friction": np.full(6, 1e-5)})
-    object.__setattr__(found, "ratio_sd", {"c/p1": np.full(6, 0.01)})
+    object.__setattr__(found, "std", found.std | {"friction": np.full(6, 1e-5)})
+    object.__setattr__(found, "ratio_std", {"c/p1": np.full(6, 0.01)})
     object.__setattr__(found, "ratios", {"c/p1": np.linspace(0.3, 0.6, 6)})
     (number,) = [each for each in numbers(found) if each.label == "friction[3]"]
     assert (number.low, number.high) == (1e-4, 9e-4)
@@ -237,11 +237,11 @@ def test_laws_along_the_rope_are_told_as_factors(markers):
         markers[1],
         parameters=("friction:shared", "stiffness:factor", "mass:taper"),
         values={"friction": np.full(6, 2e-4), "stiffness:factor": np.array(1.5), "mass:taper": np.array(0.1)},
-        sd={"friction": np.full(6, 1e-5), "stiffness:factor": np.array(0.1), "mass:taper": np.array(0.2)},
+        std={"friction": np.full(6, 1e-5), "stiffness:factor": np.array(0.1), "mass:taper": np.array(0.2)},
     )
     shared, factor, taper = numbers(found)
     assert "of each link alike" in shared.words
-    assert (factor.value, factor.sd) == (1.5, 0.1)
+    assert (factor.value, factor.std) == (1.5, 0.1)
     assert "at the tip over that at the motor" in taper.words
     assert taper.value == pytest.approx(np.exp(0.1))
     assert (taper.low, taper.high) == pytest.approx((np.exp(0.1 - 1.96 * 0.2), np.exp(0.1 + 1.96 * 0.2)))
@@ -252,10 +252,10 @@ def test_what_errs_together_is_named(swing):
         swing[1],
         parameters=("friction[0]", "friction[1]", "inertia[0]"),
         covariance=np.array([[4.0, 3.96, 0.0], [3.96, 4.0, 1.0], [0.0, 1.0, 9.0]]),
-        sd={"friction": np.array([2.0, 2.0]), "inertia": np.array([3.0, 0.0])},
+        std={"friction": np.array([2.0, 2.0]), "inertia": np.array([3.0, 0.0])},
     )
     assert ties(found) == ("friction[0] and friction[1] (+0.990)",)
-    lost = changed(found, sd={"friction": np.array([np.inf, 2.0]), "inertia": np.array([3.0, 0.0])})
+    lost = changed(found, std={"friction": np.array([np.inf, 2.0]), "inertia": np.array([3.0, 0.0])})
     assert ties(lost) == ()
 
 
@@ -269,12 +269,12 @@ def test_ratios_leave_out_what_was_held_and_join_what_is_alike(swing, markers):
         ("c/p1", "0"),
         ("c/p1", "1"),
     ]
-    alike = changed(markers[1], ratios={"c/p1": np.full(6, 0.1)}, ratio_sd={"c/p1": np.full(6, 0.01)})
+    alike = changed(markers[1], ratios={"c/p1": np.full(6, 0.1)}, ratio_std={"c/p1": np.full(6, 0.01)})
     (row,) = ratios_table(alike).rows  # type: ignore[union-attr]
     assert row[:5] == ("c/p1", "each", "0.100\u00a0m/s", "0.010", "0.080 to 0.120")
-    wide = changed(alike, ratio_sd={"c/p1": np.full(6, 0.1)})
+    wide = changed(alike, ratio_std={"c/p1": np.full(6, 0.1)})
     assert ratios_table(wide).rows[0][4] == "0.00 to 0.30"  # type: ignore[union-attr]
-    held = changed(markers[1], ratio_sd={name: np.zeros(6) for name in markers[1].ratios})
+    held = changed(markers[1], ratio_std={name: np.zeros(6) for name in markers[1].ratios})
     assert ratios_table(held) is None
 
 
@@ -315,7 +315,7 @@ def test_units_suit_the_size(what, value, unit):
 
 
 @pytest.mark.parametrize(
-    ("value", "sd", "text"),
+    ("value", "std", "text"),
     [
         (0.50317, 0.0213, "0.503"),
         (456.36, 35.1, "456"),
@@ -326,12 +326,12 @@ def test_units_suit_the_size(what, value, unit):
         (np.nan, 1.0, "not known"),
     ],
 )
-def test_values_have_the_digits_that_their_deviation_leaves(value, sd, text):
-    assert rounded(value, sd) == text
+def test_values_have_the_digits_that_their_deviation_leaves(value, std, text):
+    assert rounded(value, std) == text
 
 
 def test_deviations_have_two_digits():
-    assert [short(sd) for sd in (35.1, 0.44, 2.9e-5, 1.23e-9)] == ["35", "0.44", "0.000029", "1.2e-09"]
+    assert [short(std) for std in (35.1, 0.44, 2.9e-5, 1.23e-9)] == ["35", "0.44", "0.000029", "1.2e-09"]
 
 
 # ---- figures
@@ -391,7 +391,7 @@ def test_the_band_of_a_prediction_is_as_wide_as_the_fit_expects(swing):
     assert len(bands) == found.held_out.starts.size
     first = found.held_out.t <= found.held_out.starts[0] + found.held_out.ahead + 1e-9
     height = bands[0].get_paths()[0].vertices[:, 1].max()
-    assert height == pytest.approx(1.96e3 * found.held_out.sd[first, 0].max())
+    assert height == pytest.approx(1.96e3 * found.held_out.std[first, 0].max())
 
 
 def test_the_history_names_its_stages(swing):
@@ -422,7 +422,7 @@ def test_correlation_of_a_known_process_also_with_gaps():
     values[rng.random(values.size) < 0.2] = np.nan
     kept = rng.random(values.size) < 0.9  # these samples are not there at all
     lag, correlation, _ = correlogram(t[kept], values[kept, None], 5)
-    # AR(1): 0.8^k; sd of an estimate about sqrt((1 + 0.64) / (1 - 0.64) / 12000) = 0.02.
+    # AR(1): 0.8^k; std of an estimate about sqrt((1 + 0.64) / (1 - 0.64) / 12000) = 0.02.
     np.testing.assert_allclose(correlation[:, 0], 0.8 ** np.arange(1, 6), atol=0.06)
     np.testing.assert_allclose(lag, 0.5 * np.arange(1, 6))
 

@@ -69,7 +69,7 @@ def test_tables_hold_the_rounds_and_the_methods():
     assert "1.61 s" in compared.notes["periods"]
     cells = identification.rounds_table().rows
     assert cells[0] == ("the paper", "0", "5.09", "1.26", "", "4.64")
-    assert any(row[1] == "sd" for row in cells)
+    assert any(row[1] == "std" for row in cells)
     assert ("the paper", "NF", "102", "", "16.3") in identification.methods_table().rows
 
 

@@ -43,7 +43,7 @@ def _figures(report: DemoReport) -> dict[str, Any]:
             "unit": each.unit,
             "guess": each.guess,
             "value": each.value,
-            "sd": each.sd,
+            "std": each.std,
             "interval_95": each.interval,
             "mapped_truth": each.mapped,
             "covered": each.covered,

@@ -33,14 +33,14 @@ class Parameter:
     unit: str
     guess: float
     value: float
-    sd: float  # of the value
+    std: float  # of the value
     mapped: float  # what the same fit finds without noise: the truth as far as the coarse chain can hold it
     cut: float  # that of the rope simply cut into as many links
 
     @property
     def interval(self) -> tuple[float, float]:
         """The 95 % interval."""
-        return self.value - INTERVAL * self.sd, self.value + INTERVAL * self.sd
+        return self.value - INTERVAL * self.std, self.value + INTERVAL * self.std
 
     @property
     def covered(self) -> bool:
@@ -82,7 +82,7 @@ def run_demo(progress: Progress = silent) -> Demo:
             _UNITS[name],
             float(getattr(guess, name)[0]),
             float(found.values[name][0]),
-            float(found.sd[name][0]),
+            float(found.std[name][0]),
             mapped[name],
             float(getattr(cut, name)[0]),
         )

@@ -21,9 +21,9 @@ SPREAD = 17.0 / 9.0  # variance of that ratio for white noise, times the number 
 
 
 def check_times(recording: Recording, rope: Rope) -> None:
-    """Refuse recordings that are far shorter, or far sparser, than a swing of a rope so long.
+    """Refuse recordings far shorter, or sampled far sparser, than a small swing of a straight rod of the rope's length.
 
-    The period is that of a small swing of a straight rod. Springs make it shorter: ropes with stiffness may be short.
+    Springs make the period shorter: ropes with stiffness may be short.
     """
     gravity = float(np.hypot(*rope.gravity))
     if gravity == 0.0:
@@ -48,20 +48,10 @@ def check_times(recording: Recording, rope: Rope) -> None:
 
 
 def check_motion(shape: Recording, channels: Recording | None = None) -> None:
-    """Refuse recordings in which nothing moves, or nothing that could be told from noise.
+    """Refuse link angles `shape` without motion, or not told from noise in the measured `channels` (or the angles).
 
-    Parameters
-    ----------
-    shape : Recording
-        Link angles.
-    channels : Recording, optional
-        What was measured, with its noise; the angles by default.
-
-    Notes
-    -----
-    White noise scatters about its own neighbours as much as about its mean, and does not return; motion is smooth, or
-    periodic where it is sampled slowly. Ranks stand for the values, so that neither outliers nor the law of the noise
-    matter. Motion that looks like white noise all the same is known by its size, beside the noise that was declared.
+    White noise scatters about its neighbours as much as about its mean, and has no autocorrelation; both tests use
+    ranks, so outliers and the noise's distribution do not matter. Motion beyond the declared noise passes at once.
     """
     swing = np.nanmax(shape.data, axis=0) - np.nanmin(shape.data, axis=0)
     if not (swing > STILL).any():
@@ -88,14 +78,14 @@ def check_motion(shape: Recording, channels: Recording | None = None) -> None:
 
 
 def _size(values: Array) -> Array:
-    """Return the standard deviation (C,) of each channel, by its middle half: a few outliers do not matter."""
+    """Return the standard deviation (C,) of each channel, by its interquartile range."""
     low, high = np.nanquantile(values, [0.25, 0.75], axis=0)
     result: Array = (high - low) / 1.349
     return result
 
 
 def _whiteness(recording: Recording) -> float:
-    """Return the probability, about, that white noise alone lies as far from its expected roughness; 1 if too few."""
+    """Return about the p-value of white noise, by roughness and autocorrelation; 1 if values are too few."""
     ratios, counts, returns = [], [], []
     for column in recording.data.T:
         known = ~np.isnan(column)
@@ -125,10 +115,7 @@ def _roughness(t: Array, values: Array) -> float:
 
 
 def _returning(values: Array) -> float:
-    """Return the sum of squared autocorrelations of the ranks, each in units of its variance for white noise.
-
-    It is distributed as chi squared of LAGS (Ljung and Box 1978, doi:10.1093/biomet/65.2.297).
-    """
+    """Return the Ljung-Box statistic of the ranks, chi-squared of LAGS (1978, doi:10.1093/biomet/65.2.297)."""
     from scipy.stats import rankdata
 
     rank = rankdata(values)
@@ -140,10 +127,7 @@ def _returning(values: Array) -> float:
 
 
 def _chance(ratio: float, count: int) -> float:
-    """Return the probability of a ratio as far on its side of 1 in so many values of white noise.
-
-    A beta distribution between 0 and ROUGHEST with the ratio's mean and variance.
-    """
+    """Return the p-value of a roughness ratio of `count` values of white noise, by a beta distribution."""
     from scipy.special import betainc
 
     mean = 1.0 / ROUGHEST

@@ -22,7 +22,7 @@ UNTOLD = 2e-3  # of the rope's length: noise of a marker where none is given and
 
 
 def checked_arc_lengths(recording: Recording, rope: Rope, arc_lengths: npt.ArrayLike) -> Array:
-    """Return where the markers sit, m from the first joint, if they can sit there."""
+    """Return arc lengths of the markers (K,), m from the first joint, checked."""
     count = recording.data.shape[1] // 2
     if recording.kind != "markers":
         raise InvalidInput(
@@ -42,7 +42,7 @@ def checked_arc_lengths(recording: Recording, rope: Rope, arc_lengths: npt.Array
 
 
 def refuse_still_markers(recording: Recording, arc_lengths: Array) -> None:
-    """Refuse markers that stay where they are while the rope swings: the tracker holds something else there."""
+    """Refuse markers that stand still while the rope swings: a tracker's fault."""
     if recording.kind != "markers":
         return
     places = recording.data.reshape(recording.t.size, -1, 2)
@@ -59,25 +59,15 @@ def refuse_still_markers(recording: Recording, arc_lengths: Array) -> None:
 
 
 def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: Array | None = None) -> Measurements:
-    """Return what is fitted.
+    """Return the measurements: angles, markers at the joints (their angles), or markers at `arc_lengths` (K,), m.
 
-    Parameters
-    ----------
-    recording : Recording
-        Angles, markers at the joints (`arc_lengths` None; their angles are fitted), or markers at `arc_lengths`.
-    rope : Rope
-        The guess; its lengths say which link a marker sits on.
-    arc_lengths : (K,) array, optional
-        See :func:`checked_arc_lengths`.
-    joint : (T, 2) array, m, optional
-        Where the first joint is seen, if it is known; a marker alone needs it for the line from there.
+    A marker alone needs the places of the first joint, `joint` (T, 2), m.
 
     Notes
     -----
-    Fewer markers than links leave bends between them unseen. Then a prior keeps neighbouring links about in
-    line: a turn of BEND / sqrt(n), growing at SWAY / sqrt(n), as standard deviations. It is an assumption, weak beside
-    any marker that sees the bend. To be weighed against it, markers without given noise count as if theirs were 0.2 %
-    of the rope's length.
+    With fewer markers than links a prior keeps neighbouring links about in line: a turn of BEND / sqrt(n), growing at
+    SWAY / sqrt(n), as standard deviations. It is an assumption, weak beside any marker that sees the bend. Markers
+    without given noise then count with 0.2 % of the rope's length.
     """
     if arc_lengths is None:
         angles = recording.angles()
@@ -99,10 +89,9 @@ def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: 
 
 
 def with_torque(measured: Measurements, torque: npt.ArrayLike, noise: npt.ArrayLike | None) -> Measurements:
-    """Return what is fitted with the motor's torque (T,), N m, NaN in gaps, as the last channel.
+    """Return the measurements with the motor's torque (T,), N m, NaN in gaps, as the last channel.
 
-    `noise` (T,), or one number, is its standard deviation. Torque and angles are different things, so how they count
-    can only follow from the noise of both.
+    The weights of torque and angles follow from the noise of both: `noise`, (T,) or one number, N m, is needed.
     """
     channels = measured.channels
     values = checks.array("torque", torque, (channels.t.size,), unit="N m", gaps=True)
@@ -141,9 +130,9 @@ def _shape(recording: Recording, rope: Rope, arc_lengths: Array) -> Recording:
 
 
 def first_joint(recording: Recording, arc_lengths: Array, pivot: Array) -> Array:
-    """Return where the camera seems to see the origin (2,), m: the first two markers' line, back to the first joint.
+    """Return a guess of the origin in the camera's frame (2,), m: the first two markers' line, back to the first joint.
 
-    `pivot` (T, 2) is where the first joint is, m, in the frame of its motion.
+    `pivot` (T, 2) is the first joint in the frame of its motion, m.
     """
     places = recording.data.reshape(recording.t.size, -1, 2)
     back = places[:, 0] - (places[:, 1] - places[:, 0]) * arc_lengths[0] / (arc_lengths[1] - arc_lengths[0])

@@ -62,10 +62,10 @@ def identify(
     intervals: How | None = "auto",
     progress: bool | Report = False,
 ) -> Identification:
-    """Identify a rope from its recorded motion by output-error shooting with exact derivatives.
+    """Identify a rope from its recorded motion by multiple shooting with exact derivatives.
 
-    The recording is cut into windows. In each, the simulated motion starts from a state of its own; the parameters are
-    common. All are fitted to what was measured together, shorter windows first.
+    The recording is cut into windows, each with an initial state of its own; the parameters are common to all. States
+    and parameters are fitted together, to shorter windows first.
 
     Parameters
     ----------
@@ -73,49 +73,42 @@ def identify(
         Angles, or markers at the joints (their angles are fitted), as many links as the rope; or, with `arc_lengths`,
         markers anywhere along the rope (their places are fitted), also fewer than links.
     rope_guess : Rope
-        Everything that is not free is taken from it; the free ones start from it.
+        Fixed values, and first guesses of the free ones.
     free : sequence of str
-        ``inertia``, ``com``, ``mass``, ``length``, ``friction``, ``dry_friction``, ``stiffness``, ``rest_angle``,
-        ``drag`` (each link's own),
-        ``tip_mass``, ``gravity_angle`` (rad; turns gravity, for a camera that is not level), ``delay`` (s; by how much
-        `motion` comes later in the recording's time; looked for within a window's length), ``arc`` (m; each marker's
-        place, or ``arc[2]``). ``friction[2]`` frees one link only, ``friction:shared`` one value for all links,
-        ``friction:factor`` one factor on the guess of all, ``friction:taper`` the logarithm by which it grows along the
-        rope, pivoted at its middle. Of a link that the guess has uniform (com in its middle), com and inertia go with
-        a free length unless they are free too.
-        ``arm_inertia`` and ``arm_friction`` (of the shaft) with a measured torque.
+        For each link ``inertia``, ``com``, ``mass``, ``length``, ``friction``, ``dry_friction``, ``stiffness``,
+        ``rest_angle``, ``drag``; for the whole ``tip_mass``, ``gravity_angle`` (rad; for a camera that is not level),
+        ``delay`` (s, of `motion` in the recording's time; at most a window's length), ``arc`` (m; each marker's place);
+        with a measured torque ``arm_inertia`` and ``arm_friction`` (of the shaft). ``friction[2]`` frees one link,
+        ``friction:shared`` one value for all, ``friction:factor`` one factor on all guesses, ``friction:taper`` the
+        logarithm by which it grows along the rope, 0 at its middle. With a free length, com and inertia of links that
+        are uniform in the guess follow, unless they are free too.
     window : float, s, optional
-        Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope, or less
-        where links turn fast, and more where frames are few; it does not depend on the guess of what is free.
+        Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope; less
+        where links turn fast, more where frames are few.
     train : float, s, optional
         Fit the samples with t < train and predict the rest; ``inf`` fits all. By default the first 80 % is fitted if
         the rest is long enough for a prediction, else all.
     motion, arm : Motion, Arm, optional
-        What the first joint does, in the recording's time; by default it hangs from a fixed point.
+        Motion of the first joint, in the recording's time; by default it is fixed.
     arc_lengths : (K,) array_like, m, optional
         Distance along the rope of each marker from the first joint. A marker alone needs `origin` as well.
     origin : (2,) array_like, m, optional
-        Where the camera sees the origin of the motion (the first joint, if it is fixed). Where it is not given with
-        `arc_lengths`, it is fitted as ``origin_x`` and ``origin_y``.
+        Origin of the motion (the first joint, if it is fixed) in the camera's frame. With `arc_lengths` alone it is
+        fitted as ``origin_x`` and ``origin_y``.
     torque : (T,) array_like, N m, optional
-        Torque of the motor at the recording's times, NaN in gaps; it fixes the absolute scale. It needs `motion` and
-        `arm`.
+        Measured motor torque, NaN in gaps; it fixes the absolute scale. Needs `motion` and `arm`.
     torque_noise : float or (T,) array_like, N m, optional
-        Its standard deviation; given with a torque, beside the noise of the recording.
+        Its standard deviation; needed with `torque`, beside the noise of the recording.
     loss : {"squares", "huber", "cauchy"}
-        ``cauchy`` keeps gross outliers from ruling the fit; ``huber`` counts them less than their squares.
+        ``huber`` and ``cauchy`` are robust; ``cauchy`` also against gross outliers.
     lead, ahead : float, s
-        Held-out part: states are fitted on `lead` and angles predicted `ahead`.
+        Held-out part: states are fitted on `lead`, then predicted `ahead`.
     intervals : {"auto", "covariance", "profile", None}
-        How 95 % intervals are found: from standard deviations; by profile likelihood (some six short fits a
-        parameter); ``auto`` profiles where the covariance is skewed, as that of a parameter near 0; None finds none.
+        Method of the 95 % intervals: from standard deviations; by profile likelihood (some six short fits a
+        parameter); ``auto`` profiles where the covariance is skewed, as that of a parameter near 0; None: no intervals.
     progress : bool or callable
         True prints a line a round on standard error; a callable gets a dict with window, stage, stages, round, cost,
         gain, damping, and of a profile its parameter and ``phase="profile"``.
-
-    Returns
-    -------
-    Identification
 
     Raises
     ------
@@ -125,16 +118,14 @@ def identify(
     IdentificationError
         When no window can be simulated at all.
     KeyboardInterrupt
-        When Ctrl-C comes before anything was fitted. Later it ends the fit, and the best so far is returned with
-        ``message == "interrupted"``.
+        When Ctrl-C comes before anything was fitted. Later the best so far is returned, ``message == "interrupted"``.
 
     Notes
     -----
-    Without a known force or torque a common factor of masses, inertias and frictions cannot be known; `verdict` says
-    so, `sd` is inf there, and `ratios` hold what is known. Samples denser than 200 a window are thinned (picked); the
-    step is in ``settings["decimation"]``. Samples without given noise count alike. With fewer markers than links,
-    a prior keeps neighbouring links about in line (0.5 rad over the root of their number): what no marker sees is
-    taken from there.
+    Without a known force or torque a common factor of masses, inertias and frictions is not identifiable: `std` is inf
+    there, and `ratios` hold what is known. Samples denser than 200 a window are decimated (``settings["decimation"]``).
+    Samples without given noise have equal weights. With fewer markers than links, a prior keeps neighbouring links
+    about in line (0.5 rad over the root of their number).
 
     Examples
     --------
@@ -178,15 +169,15 @@ def identify(
     held_out = None
     try:
         if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
-            spread = prediction_uncertainty(basis.information, windows, found).of(measured.channels.data.shape[1])
+            spread = prediction_uncertainty(basis, measured.channels.data.shape[1])
             held_out = predict(foretold, found.x, rest, lead, ahead, Loss(loss), spread)
     except KeyboardInterrupt:  # what was fitted is worth more than its trial
         found.interrupted = True
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
-    settings |= delay | _fit_settings(free, loss, places, origin, motion, arm)
-    remarks = [] if arc_lengths is not None else other_lengths(recording, rope_guess)
-    return assemble_result(basis, held_out, settings, remarks, ranges)
+    settings |= delay | _fit_settings(plant, free, loss, origin)
+    remark = "" if arc_lengths is not None else other_lengths(recording, rope_guess)
+    return assemble_result(basis, held_out, settings, remark, ranges)
 
 
 def _checked(
@@ -197,7 +188,7 @@ def _checked(
     motion: Motion | None,
     arm: Arm | None,
 ) -> tuple[Measurements, Array | None]:
-    """Return what is fitted, if it fits the rope, and where its markers sit if not at the joints."""
+    """Return the measurements, if they fit the rope, and the arc lengths of markers that are not at the joints."""
     if not isinstance(recording, Recording) or not isinstance(rope, Rope):
         raise InvalidInput(
             "identify takes a Recording and a Rope",
@@ -220,8 +211,7 @@ def _checked(
         raise InvalidInput(
             "the recording and the rope have different numbers of links",
             got=[recording.n_links, rope.n_links],
-            fix="Give a guess with as many links as the recording has angles (markers less one), or say where along "
-            "the rope the markers sit, arc_lengths=[...]",
+            fix="Give a guess with as many links as the recording has angles (markers less one), or arc_lengths=[...]",
         )
     if recording.kind == "markers":
         factor = recording.link_lengths() / rope.length
@@ -247,7 +237,7 @@ def build_plant(
     *,
     torque: bool = False,
 ) -> Plant:
-    """Return what predicts the measurements, with all that is free."""
+    """Return the model that predicts the measurements, with its free parameters."""
     chosen = parse(guess, free, arc_lengths, moved=motion is not None, arm=arm if torque else None)
     if arc_lengths is None:
         if origin is not None:
@@ -269,10 +259,10 @@ def build_plant(
 def _split(
     measured: Measurements, train: float | None, lead: float, ahead: float
 ) -> tuple[Measurements, Measurements | None]:
-    """Return what is fitted and what is held out."""
+    """Return the part to fit and the part held out."""
     every = measured.channels
-    for name, value in (("lead", lead), ("ahead", ahead)):
-        checks.number(name, value, sign="positive", unit="s")
+    checks.number("lead", lead, sign="positive", unit="s")
+    checks.number("ahead", ahead, sign="positive", unit="s")
     if train is None:
         time = float(every.t[0] + TRAIN * every.duration)
         if every.t[-1] - time < lead + ahead:
@@ -288,26 +278,19 @@ def _split(
     return fitted, measured.between(time, np.inf) if rest.sum() > 1 else None
 
 
-def _fit_settings(
-    free: Sequence[str],
-    loss: LossName,
-    arc_lengths: Array | None,
-    origin: npt.ArrayLike | None,
-    motion: Motion | None,
-    arm: Arm | None,
-) -> dict[str, Any]:
+def _fit_settings(plant: Plant, free: Sequence[str], loss: str, origin: npt.ArrayLike | None) -> dict[str, Any]:
     """Return how the fit was set up, in plain words and numbers."""
-    base = "fixed" if motion is None else "moved" if arm is None else f"moved by an arm of {arm.length:g} m"
-    result: dict[str, Any] = {"free": list(free), "loss": loss, "base": base}
-    if arc_lengths is not None:
-        result["arc_lengths"] = arc_lengths.tolist()
+    moved = "moved" if plant.arm is None else f"moved by an arm of {plant.arm.length:g} m"
+    result: dict[str, Any] = {"free": list(free), "loss": loss, "base": "fixed" if plant.motion is None else moved}
+    if isinstance(plant.sensor, Markers):
+        result["arc_lengths"] = plant.sensor.arc_lengths.tolist()
     if origin is not None:
         result["origin"] = np.asarray(origin, dtype=np.float64).tolist()
     return result
 
 
 def _reporter(progress: bool | Report) -> Report:
-    """Return what hears of each round."""
+    """Return the callable that gets each round."""
     if callable(progress):
         return progress
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import Fit, fit_state, linearise
+from hyperflex.identification.fit.multiple_shooting import fit_state, linearise
 from hyperflex.identification.fit.stages import Measurements
 from hyperflex.identification.fit.windows import LEAST, Window, decimation_step, first_state
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.uncertainty.covariance import Information
+from hyperflex.identification.uncertainty.covariance import Basis
 
 BAND = 1.96  # standard deviations on either side that hold 95 %
 TINY = 1e-9  # rad or m, the least noise that samples are weighed by
@@ -28,17 +27,16 @@ class HeldOut:
     rms : (C,) rad or m
         Prediction error of each channel (each link's angle, or each marker's x and y) over all predicted samples.
     window_rms : (W, C) rad or m
-        The same for each predicted stretch.
+        The same for each prediction.
     starts : (W,) s
-        Where each prediction starts.
+        Start times of the predictions.
     lead, ahead : float, s
         Time on which each state was fitted, and time predicted without data.
     t (m,), measured (m, C), predicted (m, C)
-        All predicted samples, for drawing; measured is NaN in gaps. A stretch that could not be predicted, or whose
-        prediction does not stay finite, is inf throughout, and so is its rms and that of all.
-    sd (m, C) : rad or m
-        Standard deviation of measured less predicted as the fit expects it, from the parameters' covariance, the
-        fitted state and the noise, to first order; NaN where it is not known.
+        All predicted samples; measured is NaN in gaps. A prediction that fails is inf throughout, and so is its rms.
+    std (m, C) : rad or m
+        Expected standard deviation of measured less predicted, from the parameters' covariance, the fitted state and
+        the noise, to first order; NaN where it is not known.
     """
 
     rms: Array
@@ -49,18 +47,18 @@ class HeldOut:
     t: Array
     measured: Array
     predicted: Array
-    sd: Array
+    std: Array
 
     @property
     def inside(self) -> float:
-        """Part of the predicted values that lie within 1.96 standard deviations; NaN where none is known."""
-        known = ~np.isnan(self.measured) & ~np.isnan(self.sd)
+        """Share of the predicted values within 1.96 standard deviations; NaN where none is known."""
+        known = ~np.isnan(self.measured) & ~np.isnan(self.std)
         away = np.abs(self.measured - self.predicted)[known]
-        return float((away <= BAND * self.sd[known]).mean()) if known.any() else float("nan")
+        return float((away <= BAND * self.std[known]).mean()) if known.any() else float("nan")
 
     @property
     def failed(self) -> Array:
-        """Where predictions start that failed, s."""
+        """Start times of the predictions that failed, s."""
         return self.starts[np.isinf(self.window_rms).any(axis=1)]
 
 
@@ -73,28 +71,18 @@ def predict(
     loss: Loss | None = None,
     uncertainty: PredictionUncertainty | None = None,
 ) -> HeldOut | None:
-    """Predict what is measured piece by piece, with the parameters x.
+    """Predict the measurements piece by piece, with parameters x (P,); None if too short for one prediction.
 
-    The first prediction starts `lead` after the first sample; each next one `ahead` later, its state fitted on the
-    `lead` before it (measured data again, not the prediction). `uncertainty` is what the fit leaves so.
-
-    Returns
-    -------
-    HeldOut, or None where the recording is too short for one prediction.
-
-    Notes
-    -----
-    Recordings with more than 200 samples in `lead` are decimated first (every k-th sample is picked): the states are
-    fitted to, and the rms taken over, what is left. All samples count alike in both: the recording's noise is not used
-    as a weight. Where a state has a prior, they count by the noise that the fit has found (1 rad or m
-    without `uncertainty`).
+    The first prediction starts `lead` after the first sample, each next one `ahead` later, its state fitted to the
+    measurements on the `lead` before it. More than 200 samples in `lead` are decimated. All samples have equal weights,
+    beside a prior of the state those of the noise in `uncertainty` (1 rad or m without).
     """
     step = decimation_step(measured.channels, lead)
     recording, angles = measured.channels.decimate(step), measured.shape.decimate(step).data
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
     prior = np.zeros((0, 2 * angles.shape[1])) if measured.prior is None else measured.prior
     size = 1.0 if uncertainty is None else max(float(np.sqrt(np.mean(uncertainty.noise**2))), TINY)
-    starts, times, seen, predicted, sd = [], [], [], [], []
+    starts, times, seen, predicted, std = [], [], [], [], []
     for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
         before = (t >= start - lead - slack) & (t < start + slack)
         after = (t > start + slack) & (t <= start + ahead + slack)
@@ -109,7 +97,7 @@ def predict(
         seen.append(data[after])
         reached = _ahead(plant, x, window, found, t[after], uncertainty)
         predicted.append(reached[0])
-        sd.append(reached[1])
+        std.append(reached[1])
     if not starts:
         return None
     errors = [p - m for p, m in zip(predicted, seen, strict=True)]
@@ -122,7 +110,7 @@ def predict(
         np.concatenate(times),
         np.concatenate(seen),
         np.concatenate(predicted),
-        np.concatenate(sd),
+        np.concatenate(std),
     )
 
 
@@ -139,9 +127,9 @@ def _ahead(
     shape = (t.size, window.y.shape[1])
     if found is None or y is None or not np.isfinite(y).all():
         return np.full(shape, np.inf), np.full(shape, np.nan)
-    return y[1:], np.full(shape, np.nan) if uncertainty is None else prediction_std(
-        plant, x, window, found, t, uncertainty
-    )
+    if uncertainty is None:
+        return y[1:], np.full(shape, np.nan)
+    return y[1:], prediction_std(plant, x, window, found, t, uncertainty)
 
 
 def _rms(error: Array) -> Array:
@@ -154,56 +142,39 @@ def _rms(error: Array) -> Array:
 
 @dataclass(frozen=True)
 class PredictionUncertainty:
-    """What a fit leaves uncertainty.
+    """Uncertainty that a fit leaves.
 
-    covariance (P, P): of x. noise (C,): standard deviation of what the fit has left of each channel, rad or m.
-    correlation: factor by which autocorrelation shortens a sample.
+    covariance (P, P): of x. noise (C,): standard deviation of the residuals of each channel, rad or m. correlation:
+    their autocorrelation time, samples.
     """
 
     covariance: Array
     noise: Array
     correlation: float
 
-    def of(self, count: int) -> PredictionUncertainty:
-        """Return the same of the first channels alone: a motor's torque is not predicted."""
-        return replace(self, noise=self.noise[:count])
 
-
-def prediction_uncertainty(information: Information, windows: Sequence[Window], found: Fit) -> PredictionUncertainty:
-    """Return what a fit leaves uncertainty; outliers count as little as they did in the fit."""
+def prediction_uncertainty(basis: Basis, channels: int) -> PredictionUncertainty:
+    """Return the uncertainty of the first `channels`; residuals are weighted by the loss of the fit."""
+    found, information = basis.fit, basis.information
     squares, counted = 0.0, 0.0
-    for window, residual in zip(windows, found.residuals, strict=True):
+    for window, residual in zip(basis.windows, found.residuals, strict=True):
         counts = (found.loss.weight(residual) ** 2).reshape(window.y.shape) * (window.weight > 0.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.where(window.weight > 0.0, residual.reshape(window.y.shape) / window.weight, 0.0)
         squares = squares + (counts * error**2).sum(axis=0)
         counted = counted + counts.sum(axis=0)
-    noise = np.sqrt(squares / np.maximum(counted, 1e-300))
+    noise = np.sqrt(squares / np.maximum(counted, 1e-300))[:channels]
     return PredictionUncertainty(information.covariance, noise, information.correlation)
 
 
 def prediction_std(
     plant: Plant, x: Array, window: Window, found: tuple[Array, Array], t: Array, uncertainty: PredictionUncertainty
 ) -> Array:
-    """Return the standard deviation (m, C) of measured less predicted samples at times t (m,).
+    """Return the standard deviation (m, C) of measured less predicted samples at times t (m,), s, to first order.
 
-    Parameters
-    ----------
-    plant : Plant
-    x : (P,) array
-        The parameters of the prediction.
-    window : Window
-        On which its state was fitted.
-    found : (2n,), (k C,) arrays
-        That state at ``window.t[0]``, and what it leaves of the window.
-    t : (m,) array, s
-    uncertainty : PredictionUncertainty
-
-    Notes
-    -----
-    To first order. An error of the parameters moves the fitted state as well, and the prediction feels both; an error
-    of the state alone comes from the noise of the window, which counts as many times as its autocorrelation says. Where
-    motion is chaotic the true spread soon leaves what a straight line can tell. NaN where derivatives fail.
+    `found` is the state (2n,) fitted at ``window.t[0]`` and its residual (k C,). An error of the parameters x (P,)
+    acts directly and by the fitted state; the noise of the window acts by the state, its variance times the
+    autocorrelation time. Chaotic motion soon leaves the first order. NaN where derivatives fail.
     """
     state, residual = found
     linear = linearise(plant, window, x, state, residual, Loss())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -41,15 +41,14 @@ class Identification(Ended):
     ----------
     rope : Rope
         The guess with the free parameters at their fitted values.
-    values, sd : dict of str to ndarray
+    values, std : dict of str to ndarray
         By the names in ``free``, SI units: per-link properties (n,), others single. The standard deviation is 0 where
-        a link's value was held, and inf where this motion cannot tell it.
-    ratios, ratio_sd : dict of str to ndarray (n,)
-        ``J/p1``, ``p/p1``, ``c/p1`` and, where fitted, ``dry/p1``, ``k/p1``: what a motion without known forces can
-        tell (p_i = m_i a_i + l_i m_beyond, J_i = inertia_i + m_i a_i^2 + l_i^2 m_beyond; p1 is that of link 0).
+        a link's value was held, and inf where it is not identifiable.
+    ratios, ratio_std : dict of str to ndarray (n,)
+        ``J/p1``, ``p/p1``, ``c/p1`` and of other resistances, identifiable without known forces
+        (p_i = m_i a_i + l_i m_beyond, J_i = inertia_i + m_i a_i^2 + l_i^2 m_beyond; p1 is that of link 0).
     intervals : dict of str to Interval
-        Of each of `parameters`, and of the ratios of each link (``J/p1[0]``): low, high, how it was found, and what
-        either end is; 95 %. Empty where none were asked for.
+        95 %, of each of `parameters` and of each link's ratios (``J/p1[0]``). Empty where none were asked for.
     verdict : tuple of str
         In words: what can be known, what cannot, and what looks wrong.
     identifiable : bool
@@ -63,13 +62,13 @@ class Identification(Ended):
     parameters : tuple of str
         Names of the P single free numbers, e.g. ``friction[1]``.
     covariance : (P, P)
-        Of these, in SI units; along directions that cannot be known it is 0 (the values are held there).
+        Of these, in SI units; 0 along directions that cannot be known.
     singular_values : (P,)
         Of the scaled information, largest first.
     settings : dict
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
-        time of the residuals (samples), seconds taken; how the fit was set up: words in ``free``, loss, base, and
-        `arc_lengths` and `origin` if given, and the delay that the fit started from (s), if it was free.
+        time of the residuals (samples), seconds taken; ``free``, loss, base, and where given `arc_lengths`, `origin`
+        and the delay that the fit started from (s).
     message : str
         ``converged``, ``not converged`` or ``interrupted`` (Ctrl-C; the best so far).
     unit : str
@@ -77,19 +76,19 @@ class Identification(Ended):
     history : tuple of dict
         Round by round: window length, stage (of how many stages), round, cost, gain, damping.
     torque_residuals : (m,) N m, or None
-        Measured less fitted motor torque, where it was measured; NaN in gaps.
+        Measured less fitted motor torque; NaN in gaps.
 
     Notes
     -----
-    Standard deviations allow for robust losses and for residuals that hang together in time (see
-    ``_uncertainty.judge``), intervals for bounds and skewness as well. Errors of the model itself are in neither.
+    Standard deviations allow for robust losses and autocorrelated residuals (see ``estimate_covariance``), intervals
+    for bounds and skewness as well. Neither covers model errors.
     """
 
     rope: Rope
     values: dict[str, Array]
-    sd: dict[str, Array]
+    std: dict[str, Array]
     ratios: dict[str, Array]
-    ratio_sd: dict[str, Array]
+    ratio_std: dict[str, Array]
     intervals: dict[str, Interval]
     verdict: tuple[str, ...]
     identifiable: bool
@@ -106,11 +105,6 @@ class Identification(Ended):
     history: tuple[dict[str, float], ...]
     torque_residuals: Array | None = None
     _basis: Basis | None = field(default=None, init=False, repr=False)
-
-    def with_basis(self, basis: Basis) -> Self:
-        """Keep the fit itself, `basis`, for further questions; return this same result."""
-        object.__setattr__(self, "_basis", basis)
-        return self
 
     @property
     def basis(self) -> Basis:
@@ -131,7 +125,7 @@ class Identification(Ended):
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
-        alike = ("identifiable", "unit", "values", "sd", "ratios", "ratio_sd", "parameters", "covariance")
+        alike = ("identifiable", "unit", "values", "std", "ratios", "ratio_std", "parameters", "covariance")
         result: dict[str, Any] = self.ending() | {name: getattr(self, name) for name in alike}
         result["intervals"] = {
             name: {"low": each.low, "high": each.high, "kind": each.kind} for name, each in self.intervals.items()
@@ -156,9 +150,10 @@ class Identification(Ended):
         files.write_toml(path, {"rope": self.rope.table(), "identification": _without_none(content)})
 
     def __str__(self) -> str:
-        settings = (f"{k} {_short(v)}" for k, v in self.settings.items() if not isinstance(v, list))
-        lines = [f"Identification {self.message}: " + ", ".join(settings)]
-        for title, value, spread in (("value", self.values, self.sd), ("ratio", self.ratios, self.ratio_sd)):
+        settings = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in self.settings.items()}
+        said = ", ".join(f"{k} {v}" for k, v in settings.items() if not isinstance(v, list))
+        lines = [f"Identification {self.message}: {said}"]
+        for title, value, spread in (("value", self.values, self.std), ("ratio", self.ratios, self.ratio_std)):
             for name, numbers in value.items():
                 if said := _with_std(np.atleast_1d(numbers), np.atleast_1d(spread[name])):
                     lines.append(f"  {title} {name:<13} {said}")
@@ -170,10 +165,8 @@ class Identification(Ended):
         if self.torque_rms is not None:
             lines.append(f"  torque error, mN m     {1e3 * self.torque_rms:.3f}")
         if self.held_out is not None:
-            lines.append(
-                f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  "
-                + _first_few([f"{1e3 * x:.2f}" for x in self.held_out.rms])
-            )
+            errors = _first_few([f"{1e3 * x:.2f}" for x in self.held_out.rms])
+            lines.append(f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  {errors}")
         return "\n".join([*lines, *(f"  {text}" for text in self.verdict)])
 
 
@@ -203,18 +196,14 @@ def _without_none(content: Any) -> Any:
     return "unknown" if content is None else content
 
 
-def _short(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
 def assemble_result(
     basis: Basis,
     held_out: HeldOut | None,
     settings: dict[str, Any],
-    remarks: list[str],
+    remark: str,
     intervals: dict[str, Interval] | None = None,
 ) -> Identification:
-    """Put everything together; `remarks` join the verdict, intervals of the ratios those of the parameters."""
+    """Return the result of a fit; `remark` joins the verdict, intervals of the ratios those of the parameters."""
     plant, information, found, windows = basis.plant, basis.information, basis.fit, basis.windows
     parameters = plant.parameters
     x = parameters.rounded(found.x)
@@ -229,23 +218,29 @@ def assemble_result(
     if plant.motor is not None:
         residuals, torque = residuals[:, :-1], residuals[:, -1]
     rms = np.sqrt(np.nanmean(residuals**2, axis=0))
-    ratio_sd = ratio_spread(parameters, information)
+    ratio_std = ratio_spread(parameters, information)
     message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
-    words = not_converged(message) + verdict(parameters, information, rope, ratio_sd)
-    words += poor_fit(windows, residuals, unit, found.loss) + poor_torque(windows, torque, found.loss)
-    words += not_noise(information.correlation, information.whiteness)
-    words += noise_not_modelled(information.agrees, information.freedom) + failed_predictions(held_out) + remarks
+    words = [
+        not_converged(message),
+        *verdict(parameters, information, rope, ratio_std),
+        poor_fit(windows, residuals, unit, found.loss),
+        poor_torque(windows, torque, found.loss),
+        not_noise(information.correlation, information.whiteness),
+        noise_not_modelled(information.agrees, information.freedom),
+        failed_predictions(held_out),
+        remark,
+    ]
     if ((weights != 0.0) & (weights != 1.0)).any():  # the recording says what its noise is
-        words += too_large(information.variance, information.freedom)
-    words += [each.remark for each in (intervals or {}).values() if each.remark]
+        words.append(too_large(information.variance, information.freedom))
+    words += [each.remark for each in (intervals or {}).values()]
     if intervals is not None:
-        intervals = intervals | of_ratios(ratios(rope), ratio_sd, information.freedom)
-    return Identification(
+        intervals = intervals | of_ratios(ratios(rope), ratio_std, information.freedom)
+    result = Identification(
         rope=rope,
         values=_by_name(plant, rope, parameters.values(x)),
-        sd=_by_name(plant, None, spreads),
+        std=_by_name(plant, None, spreads),
         ratios=ratios(rope),
-        ratio_sd=ratio_sd,
+        ratio_std=ratio_std,
         intervals=intervals or {},
         verdict=tuple(consistent(words)),
         identifiable=information.unknown.shape[1] == 0,
@@ -261,7 +256,9 @@ def assemble_result(
         unit=unit,
         history=tuple(found.history),
         torque_residuals=torque,
-    ).with_basis(basis)
+    )
+    object.__setattr__(result, "_basis", basis)
+    return result
 
 
 def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array]:

@@ -18,7 +18,7 @@ from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
 CORRELATED = 10.0  # samples
-FEW = 2.0  # independent values; a variance from fewer has no sd
+FEW = 2.0  # independent values; a variance from fewer has no std
 CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
 COLOURED = (
     "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
@@ -33,109 +33,84 @@ LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a
 
 
 def verdict(parameters: Parameters, information: Information, rope: Rope, spreads: dict[str, Array]) -> list[str]:
-    """Return in words what the recording can and cannot tell.
-
-    Parameters
-    ----------
-    parameters, information
-        What was free, and what the windows tell about it.
-    rope : Rope
-        As fitted.
-    spreads : dict of str to ndarray (n,)
-        Standard deviations of the ratios over p1.
-    """
+    """Return in words what is identifiable; `rope` as fitted, `spreads` (n,) standard deviations of the ratios."""
     return _unknown(parameters, information, spreads) + _values(parameters, information, rope)
 
 
-def not_converged(message: str) -> list[str]:
-    """Return what to know before any figure is read, where a fit did not converge."""
+def not_converged(message: str) -> str:
+    """Return a warning where a fit did not converge."""
     if message == CONVERGED:
-        return []
-    text = (
+        return ""
+    return (
         f"The fit is {message}: its values, ratios and deviations are where it stood, not what the data say. Give a "
         "better guess, shorter windows or fewer free parameters."
     )
-    return [text]
 
 
 def consistent(words: list[str]) -> list[str]:
-    """Return the sentences of a verdict, without saying that all can be known beside a warning."""
+    """Return the sentences that are not empty, without saying that all can be known beside a warning."""
+    words = [text for text in words if text]
     return words if len(words) == 1 else [ALL_ACT if text == ALL_KNOWN else text for text in words]
 
 
-def not_noise(correlation: float, whiteness: float = 1.0) -> list[str]:
-    """Return a warning where the residuals hang together over many samples, or so clearly that it is no chance.
-
-    `whiteness` is the probability that white noise leaves such residuals.
-    """
+def not_noise(correlation: float, whiteness: float = 1.0) -> str:
+    """Return a warning for an autocorrelation time (samples), or a p-value of a whiteness test, beyond chance."""
     if correlation <= CORRELATED:
-        return [] if whiteness >= CHANCE else [COLOURED]
-    text = (
+        return "" if whiteness >= CHANCE else COLOURED
+    return (
         f"The residuals are no noise (they hang together over {correlation:.0f} samples) but errors of the model: it "
         "leaves something out. Standard deviations and intervals then tell little: they say how estimates scatter, not "
         "how far such errors draw them away. Parameters, friction above all, may be off by more."
     )
-    return [text]
 
 
-def noise_not_modelled(agrees: bool, freedom: float) -> list[str]:
-    """Return a warning where the standard deviations rest on a noise model that does not hold, or on next to nothing.
-
-    `agrees` tells whether the residuals' autoregression leaves such residuals; `freedom` of how many independent values
-    their variance is taken.
-    """
+def noise_not_modelled(agrees: bool, freedom: float) -> str:
+    """Return a warning where no autoregression agrees with the residuals, or their degrees of freedom are few."""
     if not agrees:
-        text = (
+        return (
             "No stationary noise would leave such residuals: standard deviations and intervals take them as they are, "
             "though the fit has absorbed part of them, and may be far too small."
         )
-        return [text]
     if freedom < FEW:
-        text = (
+        return (
             f"What the fit has left is worth about {freedom:.2g} independent values: standard deviations and intervals "
             "are hardly more than a guess. Record longer, or free fewer parameters."
         )
-        return [text]
-    return []
+    return ""
 
 
-def too_large(variance: float, freedom: float) -> list[str]:
-    """Return a warning where residuals are larger than the noise that the recording declares, beyond chance.
-
-    `variance` is that of the residuals over the declared noise's, from `freedom` independent values.
-    """
+def too_large(variance: float, freedom: float) -> str:
+    """Return a warning where the `variance` of residuals over the declared noise's fails a chi-squared test."""
     from scipy.special import gammaincc
 
     if gammaincc(0.5 * freedom, 0.5 * freedom * variance) >= CHANCE:
-        return []
-    text = (
+        return ""
+    return (
         f"The residuals are {np.sqrt(variance):.3g} times as large as the declared noise: it is larger than that, or "
         "the model leaves something out, and parameters may be biased by more than their intervals say."
     )
-    return [text]
 
 
-def other_lengths(recording: Recording, rope: Rope) -> list[str]:
+def other_lengths(recording: Recording, rope: Rope) -> str:
     """Return a warning where the distances of the markers are not the link lengths that the rope was given."""
     if recording.kind != "markers":
-        return []
+        return ""
     measured = recording.link_lengths()
     if (np.abs(measured / rope.length - 1.0) <= LENGTHS_AGREE).all():
-        return []
+        return ""
     lengths = ", ".join(f"{seen:.4g} for {given:.4g}" for seen, given in zip(measured, rope.length, strict=True))
-    return [f"The markers lie {lengths} m apart: check their scale, or the link lengths. The angles do not show it."]
+    return f"The markers lie {lengths} m apart: check their scale, or the link lengths. The angles do not show it."
 
 
-def failed_predictions(held_out: HeldOut | None) -> list[str]:
+def failed_predictions(held_out: HeldOut | None) -> str:
     """Return a warning where held-out stretches could not be predicted."""
     if held_out is None or held_out.failed.size == 0:
-        return []
+        return ""
     starts = ", ".join(f"{start:.4g}" for start in held_out.failed)
-    text = (
+    return (
         f"{held_out.failed.size} of {held_out.starts.size} held-out predictions failed (from t = {starts} s): the "
         "identified rope cannot be simulated there, and the prediction error counts as infinite."
     )
-    return [text]
 
 
 def _unknown(parameters: Parameters, information: Information, spreads: dict[str, Array]) -> list[str]:
@@ -164,7 +139,7 @@ def _unknown(parameters: Parameters, information: Information, spreads: dict[str
 
 def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -> str:
     """Return what to say of `count` directions in which several parameters cannot be told apart."""
-    lost = [name for name, sd in spreads.items() if np.isinf(sd).any()]
+    lost = [name for name, std in spreads.items() if np.isinf(std).any()]
     known = f"Not even these ratios are known: {', '.join(lost)}." if lost else "The ratios over p1 are known."
     if common:
         what = "One common factor" if count == 1 else f"{count} combinations"
@@ -184,9 +159,9 @@ def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -
 def _values(parameters: Parameters, information: Information, rope: Rope) -> list[str]:
     """Return what looks odd about single values."""
     said = []
-    sd = information.deviations(parameters.derivatives(information.x))
+    std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
-    for parameter, value, spread in zip(parameters.all, values, sd, strict=True):
+    for parameter, value, spread in zip(parameters.all, values, std, strict=True):
         if parameter.form == "nonnegative" and value == 0.0:
             said.append(f"{parameter.label} went to 0, the least allowed: the data show none of it.")
         elif parameter.kind.form != "linear" and np.isfinite(spread) and spread > 0.5 * value:
@@ -200,47 +175,35 @@ POOR = 0.2  # part of the motion that may stay unexplained before the verdict ca
 NOISY = 1.5  # times the declared noise: what stays below is as good as the recording, however little moves
 
 
-def poor_fit(windows: Sequence[Window], residuals: Array, unit: str, loss: Loss) -> list[str]:
-    """Return a warning where the model leaves much of the motion unexplained.
-
-    Parameters
-    ----------
-    windows : sequence of Window
-    residuals : (m, C) array, rad or m
-        Of all windows, NaN in gaps; further channels of the windows, a torque, are not looked at.
-    unit : str
-    loss : Loss
-        Under a robust one outliers do not count: it is the usual size of residuals that must be small.
-    """
+def poor_fit(windows: Sequence[Window], residuals: Array, unit: str, loss: Loss) -> str:
+    """Return a warning where residuals (m, C), rad or m, NaN in gaps, are a large part of the motion."""
     rms, spread, noise = _sizes(windows, residuals, 0, loss)
     worst = int(np.argmax(np.where(rms > NOISY * noise, rms / np.maximum(spread, 1e-12), 0.0)))
     if rms[worst] <= max(POOR * spread[worst], NOISY * noise[worst]):
-        return []
+        return ""
     what = f"link {worst}" if unit == "rad" else f"marker {worst // 2}"
-    text = (
+    return (
         f"The fit is poor: {what} is {rms[worst]:.3g} {unit} off, and moves by {spread[worst]:.3g} {unit} (rms) within "
         "the windows. Check the recording's units, zero and sense, the link lengths, the base's motion and the guess."
     )
-    return [text]
 
 
-def poor_torque(windows: Sequence[Window], residuals: Array | None, loss: Loss) -> list[str]:
-    """Return a warning where the model leaves much of the motor's torque unexplained; `residuals` (m,) in N m."""
+def poor_torque(windows: Sequence[Window], residuals: Array | None, loss: Loss) -> str:
+    """Return a warning where torque residuals (m,), N m, are a large part of the torque."""
     if residuals is None:
-        return []
+        return ""
     (rms,), (spread,), (noise,) = _sizes(windows, residuals[:, None], windows[0].y.shape[1] - 1, loss)
     if rms <= max(POOR * spread, NOISY * noise):
-        return []
-    text = (
+        return ""
+    return (
         f"The torque does not fit: it is {rms:.3g} N m off, and moves by {spread:.3g} N m (rms) within the windows. "
         "Check its sign (positive turns the arm the way in which its angle grows) and its unit, N m; until it fits, "
         "masses, inertias and frictions mean nothing."
     )
-    return [text]
 
 
 def _sizes(windows: Sequence[Window], residuals: Array, first: int, loss: Loss) -> tuple[Array, Array, Array]:
-    """Return sizes (C,) of residuals, motion and declared noise, of the windows' channels from `first` on."""
+    """Return rms (C,) of residuals (medians under a robust loss), motion and declared noise, channels from `first`."""
     part = slice(first, first + residuals.shape[1])
     known = [np.where(w.weight > 0.0, w.y, np.nan)[:, part] for w in windows]
     weights = np.concatenate([w.weight for w in windows])[:, part]

@@ -299,12 +299,13 @@ def settles(swing: Swing) -> Claim:
 def finds_the_truth(swing: Swing, seed: int = SEED) -> Claim:
     """C6: J and eta lie within their uncertainty of the truth. Measured: the larger distance in standard deviations."""
     found = revised(swing, seed=seed)
-    inertia = abs(found.best.inertia - INERTIA) / found.sd["inertia"]
-    friction = abs(found.best.friction - FRICTION) / found.sd["friction"]
+    j_std, eta_std = found.std["inertia"], found.std["friction"]
+    inertia = abs(found.best.inertia - INERTIA) / j_std
+    friction = abs(found.best.friction - FRICTION) / eta_std
     note = (
-        f"J = {1e6 * found.best.inertia:.3f} +- {1e6 * found.sd['inertia']:.3f} e-6 kg m^2 (true {1e6 * INERTIA:.3f}), "
-        f"eta = {1e3 * found.best.friction:.3f} +- {1e3 * found.sd['friction']:.3f} e-3 N m s/rad "
-        f"(true {1e3 * FRICTION:.3f}); J's relative sd is {found.sd['inertia'] / INERTIA:.2f}"
+        f"J = {1e6 * found.best.inertia:.3f} +- {1e6 * j_std:.3f} e-6 kg m^2 (true {1e6 * INERTIA:.3f}), "
+        f"eta = {1e3 * found.best.friction:.3f} +- {1e3 * eta_std:.3f} e-3 N m s/rad "
+        f"(true {1e3 * FRICTION:.3f}); J's relative standard deviation is {j_std / INERTIA:.2f}"
     )
     statement = "J and eta are the true ones: distance in standard deviations"
     return Claim("C6", statement, swing, max(inertia, friction), DEVIATIONS, note, "<=")

@@ -16,7 +16,7 @@ from hyperflex.recording.recording import Kind
 _ANGLE = re.compile(r"(?:th|theta|q)_?(\d+)\Z")
 _RATE = re.compile(r"(?:w|omega|dth|dtheta|qd)_?(\d+)\Z")
 _PLACE = re.compile(r"([xy])_?(\d+)\Z")
-_NOISE = re.compile(r"sd_(.+)\Z")
+_NOISE = re.compile(r"std_(.+)\Z")
 _WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\Z")
 _RATE_UNIT = re.compile(r"(\w+)/s\Z")
 _NUMBERS = {"frame_rate": "frames/s", "scale": "m per pixel"}
@@ -120,7 +120,7 @@ def _named(path: PathLike, columns: Sequence[str], at: dict[str, int], kind: str
 
 
 def _known(path: PathLike, names: list[str], time: str, kind: str | None) -> Found:
-    """Return the columns that their names tell: angles, rates, x and y of markers, ``sd_`` of any of these."""
+    """Return the columns that their names tell: angles, rates, x and y of markers, ``std_`` of any of these."""
     noisy = {match[1]: name for name in names if (match := _NOISE.match(name))}
     angles = {int(match[1]): name for name in names if (match := _ANGLE.match(name))}
     rates = {int(match[1]): name for name in names if (match := _RATE.match(name))}
@@ -131,7 +131,7 @@ def _known(path: PathLike, names: list[str], time: str, kind: str | None) -> Fou
         raise InvalidInput(
             f"{path} does not say which columns to take",
             got=names,
-            allowed="th1, th2, .. (and w1, w2, ..) or x0, y0, x1, y1, .. beside the time, sd_.. for their noise",
+            allowed="th1, th2, .. (and w1, w2, ..) or x0, y0, x1, y1, .. beside the time, std_.. for their noise",
             fix="Pass kind='angles' or 'markers'" if both and not rest else "Name them: columns=[..] and kind=..",
         )
     chosen = cast(Kind, checks.choice("kind", kind or ("angles" if angles else "markers"), ("angles", "markers")))
@@ -146,7 +146,7 @@ def _known(path: PathLike, names: list[str], time: str, kind: str | None) -> Fou
         data, speed = [places[pair] for pair in pairs], []
     noise = [noisy[name] for name in data if name in noisy]
     if noise and len(noise) < len(data):
-        raise InvalidInput(f"{path} gives the noise of some columns only", got=noise, allowed="sd_.. for each or none")
+        raise InvalidInput(f"{path} gives the noise of some columns only", got=noise, allowed="std_.. for each or none")
     return chosen, data, speed, noise
 
 

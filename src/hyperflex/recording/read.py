@@ -69,7 +69,7 @@ def read_recording(
     columns : sequence of str, optional
         Names of the data columns in order (CSV), for other names than ``th1, ..`` or ``x0, y0, ..``; needs `kind`.
     noise : float or array_like (C,) or (T, C), optional
-        Standard deviation in the unit of the data. CSV columns ``sd_th1, ..`` or a note say
+        Standard deviation in the unit of the data. CSV columns ``std_th1, ..`` or a note say
         the same.
     max_rate : float, rad/s
         Angles that change faster are refused as wrong units.

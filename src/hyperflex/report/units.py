@@ -57,19 +57,19 @@ def readable(what: str, values: npt.ArrayLike) -> Unit:
     return Unit(*(fitting[0] if fitting else ladder[-1]))
 
 
-def rounded(value: float, sd: float) -> str:
+def rounded(value: float, std: float) -> str:
     """Return a value with as many digits as two of its standard deviation's leave; four digits where it has none."""
     if not np.isfinite(value):
         return "not known"
-    if not np.isfinite(sd) or sd <= 0.0:
+    if not np.isfinite(std) or std <= 0.0:
         return f"{value:.4g}"
-    decimals = 1 - int(np.floor(np.log10(sd)))
+    decimals = 1 - int(np.floor(np.log10(std)))
     if 0 <= decimals <= 9:
         return f"{value:.{decimals}f}"
     return f"{value:.4g}" if decimals > 9 else f"{round(value, decimals):.0f}"
 
 
-def short(sd: float) -> str:
+def short(std: float) -> str:
     """Return a standard deviation with two digits."""
-    decimals = 1 - int(np.floor(np.log10(sd))) if sd > 0.0 else 1
-    return f"{sd:.{max(decimals, 0)}f}" if decimals <= 7 else f"{sd:.1e}"
+    decimals = 1 - int(np.floor(np.log10(std))) if std > 0.0 else 1
+    return f"{std:.{max(decimals, 0)}f}" if decimals <= 7 else f"{std:.1e}"

@@ -103,7 +103,7 @@ class LeastSquares:
     residual: Array = field(repr=False)
 
     @property
-    def sd(self) -> Array:
+    def std(self) -> Array:
         """Standard deviations (P,)."""
         return np.sqrt(np.diag(self.covariance))
 

@@ -77,7 +77,7 @@ class IterativeRevision(Ended):
         With the J and eta of the best round: the last one, or the one of least error if it did not converge.
     best : Round
         That round.
-    sd : dict of str to float
+    std : dict of str to float
         Standard deviations of "inertia" and "friction" as the regression tells them.
     rounds : tuple of Round
         All rounds; the first one has the guess's parameters.
@@ -91,7 +91,7 @@ class IterativeRevision(Ended):
 
     rope: Rope
     best: Round
-    sd: dict[str, float]
+    std: dict[str, float]
     rounds: tuple[Round, ...]
     message: str
     samples: int
@@ -183,7 +183,7 @@ def iterative_revision(
     checks.choice("profile", profile, PROFILES)
     revision = _Revision(measured, rope_guess, rates, profile, checks.count("max_evaluations", max_evaluations))
     done: list[Round] = []
-    message, sd = NOT_CONVERGED, {"inertia": float("inf"), "friction": float("inf")}
+    message, std = NOT_CONVERGED, {"inertia": float("inf"), "friction": float("inf")}
     values = np.array([rope_guess.inertia.mean(), rope_guess.friction.mean()])
     try:
         for _ in range(checks.count("rounds", rounds) + 1):
@@ -194,11 +194,11 @@ def iterative_revision(
                 break
             if progress is not None:
                 progress(found)
-            if len(done) > 1 and _unchanged(done[-2], found, sd):
+            if len(done) > 1 and _unchanged(done[-2], found, std):
                 message = CONVERGED
                 break
             values, spread = revision.parameters(found)
-            sd = {"inertia": float(spread[0]), "friction": float(spread[1])}
+            std = {"inertia": float(spread[0]), "friction": float(spread[1])}
     except KeyboardInterrupt:
         if not done:
             raise
@@ -209,14 +209,14 @@ def iterative_revision(
     best = done[-1] if message == CONVERGED else min(done, key=lambda each: each.error)
     samples = int(np.isfinite(measured.data).sum())
     rope = revision.rope(np.array([best.inertia, best.friction]))
-    return IterativeRevision(rope, best, sd, tuple(done), message, samples, profile, rates)
+    return IterativeRevision(rope, best, std, tuple(done), message, samples, profile, rates)
 
 
-def _unchanged(before: Round, now: Round, sd: dict[str, float]) -> bool:
+def _unchanged(before: Round, now: Round, std: dict[str, float]) -> bool:
     """Whether a revision has moved neither parameter."""
     moves = {"inertia": now.inertia - before.inertia, "friction": now.friction - before.friction}
     sizes = {"inertia": now.inertia, "friction": now.friction}
-    return all(abs(moves[name]) <= max(SETTLED * sd[name], FALSE_DIGITS * sizes[name]) for name in moves)
+    return all(abs(moves[name]) <= max(SETTLED * std[name], FALSE_DIGITS * sizes[name]) for name in moves)
 
 
 class _Revision:
@@ -265,7 +265,7 @@ class _Revision:
             seen[1:-1] = np.gradient(self.measured.data, self.measured.t, axis=0)[1:-1]
             q, qd = self.measured.data if self.profile == "measured" else q, seen
         found = fit_regression(rope, q, qd, qdd, UNKNOWNS).solve()
-        return np.maximum(found.values, 0.0), found.sd
+        return np.maximum(found.values, 0.0), found.std
 
     def by_response(self, jacobian: AngleJacobian, rope: Rope, at: Round) -> tuple[Array, Array]:
         """Fit the changes of angles that changes of J and eta make, the initial state free, to what is left of them."""

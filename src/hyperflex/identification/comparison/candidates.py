@@ -31,7 +31,7 @@ class Candidate:
         return set(self.free) < set(other.free) and self.guess.n_links == other.guess.n_links
 
     def starting_guess(self, other: Candidate, rope: Rope) -> Rope:
-        """Return the guess of `other` with what was fitted here, to `rope`, as its start; laws keep their guess."""
+        """Return the guess of `other` with the values fitted here, of `rope`; laws keep their guess."""
         labels = [label for word in self.free if (label := parsed(word)) and label.law in ("", "shared")]
         names = {label.name for label in labels if FREE[label.name].owner in ("link", "rope")} - {"gravity_angle"}
         return other.guess.replace(**{name: getattr(rope, name) for name in sorted(names)})
@@ -40,17 +40,7 @@ class Candidate:
 def candidates(
     guess: Rope, free: Sequence[str], models: Mapping[str, object] | None, links: Sequence[int]
 ) -> list[Candidate]:
-    """Return what is to be compared.
-
-    Parameters
-    ----------
-    guess, free
-        As given to ``compare_models``.
-    models : mapping, optional
-        Names to words of ``free``, or to a pair of a guess and words; None: what may resist the rope.
-    links : sequence of int
-        Further numbers of links, each with `free` as it is.
-    """
+    """Return the candidates, made of the arguments of :func:`compare_models`."""
     if models is None:
         result = _resistances(guess, free)
     elif not isinstance(models, Mapping) or not models:
@@ -69,7 +59,7 @@ def candidates(
 
 
 def _own(name: str, guess: Rope, value: object) -> Candidate:
-    """Return a candidate that the user has made himself."""
+    """Return a candidate of the user's."""
     if isinstance(value, tuple) and len(value) == 2 and isinstance(value[0], Rope):
         guess, value = value
     if isinstance(value, str) or not isinstance(value, Sequence):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
@@ -43,8 +42,7 @@ def compare_models(
     recording : Recording
         As :func:`hyperflex.identify` takes it.
     rope_guess : Rope
-        Everything that is not free is taken from it; in the models made from `free` resistances are 0 where they are
-        not free.
+        As for :func:`hyperflex.identify`; in the default models, resistances that are not free are 0.
     models : mapping, optional
         Names to what is free (words as in ``identify``), or to a pair of a guess and what is free. By default the
         viscous rope, alone and with one or two of dry friction, stiffness and air drag beside; and dry friction, air
@@ -52,17 +50,12 @@ def compare_models(
     free : sequence of str
         What is free in the viscous rope; used where `models` is not given.
     links : sequence of int
-        Further numbers of equal links into which the guess is cut, with what is free in the first model. Needs markers:
-        their places are what all candidates must explain.
+        Further numbers of equal links into which the guess is cut, with what is free in the first model. Needs markers.
     progress : bool
         Show a bar over the candidates on standard error.
     **options
         Of :func:`hyperflex.identify`, the same for all candidates: window, train, motion, arm, arc_lengths, origin,
         torque, torque_noise, loss, lead, ahead.
-
-    Returns
-    -------
-    ModelComparison
 
     Raises
     ------
@@ -73,12 +66,11 @@ def compare_models(
 
     Notes
     -----
-    BIC counts how much better a model fits for each parameter more, and takes residuals for white noise; the held-out
-    error asks how well it foretells what it has not seen. A candidate is supported by BIC within 6 of the least, and by
-    prediction if it is not worse than the best by 2 % and by two standard errors over the held-out stretches (by 10 %
-    where there are fewer than three). The simplest that both support is preferred. Where none is, prediction decides,
-    unless the residuals of BIC's choice are white. All candidates must be fitted to the same samples; one that is not
-    has no BIC. A model that fits worse than one within it has met a false optimum, and is fitted again from there.
+    A candidate is supported by BIC within 6 of the least, and by held-out prediction if it is not worse than the best
+    by 2 % and by two standard errors over the held-out stretches (by 10 % where there are fewer than three). The
+    simplest that both support is preferred. Where none is, prediction decides, unless the residuals of BIC's choice are
+    white. All candidates must be fitted to the same samples; one that is not has no BIC. A model that fits worse than
+    one nested in it has met a local minimum, and is fitted again from there.
     """
     if links and recording.kind != "markers":
         raise InvalidInput(
@@ -90,13 +82,9 @@ def compare_models(
     if links and options.get("arc_lengths") is None:
         options["arc_lengths"] = np.append(0.0, np.cumsum(rope_guess.length))
     todo = candidates(rope_guess, free, models, links)
-    with _bar(len(todo), progress) as report:
+    with progress_bar(0.0, float(len(todo)), progress, "comparing models") as report:
         done, stopped = _fit_all(recording, todo, options, report)
     return _compared(todo[: len(done)], done, stopped)
-
-
-def _bar(count: int, shown: bool) -> AbstractContextManager[Any]:
-    return progress_bar(0.0, float(count), shown, "comparing models")
 
 
 def _fit_all(
@@ -132,7 +120,7 @@ def _refit_from_nested(
     simpler: Iterable[tuple[Candidate, Identification | str]],
     options: dict[str, Any],
 ) -> Identification:
-    """Return a fit that is no worse than those of models within it: where one is better, fitted again from there."""
+    """Return a fit no worse than those of models nested in it: where one is better, fitted again from there."""
     for other, before in simpler:
         if isinstance(before, str) or not other.nested_in(candidate) or found.message == INTERRUPTED:
             continue
@@ -161,8 +149,7 @@ def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], s
         basis = found._basis
         models.append(_fitted_model(each, found, basis, scores.get(id(basis))))
         unit = found.unit
-        states = sum(window.guess.size - window.prior.shape[0] for window in basis.windows)
-        unknowns = models[-1].parameters + states
+        unknowns = models[-1].parameters + sum(window.unknowns for window in basis.windows)
         evidence.append(Evidence(each.name, unknowns, models[-1].bic, found.held_out, models[-1].whiteness))
     preferred, words = recommend(evidence, unit)
     return ModelComparison(tuple(models), preferred, words, INTERRUPTED if stopped else CONVERGED, unit)

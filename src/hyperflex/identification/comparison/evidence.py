@@ -34,13 +34,10 @@ class Evidence:
 def criteria(fits: Sequence[Basis]) -> list[float | None]:
     """Return the BIC of each fit; None where it fits other samples than the one with the most.
 
-    Notes
-    -----
-    N ln(s^2) + sum of ln N over the parameters that can be known (Schwarz 1978, doi:10.1214/aos/1176344136), with s^2
-    the mean weighted square. A window's initial state counts the logarithm of that window's own number of values:
-    no others bear on it. Values count as N / tau: tau is the integrated autocorrelation time of the candidate that has
-    the shortest, for what even the best leaves correlated is no fresh evidence. With a robust loss the squares are
-    what the loss makes of them, over the least scale among the candidates.
+    N ln(s^2) + sum of ln N over the identifiable parameters (Schwarz 1978, doi:10.1214/aos/1176344136), s^2 the mean
+    weighted square. A window's initial state counts ln of that window's own number of values. Values count as N / tau,
+    tau the shortest integrated autocorrelation time among the candidates. With a robust loss the squares are what the
+    loss makes of them, over the least scale among the candidates.
     """
     sizes = [np.concatenate([window.t for window in one.windows]) for one in fits]
     whole = max(sizes, key=lambda t: t.size)
@@ -62,7 +59,7 @@ def _criterion(one: Basis, tau: float, scale: float) -> float:
         misfit = count * float(np.log(cost / values.sum()))
     else:
         misfit = cost / (tau * scale**2)
-    states = np.array([window.guess.size - window.prior.shape[0] for window in one.windows])
+    states = np.array([window.unknowns for window in one.windows])
     known = one.information.known.shape[1]
     of_states = float((states * np.log(np.maximum(values / tau, 1.0))).sum())
     return float(misfit + known * np.log(count) + of_states)
@@ -107,7 +104,7 @@ def _squares(held_out: HeldOut) -> Array:
 
 
 def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, str]:
-    """Return the preferred model and why, in words; the simplest comes out where evidence does not tell apart."""
+    """Return the preferred model and why, in words; the simplest one where evidence does not decide."""
     known = [each for each in all_of_them if each.bic is not None]
     if not known:
         return None, "No candidate could be fitted."
@@ -125,18 +122,16 @@ def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, s
     both = [each for each in likely if each in good]
     if both:
         chosen = min(both, key=lambda each: each.unknowns)
-        also = f"it predicts {_milli(error(chosen.held_out), unit)} off, " + (
-            "best of all."
-            if chosen is nearest
-            else f"not clearly worse than {nearest.name} ({_short(nearest, unit)}): {_unclear(chosen, nearest)}."
-        )
-        return chosen.name, f"{_by_bic(chosen, known)} {also[0].upper()}{also[1:]}{_hue(chosen)}"
+        also = "best of all."
+        if chosen is not nearest:
+            also = f"not clearly worse than {nearest.name} ({_error(nearest, unit)}): {_unclear(chosen, nearest)}."
+        return chosen.name, f"{_by_bic(chosen, known)} It predicts {_error(chosen, unit)} off, {also}{_hue(chosen)}"
     simple = min(good, key=lambda each: each.unknowns)
     chosen = simple if first.whiteness < COLOURED else first
     why = "are no white noise, which BIC relies on" if chosen is simple else "are white noise, as BIC wants them"
     return chosen.name, (
         f"The two disagree: BIC prefers {first.name}, held-out prediction prefers {simple.name} "
-        f"({_short(simple, unit)} against {_milli(error(first.held_out), unit)}). The residuals of {first.name} {why}, "
+        f"({_error(simple, unit)} against {_error(first, unit)}). The residuals of {first.name} {why}, "
         f"so {chosen.name} is taken; record more to be sure.{_hue(chosen)}"
     )
 
@@ -158,7 +153,7 @@ def _by_bic(chosen: Evidence, known: Sequence[Evidence]) -> str:
 
 
 def probability(value: float) -> str:
-    """Return a probability in words; the smallest ones mean no more than that they are small."""
+    """Return a p-value in words."""
     return f"p = {value:.2g}" if value >= TINY else f"p < {TINY:.0e}"
 
 
@@ -169,9 +164,5 @@ def _hue(chosen: Evidence) -> str:
     return f" But its residuals are no white noise ({probability(chosen.whiteness)}): all candidates miss something."
 
 
-def _short(each: Evidence, unit: str) -> str:
-    return _milli(error(each.held_out), unit)
-
-
-def _milli(value: float, unit: str) -> str:
-    return f"{1e3 * value:.3g} m{unit}"
+def _error(each: Evidence, unit: str) -> str:
+    return f"{1e3 * error(each.held_out):.3g} m{unit}"

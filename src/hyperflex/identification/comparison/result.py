@@ -19,13 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FittedModel:
-    """One candidate and what speaks for it.
+    """One candidate and its evidence.
 
     Attributes
     ----------
     name : str
     free : tuple of str
-        What was free.
     links : int
         Number of links.
     identification : Identification or None
@@ -35,11 +34,11 @@ class FittedModel:
     parameters : int
         Free parameters that can be known.
     bic : float or None
-        Schwarz's criterion, less is better; None where other samples were fitted than in the rest.
+        Bayesian information criterion; None where other samples were fitted than in the rest.
     fit_rms, held_out_rms : float, rad or m
         Error of the fit, and of the prediction of the part held out (inf: it failed, or nothing was held out).
     whiteness : float
-        Probability that white noise would leave residuals as autocorrelated as these.
+        p-value of the residuals' autocorrelation under white noise.
     """
 
     name: str
@@ -56,7 +55,7 @@ class FittedModel:
 
 @dataclass(frozen=True, eq=False)
 class ModelComparison(Ended):
-    """Models of a rope compared (made by :func:`hyperflex.compare_models`); ``print`` shows the table and why.
+    """Models of a rope compared by :func:`hyperflex.compare_models`; ``print`` shows the table and why.
 
     Attributes
     ----------
@@ -65,7 +64,7 @@ class ModelComparison(Ended):
     preferred : str or None
         Name of the model that the evidence prefers; None if none could be fitted.
     recommendation : str
-        The same in words, and where the evidence disagrees.
+        Why, in words.
     message : {"converged", "interrupted"}
         Whether all candidates were fitted before Ctrl-C.
     unit : str

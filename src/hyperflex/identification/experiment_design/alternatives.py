@@ -41,7 +41,7 @@ def advise_alternatives(asked: DesignQuestion, experiments: Sequence[Experiment]
     seen : Foresight
         What one of them tells.
     """
-    lost = [name for name, (sd, _) in seen.spreads(asked.want).items() if not np.isfinite(sd)]
+    lost = [name for name, (std, _) in seen.spreads(asked.want).items() if not np.isfinite(std)]
     names = ", ".join(lost) or ", ".join(asked.want)
     if not _common(seen):
         why = "it does not act in these motions, or acts just as others that are free"
@@ -92,7 +92,7 @@ def _ratio(seen: ExpectedInformation) -> str:
 
 def _tells(seen: ExpectedInformation, name: str) -> bool:
     spreads = seen.spreads([name])
-    return bool(spreads) and all(np.isfinite(sd) for sd, _ in spreads.values())
+    return bool(spreads) and all(np.isfinite(std) for std, _ in spreads.values())
 
 
 def _best(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:

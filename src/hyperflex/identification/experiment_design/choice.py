@@ -29,7 +29,7 @@ class Plan:
     Attributes
     ----------
     experiment : Experiment
-    sd : dict of str to float
+    std : dict of str to float
         Predicted standard deviation of each wanted number, SI units; inf where the experiment cannot tell it.
     relative : dict of str to float
         The same over the number's value (over a typical change where it is 0, or an offset).
@@ -38,7 +38,7 @@ class Plan:
     """
 
     experiment: Experiment
-    sd: dict[str, float]
+    std: dict[str, float]
     relative: dict[str, float]
     reason: str = ""
 
@@ -86,7 +86,7 @@ class ExperimentDesign(Ended):
         for plan in self.plans:
             e = plan.experiment
             row: dict[str, Any] = {"name": e.name, "rate": e.rate, "duration": e.duration, "markers": e.markers}
-            table.append(row | {"sd": plan.sd, "relative": plan.relative, "reason": plan.reason})
+            table.append(row | {"std": plan.std, "relative": plan.relative, "reason": plan.reason})
         return dict(files.plain(self.ending() | {"want": self.want, "advice": self.advice, "plans": table}))
 
     def to_json(self, path: PathLike) -> None:
@@ -95,8 +95,8 @@ class ExperimentDesign(Ended):
 
     def __str__(self) -> str:
         wide = max([10, *(len(plan.experiment.name) for plan in self.plans)])
-        labels = next((list(plan.sd) for plan in self.plans if plan.sd), [])[:SHOWN]
-        columns = "".join(f"  {'sd of ' + label:>18}" for label in labels)
+        labels = next((list(plan.std) for plan in self.plans if plan.std), [])[:SHOWN]
+        columns = "".join(f"  {'std of ' + label:>18}" for label in labels)
         lines = [f"Experiments for {', '.join(self.want)} ({self.message})"]
         lines.append(f"  {'experiment':<{wide}}  frames/s  time, s  markers  {'relative':>9}{columns}")
         for plan in self.plans:
@@ -105,7 +105,7 @@ class ExperimentDesign(Ended):
             if plan.reason:
                 lines.append(f"{start}  failed: {plan.reason}")
                 continue
-            figures = "".join(f"  {_figure(plan.sd[label]):>18}" for label in labels)
+            figures = "".join(f"  {_figure(plan.std[label]):>18}" for label in labels)
             lines.append(f"{start}  {_percent(plan.score):>9}{figures}")
         return "\n".join([*lines, f"  {self.advice}"])
 
@@ -221,7 +221,9 @@ def _plan(asked: DesignQuestion, experiment: Experiment, seen: list[ExpectedInfo
     seen.append(foresight)
     spreads = foresight.spreads(asked.want)
     return Plan(
-        experiment, {name: sd for name, (sd, _) in spreads.items()}, {name: part for name, (_, part) in spreads.items()}
+        experiment,
+        {name: std for name, (std, _) in spreads.items()},
+        {name: part for name, (_, part) in spreads.items()},
     )
 
 
@@ -234,7 +236,9 @@ def _advice(asked: DesignQuestion, ranked: Sequence[Plan], seen: Sequence[Expect
         return advise_alternatives(asked, [plan.experiment for plan in ranked if not plan.reason], seen[0])
     worst = max(best.relative, key=lambda name: best.relative[name])
     said = f"Make: {best.experiment.name}. It tells {worst} to {_percent(best.score)}"
-    said += f" ({_figure(best.sd[worst])})" if len(best.sd) == 1 else f" and the rest of {', '.join(asked.want)} better"
+    said += (
+        f" ({_figure(best.std[worst])})" if len(best.std) == 1 else f" and the rest of {', '.join(asked.want)} better"
+    )
     others = [plan for plan in ranked[1:] if np.isfinite(plan.score)]
     blind = [plan.experiment.name for plan in ranked[1:] if not plan.reason and not np.isfinite(plan.score)]
     if others:

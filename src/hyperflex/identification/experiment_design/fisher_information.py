@@ -35,7 +35,7 @@ class ExpectedInformation:
     information: Information
 
     def spreads(self, want: Sequence[str]) -> dict[str, tuple[float, float]]:
-        """Return sd, and sd over the size of the value, of each single number that the words stand for.
+        """Return std, and std over the size of the value, of each single number that the words stand for.
 
         Raises
         ------
@@ -44,10 +44,10 @@ class ExpectedInformation:
         """
         x = self.information.x
         rope = self.parameters.rope(x)
-        sd = self.information.deviations(self.parameters.derivatives(x))
+        std = self.information.deviations(self.parameters.derivatives(x))
         own = {
             p.label: (p.name, float(s), size(p, float(each)))
-            for p, s, each in zip(self.parameters.all, sd, x, strict=True)
+            for p, s, each in zip(self.parameters.all, std, x, strict=True)
         }
         known = ratios(rope)
         result: dict[str, tuple[float, float]] = {}
@@ -71,7 +71,7 @@ class ExpectedInformation:
 
 
 def size(parameter: Parameter, x: float) -> float:
-    """Return what a parameter's sd is compared with: its value, or a typical change where that is 0 or an offset."""
+    """Return what a parameter's std is compared with: its value, or a typical change where that is 0 or an offset."""
     value = abs(parameter.value(x))
     return value if value > 0.0 and parameter.form != "linear" else parameter.width * parameter.scale
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.plant import Plant
 
 LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
-ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their sd
+ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their std
 SHORT = 1.0  # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
 ROUGH = 1e-5  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
 STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up
@@ -28,12 +29,17 @@ NEAR, FALL = 1e-2, 0.7  # in scales: farther above its bound a parameter falls b
 PREDICTION_DAMPING = (
     1e-6  # damping for what the linear model has left to gain: parameters that do not act promise nothing
 )
-Report = Callable[[dict[str, float]], None]
+Report = Callable[[dict[str, Any]], None]
+
+
+def with_entries(report: Report, entries: dict[str, Any]) -> Report:
+    """Return a report that adds entries to those of each round."""
+    return lambda entry: report(entry | entries)
 
 
 @dataclass
 class Fit:
-    """Where a fit stands: x (P,), one state (2n,) a window, and the residuals (m C,) of each window."""
+    """State of a fit: x (P,), one state (2n,) a window, and the residuals (m C,) of each window."""
 
     x: Array
     states: list[Array]
@@ -49,6 +55,10 @@ class Fit:
         """Sum of squares, or of what the loss makes of them."""
         return sum(self.loss.cost(r) for r in self.residuals) + self.prior_cost
 
+    def window_cost(self, window: Window, state: Array, residual: Array) -> float:
+        """Return the cost of a window from `state` (2n,) with residual (m C,)."""
+        return self.loss.cost(residual) + window.prior_cost(state)
+
 
 @dataclass(frozen=True)
 class Linear:
@@ -60,23 +70,23 @@ class Linear:
     known: bool = True  # False: no rollout from its state succeeds, and the derivatives are 0
 
     def compact(self) -> Linear:
-        """Return the same least squares in as few rows as there are unknowns, and one."""
+        """Return the same least-squares problem in as few rows as possible."""
         width = self.state.shape[1]
         both = np.column_stack([self.state, self.shared, self.residual])
         rows: Array = np.asarray(np.linalg.qr(both, mode="r"))
         return Linear(rows[:, :width], rows[:, width:-1], rows[:, -1], self.known)
 
     def reduced(self) -> tuple[Array, Array]:
-        """Return parameter derivatives (M, P) and residuals (M,) less what the window's own state can absorb."""
+        """Return parameter derivatives (M, P) and residuals (M,), projected off the window's own state."""
         basis = np.linalg.qr(self.state)[0]
         return self.shared - basis @ (basis.T @ self.shared), self.residual - basis @ (basis.T @ self.residual)
 
 
 def linearise(plant: Plant, window: Window, x: Array, state: Array, residual: Array, loss: Loss) -> Linear:
-    """Return a window's linear model; `residual` (m C,) is what it stands at."""
+    """Return a window's linear model at its residual (m C,)."""
     weight = loss.weight(residual)
     seen = plant.jacobian(x, window.t, state)
-    prior = window.prior_residual(state)
+    prior = window.prior @ state
     if seen is None:  # a window on the brink: leave it as it is in this round
         size = residual.size
         return Linear(np.zeros((size, state.size)), np.zeros((size, x.size)), weight * residual, known=False)
@@ -107,16 +117,12 @@ def fit(
     """Fit parameters and all states together, or the states alone, from first guesses; parameters `held` stay.
 
     It ends with a round that gains less than the part `enough` of the cost; by default less than parameters move by
-    chance.
+    chance. Ctrl-C returns the best so far, marked ``interrupted``.
 
     Raises
     ------
     InvalidInput
-        When not even the guess can be rolled out.
-
-    Notes
-    -----
-    Ctrl-C ends the fit; what is returned then is the best so far, marked ``interrupted``.
+        When the guess cannot be simulated.
     """
     loss = loss or Loss()
     residuals = _residuals(plant, windows, x, states)
@@ -158,12 +164,7 @@ def fit(
 def fit_state(
     plant: Plant, x: Array, window: Window, state: Array, *, loss: Loss | None = None, rounds: int = 30
 ) -> tuple[Array, Array] | None:
-    """Fit the state at a window's start, parameters fixed.
-
-    Returns
-    -------
-    state (2n,), residual (m C,), or None where no rollout from `state` succeeds.
-    """
+    """Return the fitted state (2n,) at a window's start and its residual (m C,), parameters fixed; None on failure."""
     try:
         found = fit(plant, [window], x, [state], loss=loss, states_only=True, rounds=rounds)
     except InvalidInput:
@@ -185,7 +186,7 @@ def _residuals(plant: Plant, windows: Sequence[Window], x: Array, states: Sequen
 
 
 def _prior_cost(windows: Sequence[Window], states: Sequence[Array]) -> float:
-    return sum(float((b := window.prior_residual(state)) @ b) for window, state in zip(windows, states, strict=True))
+    return sum(window.prior_cost(state) for window, state in zip(windows, states, strict=True))
 
 
 @dataclass(frozen=True)
@@ -197,7 +198,7 @@ class _Step:
 
 
 def _step(at: Fit, linear: Sequence[Linear], lower: Array, damping: float) -> _Step:
-    """Return the damped step of least squares within the bounds; of the states alone if `lower` is empty."""
+    """Return the damped Gauss-Newton step within the bounds; of the states alone if `lower` is empty."""
     root = np.sqrt(damping)
     width = np.sqrt(sum((each.shared**2).sum(axis=0) for each in linear)) + 1e-12
     matrix, gradient = np.diag((root * width) ** 2), np.zeros(lower.size)
@@ -218,13 +219,13 @@ def _step(at: Fit, linear: Sequence[Linear], lower: Array, damping: float) -> _S
 
 
 def least_squares(matrix: Array, right: Array) -> Array:
-    """Return the shortest solution (k,) of a least-squares problem (m, k), (m,)."""
+    """Return the minimum-norm solution (k,) of a least-squares problem (m, k), (m,)."""
     result: Array = np.linalg.lstsq(matrix, right, rcond=None)[0].astype(np.float64, copy=False)
     return result
 
 
 def _predicted_decrease(at: Fit, linear: Sequence[Linear], lower: Array) -> float:
-    """Return by how much the squares would fall if the model were linear; inf where no window has derivatives."""
+    """Return the decrease of the squares that the linear model predicts; inf where no window has derivatives."""
     if not any(each.known for each in linear):
         return float("inf")
     step = _step(at, linear, lower, PREDICTION_DAMPING)
@@ -240,7 +241,7 @@ def _improve(
 ) -> tuple[float, bool]:
     """Take one accepted step (or none, when no damping helps); `best` is changed in place.
 
-    Return the damping for the next round, and whether a step was taken that damping did not much shorten.
+    Return the damping for the next round, and whether a step was taken that damping hardly shortened.
     """
     before = best.cost
     while damping < MOST_DAMPING:
@@ -259,10 +260,10 @@ def _improve(
 
 
 def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
-    """Return the step -matrix^-1 gradient that keeps x >= lower: what would cross stops at its bound, the rest adapts.
+    """Return the step -matrix^-1 gradient that keeps x >= lower (active set).
 
-    Steps of logarithms and the like are kept below 1 (a factor of e); what is far above its bound comes down to it by
-    and by, for the linear model of a far point says little about the bound, and a fit that stands there may stay.
+    Steps of logarithms and the like are kept below 1 (a factor of e); x far above its bound approaches it gradually,
+    since the linear model of a far point says little about the bound.
     """
     free = (x > lower) | (gradient < 0.0)
     move = np.zeros(x.size)
@@ -285,7 +286,7 @@ def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep numpy's and scipy's linear algebra on one thread within the block, or the function that this decorates."""
+    """Keep numpy's and scipy's linear algebra on one thread."""
     import scipy.linalg  # noqa: F401 its own library must be there to be limited
     from threadpoolctl import threadpool_limits
 

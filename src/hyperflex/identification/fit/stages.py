@@ -11,7 +11,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state
+from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state, with_entries
 from hyperflex.identification.fit.windows import FEWEST, Window, cut_windows, decimation_step
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
@@ -52,9 +52,9 @@ Done = tuple[Fit, list[Window], dict[str, Any]]
 def fit_in_stages(
     plant: Plant, measured: Measurements, length: float, usual: float, report: Report, loss: Loss | None = None
 ) -> Done:
-    """Fit shorter windows first, then those of the wanted length; return the last fit, its windows and settings.
+    """Fit shorter windows first, then those of `length` (s); return the last fit, its windows and settings.
 
-    Ctrl-C returns what stands, marked ``interrupted``; before the first stage has fitted anything it passes through.
+    Ctrl-C returns the best so far, marked ``interrupted``; during the first stage it passes through.
     """
     spacing = float(np.median(np.diff(measured.channels.t)))
     x, history = plant.parameters.start, []
@@ -72,7 +72,7 @@ def fit_in_stages(
             known = {} if not done else {w.t[0]: s for w, s in zip(done[-1][1], done[-1][0].states, strict=True)}
             usable, states = _starts(plant, windows, x, known, loss, refine=bool(done))
             enough = None if part == length else HARDLY
-            heard = _with_stage(report, stage)
+            heard = with_entries(report, stage)
             found = fit(plant, usable, x, states, loss=loss, enough=enough, report=heard)
             if part == length and not found.interrupted:
                 found = refit_poor_windows(
@@ -106,20 +106,15 @@ def stage_lengths(length: float, usual: float, spacing: float) -> list[float]:
 
 def _enough(plant: Plant, windows: list[Window]) -> bool:
     """Tell whether the windows hold more values than there are unknowns."""
-    spare: int = sum(window.values + window.prior.shape[0] - window.guess.size for window in windows)
-    return spare > len(plant.parameters)
-
-
-def _with_stage(report: Report, stage: dict[str, float]) -> Report:
-    return lambda entry: report(entry | stage)
+    return sum(window.values - window.unknowns for window in windows) > len(plant.parameters)
 
 
 def _starts(
     plant: Plant, windows: list[Window], x: Array, known: dict[float, Array], loss: Loss | None, *, refine: bool
 ) -> tuple[list[Window], list[Array]]:
-    """Return the windows that can be simulated, with states fitted before or as the data show them.
+    """Return the windows that can be simulated, with states fitted before or guessed from the data.
 
-    With `refine` the states are fitted at the parameters x. Not at the guess: a wrong guess would bend them its way.
+    With `refine` the states are fitted at the parameters x. Not at the guess: a wrong one would bias them.
     """
     if not _enough(plant, windows):
         raise InvalidInput(
@@ -144,19 +139,9 @@ def _starts(
 
 
 def search_delay(plant: Plant, measured: Measurements, length: float, loss: Loss) -> float:
-    """Return the delay, s, from which a fit starts: that of least cost on a coarse grid, or 0.0 if hardly less.
+    """Return the delay, s, that a fit starts from: of least cost on a grid within `length` (s), or 0.0 if hardly less.
 
-    A grid, since the cost has a minimum for each swing.
-
-    Parameters
-    ----------
-    plant : Plant
-        Without torque; its delay is free.
-    measured : Measured
-        What is fitted.
-    length : float
-        Of the windows that are looked at, and greatest delay that is tried on either side, s.
-    loss : Loss
+    A grid, since the cost has a minimum for each swing. `plant` is without torque, its delay free.
     """
     windows = measured.windows(length, decimation_step(measured.channels, length))[0]
     windows = windows[:: -(-len(windows) // DELAY_WINDOWS)] if windows else []
@@ -171,7 +156,7 @@ def search_delay(plant: Plant, measured: Measurements, length: float, loss: Loss
 
 
 def with_delay(plant: Plant, delay: float) -> Plant:
-    """Return the same, with a delay that starts from `delay`, s."""
+    """Return the model with its delay starting from `delay`, s."""
     every = [replace(each, start=delay) if each.name == "delay" else each for each in plant.parameters.all]
     parameters = Parameters(plant.parameters.guess, every)
     torque = plant.motor is not None
@@ -179,7 +164,7 @@ def with_delay(plant: Plant, delay: float) -> Plant:
 
 
 def _delay_cost(plant: Plant, x: Array, windows: list[Window], states: list[Array], loss: Loss) -> float:
-    """Return what windows cost at x with states fitted to them; inf where one cannot be simulated."""
+    """Return the cost of windows at x with states fitted to them; inf where one cannot be simulated."""
     total = 0.0
     for window, state in zip(windows, states, strict=True):
         found = fit_state(plant, x, window, state, loss=loss, rounds=DELAY_ROUNDS)
@@ -194,19 +179,8 @@ def refit_poor_windows(
 ) -> Fit:
     """Fit again from other states of the windows that fit badly; return the better fit.
 
-    Parameters
-    ----------
-    plant, windows, found
-        What was fitted; `found` has not been interrupted.
-    known_noise : bool
-        Whether the windows' weights are those of declared noise, so that a value should cost about 1.
-    report : callable
-        Called with each round of the fits of all windows together.
-
-    Notes
-    -----
-    Outliers and gaps spoil the first guess of a state, and a joint that sticks in the simulation answers to no small
-    change. Where the simulation of the window before ends is another guess.
+    Outliers and gaps spoil first guesses of states, and a sticking joint has no gradient. `found` has not been
+    interrupted. With `known_noise` the weights are of declared noise: a value should cost about 1.
     """
     for _ in range(AGAIN):
         states, gained = list(found.states), False
@@ -226,26 +200,20 @@ def refit_poor_windows(
 
 
 def poor_windows(windows: Sequence[Window], found: Fit, *, known_noise: bool) -> list[int]:
-    """Return which windows cost much more a value than the median window, or than noise that is known explains."""
+    """Return the windows whose cost a value is far above the median, or above that of known noise."""
     each = zip(windows, found.states, found.residuals, strict=True)
-    costs = np.array([_window_cost(found, window, state, r) / window.values for window, state, r in each])
+    costs = np.array([found.window_cost(window, state, r) / window.values for window, state, r in each])
     limit = float(np.median(costs))
     return [int(k) for k in np.flatnonzero(costs > WORSE * (min(limit, 1.0) if known_noise else limit))]
-
-
-def _window_cost(found: Fit, window: Window, state: Array, residual: Array) -> float:
-    """Return the cost of a window with this state."""
-    prior = window.prior_residual(state)
-    return found.loss.cost(residual) + float(prior @ prior)
 
 
 def _better_state(plant: Plant, windows: Sequence[Window], found: Fit, states: list[Array], k: int) -> Array | None:
     """Return a state of window k that costs less than the present one, from the best of several starts; else None."""
     window = windows[k]
-    least, best = BETTER * _window_cost(found, window, found.states[k], found.residuals[k]), None
+    least, best = BETTER * found.window_cost(window, found.states[k], found.residuals[k]), None
     for start in _restart_states(plant, windows, found.x, states, k):
         tried = fit_state(plant, found.x, window, start, loss=found.loss)
-        if tried is not None and (cost := _window_cost(found, window, *tried)) < least:
+        if tried is not None and (cost := found.window_cost(window, *tried)) < least:
             least, best = BETTER * cost, tried[0]
     return best
 

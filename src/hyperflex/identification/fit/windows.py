@@ -24,10 +24,10 @@ STILL = 1e-3  # rad, a recording that moves less holds no dynamics
 
 @dataclass(frozen=True)
 class Window:
-    """What was measured over a short time, and where a fit may begin.
+    """Measurements over a short time, with a first guess of the state.
 
     t (m,) s; y (m, C) rad or m, with 0 in gaps; weight (m, C), 1 / rad or 1 / m, 0 in gaps; guess (2n,) of the state at
-    t[0]; prior (r, 2n): combinations of the state that are taken to be 0, each in units of its standard deviation.
+    t[0]; prior (r, 2n): linear combinations of the state that are 0, in units of their standard deviations.
     """
 
     t: Array
@@ -38,37 +38,34 @@ class Window:
 
     @property
     def values(self) -> int:
-        """How many values it holds, gaps left out."""
+        """Number of measured values, gaps left out."""
         return int(np.count_nonzero(self.weight))
 
-    def prior_residual(self, state: Array) -> Array:
-        """Return the residuals (r,) of a state under the prior."""
-        result: Array = self.prior @ state
-        return result
+    @property
+    def unknowns(self) -> int:
+        """Size of the state, less the rows of the prior."""
+        return int(self.guess.size - self.prior.shape[0])
+
+    def prior_cost(self, state: Array) -> float:
+        """Return the sum of squares of a state's residuals under the prior."""
+        residual = self.prior @ state
+        return float(residual @ residual)
 
 
 def usual_length(recording: Recording, rope: Rope) -> float:
-    """Return a window length (s): a small swing of a rod as long as the rope, or less where links turn fast.
-
-    It depends on what is known (lengths, gravity), not on the guess of what is not: nor does the fit, then.
-    """
+    """Return a window length (s): PART periods of a small swing of a rod as long as the rope, less for fast links."""
     gravity = float(np.hypot(*rope.gravity))
     period = 2.0 * np.pi * float(np.sqrt(2.0 * rope.total_length / (3.0 * gravity))) if gravity > 0.0 else 1.0
-    fastest = float(rms_rates(recording).max())
+    fastest = max(_rms_rate(recording.t, column) for column in recording.data.T)
     spacing = float(np.median(np.diff(recording.t)))
     return max(min(PART * period, TURN / fastest if fastest > 0.0 else np.inf), FEWEST * spacing)
 
 
 def with_enough_frames(length: float, recording: Recording) -> float:
-    """Return a window length (s), doubled until it holds enough frames: they may be few, or many lost."""
+    """Return a window length (s), doubled until it holds SEEN values of each link."""
     spacing = float(np.median(np.diff(recording.t)))
     seen = float((~np.isnan(recording.data)).mean(axis=0).min()) * length / spacing
     return float(length * 2.0 ** np.ceil(np.log2(SEEN / seen))) if 0.0 < seen < SEEN else length
-
-
-def rms_rates(recording: Recording) -> Array:
-    """Return the rms angular rate (n,) of each link, rad/s."""
-    return np.array([_rms_rate(recording.t, column) for column in recording.data.T])
 
 
 def _rms_rate(t: Array, angle: Array) -> float:
@@ -96,25 +93,20 @@ def decimation_step(recording: Recording, length: float) -> int:
 def cut_windows(
     recording: Recording, length: float, shape: Recording | None = None, prior: Array | None = None
 ) -> tuple[list[Window], int]:
-    """Cut a recording into windows side by side.
+    """Cut a recording into windows of `length` (s) side by side; return them and the number left out.
+
+    Windows are left out where some link has too few values, or too long a gap, to tell its angle and rate.
 
     Parameters
     ----------
     recording : Recording
-        Of angles, or of whatever is measured; its noise weighs it, without it all count alike.
+        Of any channels; weighted by its noise, equally without.
     length : float, s
-        Of each window; its samples lie in [start, start + length).
+        Samples of a window lie in [start, start + length).
     shape : Recording, optional
-        The angles that it shows, for first states; the recording itself by default.
+        Link angles, for first states; the recording itself by default.
     prior : (r, 2n), optional
         See :class:`Window`.
-
-    Returns
-    -------
-    windows : list of Window
-    dropped : int
-        Windows left out because some link has too few values in them, or is out of sight for too long, to tell its
-        angle and rate.
     """
     t, data, noise = recording.t, recording.data, recording.noise
     weight = np.where(np.isnan(data), 0.0, 1.0 if noise is None else 1.0 / noise)
@@ -128,15 +120,14 @@ def cut_windows(
         rows = number == k
         known = ~np.isnan(angles[rows])
         span = t[rows][-1] - t[rows][0]
-        if known.sum(axis=0).min() < LEAST or span < 0.5 * length or longest_gap(t[rows], known) > BLIND * span:
+        if known.sum(axis=0).min() < LEAST or span < 0.5 * length or _longest_gap(t[rows], known) > BLIND * span:
             dropped += 1
             continue
         windows.append(Window(t[rows], y[rows], weight[rows], first_state(t[rows], angles[rows]), prior))
     return windows, dropped
 
 
-def longest_gap(t: Array, known: npt.NDArray[np.bool_]) -> float:
-    """Return for how long (s) any link is out of sight at most; `known` (m, n) says when it is seen."""
+def _longest_gap(t: Array, known: npt.NDArray[np.bool_]) -> float:
     return max(float(np.diff(np.concatenate([t[:1], t[column], t[-1:]])).max()) for column in known.T)
 
 

@@ -14,7 +14,7 @@ from hyperflex.identification.fit.multiple_shooting import fit, one_thread
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.intervals import LEVEL, Interval
+from hyperflex.identification.uncertainty.intervals import LEVEL, Interval, checked_level
 from hyperflex.identification.uncertainty.noise import correlations
 from hyperflex.simulation.rollouts import progress_bar
 
@@ -28,7 +28,7 @@ class Bootstrap:
     names : tuple of str
         Of the P parameters, as in ``Identification.parameters``.
     samples : (B, P) array
-        What each fit found, SI units.
+        Fitted values, SI units.
     failed : int
         How many more fits failed.
     interrupted : bool
@@ -45,38 +45,28 @@ class Bootstrap:
         return f"<Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}: {', '.join(self.names)}>"
 
     def interval(self, name: str, level: float = LEVEL) -> Interval:
-        """Return the interval that leaves out (1 - level) / 2 of the samples of parameter `name` on either side.
-
-        Beside a bound such intervals do not hold the truth as often as `level` says; :func:`profile` does.
-        """
+        """Return the percentile interval of parameter `name`; beside a bound :func:`profile` covers better."""
         if name not in self.names:
             raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(self.names))
-        side = 0.5 * (1.0 - checks.number("level", level, sign="positive"))
-        if side <= 0.0:
-            raise InvalidInput("level is not a probability", got=level, allowed="between 0 and 1, such as 0.95")
+        side = 0.5 * (1.0 - checked_level(level))
         low, high = np.quantile(self.samples[:, self.names.index(name)], [side, 1.0 - side])
         return Interval(float(low), float(high), "bootstrap", level=level)
 
 
 @one_thread()
 def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progress: bool = False) -> Bootstrap:
-    """Simulate recordings like the one that was fitted, fit each, and return what they find.
+    """Simulate recordings like the one that was fitted, and fit each (parametric bootstrap).
 
     Parameters
     ----------
     found : Identification
-        What :func:`identify` gave back, in the same session.
+        Of :func:`identify`, in the same session.
     count : int
-        How many recordings.
+        Number of recordings.
     seed : int
         Of all draws; draw number b is the same whatever `count` is.
     progress : bool
         Show a bar on standard error.
-
-    Returns
-    -------
-    Bootstrap
-        Of the recordings done so far if Ctrl-C ends it early.
 
     Raises
     ------
@@ -89,8 +79,8 @@ def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progres
     -----
     The fitted windows are simulated from the fitted states and parameters, at the same times, with the same gaps.
     Squares: normal noise of the residuals' variance and autoregression is added. Robust losses: residuals are drawn
-    with replacement, outliers among them, and taken as white. Each fit starts from the optimum, so that another
-    minimum far off is not found. Cost: `count` fits of a few rounds.
+    with replacement and taken as white. Each fit starts from the optimum, so other minima are not found. Ctrl-C
+    returns what is done. Cost: `count` fits of a few rounds.
     """
     basis = found.basis
     count, seed = checks.count("count", count), checks.count("seed", seed, least=0)
@@ -130,24 +120,24 @@ def _refitted(basis: Basis, windows: list[Window]) -> Array | None:
 
 
 class _Noise:
-    """Draws noise like the residuals, and adds it to what is seen without."""
+    """Draws noise like the residuals."""
 
     def __init__(self, basis: Basis) -> None:
         self.windows, information = basis.windows, basis.information
         self.scale = float(np.sqrt(information.variance))
         longest = max(window.t.size for window in self.windows)
         lags = np.abs(np.subtract.outer(np.arange(longest), np.arange(longest)))
-        self.root = (
-            np.linalg.cholesky(correlations(information.terms, longest)[lags]) if information.terms.size else None
-        )
+        correlated = information.terms.size > 0
+        self.root = np.linalg.cholesky(correlations(information.terms, longest)[lags]) if correlated else None
         self.drawn: Array | None = None
         if basis.fit.loss.name != "squares":
             parts = [r[w.weight.ravel() > 0.0] for r, w in zip(basis.fit.residuals, self.windows, strict=True)]
             residuals = np.concatenate(parts)
-            self.drawn = residuals * np.sqrt(residuals.size / max(1.0, residuals.size - _unknowns(basis)))
+            unknowns = sum(w.unknowns for w in self.windows) + len(basis.plant.parameters)
+            self.drawn = residuals * np.sqrt(residuals.size / max(1.0, residuals.size - unknowns))
 
     def add(self, clean: list[Array], random: np.random.Generator) -> list[Window]:
-        """Return the windows with new values (m, C)."""
+        """Return the windows with noise added to the predictions `clean`, each (m, C)."""
         windows = []
         for window, seen in zip(self.windows, clean, strict=True):
             known = window.weight > 0.0
@@ -161,9 +151,3 @@ class _Noise:
             return random.choice(self.drawn, shape)
         white = random.standard_normal(shape)
         return self.scale * (white if self.root is None else self.root[: shape[0], : shape[0]] @ white)
-
-
-def _unknowns(basis: Basis) -> int:
-    """Return how many numbers the fit has found: parameters, and states less the rows of their prior."""
-    states: int = sum(s.size - w.prior.shape[0] for s, w in zip(basis.fit.states, basis.windows, strict=True))
-    return states + len(basis.plant.parameters)

@@ -26,14 +26,14 @@ TOUCHED = 1e-3  # a parameter or ratio is unknown when this part of it lies in a
 
 @dataclass(frozen=True)
 class Information:
-    """What the windows tell about the parameters, in units of `widths` (see ``Parameters.widths``).
+    """Fisher information of the windows about the parameters, in units of `widths` (see ``Parameters.widths``).
 
     singular (P,): of the derivatives of all residuals, states eliminated, largest first. known (P, k) and unknown
     (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. correlation: autocorrelation time of
     the residuals, samples. plain (P, P): the covariance if the residuals were white. variance: of what each residual
-    counts. freedom: of that variance, in independent values, 1 at least. terms (k,): of the residuals' autoregression;
-    agrees: whether that leaves such residuals. whiteness: probability that white noise leaves such residuals. follow:
-    how each window's state moves with x (2n, P). growing (P,): which parameters stand in an unknown common factor.
+    counts. freedom: its degrees of freedom, 1 at least. terms (k,): of the residuals' autoregression; agrees: whether
+    that explains the residuals. whiteness: p-value of white noise. follow: derivative of each window's state by x
+    (2n, P). growing (P,): which parameters stand in an unknown common factor.
     """
 
     x: Array
@@ -53,7 +53,7 @@ class Information:
     growing: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def spread(self, gradient: Array) -> Array:
-        """Return the sd (k,) of functions of x with the given gradients (k, P); inf where x alone cannot tell."""
+        """Return standard deviations (k,) of functions of x with gradients (k, P); inf where x alone cannot tell."""
         variance = np.einsum("ij,jk,ik->i", gradient, self.covariance, gradient)
         scaled = gradient * self.widths
         length = np.sqrt((scaled**2).sum(axis=1))
@@ -61,14 +61,14 @@ class Information:
         return np.where(beyond & (length > 0.0), np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
     def deviations(self, slopes: Array) -> Array:
-        """Return the sd (P,) of the parameters' values, `slopes` (P,) of their x; inf where they cannot be known."""
+        """Return standard deviations (P,) of the values, `slopes` (P,) d value / d x; inf where unknown."""
         own = self.spread(np.diag(slopes))
         return np.where(self.growing, np.inf, own) if self.growing.size else own
 
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """What further questions about a fit need: the plant, its windows, where the fit stands, and what they tell."""
+    """A fit, its model and windows, and what they tell about the parameters."""
 
     plant: Plant
     windows: list[Window]
@@ -77,22 +77,20 @@ class Basis:
 
 
 def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
-    """Return what the fit's windows tell.
+    """Return what the fit's windows tell, at the cost of one round of the fit.
 
     Notes
     -----
-    Covariance A^+ M A^+ of x, with S the derivatives of the residuals less what the states absorb:
+    Sandwich covariance A^+ M A^+ of x, with S the derivatives of the residuals less what the states absorb:
 
     - A = mean(psi') S^T S, and what each residual counts has the variance s^2 = K^2 sum(psi^2) / freedom / mean(psi'),
       where psi is half the slope of the loss and K = 1 + (p / n) var(psi') / mean(psi')^2 (Huber, Robust Statistics,
       section 7.6). For squares psi is the residual and s^2 their variance.
     - M = s^2 S^T R S: R are the autocorrelations of the residuals as an autoregression, one for all channels and
-      windows, corrected for what the fit absorbs; 1 where BIC sees none. So noise counts at the frequencies at which a
-      parameter acts.
+      windows, corrected for what the fit absorbs; 1 where BIC sees none.
 
     Assumed are residuals of one stationary process, independent between channels and windows, at times that are about
-    even, and weights that are right up to a common factor. Model error is no such process: what repeats from window to
-    window is in no way covered. The cost is that of one round of the fit.
+    even, and weights that are right up to a common factor. Model errors are not covered.
     """
     widths, total = plant.parameters.widths, len(plant.parameters)
     slopes = _sensitivities(windows, fit)
@@ -135,7 +133,7 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> In
 class _Model:
     """A window at the optimum: derivatives less what its state absorbs (M, P), and what that is.
 
-    own (M, 2n): orthonormal directions of the state. follow (2n, P): how the state moves with the parameters.
+    own (M, 2n): orthonormal directions of the state. follow (2n, P): derivative of the state by the parameters.
     influence, seen (m, C): psi of the residuals, and 0 in gaps, else 1. The first m C of M rows are the window's
     values, the rest the prior.
     """
@@ -188,10 +186,10 @@ def _svd(rows: Sequence[Array], total: int) -> tuple[Array, Array]:
 
 
 def ratios(rope: Rope, *, every: bool = False) -> dict[str, Array]:
-    """Return what a motion without known forces can tell at most, each (n,), over p1 = p of link 0.
+    """Return the ratios over p1 = p of link 0 that are identifiable without known forces, each (n,).
 
-    ``J/p1`` (m), ``p/p1``, ``c/p1`` (m/s), and where the rope has them (or all of them, with `every`) the other
-    resistances, ``tau_d/p1`` and ``k/p1`` (m/s^2).
+    ``J/p1`` (m), ``p/p1``, ``c/p1`` (m/s), and of the other resistances those that the rope has (all, with `every`),
+    ``tau_d/p1`` and ``k/p1`` (m/s^2).
     """
     p, inertia = lumped(rope)
     resistances = {each.symbol: getattr(rope, each.name) for each in RESISTANCES}
@@ -200,7 +198,7 @@ def ratios(rope: Rope, *, every: bool = False) -> dict[str, Array]:
 
 
 def ratio_spread(parameters: Parameters, information: Information) -> dict[str, Array]:
-    """Return the sd (n,) of each ratio by the delta method; inf where even the ratio cannot be known."""
+    """Return standard deviations (n,) of each ratio by the delta method; inf where it cannot be known."""
     x, names = information.x, ratios(parameters.rope(information.x))
     step = 1e-6
     columns = []

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.fit.multiple_shooting import Report
+from hyperflex.identification.fit.multiple_shooting import Report, with_entries
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.intervals import LEVEL, Interval, from_covariance
 from hyperflex.identification.uncertainty.profile import BETTER, Profile, profiled
@@ -23,22 +23,10 @@ MOST = 4  # profiles that "auto" takes on, each as dear as two or three fits
 def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Report | None = None) -> dict[str, Interval]:
     """Return intervals of all free parameters, by label.
 
-    Parameters
-    ----------
-    basis : Basis
-    how : {"auto", "covariance", "profile"}
-        ``auto`` profiles up to four parameters whose covariance is skewed: a non-negative one within four sd of 0,
-        those that correlate with it, and those along which the squares do not rise as a parabola does; of more, those
-        nearest to their bounds in sd.
-    level : float
-        How often they shall hold the truth.
-    report : callable, optional
-        Hears of each round of each profile: what it hears of a fit's rounds, but the stages are the parameters, and
-        ``phase`` is "profile"; and the ``parameter``.
-
-    Notes
-    -----
-    Ctrl-C leaves those from the covariance for what was not profiled yet.
+    ``auto`` profiles up to four parameters whose covariance is skewed: within four standard deviations of a bound,
+    correlated with such a one, or with squares that do not rise as a parabola; of more, those nearest to their bounds.
+    `report` gets each round of each profile, with its ``parameter`` and ``phase="profile"``. Ctrl-C leaves what was not
+    profiled yet with intervals from the covariance.
     """
     result = {label: from_covariance(basis, which, level) for which, label in enumerate(basis.plant.parameters.labels)}
     labels = list(result)
@@ -50,20 +38,15 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Repor
         length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
         for number, k in enumerate(chosen):
             at = {"phase": "profile", "parameter": labels[k], "window": length, "stage": number, "stages": len(chosen)}
-            found = profiled(basis, k, level, report=None if report is None else _with(report, at))
-            remark = _remark(found)
-            result[labels[k]] = Interval(found.low, found.high, found.kind, found.ends, level, remark)
+            found = profiled(basis, k, level, report=None if report is None else with_entries(report, at))
+            result[labels[k]] = Interval(found.low, found.high, found.kind, found.ends, level, _remark(found))
     except KeyboardInterrupt:
         pass
     return result
 
 
-def _with(report: Report, at: dict[str, Any]) -> Report:
-    return lambda entry: report(entry | at)
-
-
 def _remark(found: Profile) -> str:
-    """Return what a profile met on its way that a reader should know."""
+    """Return a warning about a profile, or ""."""
     if found.gain > BETTER:
         return (
             f"Beside {found.name} the squares fall {found.gain:.3g} residual variances below those of this fit: it is "
@@ -78,17 +61,17 @@ def _remark(found: Profile) -> str:
 
 
 def skewed(basis: Basis, which: int) -> bool:
-    """Tell whether the covariance does not do for a parameter.
+    """Tell whether the covariance does not suffice for a parameter.
 
-    Beside a bound, its own or that of one it correlates with; or where two sd away, on the straight line along which
-    the covariance sends states and parameters, the squares rise otherwise than by four. Two rollouts of all windows.
+    Beside a bound, its own or that of one it correlates with; or where, two standard deviations away along the line of
+    the covariance, the squares rise otherwise than by four. Two rollouts of all windows.
     """
     information = basis.information
-    covariance, sd = information.covariance, np.sqrt(np.diag(information.covariance))
+    covariance, std = information.covariance, np.sqrt(np.diag(information.covariance))
     near = np.flatnonzero(near_bounds(covariance, information.x - basis.plant.parameters.lower))
-    if sd[which] == 0.0:
+    if std[which] == 0.0:
         return False
-    if any(abs(covariance[which, k]) > TIED * sd[which] * sd[k] for k in near):
+    if any(abs(covariance[which, k]) > TIED * std[which] * std[k] for k in near):
         return True
     for step in (-2.0, 2.0):
         move = step * information.plain[:, which] / np.sqrt(information.plain[which, which])
@@ -99,11 +82,11 @@ def skewed(basis: Basis, which: int) -> bool:
 
 
 def _skewed_parameters(basis: Basis) -> list[int]:
-    """Return which parameters "auto" profiles."""
+    """Return the parameters that "auto" profiles."""
     information = basis.information
-    sd = np.sqrt(np.diag(information.covariance))
-    above = (information.x - basis.plant.parameters.lower) / np.where(sd > 0.0, sd, 1.0)
-    known = np.isfinite(information.deviations(np.ones(sd.size)))
+    std = np.sqrt(np.diag(information.covariance))
+    above = (information.x - basis.plant.parameters.lower) / np.where(std > 0.0, std, 1.0)
+    known = np.isfinite(information.deviations(np.ones(std.size)))
     chosen: list[int] = []
     for k in np.argsort(above, kind="stable"):
         if len(chosen) < MOST and known[k] and skewed(basis, int(k)):
@@ -112,12 +95,12 @@ def _skewed_parameters(basis: Basis) -> list[int]:
 
 
 def _rise(basis: Basis, move: Array) -> float | None:
-    """Return by how much the cost rises, over the residual variance, where x and all states move in a straight line."""
+    """Return the rise of the cost over the residual variance, x and states moved along a straight line."""
     found, total = basis.fit, 0.0
     for window, state, follow in zip(basis.windows, found.states, basis.information.follow, strict=True):
         moved = state + follow @ move
         residual = basis.plant.residual(found.x + move, window, moved)
         if residual is None:
             return None
-        total += found.loss.cost(residual) + float((prior := window.prior_residual(moved)) @ prior)
+        total += found.window_cost(window, moved, residual)
     return (total - found.cost) / basis.information.variance

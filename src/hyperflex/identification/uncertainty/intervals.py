@@ -7,7 +7,9 @@ from typing import Literal
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.threshold import quantile
 
@@ -18,12 +20,11 @@ SIGNED = ("p/p1",)  # ratios that may be negative: a centre of mass behind its j
 
 @dataclass(frozen=True)
 class Interval:
-    """Where a number lies, SI units.
+    """Confidence interval, SI units.
 
-    `kind` says how it was found: ``covariance`` (Student's quantile times the standard deviation), ``profile``,
-    ``bootstrap``, or ``unknown`` where the data set no limits. `ends` says of either end whether it is one
-    (``crossed``), the parameter's own bound (``bound``), or no limit at all (``open``). `remark` tells what went wrong
-    on the way, or nothing.
+    `kind` is its method: ``covariance`` (Student's quantile times the standard deviation), ``profile``, ``bootstrap``,
+    or ``unknown`` where the data set no limits. `ends`: ``crossed``, the parameter's own ``bound``, or ``open``.
+    `remark` tells what went wrong, or nothing.
     """
 
     low: float
@@ -40,34 +41,31 @@ class Interval:
         return self.low <= value <= self.high
 
 
+def checked_level(level: float) -> float:
+    """Return a confidence level, refused outside of 0 to 1."""
+    if checks.number("level", level, sign="positive") >= 1.0:
+        raise InvalidInput("level is not a probability", got=level, allowed="between 0 and 1, such as 0.95")
+    return float(level)
+
+
 def from_covariance(basis: Basis, which: int, level: float = LEVEL) -> Interval:
-    """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
+    """Return the interval of parameter number `which` from its standard deviation, within its bound."""
     information, parameter = basis.information, basis.plant.parameters.all[which]
-    if not np.isfinite(information.deviations(np.ones(information.x.size))[which]):
+    std = float(information.deviations(np.ones(information.x.size))[which])
+    if not np.isfinite(std):
         low = -np.inf if parameter.form == "linear" else 0.0
         return Interval(low, np.inf, "unknown", ("open" if low else "bound", "open"), level)
-    low, high, ends = by_covariance(basis, which, level)
-    return Interval(low, high, "covariance", ends, level)
-
-
-def by_covariance(basis: Basis, which: int, level: float) -> tuple[float, float, tuple[End, End]]:
-    """Return the interval of parameter number `which` as its standard deviation gives it, within its bound."""
-    information, parameter = basis.information, basis.plant.parameters.all[which]
     least, x = float(basis.plant.parameters.lower[which]), float(information.x[which])
-    sd = float(information.deviations(np.ones(information.x.size))[which])
-    half = sd * float(np.sqrt(quantile(level, information.freedom)))
-    end: End = "bound" if x - half < least else "crossed"
-    return parameter.value(max(x - half, least)), parameter.value(x + half), (end, "crossed")
+    half = std * float(np.sqrt(quantile(level, information.freedom)))
+    ends: tuple[End, End] = ("bound" if x - half < least else "crossed", "crossed")
+    return Interval(parameter.value(max(x - half, least)), parameter.value(x + half), "covariance", ends, level)
 
 
-def of_ratios(ratios: dict[str, Array], sd: dict[str, Array], freedom: float) -> dict[str, Interval]:
-    """Return intervals of the ratios, by name and link, e.g. ``J/p1[0]``, from their standard deviations.
-
-    They end at 0 where the ratio cannot be negative.
-    """
+def of_ratios(ratios: dict[str, Array], std: dict[str, Array], freedom: float) -> dict[str, Interval]:
+    """Return intervals of the ratios by name and link (``J/p1[0]``), from their standard deviations, within bounds."""
     times, result = float(np.sqrt(quantile(LEVEL, freedom))), {}
     for name, values in ratios.items():
-        for k, (value, spread) in enumerate(zip(values, sd[name], strict=True)):
+        for k, (value, spread) in enumerate(zip(values, std[name], strict=True)):
             if not np.isfinite(spread):
                 low = -np.inf if name in SIGNED else 0.0
                 result[f"{name}[{k}]"] = Interval(low, np.inf, "unknown", ("bound" if low == 0.0 else "open", "open"))

@@ -41,15 +41,13 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     terms (k,)
         The a_j, always of a stationary process.
     agrees : bool
-        Whether such a process, after the fit has absorbed its part, would leave the autocorrelations that the residuals
-        show. Where none is found the terms are those of Yule and Walker for the residuals as they are.
+        Whether that process, less what the fit absorbs, has the residuals' autocorrelations. If not, the terms are
+        those of Yule and Walker for the residuals as they are.
 
     Notes
     -----
-    All channels and windows are taken as pieces of one stationary process; k is chosen by BIC. What is searched are
-    the partial autocorrelations, kept within NEAR_ONE and LATER, by damped steps that only ever lessen the misfit:
-    where slow noise is nearly all absorbed, giving back what is missing in full at each round would run away. Lags
-    count samples: times are taken as even. Cost: a few Fourier transforms (m, C K) a window.
+    One process for all channels and windows; k is chosen by BIC. Partial autocorrelations, within NEAR_ONE and LATER,
+    are found by damped Gauss-Newton steps. Times are taken as even. Cost: a few Fourier transforms (m, C K) a window.
     """
     observed = _lagged_products(pieces)
     longest = max(piece.residual.shape[0] for piece in pieces)
@@ -130,7 +128,7 @@ def autocorrelation(residuals: Sequence[Array]) -> float:
     sums = np.zeros(longest)
     for r in residuals:
         for lag in range(r.shape[0]):
-            sums[lag] += float((r[lag:] * r[: r.shape[0] - lag]).sum())
+            sums[lag] += _lagged_product(r, lag)
     if sums[0] <= 0.0:
         return 1.0
     part = sums / sums[0]
@@ -140,7 +138,7 @@ def autocorrelation(residuals: Sequence[Array]) -> float:
 
 
 def expected_products(pieces: Sequence[Piece], most: int) -> Array:
-    """Return what makes of autocorrelations (m,) the mean of `_lagged` (most + 1,): a matrix (most + 1, m).
+    """Return the matrix (most + 1, m) from autocorrelations (m,) to expected `_lagged_products` (most + 1,).
 
     For noise of variance 1: the trace over lags of (1 - Q Q^T) R (1 - Q Q^T), Q the basis. R holds each autocorrelation
     on two diagonals, whose sums are products of Fourier transforms.
@@ -161,20 +159,13 @@ def expected_products(pieces: Sequence[Piece], most: int) -> Array:
             sums = np.fft.irfft(total, 2 * m)
             result[lag, 0] += sums[0]
             result[lag, 1:m] += sums[1:m] + sums[:m:-1]
-            result[lag, lag] += _lagged_product(seen, seen, lag)
+            result[lag, lag] += _lagged_product(seen, lag)
     return result
 
 
 def _bic(parts: Array, count: float) -> float:
-    """Return what BIC makes of partial autocorrelations, less what it makes of none."""
+    """Return the BIC of partial autocorrelations, less that of none."""
     return count * float(np.log(1.0 - parts**2).sum()) + parts.size * float(np.log(count))
-
-
-def _residual_correlations(response: Array, terms: Array) -> Array:
-    """Return the autocorrelations (k,) that residuals show on average; `response` (k + 1, m) as of `expected`."""
-    sums = response @ correlations(terms, response.shape[1])
-    result: Array = sums[1:] / max(float(sums[0]), 1e-300)
-    return result
 
 
 def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Array, float]:
@@ -183,7 +174,8 @@ def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Arr
     z = np.arctanh(np.clip(start / bound, -0.99, 0.99))
 
     def miss(at: Array) -> Array:
-        return _residual_correlations(response, ar_coefficients(bound * np.tanh(at))) - target
+        sums = response @ correlations(ar_coefficients(bound * np.tanh(at)), response.shape[1])
+        return np.asarray(sums[1:] / max(float(sums[0]), 1e-300) - target)
 
     away, damping = miss(z), 1e-3
     for _ in range(ROUNDS):
@@ -208,10 +200,10 @@ def _lagged_products(pieces: Sequence[Piece]) -> Array:
     sums = np.zeros(min(longest, MOST_TERMS + 1))
     for piece in pieces:
         for lag in range(min(sums.size, piece.residual.shape[0])):
-            sums[lag] += _lagged_product(piece.residual, piece.residual, lag)
+            sums[lag] += _lagged_product(piece.residual, lag)
     return sums
 
 
-def _lagged_product(first: Array, second: Array, lag: int) -> float:
-    """Return the sum of products of values `lag` samples apart; of what is (m, C) or (m, C, K)."""
-    return float((first[lag:] * second[: second.shape[0] - lag]).sum())
+def _lagged_product(values: Array, lag: int) -> float:
+    """Return the sum of products of values (m, C) `lag` samples apart."""
+    return float((values[lag:] * values[: values.shape[0] - lag]).sum())

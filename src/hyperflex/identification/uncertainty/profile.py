@@ -14,12 +14,12 @@ from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.intervals import End, by_covariance
+from hyperflex.identification.uncertainty.intervals import End, checked_level, from_covariance
 from hyperflex.identification.uncertainty.threshold import quantile, threshold
 from hyperflex.model import Rope
 
 FINISH = 1e-2  # gain of a round, in units of the residual variance, below which a point of the profile has settled
-CLOSE = 0.01  # sd to which an end is found
+CLOSE = 0.01  # std to which an end is found
 LONGEST = 3.0  # factor by which a step may grow
 TRIES = 25  # points on either side
 MOST_ROUNDS = 100  # of all fits on one side; usual are ten
@@ -28,31 +28,30 @@ BETTER = 1.0  # fall of the squares, over the residual variance, from which anot
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """An interval by profile likelihood, and the curve that it comes from.
+    """Profile likelihood of one parameter, and its interval.
 
     Attributes
     ----------
     name : str
         Of the parameter, as in ``Identification.parameters``.
     low, high : float
-        The interval in SI units. `low` is the bound, 0, where the data allow it; `high` is inf, or `low` -inf, where
-        no limit was found.
+        The interval, SI units; inf where the data set no limit.
     level : float
-        How often such intervals hold the truth.
+        Confidence level.
     ends : tuple of str
         Of either end: ``crossed`` where the curve crosses the limit, ``bound`` where the parameter's own bound comes
-        first, ``open`` where neither was found (the data set no limit, or the rope cannot be simulated there).
+        first, ``open`` where neither was found (no limit in the data, or the rope cannot be simulated there).
     values, rise, limit : (K,) array
-        The curve: values of the parameter (SI units, increasing), the least sum of squares there over the residual
-        variance, less that of the optimum, and the rise at which a value is refused.
+        The curve: values of the parameter (SI units, increasing), rise of the least sum of squares over the residual
+        variance, and the rise at which a value is refused.
     kind : str
-        ``profile``; ``covariance`` where the curve was too dear to follow to its ends: the interval is then that of
-        the standard deviation.
+        ``profile``; ``covariance`` where the curve took too many rounds: the interval is then that of the standard
+        deviation.
     gain : float
-        By how much the squares fell below those of the result on the way, over the residual variance; 0 if they did
-        not. Beyond 1 the result is not the best fit, and the interval means little.
+        By how much the sum of squares fell below that of the result, over the residual variance. Beyond 1 the result is
+        not the best fit, and the interval means little.
     better : Rope or None
-        The rope at the least of these, where `gain` is beyond 1: a guess for another fit.
+        The rope of least squares, where `gain` is beyond 1: a guess for another fit.
     """
 
     name: str
@@ -79,7 +78,7 @@ class _Point:
 
     @property
     def excess(self) -> float:
-        """How far beyond the limit it stands, in sd; negative within."""
+        """How far beyond the limit it stands, in std; negative within."""
         return float(np.sqrt(max(self.rise, 0.0)) - np.sqrt(self.limit))
 
 
@@ -91,19 +90,15 @@ def profile(
     Parameters
     ----------
     found : Identification
-        What :func:`identify` gave back, in the same session.
+        Of :func:`identify`, in the same session.
     name : str
         One of ``found.parameters``, e.g. ``inertia:shared``.
     level : float
-        How often such intervals shall hold the truth.
+        Confidence level.
     points : int
         So many more points of the curve on either side, for drawing.
     progress : callable, optional
-        Hears of each round of each fit, as that of :func:`identify` does.
-
-    Returns
-    -------
-    Profile
+        Gets each round of each fit, as that of :func:`identify` does.
 
     Raises
     ------
@@ -112,16 +107,12 @@ def profile(
 
     Notes
     -----
-    At each value all other parameters and states are fitted again, starting from where the last point leads in a
-    straight line. The rise of the squares is compared with F(1, freedom), or beside a bound with the distribution
-    that the bound leaves (see ``threshold``). Autocorrelation divides it by the factor by which it widens the variance;
-    robust losses count as in :func:`estimate_covariance`. Cost: about three fits of two or three rounds on either side;
-    after a hundred rounds a side is given up.
+    At each value all other parameters and states are fitted again, starting from a linear extrapolation of the last
+    point. The rise of the squares, divided by the factor by which autocorrelation widens the variance, is compared with
+    F(1, freedom), or beside a bound with the distribution there (see ``threshold``). Robust losses are treated as in
+    :func:`estimate_covariance`. Cost: about three fits of two or three rounds a side, a hundred rounds at most.
     """
-    basis = found.basis
-    level = checks.number("level", level, sign="positive")
-    if level >= 1.0:
-        raise InvalidInput("level is not a probability", got=level, allowed="between 0 and 1, such as 0.95")
+    basis, level = found.basis, checked_level(level)
     labels = basis.plant.parameters.labels
     if name not in labels:
         raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(labels))
@@ -145,8 +136,8 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Re
         high = parameter.value(above) if np.isfinite(above) else np.inf
         ends = first, second
     except _BudgetExceeded:
-        kind = "covariance"
-        low, high, ends = by_covariance(basis, which, level)
+        kind, interval = "covariance", from_covariance(basis, which, level)
+        low, high, ends = interval.low, interval.high, interval.ends
     if points:
         walk.fill(points)
     known = sorted((p for p in walk.points if np.isfinite(p.rise)), key=lambda p: float(p.x[which]))
@@ -175,7 +166,7 @@ class _ProfileSearch:
         self.lower = basis.plant.parameters.lower
         self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
         self.column = information.covariance[:, which] / information.covariance[which, which]
-        self.sd = float(np.sqrt(information.covariance[which, which]))
+        self.std = float(np.sqrt(information.covariance[which, which]))
         self.unit = information.variance * float(information.covariance[which, which] / information.plain[which, which])
         self.enough = FINISH * information.variance / max(found.cost, 1e-300)
         best = self._fit(found.x, found.states, 10)
@@ -218,12 +209,12 @@ class _ProfileSearch:
         return None
 
     def side(self, sign: float) -> tuple[float, End]:
-        """Return x of the end of the interval below (-1) or above (1) the optimum, and what it is."""
+        """Return x of the end of the interval below (-1) or above (1) the optimum, and its kind."""
         self.budget = MOST_ROUNDS
         bound = float(self.lower[self.which]) if sign < 0.0 else np.inf
         inside, outside = self.points[0], None
         origin = float(inside.x[self.which])
-        step = self.sd * float(np.sqrt(quantile(self.level, self.basis.information.freedom)))
+        step = self.std * float(np.sqrt(quantile(self.level, self.basis.information.freedom)))
         value = origin + sign * step
         for _ in range(TRIES):
             value = max(value, bound) if sign < 0.0 else value
@@ -244,7 +235,7 @@ class _ProfileSearch:
         return float(outside.x[self.which]), "crossed"
 
     def _next(self, origin: float, inside: _Point, outside: _Point | None, step: float) -> float:
-        """Return where to look next: where the root of the rise, as good as a straight line, meets the limit."""
+        """Return where to look next: where the root of the rise, taken as linear, meets the limit."""
         here = float(inside.x[self.which])
         if outside is None:
             root = max(float(np.sqrt(max(inside.rise, 0.0) / inside.limit)), 1.0 / LONGEST)

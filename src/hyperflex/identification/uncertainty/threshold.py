@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 
-NEAR = 4.0  # sd: a bound so far off is not felt
+NEAR = 4.0  # std: a bound so far off is not felt
 DRAWS = 4000  # their chance error is mostly cancelled by that of the F quantile on the same draws
 SWEEPS = 300  # of coordinate descent, at most
-SETTLED = 1e-4  # sd
+SETTLED = 1e-4  # std
 SEED = 1
 Mask = npt.NDArray[np.bool_]
 
@@ -32,33 +32,28 @@ def quantile(level: float, freedom: float) -> float:
 
 
 def near_bounds(covariance: Array, above: Array) -> Mask:
-    """Return which parameters (P,) stand less than NEAR sd `above` their bounds (P,), inf where there is none."""
-    sd = np.sqrt(np.diag(covariance))
-    result: Mask = (above < NEAR * sd) & (sd > 0.0)
+    """Return which parameters (P,) are less than NEAR standard deviations `above` their bounds (P,), inf for none."""
+    std = np.sqrt(np.diag(covariance))
+    result: Mask = (above < NEAR * std) & (std > 0.0)
     return result
 
 
 def threshold(level: float, freedom: float, which: int, covariance: Array, above: Array) -> float:
-    """Return the rise, over the residual variance, at which the value of one parameter is refused.
+    """Return the rise, over the residual variance, at which the value of parameter `which` is refused.
 
     Parameters
     ----------
-    level : float
-        Part of all experiments in which the interval shall hold the truth.
-    freedom : float
-        Of the residual variance.
-    which : int
-        Which parameter is tested.
+    level, freedom : float
+        Confidence level; degrees of freedom of the residual variance.
     covariance : (P, P) array
         As it would be without bounds.
     above : (P,) array
-        How far the parameters stand above their bounds, at the value that is tested and what the others take there;
-        inf where there is no bound.
+        Distance above the bounds, at the tested value and the others' estimates there; inf where there is no bound.
 
     Notes
     -----
-    The others stand at their estimates, not at the truth: beside a bound of another parameter the level is met nearly,
-    not exactly. About 1 ms a bound that is felt.
+    The other parameters stand at their estimates, not at the truth: the level is met nearly, not exactly. About 1 ms a
+    bound that is near.
     """
     usual = quantile(level, freedom)
     chosen = np.flatnonzero(near_bounds(covariance, above))
@@ -67,13 +62,13 @@ def threshold(level: float, freedom: float, which: int, covariance: Array, above
         return usual
     index = np.append(which, others)
     part = covariance[np.ix_(index, index)]
-    sd = np.sqrt(np.diag(part))
-    scaled = part / np.outer(sd, sd)
+    std = np.sqrt(np.diag(part))
+    scaled = part / np.outer(std, std)
     normal, size = _draws(index.size, freedom)
     values, vectors = np.linalg.eigh(scaled)
     shifted = normal @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
     inverse = np.linalg.pinv(scaled, rcond=1e-10, hermitian=True)
-    limit = np.where(np.isfinite(above[index]), -above[index] / sd, -np.inf)
+    limit = np.where(np.isfinite(above[index]), -above[index] / std, -np.inf)
     rise = _rise(shifted, inverse, limit, tested=True) - _rise(shifted, inverse, limit, tested=False)
     plain = shifted[:, 0] ** 2
     return usual * float(np.quantile(rise / size, level) / np.quantile(plain / size, level))
@@ -105,7 +100,7 @@ def _rise(points: Array, inverse: Array, limit: Array, *, tested: bool) -> Array
 
 
 def _descend(points: Array, away: Array, inverse: Array, limit: Array, free: npt.NDArray[np.intp]) -> Array:
-    """Return the best v - u (N, k) within the limits, coordinate by coordinate; those not `free` stay."""
+    """Return the best v - u (N, k) within the limits by coordinate descent; those not `free` stay."""
     for _ in range(SWEEPS):
         moved = 0.0
         for j in free:

@@ -13,22 +13,14 @@ LAGS = 10  # samples, or a quarter of the shortest window
 
 
 def whiteness(parts: Sequence[Piece]) -> float:
-    """Return the probability that white noise would leave residuals as autocorrelated as these.
-
-    Parameters
-    ----------
-    parts : sequence of Piece
-        One a window; windows are taken as independent of each other.
+    """Return the p-value of the residuals' autocorrelation under white noise; 1 where they are too few to tell.
 
     Notes
     -----
-    Fewer than two samples a window, or nothing left at all, tell nothing: 1. Otherwise the products of residuals k
-    samples apart, k = 1..10, summed over channels and windows, are compared with their mean and covariance under white
-    noise (Ljung and Box 1978, doi:10.1093/biomet/65.2.297; for several channels Hosking 1980,
-    doi:10.1080/01621459.1980.10477520). Channels may be correlated with each other, as angles of neighbouring links are
-    that share a marker. A fit takes part of the noise out and makes what is left negatively correlated; with many
-    windows, each with a state of its own, that alone would look like colour. Mean and covariance are those of projected
-    noise, so it does not.
+    Portmanteau test: products of residuals k samples apart, k = 1..10, summed over channels and windows, are compared
+    with their mean and covariance under white noise (Ljung and Box 1978, doi:10.1093/biomet/65.2.297; for several
+    channels Hosking 1980, doi:10.1080/01621459.1980.10477520). Channels may be correlated with each other. The moments
+    are those of noise projected as the fit projects it, since that alone makes residuals negatively correlated.
     """
     from scipy.special import gammaincc
 
@@ -86,7 +78,7 @@ def _moments(part: Piece, spread: Array, lags: Array) -> tuple[Array, Array]:
 
 
 def _neighbours(values: Array, lag: int) -> Array:
-    """Return half of what is `lag` samples before and after each (m, ...), nothing beyond the ends."""
+    """Return half the sum of the values `lag` samples before and after each (m, ...), 0 beyond the ends."""
     result = np.zeros_like(values)
     result[lag:] += 0.5 * values[:-lag]
     result[:-lag] += 0.5 * values[lag:]
@@ -97,14 +89,12 @@ FILLED = 20  # a clock with more ticks than this for each sample would be nearly
 
 
 def correlogram(t: Array, residuals: Array, lags: int) -> tuple[Array, Array, Array]:
-    """Return the autocorrelation of residuals, gaps left out.
+    """Return the autocorrelation of residuals (m, C), NaN in gaps, at times t (m,), s.
 
     Parameters
     ----------
     t : (m,) array, s
-        Increasing.
     residuals : (m, C) array
-        NaN in gaps.
     lags : int
         The greatest lag, in samples.
 
@@ -119,8 +109,7 @@ def correlogram(t: Array, residuals: Array, lags: int) -> tuple[Array, Array, Ar
 
     Notes
     -----
-    Samples are put on a clock of the usual step; with steps so uneven that it would stay nearly empty, the lag counts
-    samples.
+    Samples are put on a grid of the usual step; where it would stay nearly empty, lags count samples.
     """
     step = float(np.median(np.diff(t)))
     tick = np.round((t - t[0]) / step).astype(int)

@@ -171,7 +171,7 @@ def rounds_table() -> TextTable:
             for k, each in enumerate(found.rounds)
         ]
         rows.append(
-            (swing.title, "sd", f"{1e6 * found.sd['inertia']:.3f}", f"{1e3 * found.sd['friction']:.3f}", "", "")
+            (swing.title, "std", f"{1e6 * found.std['inertia']:.3f}", f"{1e3 * found.std['friction']:.3f}", "", "")
         )
     header = ("data", "revision", "J, 1e-6 kg m^2", "eta, 1e-3 N m s/rad", "E, rad^2", "sqrt(E/81), 0.01 rad")
     return TextTable(header, tuple(rows))

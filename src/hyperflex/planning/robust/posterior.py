@@ -56,7 +56,7 @@ class RopePosterior:
         """Return the posterior of a fit."""
         factors = {name: float(fit.values[name]) for name in fit.parameters if name.endswith(":factor")}
         covariance, labels = np.asarray(fit.covariance), tuple(fit.parameters)
-        return cls(fit.rope, labels, covariance, factors, _undetermined(labels, covariance, fit.sd))
+        return cls(fit.rope, labels, covariance, factors, _undetermined(labels, covariance, fit.std))
 
     @classmethod
     def from_toml(cls, path: str | Path) -> RopePosterior | None:
@@ -71,7 +71,7 @@ class RopePosterior:
             names = tuple(str(name) for name in table["parameters"])
             covariance = np.array(table["covariance"], dtype=np.float64)
             factors = {name: float(table["values"][name]) for name in names if name.endswith(":factor")}
-            undetermined = _undetermined(names, covariance, table.get("sd", {}))
+            undetermined = _undetermined(names, covariance, table.get("std", {}))
         except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
             raise InvalidInput(
                 f"the identification in {path} is not whole", got=str(error), fix="Write it again with identify"

@@ -122,7 +122,7 @@ def prediction_figure(view: FittedChannels, held: HeldOut) -> Figure:
 def _draw_error(axis: Any, view: FittedChannels, held: HeldOut, channel: int) -> None:
     predicted = held.predicted[:, channel]
     error = held.measured[:, channel] - np.where(np.isfinite(predicted), predicted, np.nan)
-    band = BAND * held.sd[:, channel]
+    band = BAND * held.std[:, channel]
     rms = held.rms[channel]
     unit = readable(view.found.unit, rms if np.isfinite(rms) else np.nanmax(np.abs(error), initial=0.0))
     for number in np.unique(_stretch(held)):
@@ -161,13 +161,13 @@ def residual_figure(view: FittedChannels) -> Figure:
 
 
 def _draw_histogram(axis: Any, values: Array, unit: Unit) -> None:
-    sd = float(np.sqrt(np.mean(values**2)))
-    edge = 4.0 * sd if sd > 0.0 else 1.0
+    std = float(np.sqrt(np.mean(values**2)))
+    edge = 4.0 * std if std > 0.0 else 1.0
     bins = int(np.clip(np.sqrt(values.size), 8, 41))
     axis.hist(np.clip(values, -edge, edge), bins=bins, range=(-edge, edge), density=True, color=BLUE, alpha=0.35)
-    if sd > 0.0:
+    if std > 0.0:
         grid = np.linspace(-edge, edge, 161)
-        axis.plot(grid, np.exp(-0.5 * (grid / sd) ** 2) / (sd * np.sqrt(2.0 * np.pi)), color=INK, lw=1.0)
+        axis.plot(grid, np.exp(-0.5 * (grid / std) ** 2) / (std * np.sqrt(2.0 * np.pi)), color=INK, lw=1.0)
     axis.set_yticks([])
     axis.set_xlabel(f"residual, {unit.name}")
 

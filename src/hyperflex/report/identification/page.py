@@ -78,7 +78,7 @@ def _verdict(found: Identification) -> Section:
     every = numbers(found)
     rms = found.residual_rms_all
     unit = readable(found.unit, rms)
-    known = sum(np.isfinite(each.sd) for each in every)
+    known = sum(np.isfinite(each.std) for each in every)
     tiles = [
         (f"{known} of {len(every)}", "free numbers that this motion can tell on their own"),
         (f"{rms / unit.size:.3g} {unit.name}", "left by the fit (rms over all channels)"),
@@ -122,17 +122,17 @@ def _with_trust(marks: list[tuple[bool, str]], held: HeldOut) -> list[tuple[bool
 def _found(found: Identification, guess: Rope | None) -> list[Section]:
     """Return parameters, and ratios where some of them were free."""
     table = parameters_table(found, guess)
-    intervals = "as the fit gives it" if getattr(found, "intervals", None) else "value plus and minus 1.96 sd"
+    intervals = "as the fit gives it" if getattr(found, "intervals", None) else "value plus and minus 1.96 std"
     factor = found.settings["autocorrelation"]
     counted = "Residuals are taken as independent from sample to sample"
     if factor > 1.05:
         counted = f"That residuals hang together, over {factor:.3g} samples, is counted in"
     deviations = (
-        "sd: standard deviation; it, the interval and the guess are in the unit of the value. "
+        "std: standard deviation; it, the interval and the guess are in the unit of the value. "
         f"95 % interval: {intervals}. {counted}. Errors of the model itself are not in any of them."
     )
     counting = "Links and markers count from 0: link 0 hangs from the first joint."
-    unknown = not all(np.isfinite(each.sd) for each in numbers(found))
+    unknown = not all(np.isfinite(each.std) for each in numbers(found))
     many = ["Where a value cannot be known, the one given is one of many that move alike."] if unknown else []
     notes = [deviations, *many, counting]
     if tied := ties(found):

@@ -18,7 +18,7 @@ from hyperflex.report.units import readable, rounded, short
 class Number:
     """One free number: its label as in the verdict, the property's name, which link or marker, and its law.
 
-    value, sd, low and high (95 %) are in SI units; sd is inf, and low and high NaN, where it cannot be known.
+    value, std, low and high (95 %) are in SI units; std is inf, and low and high NaN, where it cannot be known.
     """
 
     label: str
@@ -26,7 +26,7 @@ class Number:
     place: int | None
     law: str
     value: float
-    sd: float
+    std: float
     low: float
     high: float
 
@@ -43,7 +43,7 @@ class Number:
 
 
 def numbers(found: Identification) -> tuple[Number, ...]:
-    """Return all free numbers; intervals are the identification's own, or value plus and minus 1.96 sd."""
+    """Return all free numbers; intervals are the identification's own, or value plus and minus 1.96 std."""
     return tuple(_number(found, label) for label in found.parameters)
 
 
@@ -51,22 +51,22 @@ def _number(found: Identification, label: str) -> Number:
     name, place, law = parsed(label) or Label(label, None, "")
     key = label if law in ("factor", "taper") else name
     index = () if found.values[key].ndim == 0 else (place or 0,)
-    value, sd = float(found.values[key][index]), float(found.sd[key][index])
-    low, high = _interval(found, label, value, sd)
-    if not np.isfinite(sd):
+    value, std = float(found.values[key][index]), float(found.std[key][index])
+    low, high = _interval(found, label, value, std)
+    if not np.isfinite(std):
         low = high = float("nan")
     if law == "taper":
-        value, sd, low, high = np.exp(value), np.exp(value) * sd, np.exp(low), np.exp(high)
+        value, std, low, high = np.exp(value), np.exp(value) * std, np.exp(low), np.exp(high)
     elif (PROPERTIES[name].form != "linear" or law == "factor") and low < 0.0:
         low = 0.0
-    return Number(label, name, place, law, float(value), float(sd), float(low), float(high))
+    return Number(label, name, place, law, float(value), float(std), float(low), float(high))
 
 
-def _interval(found: Identification, label: str, value: float, sd: float) -> tuple[float, float]:
-    """Return the identification's own 95 % interval, where it has one, else value plus and minus 1.96 sd."""
+def _interval(found: Identification, label: str, value: float, std: float) -> tuple[float, float]:
+    """Return the identification's own 95 % interval, where it has one, else value plus and minus 1.96 std."""
     given = (getattr(found, "intervals", None) or {}).get(label)
     if given is None:
-        return value - BAND * sd, value + BAND * sd
+        return value - BAND * std, value + BAND * std
     return float(given.low), float(given.high)
 
 
@@ -78,17 +78,17 @@ def parameters_table(found: Identification, guess: Rope | None) -> TextTable:
         plain = each.law in ("factor", "taper")
         alike = [other.value for other in every if other.name == each.name and other.law == each.law]
         unit = readable("" if plain else each.name, alike)
-        value, sd = each.value / unit.size, each.sd / unit.size
-        cells = [each.label, each.words, rounded(value, sd) + unit.after]
-        if np.isfinite(sd):
-            cells += [short(sd), _span(each.low / unit.size, each.high / unit.size, sd)]
+        value, std = each.value / unit.size, each.std / unit.size
+        cells = [each.label, each.words, rounded(value, std) + unit.after]
+        if np.isfinite(std):
+            cells += [short(std), _span(each.low / unit.size, each.high / unit.size, std)]
         else:
             cells += ["", "cannot be known"]
         if guess is not None:
             start = _start(each, found, guess)
             cells.append("" if start is None else f"{start / unit.size:.4g}")
         rows.append(tuple(cells))
-    header = ("name", "what it is", "value", "sd", "95 % interval")
+    header = ("name", "what it is", "value", "std", "95 % interval")
     return TextTable(header if guess is None else (*header, "first guess"), tuple(rows))
 
 
@@ -109,12 +109,12 @@ def _start(each: Number, found: Identification, guess: Rope) -> float | None:
 
 def ties(found: Identification, least: float = 0.95, most: int = 5) -> tuple[str, ...]:
     """Return in words which numbers are correlated: pairs whose correlation is at least `least`, the closest first."""
-    sd = np.sqrt(np.diag(found.covariance))
+    std = np.sqrt(np.diag(found.covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = np.nan_to_num(found.covariance / np.outer(sd, sd))
-    known = np.array([np.isfinite(each.sd) for each in numbers(found)])
+        correlation = np.nan_to_num(found.covariance / np.outer(std, std))
+    known = np.array([np.isfinite(each.std) for each in numbers(found)])
     upper = np.triu(np.abs(correlation) * np.outer(known, known), 1)
-    pairs = [divmod(int(k), sd.size) for k in np.argsort(-upper, axis=None)[:most] if upper.ravel()[k] >= least]
+    pairs = [divmod(int(k), std.size) for k in np.argsort(-upper, axis=None)[:most] if upper.ravel()[k] >= least]
     return tuple(f"{found.parameters[i]} and {found.parameters[j]} ({correlation[i, j]:+.3f})" for i, j in pairs)
 
 
@@ -122,30 +122,30 @@ def ratios_table(found: Identification) -> TextTable | None:
     """Return the ratios that a motion without known forces determines, or None where none of them was free."""
     rows = []
     for name, values in found.ratios.items():
-        unit, spreads = readable(name, values), found.ratio_sd[name]
+        unit, spreads = readable(name, values), found.ratio_std[name]
         pairs = list(zip(values, spreads, strict=True))
         alike = len(pairs) > 1 and np.ptp(values) <= 1e-12 * np.abs(values).max() and len({*spreads.round(15)}) == 1
-        for link, (value, sd) in enumerate(pairs[:1] if alike else pairs):
-            if sd > 0.0:
+        for link, (value, std) in enumerate(pairs[:1] if alike else pairs):
+            if std > 0.0:
                 whose = "each" if alike else str(link)
-                spread = _spread(found, f"{name}[{link}]", value, sd)
-                rows.append((name, whose, rounded(value, sd) + unit.after, *spread, RATIOS[name].words))
-    return TextTable(("ratio", "link", "value", "sd", "95 % interval", "what it is"), tuple(rows)) if rows else None
+                spread = _spread(found, f"{name}[{link}]", value, std)
+                rows.append((name, whose, rounded(value, std) + unit.after, *spread, RATIOS[name].words))
+    return TextTable(("ratio", "link", "value", "std", "95 % interval", "what it is"), tuple(rows)) if rows else None
 
 
-def _spread(found: Identification, label: str, value: float, sd: float) -> tuple[str, str]:
+def _spread(found: Identification, label: str, value: float, std: float) -> tuple[str, str]:
     """Return deviation and interval of a ratio."""
-    if not np.isfinite(sd):
+    if not np.isfinite(std):
         return "", "cannot be known"
-    low, high = _interval(found, label, value, sd)
+    low, high = _interval(found, label, value, std)
     if label not in found.intervals and not label.startswith("p/p1"):  # intervals know their bounds
         low = max(low, 0.0)
-    return short(sd), _span(low, high, sd)
+    return short(std), _span(low, high, std)
 
 
-def _span(low: float, high: float, sd: float) -> str:
+def _span(low: float, high: float, std: float) -> str:
     """Return an interval in words; it is one-sided where an end is not finite."""
-    ends = [rounded(end, sd) if np.isfinite(end) else "" for end in (low, high)]
+    ends = [rounded(end, std) if np.isfinite(end) else "" for end in (low, high)]
     if ends[0] and ends[1]:
         return f"{ends[0]} to {ends[1]}"
     return f"{ends[0]} or more" if ends[0] else f"{ends[1]} or less" if ends[1] else "cannot be known"
