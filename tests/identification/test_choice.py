@@ -15,7 +15,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.comparison import compare as _choice
 from hyperflex.identification.comparison.candidates import candidates, recut
-from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend, worse
+from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend, why_alike
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import HeldOut
@@ -365,12 +365,12 @@ def test_a_choice_that_still_misses_something_says_so() -> None:
 
 def test_a_prediction_is_worse_beyond_its_scatter_only() -> None:
     best = held([0.010, 0.020, 0.010, 0.020])
-    assert not worse(held([0.012, 0.019, 0.012, 0.019]), best)  # here better, there worse
-    assert worse(held([0.012, 0.022, 0.012, 0.022]), best)
-    assert worse(held([0.012, 0.022, np.inf, 0.022]), best)
-    assert not worse(held([0.0101, 0.0201, 0.0101, 0.0201]), best)  # sure, and too small to matter
-    assert worse(held([0.0112]), held([0.010]))  # one stretch: 10 %
-    assert not worse(held([0.0109]), held([0.010]))
+    assert why_alike(held([0.012, 0.019, 0.012, 0.019]), best)  # here better, there worse
+    assert not why_alike(held([0.012, 0.022, 0.012, 0.022]), best)
+    assert not why_alike(held([0.012, 0.022, np.inf, 0.022]), best)
+    assert why_alike(held([0.0101, 0.0201, 0.0101, 0.0201]), best)  # sure, and too small to matter
+    assert not why_alike(held([0.0112]), held([0.010]))  # one stretch: 10 %
+    assert why_alike(held([0.0109]), held([0.010]))
     assert error(None) == np.inf
     failed = [Evidence(name, 4, bic, held([np.inf]), 0.5) for name, bic in (("one", 0.0), ("two", 30.0))]
     assert recommend(failed, "rad")[0] == "one"

@@ -82,7 +82,7 @@ def predict(
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
     prior = np.zeros((0, 2 * angles.shape[1])) if measured.prior is None else measured.prior
     size = 1.0 if uncertainty is None else max(float(np.sqrt(np.mean(uncertainty.noise**2))), TINY)
-    starts, times, seen, predicted, std = [], [], [], [], []
+    predictions = []
     for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
         before = (t >= start - lead - slack) & (t < start + slack)
         after = (t > start + slack) & (t <= start + ahead + slack)
@@ -92,26 +92,15 @@ def predict(
         guess = first_state(t[before], angles[before])
         window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, prior)
         found = fit_state(plant, x, window, window.guess, loss=loss)
-        starts.append(float(start))
-        times.append(t[after])
-        seen.append(data[after])
         reached = _ahead(plant, x, window, found, t[after], uncertainty)
-        predicted.append(reached[0])
-        std.append(reached[1])
-    if not starts:
+        predictions.append((float(start), t[after], data[after], *reached))
+    if not predictions:
         return None
-    errors = [p - m for p, m in zip(predicted, seen, strict=True)]
-    return HeldOut(
-        _rms(np.concatenate(errors)),
-        np.array([_rms(e) for e in errors]),
-        np.array(starts),
-        lead,
-        ahead,
-        np.concatenate(times),
-        np.concatenate(seen),
-        np.concatenate(predicted),
-        np.concatenate(std),
-    )
+    starts, *pieces = zip(*predictions, strict=True)
+    window_rms = np.array([_rms(y - values) for _, _, values, y, _ in predictions])
+    times, seen, predicted, std = (np.concatenate(each) for each in pieces)
+    rms = _rms(predicted - seen)
+    return HeldOut(rms, window_rms, np.array(starts), lead, ahead, times, seen, predicted, std)
 
 
 def _ahead(

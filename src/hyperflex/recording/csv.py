@@ -136,8 +136,8 @@ def _known(path: PathLike, names: list[str], time: str, kind: str | None) -> Fou
         )
     chosen = cast(Kind, checks.choice("kind", kind or ("angles" if angles else "markers"), ("angles", "markers")))
     if chosen == "angles":
-        data = _in_order(path, angles, (0, 1))
-        speed = _in_order(path, rates, (0, 1), len(data)) if rates else []
+        data = _in_order(path, angles)
+        speed = _in_order(path, rates, len(data)) if rates else []
     else:
         joints = sorted({number for number, _ in places})
         pairs = [(number, axis) for number in joints for axis in "xy"]
@@ -150,10 +150,10 @@ def _known(path: PathLike, names: list[str], time: str, kind: str | None) -> Fou
     return chosen, data, speed, noise
 
 
-def _in_order(path: PathLike, numbered: dict[int, str], firsts: tuple[int, ...], count: int = 0) -> list[str]:
-    """Return names by ascending number, which must run without a hole from one of `firsts`."""
+def _in_order(path: PathLike, numbered: dict[int, str], count: int = 0) -> list[str]:
+    """Return names by ascending number, which must run without a hole from 0 or 1."""
     numbers = sorted(numbered)
-    whole = bool(numbers) and numbers[0] in firsts and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    whole = bool(numbers) and numbers[0] in (0, 1) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     if not whole or (count and len(numbers) != count):
         raise InvalidInput(
             f"{path} has the wrong columns",

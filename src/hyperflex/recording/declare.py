@@ -31,6 +31,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "angles": ("absolute", "relative"),
 }
 DEFAULTS = {"zero": "hanging", "sense": "+x", "angles": "absolute"}
+DECLARED = (*OPTIONS, "unit", "frame_rate", "scale", "wrapped")
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,8 @@ class Raw:
 
 def to_recording(raw: Raw, given: Mapping[str, object], max_rate: float) -> Recording:
     """Return `raw` as a Recording by what the file and the caller (`given`; None for nothing) declare."""
-    declared = _Declarations(raw, given)
-    declared.require_all()
+    declared = _declarations(raw, given)
+    _require_all(raw, declared)
     _check_size(raw)
     t = _seconds(raw, declared)
     noise = _noise(raw, given.get("noise"))
@@ -96,62 +97,51 @@ def _noise(raw: Raw, given: object) -> Array | None:
     return noise
 
 
-class _Declarations:
-    """Look-up of declarations: the caller's and the file's must agree; else the format's convention or the default."""
-
-    def __init__(self, raw: Raw, given: Mapping[str, object]) -> None:
-        self.raw, self.given = raw, given
-
-    def find(self, key: str) -> object:
-        """Return what is declared for `key`, or None."""
-        argument, file = self.given.get(key), self.raw.declared.get(key)
+def _declarations(raw: Raw, given: Mapping[str, object]) -> dict[str, object]:
+    """Return what is declared: caller and file must agree; else the format's convention or the default."""
+    result: dict[str, object] = {**DEFAULTS, **raw.usual}
+    for key in DECLARED:
+        argument, file = given.get(key), raw.declared.get(key)
         if argument is not None and file is not None and argument != file:
             raise InvalidInput(
-                f"{self.raw.source} declares {key} = {file!r}, the argument something else",
+                f"{raw.source} declares {key} = {file!r}, the argument something else",
                 got=argument,
                 fix=f"Leave {key} out, or mend the file",
             )
-        for value in (argument, file, self.raw.usual.get(key), DEFAULTS.get(key)):
-            if value is not None:
-                return value
-        return None
-
-    def require_all(self) -> None:
-        """Refuse with the names of all arguments that are still wanted."""
-        wanted = {"time_unit": OPTIONS["time_unit"], "unit": tuple(RADIANS)}
-        if self.raw.kind == "markers":
-            wanted = {"time_unit": OPTIONS["time_unit"], "unit": (*METRES, "px"), "y_axis": OPTIONS["y_axis"]}
-        missing = [key for key in wanted if self.find(key) is None]
-        if self.find("time_unit") == "frame" and self.find("frame_rate") is None:
-            missing.append("frame_rate")
-        if self.find("unit") == "px" and self.find("scale") is None:
-            missing.append("scale")
-        if missing:
-            words = {key: f"{key} ({' | '.join(options)})" for key, options in wanted.items()}
-            words |= {"frame_rate": "frame_rate (frames/s)", "scale": "scale (m per pixel)"}
-            raise InvalidInput(
-                f"{self.raw.source} holds {self.raw.kind} but does not declare {', '.join(missing)}",
-                fix=f"Pass {', '.join(words[key] for key in missing)}; nothing is guessed",
-            )
-
-    def choice(self, key: str, options: tuple[str, ...]) -> str:
-        """Return the declared option."""
-        return checks.choice(key, self.find(key), options)
-
-    def number(self, key: str, unit: str) -> float:
-        """Return the declared positive number."""
-        return checks.number(key, self.find(key), sign="positive", unit=unit)
+        value = file if argument is None else argument
+        if value is not None:
+            result[key] = value
+    return result
 
 
-def _seconds(raw: Raw, declared: _Declarations) -> Array:
+def _require_all(raw: Raw, declared: Mapping[str, object]) -> None:
+    """Refuse with the names of all arguments that are still missing."""
+    wanted = {"time_unit": OPTIONS["time_unit"], "unit": tuple(RADIANS)}
+    if raw.kind == "markers":
+        wanted = {"time_unit": OPTIONS["time_unit"], "unit": (*METRES, "px"), "y_axis": OPTIONS["y_axis"]}
+    missing = [key for key in wanted if key not in declared]
+    if declared.get("time_unit") == "frame" and "frame_rate" not in declared:
+        missing.append("frame_rate")
+    if declared.get("unit") == "px" and "scale" not in declared:
+        missing.append("scale")
+    if missing:
+        words = {key: f"{key} ({' | '.join(options)})" for key, options in wanted.items()}
+        words |= {"frame_rate": "frame_rate (frames/s)", "scale": "scale (m per pixel)"}
+        raise InvalidInput(
+            f"{raw.source} holds {raw.kind} but does not declare {', '.join(missing)}",
+            fix=f"Pass {', '.join(words[key] for key in missing)}; nothing is guessed",
+        )
+
+
+def _seconds(raw: Raw, declared: Mapping[str, object]) -> Array:
     """Return the sample times in s."""
-    unit = declared.choice("time_unit", OPTIONS["time_unit"])
+    unit = checks.choice("time_unit", declared.get("time_unit"), OPTIONS["time_unit"])
     if unit == "frame":
-        return raw.t / declared.number("frame_rate", "frames/s")
-    if declared.find("frame_rate") is not None:
+        return raw.t / checks.number("frame_rate", declared.get("frame_rate"), sign="positive", unit="frames/s")
+    if declared.get("frame_rate") is not None:
         raise InvalidInput(
             "frame_rate is given, but the times are in " + unit,
-            got=declared.find("frame_rate"),
+            got=declared.get("frame_rate"),
             fix="Leave frame_rate out, or pass time_unit='frame' if the time column counts frames",
         )
     return raw.t * SECONDS[unit]
@@ -160,18 +150,18 @@ def _seconds(raw: Raw, declared: _Declarations) -> Array:
 Converted = tuple[Array, Array | None, Array | None, str]
 
 
-def _angles(raw: Raw, declared: _Declarations, noise: Array | None) -> Converted:
+def _angles(raw: Raw, declared: Mapping[str, object], noise: Array | None) -> Converted:
     """Return absolute angles in rad from hanging, their noise, rates, and what was done."""
-    unit = declared.choice("unit", tuple(RADIANS))
-    zero, sense, kind = (declared.choice(key, OPTIONS[key]) for key in ("zero", "sense", "angles"))
+    unit = checks.choice("unit", declared.get("unit"), tuple(RADIANS))
+    zero, sense, kind = (checks.choice(key, declared.get(key), OPTIONS[key]) for key in ("zero", "sense", "angles"))
     for key in ("y_axis", "scale"):
-        if declared.find(key) is not None:
-            raise InvalidInput(f"{key} is for markers, but {raw.source} holds angles", got=declared.find(key))
+        if declared.get(key) is not None:
+            raise InvalidInput(f"{key} is for markers, but {raw.source} holds angles", got=declared.get(key))
     factor = RADIANS[unit] * (1.0 if sense == "+x" else -1.0)
     data = raw.data * factor
     rates = None if raw.rates is None else raw.rates * factor
     noise = None if noise is None else noise * abs(factor)
-    if declared.find("wrapped"):
+    if declared.get("wrapped"):
         data = unwrap(data)
     if kind == "relative":
         data = np.cumsum(data, axis=1)
@@ -183,14 +173,14 @@ def _angles(raw: Raw, declared: _Declarations, noise: Array | None) -> Converted
     return data, noise, rates, text + f"zero {zero}, positive towards {sense}"
 
 
-def _markers(raw: Raw, declared: _Declarations, noise: Array | None) -> Converted:
+def _markers(raw: Raw, declared: Mapping[str, object], noise: Array | None) -> Converted:
     """Return marker positions in m with y up, their noise, and what was done."""
-    unit = declared.choice("unit", (*METRES, "px"))
-    y_axis = declared.choice("y_axis", OPTIONS["y_axis"])
+    unit = checks.choice("unit", declared.get("unit"), (*METRES, "px"))
+    y_axis = checks.choice("y_axis", declared.get("y_axis"), OPTIONS["y_axis"])
     if unit == "px":
-        factor = declared.number("scale", "m per pixel")
-    elif declared.find("scale") is not None:
-        raise InvalidInput(f"scale is for pixels, but the positions are in {unit}", got=declared.find("scale"))
+        factor = checks.number("scale", declared.get("scale"), sign="positive", unit="m per pixel")
+    elif declared.get("scale") is not None:
+        raise InvalidInput(f"scale is for pixels, but the positions are in {unit}", got=declared.get("scale"))
     else:
         factor = METRES[unit]
     flip = np.where(np.arange(raw.data.shape[1]) % 2 == 1, -1.0 if y_axis == "down" else 1.0, 1.0)

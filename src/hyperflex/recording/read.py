@@ -1,4 +1,4 @@
-"""Read recordings from files of any known format."""
+"""Read recordings from files of any known format, NetCDF-4 with its attributes among them."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike, as_path
+from hyperflex.files import PathLike, as_path, read_netcdf
 from hyperflex.recording import csv as _csv
 from hyperflex.recording import matfile as _matfile
-from hyperflex.recording import netcdf as _netcdf
-from hyperflex.recording.declare import FASTEST, to_recording
-from hyperflex.recording.recording import Recording
+from hyperflex.recording.declare import FASTEST, Raw, to_recording
+from hyperflex.recording.recording import VARIABLE, Kind, Recording
 
 
 def read_recording(
@@ -52,29 +51,26 @@ def read_recording(
     unit : str
         ``rad``, ``mrad``, ``deg`` or ``turn`` for angles (rates are per second); ``m``, ``cm``, ``mm`` or ``px`` for
         markers; ``px`` needs `scale`.
-    frame_rate : float, frames/s
-        For times that count frames.
+    frame_rate, scale : float
+        Frames/s, of times that count frames; length of a pixel, m.
     y_axis : {"up", "down"}
-        Where the markers' y axis points (pixels mostly count downwards).
-    scale : float, m
-        Length of a pixel.
+        Direction of the markers' y axis (mostly down for pixels).
     zero : {"hanging", "up"}
-        Where angles are 0; "hanging" when nothing is declared (the package's convention), "up" for ``.mat``.
+        Where angles are 0; by default "hanging", "up" for ``.mat``.
     sense : {"+x", "-x"}
-        Side to which angles grow; "+x" when nothing is declared.
+        Side to which angles grow; by default "+x".
     angles : {"absolute", "relative"}
-        Whether each link's angle is against the vertical or the link before; "absolute" when nothing is declared.
+        Whether each link's angle is against the vertical (default) or the link before.
     wrapped : bool
         True for angles that jump by whole turns; they are unwrapped, the smaller turn from sample to sample.
     columns : sequence of str, optional
         Names of the data columns in order (CSV), for other names than ``th1, ..`` or ``x0, y0, ..``; needs `kind`.
     noise : float or array_like (C,) or (T, C), optional
-        Standard deviation in the unit of the data. CSV columns ``std_th1, ..`` or a note say
-        the same.
+        Standard deviation in the unit of the data; also by CSV columns ``std_th1, ..`` or a note.
     max_rate : float, rad/s
         Angles that change faster are refused as wrong units.
     name : str, optional
-        Short name for reports; the file's name when left out.
+        Short name for reports; by default the file's.
 
     Returns
     -------
@@ -104,17 +100,56 @@ def read_recording(
     elif suffix in (".nc", ".mat"):
         if columns is not None or time != "t":
             raise InvalidInput(f"time and columns are for CSV files, {path} names its own")
-        raw = _netcdf.read(path) if suffix == ".nc" else _matfile.read(path)
+        raw = _netcdf(path) if suffix == ".nc" else _matfile.read(path)
         if kind not in (None, raw.kind):
             raise InvalidInput(f"{path} holds {raw.kind}", got=kind, fix="Leave kind out")
     else:
         raise InvalidInput(f"{path} has no known suffix", got=suffix, allowed=".csv, .txt, .nc, .mat")
-    given: dict[str, object] = {
-        "time_unit": time_unit,
-        "unit": unit,
-        "frame_rate": frame_rate,
-        "y_axis": y_axis,
-        "scale": scale,
-    }
+    given: dict[str, object] = {"time_unit": time_unit, "unit": unit, "frame_rate": frame_rate}
+    given |= {"y_axis": y_axis, "scale": scale}
     given |= {"zero": zero, "sense": sense, "angles": angles, "wrapped": wrapped, "noise": noise}
     return to_recording(replace(raw, name=name or raw.name or file.stem), given, max_rate)
+
+
+def _netcdf(path: PathLike) -> Raw:
+    """Return the columns of a file of :meth:`Recording.to_netcdf`, with what its attributes declare."""
+    content = read_netcdf(path)
+    attrs = content.attributes
+    held = {
+        key: (each.numbers(key), each.attributes)
+        for key, each in content.variables.items()
+        if key in ("time", "angle", "position", "noise", "rate")
+    }
+    kind: Kind = "angles" if "angle" in held else "markers"
+    name = VARIABLE[kind]
+    if "time" not in held or name not in held:
+        raise InvalidInput(
+            f"{path} holds no recording",
+            got=sorted(held),
+            allowed="variables time and angle (time, link) or position (time, marker, axis)",
+            fix="A trajectory is opened by read_trajectory",
+        )
+    samples = held["time"][0].shape[0] if held["time"][0].ndim == 1 else -1
+    rank = {"time": 1, "rate": 2, name: 2 if kind == "angles" else 3}
+    for key, (values, _) in held.items():
+        if values.ndim != rank.get(key, rank[name]) or values.shape[0] != samples:
+            raise InvalidInput(f"{path}: variable {key!r} has the wrong shape", got=values.shape)
+    declared: dict[str, object] = {key: attrs[key] for key in ("zero", "sense", "angles", "y_axis") if key in attrs}
+    for key, variable in (("time_unit", "time"), ("unit", name)):
+        if "units" in held[variable][1]:
+            declared[key] = held[variable][1]["units"]
+    wanted = f"{declared.get('unit')}/s"
+    if "rate" in held and "unit" in declared and held["rate"][1].get("units") != wanted:
+        raise InvalidInput(f"{path}: units of rate", got=held["rate"][1].get("units"), allowed=repr(wanted))
+    columns = {key: values.reshape(samples, -1) for key, (values, _) in held.items() if key != "time"}
+    return Raw(
+        t=held["time"][0],
+        data=columns[name],
+        kind=kind,
+        noise=columns.get("noise"),
+        rates=columns.get("rate"),
+        declared=declared,
+        convention=str(attrs.get("convention", "")),
+        name=str(attrs.get("name", "")),
+        source=str(path),
+    )

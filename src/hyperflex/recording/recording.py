@@ -25,7 +25,7 @@ CONVENTION = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording:
-    """Measured motion of a rope or pendulum.
+    """Measured motion of a rope or pendulum; arrays are read-only copies.
 
     Parameters
     ----------
@@ -34,29 +34,22 @@ class Recording:
     data : array_like (T, C)
         ``kind="angles"``: C = n absolute link angles in rad, unwrapped (0 hanging, positive towards +x; link 0 nearest
         the motor). ``kind="markers"``: C = 2 (n + 1) positions ``x0, y0, x1, y1, ...`` in m (x right, y up) of markers
-        at the joints, the first at the pivot; or of any markers, also one alone, whose places along the rope `identify`
-        is told. NaN marks a gap.
+        at the joints, the first at the pivot; or of any markers, with `arc_lengths` of `identify`. NaN marks a gap.
     kind : {"angles", "markers"}
         What `data` holds.
     noise : array_like (T, C), (C,) or float, optional
-        Standard deviation of each sample, in the unit of `data`. Left out when it is not known.
+        Standard deviation of each sample, in the unit of `data`.
     rates : array_like (T, n), rad/s, optional
-        Angular rates that came with the angles. Readers check units by them. They are not fitted: rates in files are
-        mostly computed from the angles, so they are no further measurement.
-    convention : str
-        What was declared and converted on reading; filled in when empty.
-    name, source : str
-        Shown in reports: a short name, and where the data come from.
+        Angular rates that came with the angles. Readers check units by them; they are not fitted, since rates in files
+        are mostly computed from the angles.
+    convention, name, source : str
+        For reports: what was declared and converted on reading, a short name, and where the data come from.
 
     Raises
     ------
     InvalidInput
         For infinite values, times that are not strictly increasing, a channel without a single value, a number of
         columns that does not fit the kind, or noise that is not positive. The message names the sample.
-
-    Notes
-    -----
-    All arrays are read-only copies.
 
     Examples
     --------
@@ -117,13 +110,7 @@ class Recording:
         return int(np.isnan(self.data).sum())
 
     def window(self, start: float, end: float) -> Recording:
-        """Return the samples with ``start <= t < end`` (s).
-
-        Raises
-        ------
-        InvalidInput
-            When fewer than two samples, or no value of some channel, lie in that span.
-        """
+        """Return the samples with ``start <= t < end`` (s); InvalidInput for fewer than two, or an empty channel."""
         inside = (self.t >= start) & (self.t < end)
         if inside.sum() < 2:
             raise InvalidInput(
@@ -145,9 +132,8 @@ class Recording:
     def angles(self) -> Recording:
         """Return absolute link angles (rad): the recording itself, or angles of the lines from marker to marker.
 
-        Angles of markers are unwrapped: from one sample to the next the smaller turn is taken, also across gaps, so
-        a link must turn less than half a turn between the samples at hand. A link with an end missing, or with both
-        ends at one place, is a gap. Noise of the positions passes to the angles to first order.
+        Angles of markers are unwrapped, gaps bridged: a link must turn less than half a turn between known samples. A
+        link with an end missing is a gap. Noise of the positions passes to the angles to first order.
 
         Examples
         --------
@@ -157,9 +143,7 @@ class Recording:
         """
         if self.kind == "angles":
             return self
-        self._need_two("angles of links")
-        places = self.data.reshape(self.t.size, -1, 2)
-        along = np.diff(places, axis=1)
+        along = self._lines("angles of links")
         distance = np.hypot(along[..., 0], along[..., 1])
         angle = np.arctan2(along[..., 0], -along[..., 1])
         angle[~(distance > 0.0)] = np.nan
@@ -167,30 +151,22 @@ class Recording:
         if self.noise is not None:
             # A link's angle changes by the difference of its ends' errors across it, over its length.
             across = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-            spread = (self.noise.reshape(places.shape) ** 2)[:, :-1] + (self.noise.reshape(places.shape) ** 2)[:, 1:]
+            squares = self.noise.reshape(self.t.size, -1, 2) ** 2
             with np.errstate(divide="ignore", invalid="ignore"):
-                noise = np.sqrt((spread * across**2).sum(axis=-1)) / distance
+                noise = np.sqrt(((squares[:, :-1] + squares[:, 1:]) * across**2).sum(axis=-1)) / distance
             noise = np.where(np.isfinite(noise), noise, np.pi)  # a gap says nothing: any angle
         convention = f"{CONVENTION['angles']}; from the lines between markers ({self.convention})"
         return replace(self, data=unwrap(angle), kind="angles", noise=noise, convention=convention)
 
     def link_lengths(self) -> Array:
-        """Return the median distance (n,) between neighbouring markers, m. InvalidInput for angles, which have none."""
+        """Return the median distance (n,) between neighbouring markers, m; InvalidInput for angles."""
         if self.kind == "angles":
             raise InvalidInput("a recording of angles has no lengths", got=self.kind, allowed="markers")
-        self._need_two("lengths of links")
-        along = np.diff(self.data.reshape(self.t.size, -1, 2), axis=1)
-        lengths: Array = np.nanmedian(np.hypot(along[..., 0], along[..., 1]), axis=0)
-        return lengths
+        along = self._lines("lengths of links")
+        return np.asarray(np.nanmedian(np.hypot(along[..., 0], along[..., 1]), axis=0))
 
     def to_netcdf(self, path: PathLike) -> None:
-        """Write the recording, with units and convention, to NetCDF-4; ``read_recording(path)`` gives it back.
-
-        Raises
-        ------
-        FileProblem
-            When the file cannot be written; an earlier one then still stands.
-        """
+        """Write to NetCDF-4, for ``read_recording(path)``; FileProblem on failure: an earlier file then stands."""
         marked = self.kind == "markers"
         dims = ("time", "marker", "axis") if marked else ("time", "link")
         shape = (self.t.size, -1, 2)[: len(dims)]
@@ -206,8 +182,8 @@ class Recording:
         texts = {key: getattr(self, key) for key in ("kind", "convention", "name", "source")}
         files.write_netcdf(path, NetCDF(variables, {"format": FORMAT, **axes, **texts}))
 
-    def _need_two(self, what: str) -> None:
-        """Refuse a marker alone where lines between markers are wanted."""
+    def _lines(self, what: str) -> Array:
+        """Return the lines from marker to marker (T, n, 2), m; a marker alone is refused."""
         if self.n_links < 1:
             raise InvalidInput(
                 f"a marker alone shows no {what}",
@@ -215,6 +191,7 @@ class Recording:
                 allowed="x and y of the pivot and of the far end of each link: 4, 6, 8, ... columns",
                 fix="To identify a rope by it, say where along the rope it sits: arc_lengths=[...] and origin=(x, y)",
             )
+        return np.diff(self.data.reshape(self.t.size, -1, 2), axis=1)
 
     def _pick(self, rows: Array | np.ndarray[tuple[int], np.dtype[np.bool_ | np.intp]]) -> Recording:
         """Return the chosen samples."""

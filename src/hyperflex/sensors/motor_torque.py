@@ -27,8 +27,8 @@ RATE_STEP = 1e-3  # rad/s: torque is quadratic in the rates, so that only roundi
 class MotorTorque:
     """Torque (m,) of the motor of a prescribed `arm`, N m, as ``Trajectory.motor_torque`` defines it.
 
-    The torque follows from the state at a sample without any integration; its derivatives are central differences of
-    this function, at the slip or stick of each joint as it is there, chained with the exact derivatives of the state.
+    It follows from the state at a sample without integration; its derivatives are central differences, at the slip or
+    stick of each joint as it is there, chained with the exact derivatives of the state.
 
     Parameters
     ----------
@@ -73,13 +73,8 @@ class MotorTorque:
     def jacobian(self, chain: Chain, drive: Drive, parts: tuple[Part, ...], t: Array, y: Array, dy: Array) -> Array:
         """Return its derivatives (m, 2n + P): by the start's state, and by the parameters whose changes are `parts`.
 
-        Parameters
-        ----------
-        parts : P mappings
-            Changes of the chain, or of the drive's ``breaks`` and ``coef``.
-        y : (m, 2n or more) array
-        dy : (m, 2n, 2n + P) array
-            Derivatives of angles and rates along the same directions.
+        `parts` are P changes of the chain, or of the drive's ``breaks`` and ``coef``; y is (m, 2n or more), dy
+        (m, 2n, 2n + P) the derivatives of angles and rates along the same directions.
         """
         slip = self._slip(chain, drive, t, y)
         n = chain.length.size
@@ -93,11 +88,11 @@ class MotorTorque:
             by_state[:, i] = change / (2.0 * step)
         result: Array = np.einsum("mi,mid->md", by_state, dy)
         for k, part in enumerate(parts):
-            ends = [
+            up, down = (
                 self._torque(_moved(chain, part, step), _shifted(drive, part, step), t, y, slip)
                 for step in (ANGLE_STEP, -ANGLE_STEP)
-            ]
-            result[:, 2 * n + k] += (ends[0] - ends[1]) / (2.0 * ANGLE_STEP)
+            )
+            result[:, 2 * n + k] += (up - down) / (2.0 * ANGLE_STEP)
         return result
 
     def value_jacobian(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ from hyperflex.trajectory import State
 
 
 class Measurement(NamedTuple):
-    """What a sensor would show in a state x = (arm angle, q, arm rate, qd), and its derivatives.
+    """What a sensor shows in a state x = (arm angle, q, arm rate, qd), and its derivatives.
 
     Attributes
     ----------
@@ -32,49 +33,38 @@ class Measurement(NamedTuple):
     D: Array
 
 
-class Sensor(Protocol):
-    """Turns the posture of a rope into what is measured.
+class Sensor(ABC):
+    """A sensor of the posture of a rope.
 
     Attributes
     ----------
     placed : bool
-        Whether it is places, and the first joint's matters.
+        Whether it measures places, which depend on the first joint's.
     values : (V,) float64
         Values of the sensor itself that may be fitted.
     """
 
-    placed: bool
-    values: Array
+    placed = False
+    values = np.zeros(0)
 
     def with_values(self, values: Array) -> Sensor:
         """Return the same sensor with other values (V,)."""
-        ...
+        return self
 
+    @abstractmethod
     def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
         """Return channels (m, C) from angles (m, n), rad, and the first joint's places (m, 2), m."""
-        ...
 
+    @abstractmethod
     def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
         """Return their derivatives (m, C, D) from those of angles (m, n, D), pivot (m, 2, D) and lengths (n, D)."""
-        ...
 
+    @abstractmethod
     def value_jacobian(self, rope: Rope, q: Array) -> Array:
         """Return their derivatives with respect to the sensor's values (m, C, V)."""
-        ...
 
-
-class _Posture:
-    """What all sensors of the posture share."""
-
-    def measure(self: Sensor, rope: Rope, arm: Arm, state: State) -> Measurement:
-        """Return what is seen in one state, with derivatives; the arm's acceleration does not matter.
-
-        Parameters
-        ----------
-        rope, arm : Rope, Arm
-        state : State
-            Its ``arm_angle`` counts as 0 where it is not known.
-        """
+    def measure(self, rope: Rope, arm: Arm, state: State) -> Measurement:
+        """Return the channels in one state, with derivatives; ``state.arm_angle`` None counts as 0."""
         n = rope.n_links
         q = checks.array("state q", state.q, (n,), unit="rad")[None]
         angle = state.arm_angle or 0.0
@@ -86,39 +76,29 @@ class _Posture:
         return Measurement(y, slopes, np.zeros((y.size, 1)))
 
 
-class Angles(_Posture):
-    """Absolute link angles, rad; it has no values of its own."""
-
-    placed = False
-    values = np.zeros(0)
-
-    def with_values(self, values: Array) -> Angles:
-        """Return the same sensor with other values (V,)."""
-        return self
+class Angles(Sensor):
+    """Absolute link angles, rad."""
 
     def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
-        """Return what is seen (m, C)."""
         return q
 
     def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
-        """Return its derivatives (m, C, D)."""
         return dq
 
     def value_jacobian(self, rope: Rope, q: Array) -> Array:
-        """Return its derivatives with respect to the values (m, C, V)."""
         return np.zeros((*q.shape, 0))
 
 
-class Markers(_Posture):
+class Markers(Sensor):
     """Places of K markers along the rope, m, in channels x0, y0, x1, y1, ...
 
     Parameters
     ----------
     arc_lengths : (K,) array_like
-        How far along the rope each sits, m from the first joint. Markers beyond the tip lie on the last link's line;
-        those before the first joint on the first's.
+        Distance along the rope from the first joint, m. Markers beyond the tip lie on the last link's line; those
+        before the first joint on the first's.
     origin : (2,) array_like
-        Where the camera sees the origin, m.
+        Origin in the camera's frame, m.
 
     Raises
     ------
@@ -144,18 +124,15 @@ class Markers(_Posture):
         self.values = np.concatenate([checks.array("origin", origin, (2,), unit="m"), self.arc_lengths])
 
     def with_values(self, values: Array) -> Markers:
-        """Return the same sensor with other values (V,)."""
         return Markers(values[2:], values[:2])
 
     def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
-        """Return what is seen (m, C)."""
         link, beyond = self._on(rope)
         along = np.stack([np.sin(q[:, link]), -np.cos(q[:, link])], axis=2)  # (m, K, 2)
         places = self.values[:2] + rope.joints(q, pivot)[:, link] + beyond[:, None] * along
         return np.asarray(places.reshape(q.shape[0], -1))
 
     def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
-        """Return its derivatives (m, C, D)."""
         link, beyond = self._on(rope)
         along = np.stack([np.sin(q), -np.cos(q)], axis=2)
         across = np.stack([np.cos(q), np.sin(q)], axis=2)
@@ -170,7 +147,6 @@ class Markers(_Posture):
         return np.asarray(result.reshape(q.shape[0], -1, dq.shape[2]))
 
     def value_jacobian(self, rope: Rope, q: Array) -> Array:
-        """Return its derivatives with respect to the values (m, C, V)."""
         link, _ = self._on(rope)
         result = np.zeros((q.shape[0], link.size, 2, self.values.size))
         result[:, :, 0, 0] = result[:, :, 1, 1] = 1.0

@@ -15,12 +15,11 @@ SIDE = 0.1  # part of the greatest angle beyond which a rope is clearly on one s
 
 
 def cylinder_inertia(rope: Rope) -> Array:
-    """Return the inertia of each link as a cylinder (n,), kg m^2: CM of Table II.
+    """Return the inertia of each link as a cylinder of its mass, length and radius (n,), kg m^2: CM of Table II.
 
     Parameters
     ----------
     rope : Rope
-        Its masses, lengths and radius.
     """
     return np.asarray(rope.mass * (3.0 * rope.radius**2 + rope.length**2) / 12.0)
 
@@ -31,7 +30,7 @@ def natural_frequency_inertia(rope: Rope, period: float) -> float:
     Parameters
     ----------
     rope : Rope
-        Its lengths, masses, centres of mass, number of links and gravity. Only the last one's `inertia` is not used.
+        All but its `inertia` is used.
     period : float
         T_nat, s (:func:`swing_period` of a recording, or :func:`natural_period` of a model).
 
@@ -42,9 +41,8 @@ def natural_frequency_inertia(rope: Rope, period: float) -> float:
 
     Notes
     -----
-    (8) is solved for J with the whole rope as one straight, rigid rod about its centre of mass, and each link gets the
-    n-th part. Read so, the paper's figures come out within 8 % (110e-6 for the printed 102e-6 kg m^2); with one link's
-    mass and centre it would be 83e-6.
+    (8) is solved for J with the whole rope as one rigid rod about its centre of mass, and each link gets the n-th part:
+    so the paper's figures come out within 8 % (110e-6 for the printed 102e-6 kg m^2; 83e-6 with one link's mass).
     """
     mass = rope.total_mass
     gravity = float(np.hypot(*rope.gravity))
@@ -97,9 +95,8 @@ def swing_period(recording: Recording, link: int = -1) -> float:
 
     Notes
     -----
-    Only samples beyond a tenth of the greatest angle count as a side; between two of them on different sides lies one
-    crossing, the mean of where straight lines between the samples in between cross zero. Noise about zero, and the end
-    of a swing that has died down, add none.
+    Only samples beyond a tenth of the greatest angle count as a side, so noise about zero adds no crossing; a crossing
+    is the mean of the zeros of straight lines between the samples from side to side.
     """
     measured = recording.angles()
     column = measured.data[:, link]

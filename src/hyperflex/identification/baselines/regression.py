@@ -38,7 +38,7 @@ class Regression:
     columns : (T, n, P) float64
         Lambda: torque in each equation for one SI unit of each unknown, N m per unit.
     known : (T, n) float64
-        tau_id: what the known part of the model leaves for the unknowns, N m. NaN where a sample is missing.
+        tau_id: torques of the known part of the model, N m. NaN where a sample is missing.
     """
 
     names: tuple[str, ...]
@@ -89,10 +89,10 @@ class LeastSquares:
     names : tuple of str
         The unknowns, (P,).
     values : (P,) float64
-        In SI units. They may be negative: nothing is bounded here.
+        In SI units, not bounded.
     covariance : (P, P) float64
-        Of the values, for errors in the known torques that are white and alike. Noise in the columns themselves (rates
-        and accelerations by differences) biases the values, and this does not show it.
+        Of the values, for white errors in the known torques. Noise in the columns (rates and accelerations by
+        differences) biases the values, and is not covered.
     residual : (T, n) float64
         Torques that are left, N m.
     """
@@ -129,7 +129,7 @@ def fit_regression(
     Parameters
     ----------
     rope : Rope
-        Everything that is not named is taken from it. Its friction model decides what the friction of a joint acts on:
+        Values of what is not named; its friction model decides what the friction of a joint acts on:
         both links ("relative", -eta S^T S qd) or the outer one only ("printed", -eta S qd, as (4) prints it).
     q, qd, qdd : (T, n) array_like
         Absolute angles, rad, rates, rad/s, and accelerations, rad/s^2; NaN marks gaps.
@@ -142,10 +142,6 @@ def fit_regression(
     arm_angle, arm_rate : (T,) array_like or float
         Of what the first joint is fixed to, rad and rad/s.
 
-    Returns
-    -------
-    Regression
-
     Raises
     ------
     InvalidInput
@@ -153,7 +149,7 @@ def fit_regression(
 
     Notes
     -----
-    Dry friction counts by the sign of the joint's rate; a joint that stands, rate exactly 0, counts as free of it.
+    Dry friction counts by the sign of the joint's rate, and is 0 at rate 0.
 
     Examples
     --------

@@ -46,11 +46,9 @@ class Round:
     inertia, friction : float
         J of each link, kg m^2, and eta of each joint, N m s/rad.
     q, qd : (n,) float64
-        Initial angles, rad, and rates, rad/s, found with them.
-    error : float
-        E of (7) with that state, rad^2.
-    measured_start : float
-        E from the measured initial angles, rad^2.
+        Initial angles, rad, and rates, rad/s.
+    error, measured_start : float
+        E of (7) with that state, and with the measured initial angles, rad^2.
     evaluations : int
         Rollouts of the downhill simplex.
     seconds : float
@@ -74,19 +72,18 @@ class IterativeRevision(Ended):
     Attributes
     ----------
     rope : Rope
-        With the J and eta of the best round: the last one, or the one of least error if it did not converge.
+        With the J and eta of the best round.
     best : Round
-        That round.
+        The last round, or the one of least error if it did not converge.
     std : dict of str to float
-        Standard deviations of "inertia" and "friction" as the regression tells them.
+        Standard deviations of "inertia" and "friction" from the regression.
     rounds : tuple of Round
         All rounds; the first one has the guess's parameters.
     message : {"converged", "not converged", "interrupted"}
-        ``converged`` where the last revision moved neither parameter.
     samples : int
         Measured angles that were fitted, gaps left out.
     profile, rates : str
-        As they were asked for.
+        As given.
     """
 
     rope: Rope
@@ -140,26 +137,21 @@ def iterative_revision(
     recording : Recording
         Of angles, or of markers at the joints, of a rope that swings freely from a fixed point.
     rope_guess : Rope
-        Lengths, masses and the rest are taken from it. Its inertia and friction, averaged over the links, are the first
-        guess; one value of each is sought for all links.
+        Its inertia and friction, averaged over the links, are the first guess; one value of each is sought for all
+        links.
     rates : {"rest", "measured", "free"}
         Initial rates, see :func:`estimate_initial_state`.
     profile : {"response", "calculated", "measured", "measured rates"}
         What the least squares compare. ``"calculated"`` is (6) with the calculated angles, rates and accelerations, as
-        step 4 is printed; ``"measured"`` takes angles and rates (by three successive samples) from the recording and
-        only the accelerations from the simulation; ``"measured rates"`` only the rates from the recording. By default
-        the torques of (5), Lambda times the changes of J and eta, are carried through the linearised motion to the
-        angles that they change, and those are fitted to what the simulation left of the measured ones.
+        step 4 is printed; ``"measured"`` takes angles and rates (by three successive samples) from the recording;
+        ``"measured rates"`` only the rates. By default the torques of (5), Lambda times the changes of J and eta, are
+        carried through the linearised motion to changes of the angles, fitted to the measured ones.
     rounds : int
         Revisions at most.
     max_evaluations : int
         See :func:`estimate_initial_state`.
     progress : callable, optional
         Called with each :class:`Round`.
-
-    Returns
-    -------
-    IterativeRevision
 
     Raises
     ------
@@ -170,11 +162,10 @@ def iterative_revision(
 
     Notes
     -----
-    Paper III A-B. A calculated profile fulfils (4) with the very J and eta that it was calculated with, so (6) returns
-    them: with ``"calculated"`` nothing ever moves. With ``"measured"`` the errors of the angles, multiplied by gravity,
-    outweigh J's torque a hundredfold and the rounds diverge; with ``"measured rates"`` they creep, and the noise of the
-    rates biases eta. Only the default settles at the least error. ``identify`` does all at once, and faster. Ctrl-C
-    returns the best so far, marked as interrupted.
+    Paper III A-B. A calculated profile fulfils (4) with its own J and eta, so with ``"calculated"`` nothing ever moves.
+    With ``"measured"`` the errors of the angles, multiplied by gravity, outweigh J's torque a hundredfold and the
+    rounds diverge; with ``"measured rates"`` they creep, and the noise of the rates biases eta. Only the default
+    settles at the least error. Ctrl-C returns the best so far, marked as interrupted.
     """
     began = time.perf_counter()
     measured = matching_angles(recording, rope_guess)
@@ -214,9 +205,8 @@ def iterative_revision(
 
 def _unchanged(before: Round, now: Round, std: dict[str, float]) -> bool:
     """Whether a revision has moved neither parameter."""
-    moves = {"inertia": now.inertia - before.inertia, "friction": now.friction - before.friction}
-    sizes = {"inertia": now.inertia, "friction": now.friction}
-    return all(abs(moves[name]) <= max(SETTLED * std[name], FALSE_DIGITS * sizes[name]) for name in moves)
+    pairs = {"inertia": (before.inertia, now.inertia), "friction": (before.friction, now.friction)}
+    return all(abs(b - a) <= max(SETTLED * std[name], FALSE_DIGITS * b) for name, (a, b) in pairs.items())
 
 
 class _Revision:
@@ -240,9 +230,8 @@ class _Revision:
         try:
             rope = self.rope(values)
         except InvalidInput as error:
-            raise IdentificationError(
-                f"J = {values[0]:.3g} kg m^2, eta = {values[1]:.3g} N m s/rad: {error}"
-            ) from error
+            what = f"J = {values[0]:.3g} kg m^2, eta = {values[1]:.3g} N m s/rad"
+            raise IdentificationError(f"{what}: {error}") from error
         start = None if before is None else (before.q, before.qd)
         found = estimate_initial_state(self.measured, rope, rates=self.rates, start=start, max_evaluations=self.limit)
         self.interrupted = found.message == INTERRUPTED
@@ -268,7 +257,7 @@ class _Revision:
         return np.maximum(found.values, 0.0), found.std
 
     def by_response(self, jacobian: AngleJacobian, rope: Rope, at: Round) -> tuple[Array, Array]:
-        """Fit the changes of angles that changes of J and eta make, the initial state free, to what is left of them."""
+        """Fit J and eta, and the initial state, to the measured angles by the linearised motion."""
         q, _, dq, _ = jacobian(self.measured.t, at.q, at.qd, rope)
         known = np.isfinite(self.measured.data)
         left, matrix = (self.measured.data - q)[known], dq[known]

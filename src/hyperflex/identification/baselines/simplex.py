@@ -22,10 +22,7 @@ RATES = ("rest", "measured", "free")
 PRECISION = 1e-6  # tolerance of a rollout over the rope's length: some 1e-5 rad, far below the noise of a camera
 SPREAD = 0.05  # rad, edge of the first simplex in an angle; in a rate, this over the time below
 PACE = 0.2  # s, the time in which such a rate makes such an angle
-ANGLE_STEP, ERROR_STEP = (
-    1e-4,
-    1e-6,
-)  # rad and rad^2: far below the noise of a camera; the simplex is done when below both
+ANGLE_STEP, ERROR_STEP = 1e-4, 1e-6  # rad and rad^2: tolerances of the simplex, far below the noise of a camera
 BEYOND = 1e3  # rad or rad/s: no state that a simplex may try
 MAX_EVALUATIONS = 400  # rollouts for each unknown, in each of the two descents
 
@@ -39,11 +36,10 @@ class InitialState(Ended):
     q, qd : (n,) float64
         Angles, rad, and rates, rad/s, at the first sample.
     error : float
-        E of (7): sum of squares over samples and links, rad^2; gaps count nothing.
+        E of (7): sum of squares over samples and links, rad^2; gaps left out.
     evaluations : int
-        Rollouts that it took.
+        Number of rollouts.
     message : {"converged", "not converged", "interrupted"}
-        ``converged`` where the simplex has shrunk as far as it should.
     """
 
     q: Array
@@ -61,26 +57,20 @@ def estimate_initial_state(
     start: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
     max_evaluations: int = MAX_EVALUATIONS,
 ) -> InitialState:
-    """Find the initial state from which a rope comes nearest to its recording: (7) by Nelder and Mead's simplex.
+    """Find the initial state from which a rope comes nearest to its recording: (7) by the Nelder-Mead simplex.
 
     Parameters
     ----------
     recording : Recording
         Of angles, or of markers at the joints, of a rope that swings freely from a fixed point.
     rope : Rope
-        Its parameters are taken as they are.
     rates : {"rest", "measured", "free"}
-        Initial rates: zero (let go at rest), taken from the first three samples, or sought along with the angles.
+        Initial rates: zero, taken from the first three samples, or sought along with the angles.
     start : ((n,), (n,)) array_like, optional
-        Angles and rates to start from; by default the measured ones. Rates that are not sought stay at what `rates`
-        says.
+        Angles and rates to start from; by default the measured ones. Rates are used if they are sought.
     max_evaluations : int
-        Rollouts for each unknown, at most, in each of two descents: the second starts with a fresh simplex where the
-        first one ended, for a simplex may collapse on its way.
-
-    Returns
-    -------
-    InitialState
+        Most rollouts for each unknown, in each of two descents: a fresh simplex restarts where the first one ended, for
+        a simplex may collapse.
 
     Raises
     ------
@@ -160,10 +150,8 @@ def squared_error(measured: Recording, rope: Rope, state: Array) -> float:
 
     Parameters
     ----------
-    measured : Recording
-        Of angles.
-    rope : Rope
-        With as many links.
+    measured, rope : Recording, Rope
+        Angles of as many links as the rope's.
     state : (2 n,) float64
         Angles, rad, and rates, rad/s, at the first sample.
     """

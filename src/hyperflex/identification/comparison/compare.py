@@ -16,7 +16,6 @@ from hyperflex.identification.ending import CONVERGED, INTERRUPTED
 from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation.rollouts import progress_bar
@@ -124,51 +123,45 @@ def _refit_from_nested(
     for other, before in simpler:
         if isinstance(before, str) or not other.nested_in(candidate) or found.message == INTERRUPTED:
             continue
-        if before.residual_t.size == found.residual_t.size and WORSE * _cost(before) < _cost(found):
+        if before.residual_t.size == found.residual_t.size and WORSE * before.basis.fit.cost < found.basis.fit.cost:
             start = other.starting_guess(candidate, before.rope)
             again = fit(start, candidate.free, **options | {"window": found.settings["window"]})
-            if again.message == INTERRUPTED or _cost(again) < _cost(found):
+            if again.message == INTERRUPTED or again.basis.fit.cost < found.basis.fit.cost:
                 found = again
     return found
 
 
-def _cost(found: Identification) -> float:
-    return float("inf") if found._basis is None else found._basis.fit.cost
-
-
 def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], stopped: bool) -> ModelComparison:
-    """Put the candidates side by side."""
-    whole = [each for each in done if not isinstance(each, str) and each.success]
-    fits = [each._basis for each in whole if each._basis is not None]
+    """Return the comparison of the candidates done."""
+    fits = [each.basis for each in done if not isinstance(each, str) and each.success]
     scores = dict(zip(map(id, fits), criteria(fits) if fits else [], strict=True))
     models, evidence, unit = [], [], "rad"
     for each, found in zip(todo, done, strict=True):
-        if isinstance(found, str) or found._basis is None:
-            models.append(FittedModel(each.name, each.free, each.guess.n_links, reason=str(found)))
+        if isinstance(found, str):
+            models.append(FittedModel(each.name, each.free, each.guess.n_links, reason=found))
             continue
-        basis = found._basis
-        models.append(_fitted_model(each, found, basis, scores.get(id(basis))))
+        model = _fitted_model(each, found, scores.get(id(found.basis)))
+        models.append(model)
         unit = found.unit
-        unknowns = models[-1].parameters + sum(window.unknowns for window in basis.windows)
-        evidence.append(Evidence(each.name, unknowns, models[-1].bic, found.held_out, models[-1].whiteness))
+        unknowns = model.parameters + sum(window.unknowns for window in found.basis.windows)
+        evidence.append(Evidence(each.name, unknowns, model.bic, found.held_out, model.whiteness))
     preferred, words = recommend(evidence, unit)
     return ModelComparison(tuple(models), preferred, words, INTERRUPTED if stopped else CONVERGED, unit)
 
 
-def _fitted_model(candidate: Candidate, found: Identification, basis: Basis, bic: float | None) -> FittedModel:
+def _fitted_model(candidate: Candidate, found: Identification, bic: float | None) -> FittedModel:
     """Return a candidate with its figures."""
     reason = "" if bic is not None else "it fits other samples than the rest, so its BIC is another thing"
-    if not found.success:
-        reason = f"the fit is {found.message}"
+    information = found.basis.information
     return FittedModel(
         candidate.name,
         candidate.free,
         candidate.guess.n_links,
         found,
-        reason,
-        basis.information.known.shape[1],
+        reason if found.success else f"the fit is {found.message}",
+        information.known.shape[1],
         bic,
         found.residual_rms_all,
         error(found.held_out),
-        basis.information.whiteness,
+        information.whiteness,
     )

@@ -65,31 +65,22 @@ def _criterion(one: Basis, tau: float, scale: float) -> float:
     return float(misfit + known * np.log(count) + of_states)
 
 
-def worse(one: HeldOut, best: HeldOut) -> bool:
-    """Tell whether `one` predicts the held-out stretches clearly worse than `best`."""
+def why_alike(one: HeldOut | None, best: HeldOut | None) -> str:
+    """Return why `one` does not predict clearly worse than `best`; "" if it does."""
+    if one is None or best is None or not np.isfinite(_squares(one)).all():
+        return ""
     mine, other = _squares(one), _squares(best)
-    if not np.isfinite(mine).all():
-        return True
     if mine.size < FEW or mine.size != other.size:
-        return bool(np.sqrt(mine.mean()) > ALIKE * np.sqrt(other.mean()))
-    gap = mine - other
-    sure = gap.mean() > CLEAR * gap.std(ddof=1) / np.sqrt(gap.size)
-    return bool(sure and mine.mean() > MATTERS**2 * other.mean())
-
-
-def _unclear(one: Evidence, best: Evidence) -> str:
-    """Return why the prediction of `one` does not count as worse than that of `best`."""
-    if one.held_out is None or best.held_out is None:
-        return "one of them was not predicted"
-    mine, other = _squares(one.held_out), _squares(best.held_out)
-    if mine.size < FEW or mine.size != other.size:
-        return f"a difference within {100.0 * (ALIKE - 1.0):.0f} % counts for nothing where so little is held out"
+        near = np.sqrt(mine.mean()) <= ALIKE * np.sqrt(other.mean())
+        few = f"a difference within {100.0 * (ALIKE - 1.0):.0f} % counts for nothing where so little is held out"
+        return few if near else ""
     if mine.mean() <= MATTERS**2 * other.mean():
         return f"a difference within {100.0 * (MATTERS - 1.0):.0f} % is too small to matter"
-    return (
-        f"over the {mine.size} predicted stretches the difference varies too much to be told from chance (less than "
-        f"{CLEAR:g} standard errors)"
-    )
+    gap = mine - other
+    if gap.mean() > CLEAR * gap.std(ddof=1) / np.sqrt(gap.size):
+        return ""
+    chance = f"over the {mine.size} predicted stretches the difference varies too much to be told from chance"
+    return f"{chance} (less than {CLEAR:g} standard errors)"
 
 
 def error(held_out: HeldOut | None) -> float:
@@ -118,13 +109,14 @@ def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, s
         alone = "Nothing was held out or could be predicted, so only fits were compared."
         return first.name, f"{_by_bic(first, known)} {alone}{_hue(first)}"
     nearest = min(predicted, key=lambda each: error(each.held_out))
-    good = [each for each in predicted if not worse(each.held_out, nearest.held_out)]  # type: ignore[arg-type]
+    alike = {each.name: why_alike(each.held_out, nearest.held_out) for each in predicted}
+    good = [each for each in predicted if alike[each.name]]
     both = [each for each in likely if each in good]
     if both:
         chosen = min(both, key=lambda each: each.unknowns)
         also = "best of all."
         if chosen is not nearest:
-            also = f"not clearly worse than {nearest.name} ({_error(nearest, unit)}): {_unclear(chosen, nearest)}."
+            also = f"not clearly worse than {nearest.name} ({_error(nearest, unit)}): {alike[chosen.name]}."
         return chosen.name, f"{_by_bic(chosen, known)} It predicts {_error(chosen, unit)} off, {also}{_hue(chosen)}"
     simple = min(good, key=lambda each: each.unknowns)
     chosen = simple if first.whiteness < COLOURED else first

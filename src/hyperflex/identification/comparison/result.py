@@ -23,8 +23,8 @@ class FittedModel:
 
     Attributes
     ----------
-    name : str
-    free : tuple of str
+    name, free : str, tuple of str
+        Its name, and what was free.
     links : int
         Number of links.
     identification : Identification or None
@@ -61,10 +61,8 @@ class ModelComparison(Ended):
     ----------
     models : tuple of FittedModel
         In the order in which they were given, those that failed included.
-    preferred : str or None
-        Name of the model that the evidence prefers; None if none could be fitted.
-    recommendation : str
-        Why, in words.
+    preferred, recommendation : str or None, str
+        Name of the model that the evidence prefers, None if none could be fitted; and why, in words.
     message : {"converged", "interrupted"}
         Whether all candidates were fitted before Ctrl-C.
     unit : str

@@ -59,9 +59,9 @@ class ExperimentDesign(Ended):
     want : tuple of str
         What was wanted.
     advice : str
-        In words: which to make, what the others would lose; or what to measure where none can tell.
+        In words: which to make; or what to measure where none can tell.
     message : {"converged", "interrupted"}
-        Whether all candidates were looked at before Ctrl-C.
+        Whether all candidates were simulated before Ctrl-C.
     """
 
     plans: tuple[Plan, ...]
@@ -120,41 +120,33 @@ def design_experiment(
     free: Sequence[str] = ("inertia", "friction"),
     progress: bool = False,
 ) -> ExperimentDesign:
-    """Say which experiment would tell most about some of a rope's parameters.
-
-    For each candidate the rope is simulated, seen at the frames, and the standard deviations predicted that a fit with
-    these parameters free would state (Fisher's information, each window's initial state left free).
+    """Rank experiments by the standard deviations that a fit would state of some parameters (Fisher information).
 
     Parameters
     ----------
     rope : Rope
-        The rope as far as it is known; where it is a guess, so is what is predicted.
+        The rope as far as it is known.
     want : str or sequence of str
         What is to be known well: names or labels of free parameters (``"friction"``, ``"inertia[1]"``), or ratios that
         need no known force (``"J/p1"``, ``"p/p1"``, ``"c/p1"``).
     candidates : sequence of Experiment, optional
-        What could be done. By default free swings from several angles and, with an arm, the paper's swings with several
-        rests, 10 s at 30 frames/s and at most 11 markers; the best of them then with other rates, durations and fewer
-        markers.
+        By default free swings from several angles and, with an arm, the paper's swings with several rests, 10 s at
+        30 frames/s and at most 11 markers; the best of them then with other rates, durations and fewer markers.
     arm : Arm, optional
         What the motions of the candidates turn.
     noise : float
         Standard deviation of a measured value: of a marker's coordinate, m, or of an angle, rad.
     free : sequence of str
-        What will be fitted, as in :func:`hyperflex.identify`. What else is free makes what is wanted less certain.
+        What will be fitted, as in :func:`hyperflex.identify`.
     progress : bool
         Show a bar on standard error.
-
-    Returns
-    -------
-    ExperimentDesign
 
     Raises
     ------
     InvalidInput
         For names in `want` that are not free, or an unknown word in `free`.
     KeyboardInterrupt
-        When Ctrl-C comes before any candidate was looked at; later those done are ranked.
+        When Ctrl-C comes before any candidate was simulated; later those done are ranked.
 
     Notes
     -----
@@ -213,18 +205,14 @@ def _in_turn(todo: Sequence[Experiment], plans: Sequence[Plan], *, vary: bool) -
 
 
 def _plan(asked: DesignQuestion, experiment: Experiment, seen: list[ExpectedInformation]) -> Plan:
-    """Look at one candidate; what is refused for all of them passes through."""
+    """Return the plan of one candidate; errors of `want` pass through."""
     try:
-        foresight = expected_information(asked.rope, experiment, asked.free, asked.arm, asked.noise)
+        expected = expected_information(asked.rope, experiment, asked.free, asked.arm, asked.noise)
     except HyperflexError as failure:
         return Plan(experiment, {}, {}, str(failure))
-    seen.append(foresight)
-    spreads = foresight.spreads(asked.want)
-    return Plan(
-        experiment,
-        {name: std for name, (std, _) in spreads.items()},
-        {name: part for name, (_, part) in spreads.items()},
-    )
+    seen.append(expected)
+    spreads = expected.spreads(asked.want).items()
+    return Plan(experiment, {name: std for name, (std, _) in spreads}, {name: part for name, (_, part) in spreads})
 
 
 def _advice(asked: DesignQuestion, ranked: Sequence[Plan], seen: Sequence[ExpectedInformation]) -> str:

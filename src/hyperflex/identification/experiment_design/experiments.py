@@ -16,11 +16,7 @@ from hyperflex.motion import Motion, arm_swings
 ANGLES = (0.3, 0.8, 1.5)  # rad, from which a straight rope is let go
 BENT = 0.8  # rad at the first joint, and as much to the other side at the tip
 RESTS = (0.34, 0.53, 0.80)  # s, of the paper's swings: its failure, its success, and a slow one
-RATE, DURATION, MARKERS = (
-    30.0,
-    10.0,
-    11,
-)  # frames a second, s, and at most so many markers, unless something else is tried
+RATE, DURATION, MARKERS = 30.0, 10.0, 11  # frames a second, s, and most markers of the default experiments
 RATES, DURATIONS, FEW = (7.5, 120.0), (5.0, 20.0), (3, 6)
 
 
@@ -33,18 +29,15 @@ class Experiment:
     name : str
         For tables.
     motion : Motion, optional
-        What the arm does, or the point that the rope hangs from; by default the rope swings from a fixed point.
+        Of the arm, or of the first joint; by default it is fixed.
     q0, qd0 : (n,) array_like or float, optional
         Link angles, rad, and rates, rad/s, at the start (a number: of all links); by default it hangs at rest.
-    rate : float
-        Frames a second.
-    duration : float
-        Recorded time, s.
+    rate, duration : float
+        Frames a second; recorded time, s.
     markers : int, optional
-        Number of markers, evenly along the rope from the first joint to the tip; None: the angle of every link is
-        measured.
+        Number of markers, evenly from the first joint to the tip; None: the angle of every link is measured.
     noise : float, optional
-        Standard deviation of a marker's coordinate, m, or of an angle, rad; None: as given to ``design``.
+        Standard deviation of a marker's coordinate, m, or of an angle, rad; None: that of :func:`design_experiment`.
     torque_noise : float, optional
         Standard deviation of the measured motor torque, N m; None: it is not measured.
     """
@@ -86,7 +79,7 @@ class Experiment:
 
 
 def default_experiments(rope: Rope, arm: Arm | None) -> list[Experiment]:
-    """Return the motions tried first: free swings, and with an arm the paper's; all looked at alike."""
+    """Return the motions tried first: free swings, and with an arm the paper's."""
     n, hangs = rope.n_links, rope.hanging_angle
     markers = min(n + 1, MARKERS)
     found = [Experiment(f"let go at {angle:g} rad", q0=hangs + angle, markers=markers) for angle in ANGLES]
@@ -99,7 +92,7 @@ def default_experiments(rope: Rope, arm: Arm | None) -> list[Experiment]:
 
 
 def variations(best: Experiment) -> list[Experiment]:
-    """Return an experiment looked at more or less often, for longer or shorter, and at fewer places."""
+    """Return an experiment at other frame rates, durations, and with fewer markers."""
     named = [replace(best, name=f"{best.name}, {rate:g} frames/s", rate=rate) for rate in RATES]
     named += [replace(best, name=f"{best.name}, {time:g} s", duration=time) for time in DURATIONS]
     most = best.markers or 0

@@ -35,12 +35,9 @@ class ExpectedInformation:
     information: Information
 
     def spreads(self, want: Sequence[str]) -> dict[str, tuple[float, float]]:
-        """Return std, and std over the size of the value, of each single number that the words stand for.
+        """Return standard deviation, and the same over the size of the value, of each single number in `want`.
 
-        Raises
-        ------
-        InvalidInput
-            For a word that is neither free nor a ratio.
+        InvalidInput for a word that is neither free nor a ratio.
         """
         x = self.information.x
         rope = self.parameters.rope(x)
@@ -71,7 +68,7 @@ class ExpectedInformation:
 
 
 def size(parameter: Parameter, x: float) -> float:
-    """Return what a parameter's std is compared with: its value, or a typical change where that is 0 or an offset."""
+    """Return what a standard deviation is compared with: the value, or a typical change of what is 0 or an offset."""
     value = abs(parameter.value(x))
     return value if value > 0.0 and parameter.form != "linear" else parameter.width * parameter.scale
 
@@ -79,14 +76,9 @@ def size(parameter: Parameter, x: float) -> float:
 def expected_information(
     rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | None, noise: float
 ) -> ExpectedInformation:
-    """Return what a fit to such a recording would know about the parameters, were the rope the true one.
+    """Return the Fisher information of the parameters in a simulated recording, windows and states as in ``identify``.
 
-    Windows are cut, states left free and the place of the first joint fitted as ``identify`` does it.
-
-    Raises
-    ------
-    InvalidInput, SimulationError
-        If the experiment does not fit the rope or cannot be simulated.
+    InvalidInput or SimulationError if the experiment does not fit the rope or cannot be simulated.
     """
     t, motion = experiment.t, experiment.motion
     base = arm if motion is not None else None
@@ -114,7 +106,7 @@ def expected_information(
 
 
 def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Information:
-    """Return what the windows tell where the model holds and the noise is as given."""
+    """Return the information of windows that the model fits, the noise as given."""
     x, widths = plant.parameters.start, plant.parameters.widths
     rows: list[Array] = [np.zeros((x.size, x.size))]
     for window, state in zip(windows, states, strict=True):

@@ -26,9 +26,7 @@ SHORT = 1.0  # damping above which a step is so much shortened that its own gain
 ROUGH = 1e-5  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
 STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up
 NEAR, FALL = 1e-2, 0.7  # in scales: farther above its bound a parameter falls by no more than this part of the way
-PREDICTION_DAMPING = (
-    1e-6  # damping for what the linear model has left to gain: parameters that do not act promise nothing
-)
+PREDICTION_DAMPING = 1e-6  # for the predicted decrease: parameters that do not act promise nothing
 Report = Callable[[dict[str, Any]], None]
 
 
@@ -189,16 +187,8 @@ def _prior_cost(windows: Sequence[Window], states: Sequence[Array]) -> float:
     return sum(window.prior_cost(state) for window, state in zip(windows, states, strict=True))
 
 
-@dataclass(frozen=True)
-class _Step:
-    """A step of the linear model: of the parameters (P,) and of each window's state (2n,)."""
-
-    shared: Array
-    states: list[Array]
-
-
-def _step(at: Fit, linear: Sequence[Linear], lower: Array, damping: float) -> _Step:
-    """Return the damped Gauss-Newton step within the bounds; of the states alone if `lower` is empty."""
+def _step(at: Fit, linear: Sequence[Linear], lower: Array, damping: float) -> tuple[Array, list[Array]]:
+    """Return the damped Gauss-Newton step of parameters (P,), within bounds, and of each window's state (2n,)."""
     root = np.sqrt(damping)
     width = np.sqrt(sum((each.shared**2).sum(axis=0) for each in linear)) + 1e-12
     matrix, gradient = np.diag((root * width) ** 2), np.zeros(lower.size)
@@ -215,7 +205,7 @@ def _step(at: Fit, linear: Sequence[Linear], lower: Array, damping: float) -> _S
         gradient += left.T @ rest
         padded.append(wide)
     move = _bounded(matrix, gradient, at.x[: lower.size], lower)
-    return _Step(move, [-least_squares(each.state, each.residual + each.shared @ move) for each in padded])
+    return move, [-least_squares(each.state, each.residual + each.shared @ move) for each in padded]
 
 
 def least_squares(matrix: Array, right: Array) -> Array:
@@ -228,10 +218,10 @@ def _predicted_decrease(at: Fit, linear: Sequence[Linear], lower: Array) -> floa
     """Return the decrease of the squares that the linear model predicts; inf where no window has derivatives."""
     if not any(each.known for each in linear):
         return float("inf")
-    step = _step(at, linear, lower, PREDICTION_DAMPING)
+    shared, states = _step(at, linear, lower, PREDICTION_DAMPING)
     gained = 0.0
-    for each, state in zip(linear, step.states, strict=True):
-        ahead = each.residual + each.state @ state + each.shared @ step.shared
+    for each, state in zip(linear, states, strict=True):
+        ahead = each.residual + each.state @ state + each.shared @ shared
         gained += float(each.residual @ each.residual - ahead @ ahead)
     return gained
 
@@ -245,9 +235,9 @@ def _improve(
     """
     before = best.cost
     while damping < MOST_DAMPING:
-        step = _step(best, linear, lower, damping)
-        x = best.x + step.shared if lower.size else best.x
-        states = [state + move for state, move in zip(best.states, step.states, strict=True)]
+        shared, moves = _step(best, linear, lower, damping)
+        x = best.x + shared if lower.size else best.x
+        states = [state + move for state, move in zip(best.states, moves, strict=True)]
         residuals = _residuals(plant, windows, x, states)
         if residuals is not None:
             tried = Fit(x, states, residuals, best.loss, _prior_cost(windows, states))

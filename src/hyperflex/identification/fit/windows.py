@@ -93,20 +93,10 @@ def decimation_step(recording: Recording, length: float) -> int:
 def cut_windows(
     recording: Recording, length: float, shape: Recording | None = None, prior: Array | None = None
 ) -> tuple[list[Window], int]:
-    """Cut a recording into windows of `length` (s) side by side; return them and the number left out.
+    """Cut a recording into windows of `length` (s), [start, start + length); return them and the number left out.
 
-    Windows are left out where some link has too few values, or too long a gap, to tell its angle and rate.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of any channels; weighted by its noise, equally without.
-    length : float, s
-        Samples of a window lie in [start, start + length).
-    shape : Recording, optional
-        Link angles, for first states; the recording itself by default.
-    prior : (r, 2n), optional
-        See :class:`Window`.
+    Windows are left out where some link has too few values, or too long a gap, to tell its angle and rate. `shape`
+    holds link angles for first states, by default the recording itself; prior (r, 2n): see :class:`Window`.
     """
     t, data, noise = recording.t, recording.data, recording.noise
     weight = np.where(np.isnan(data), 0.0, 1.0 if noise is None else 1.0 / noise)

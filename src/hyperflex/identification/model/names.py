@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -20,22 +21,10 @@ ORIGIN = 0.1  # scale of the place of the first joint, in lengths of the rope
 def parse(
     guess: Rope, free: Sequence[str], arc_lengths: Array | None = None, *, moved: bool = False, arm: Arm | None = None
 ) -> list[Parameter]:
-    """Return the parameters that the words in `free` stand for.
+    """Return the parameters that the words in `free` (see :func:`hyperflex.identify`) stand for.
 
-    Parameters
-    ----------
-    guess : Rope
-    free : sequence of str
-        A property, for each link's own value; ``friction[2]`` of one link; ``friction:shared`` one value for all;
-        ``friction:factor`` one factor on all links' guesses; ``friction:taper`` its logarithmic growth along the rope;
-        ``tip_mass``, ``gravity_angle``, ``delay``, ``origin_x``, ``origin_y``, ``arm_inertia``, ``arm_friction`` of the
-        whole; ``arc[2]`` of a marker.
-    arc_lengths : (K,) array, m, optional
-        Where markers sit along the rope.
-    moved : bool
-        Whether the first joint is moved, so that a delay means something.
-    arm : Arm, optional
-        The arm whose motor's torque is measured, if it is.
+    `arc_lengths` (K,), m, are of the markers; `moved` tells whether the first joint moves, so that a delay has a
+    meaning; `arm` is that whose motor torque is measured.
     """
     if isinstance(free, str) or len(free) == 0:
         raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
@@ -57,16 +46,12 @@ def parse(
 def _refuse_twice(chosen: list[Parameter], free: Sequence[str]) -> None:
     """Refuse words that free one number twice."""
     twice: set[str] = set()
-    for k, one in enumerate(chosen):
-        for other in chosen[:k]:
-            if one.name != other.name:
-                continue
-            both = one.law == other.law == "own"
-            if both and one.links and not set(one.links) & set(other.links):
-                continue
-            if one.law == other.law or "own" in (one.law, other.law):
-                shared = sorted(set(one.links) & set(other.links)) if both else []
-                twice |= {f"{one.name}[{link}]" for link in shared} or {one.name}
+    for one, other in combinations(chosen, 2):
+        both = one.law == other.law == "own"
+        shared = set(one.links) & set(other.links) if both else set()
+        apart = both and one.links and not shared
+        if one.name == other.name and not apart and (one.law == other.law or "own" in (one.law, other.law)):
+            twice |= {f"{one.name}[{link}]" for link in shared} or {one.name}
     if twice:
         raise InvalidInput(
             "free names the same thing twice", got=list(free), allowed=f"{', '.join(sorted(twice))} only once"
@@ -140,7 +125,7 @@ def _arcs(guess: Rope, marker: int | None, law: str, arc_lengths: Array | None) 
 
 
 def scales(guess: Rope, name: str) -> Array:
-    """Return the scales (n,) of a property of the links: its value, or by its unit what is typical, if that is more."""
+    """Return the scales (n,) of a property of the links: its value, or what is typical by its unit, if that is more."""
     value: Array = np.array(getattr(guess, name))
     if FREE[name].form == "log":
         if not (value > 0.0).all():
@@ -161,14 +146,15 @@ def scales(guess: Rope, name: str) -> Array:
 
 
 def perturbed(rope: Rope, off: Mapping[str, float]) -> Rope:
-    """Return the rope with fitted numbers off by so much, kept within their bounds.
+    """Return the rope with fitted parameters changed, kept within their bounds.
 
     Parameters
     ----------
     rope : Rope
         As fitted.
     off : mapping of str to float
-        By labels such as ``friction[1]``, in SI units; of a factor relative. What is none of the rope's is left out.
+        Changes by labels such as ``friction[1]``, SI units; of a factor relative. What is none of the rope's is left
+        out.
     """
     owners = {label: FREE[parts.name].owner for label in off if (parts := parsed(label))}
     own = {label: off[label] for label, owner in owners.items() if owner in ("link", "rope")}

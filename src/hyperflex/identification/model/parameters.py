@@ -27,9 +27,9 @@ SMALL = 0.1  # rad, and parts of a time or place scale, by which such parameters
 class Parameter:
     """One free number.
 
-    The fitter works on x: the logarithm of the value (``log``), or the value over `scale`, kept >= 0 where its form
-    is ``nonnegative``. Of a law along the rope it works on the logarithm of a factor on all links' guesses (``factor``)
-    or of its growth from the motor to the tip (``taper``).
+    The fit works on x: the logarithm of the value (``log``), or the value over `scale`, kept >= 0 where its form
+    is ``nonnegative``. Of a law along the rope x is the logarithm of a factor on all links' guesses (``factor``) or of
+    its growth from the motor to the tip (``taper``).
     """
 
     name: str
@@ -63,7 +63,7 @@ class Parameter:
 
     @property
     def width(self) -> float:
-        """Change of x by which parameters are compared when judging what can be known.
+        """Change of x that makes parameters comparable when judging what can be known.
 
         A factor of e, a link's length, its whole inertia, a torque of 1 % of gravity's, 0.1 rad, 0.1 of a time or
         place scale.
@@ -80,14 +80,17 @@ class Parameter:
 
 
 class Parameters:
-    """The free parameters of a rope and of how it is seen; see ``_names.parse`` for what `all` may hold.
+    """The free parameters of a rope and of its measurement.
 
-    Where a length is free and the guess uniform, centre of mass and inertia go with it unless they are free themselves.
+    Where a length is free and the guess uniform, centre of mass and inertia follow unless they are free themselves.
     """
 
     def __init__(self, guess: Rope, chosen: Sequence[Parameter]) -> None:
         self.guess = guess
         self.all = tuple(chosen)
+        self.labels = tuple(p.label for p in self.all)  # e.g. ``friction[1]``
+        self.lower = np.array([p.least for p in self.all])  # bounds of x
+        self.widths = np.array([p.width for p in self.all])  # comparable changes of x
         self.led = {name: np.ones(guess.n_links, dtype=bool) for name in LED}  # which links' are not free themselves
         for parameter in self.all:
             if parameter.name in LED:
@@ -98,28 +101,13 @@ class Parameters:
         return len(self.all)
 
     @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the single numbers, e.g. ``friction[1]``."""
-        return tuple(p.label for p in self.all)
-
-    @property
     def start(self) -> Array:
         """First guess x (P,)."""
         return np.array([p.first for p in self.all])
 
-    @property
-    def lower(self) -> Array:
-        """Lower bounds of x (P,)."""
-        return np.array([p.least for p in self.all])
-
     def rounded(self, x: Array) -> Array:
         """Return x (P,) with 0 for what is left at its bound."""
         return np.where((x > 0.0) & (x <= self.lower), 0.0, x)
-
-    @property
-    def widths(self) -> Array:
-        """Return the changes of x (P,) by which parameters are compared, see ``Parameter.width``."""
-        return np.array([p.width for p in self.all])
 
     def values(self, x: Array) -> Array:
         """Return the values (P,) in SI units."""
@@ -197,14 +185,9 @@ class Parameters:
 
 
 def lumped(rope: Rope) -> tuple[Array, Array]:
-    """Return what the motion depends on besides lengths and friction: first and second moments about the joints.
+    """Return first moments p (n,), kg m, and moments of inertia about the joints J (n,), kg m^2.
 
-    Returns
-    -------
-    p : (n,) kg m
-        m_i a_i + l_i (all mass beyond).
-    inertia : (n,) kg m^2
-        J_i + m_i a_i^2 + l_i^2 (all mass beyond).
+    p_i = m_i a_i + l_i (all mass beyond); J_i = inertia_i + m_i a_i^2 + l_i^2 (all mass beyond).
     """
     beyond = np.append(np.cumsum(rope.mass[::-1])[::-1][1:], 0.0) + rope.tip_mass
     p = rope.mass * rope.com + rope.length * beyond

@@ -42,7 +42,7 @@ class _Evaluation:
 
 @dataclass(frozen=True)
 class PredictedChannels:
-    """What is seen (m, C), and its derivatives with respect to the state (m, C, 2 n) and the parameters (m, C, P)."""
+    """Predicted channels (m, C), and their derivatives by the state (m, C, 2 n) and the parameters (m, C, P)."""
 
     channels: Array
     state: Array
@@ -50,16 +50,9 @@ class PredictedChannels:
 
 
 class Plant:
-    """Predicts what is seen in a window; what the base does, and what is measured, is fixed here.
+    """Predicts the channels of a window, those of `sensor` and, with `torque`, of the arm's motor as the last.
 
-    Parameters
-    ----------
-    parameters : Parameters
-    sensor : Sensor
-    motion, arm : Motion, Arm, optional
-        What the first joint does; by default it hangs from a fixed point.
-    torque : bool
-        Whether the torque of the arm's motor is measured as well: the last channel.
+    `motion` and `arm` move the first joint; by default it is fixed.
     """
 
     def __init__(
@@ -82,29 +75,21 @@ class Plant:
         return self if self.motor is None else Plant(self.parameters, self.sensor, self.motion, self.arm)
 
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
-        """Return what is seen (m, C) at times t (m,) from `state` (2n,) at t[0]; None where the rollout fails."""
+        """Return the channels (m, C) at times t (m,) from `state` (2n,) at t[0]; None where the rollout fails."""
         at = self._at(x)
         if at is None or not np.isfinite(state).all():
             return None
-        n = at.rope.n_links
-        run = prepare(at.chain, at.drive, (state[:n], state[n:]), t, self._limits(at, t))
-        if finish(run) != status.OK:
+        y = self._run(at, t, state)
+        if y is None:
             return None
-        seen = at.sensor.predict(at.rope, run.y[:, :n], self._pivot(at, t))
-        if at.motor is not None:
-            seen = np.column_stack([seen, at.motor.predict(at.chain, at.drive, t, run.y)])
+        seen = self._channels(at, t, y)
         return seen if np.isfinite(seen).all() else None
 
     def propagate(self, x: Array, t: float, state: Array, until: float) -> Array | None:
-        """Return the state (2n,) at `until`, s, that comes of `state` at t; None where the rollout fails."""
+        """Return the state (2n,) at `until`, s, from `state` at t; None where the rollout fails."""
         at = self._at(x)
-        if at is None:
-            return None
-        n, times = at.rope.n_links, np.array([t, until])
-        run = prepare(at.chain, at.drive, (state[:n], state[n:]), times, self._limits(at, times))
-        if finish(run) != status.OK or not np.isfinite(run.y[-1]).all():
-            return None
-        return np.asarray(run.y[-1, : 2 * n].copy())
+        y = None if at is None else self._run(at, np.array([t, until]), state)
+        return None if y is None or not np.isfinite(y[-1]).all() else np.asarray(y[-1, : state.size].copy())
 
     def jacobian(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
         """Return the same with exact derivatives, or None."""
@@ -122,14 +107,13 @@ class Plant:
         if self.sensor.placed:
             place_changes(at.drive, at.seeds, np.array(t), dpivot)
         dpivot = dpivot[:, :, : dq.shape[2]]
-        seen = at.sensor.predict(at.rope, q, self._pivot(at, t))
+        seen = self._channels(at, t, y)
         moved = at.sensor.jacobian(at.rope, q, dq, dpivot, at.parameter_directions.lengths(n))
-        shared = np.zeros((*seen.shape, len(self.parameters)))
+        shared = np.zeros((*moved.shape[:2], len(self.parameters)))
         shared[:, :, at.moving] = moved[:, :, 2 * n :]
         self._add_own(at, q, shared)
         if at.motor is not None:
             torque = self._torque_jacobian(at, at.motor, t, y, dy)
-            seen = np.column_stack([seen, at.motor.predict(at.chain, at.drive, t, y)])
             moved, shared = (
                 np.concatenate([before, added[:, None]], axis=1)
                 for before, added in zip((moved, shared), torque, strict=True)
@@ -168,9 +152,19 @@ class Plant:
     def _limits(self, at: _Evaluation, t: Array) -> Limits:
         return limits(self._setup, at.chain, float(t[-1]), 1_000_000)
 
-    def _pivot(self, at: _Evaluation, t: Array) -> Array:
-        """Return the first joint's places (m, 2)."""
-        return pivot_places(at.motion, self.arm, t) if self.sensor.placed else np.zeros((t.size, 2))
+    def _run(self, at: _Evaluation, t: Array, state: Array) -> Array | None:
+        """Return the rollout's states at t (m,) from `state` (2n,), or None where it fails."""
+        n = at.rope.n_links
+        run = prepare(at.chain, at.drive, (state[:n], state[n:]), t, self._limits(at, t))
+        return run.y if finish(run) == status.OK else None
+
+    def _channels(self, at: _Evaluation, t: Array, y: Array) -> Array:
+        """Return the channels (m, C) of states y (m, 2n or more)."""
+        pivot = pivot_places(at.motion, self.arm, t) if self.sensor.placed else np.zeros((t.size, 2))
+        seen = at.sensor.predict(at.rope, y[:, : at.rope.n_links], pivot)
+        if at.motor is None:
+            return seen
+        return np.column_stack([seen, at.motor.predict(at.chain, at.drive, t, y)])
 
     def _at(self, x: Array) -> _Evaluation | None:
         key = x.tobytes()
@@ -206,19 +200,9 @@ class Plant:
                 part = {"breaks": breaks, "coef": np.zeros_like(drive.coef)}
             parts.append(part)
         names = tuple(str(k) for k in range(len(parts)))
-        sensor = self.sensor.with_values(own)
         chain, directions = rope.chain(), ParameterDirections(names, tuple(parts))
-        return _Evaluation(
-            rope,
-            chain,
-            motion,
-            drive,
-            sensor,
-            motor,
-            [k for k, _ in moving],
-            directions,
-            directions.directions(chain, drive),
-        )
+        seeds, freed = directions.directions(chain, drive), [k for k, _ in moving]
+        return _Evaluation(rope, chain, motion, drive, self.sensor.with_values(own), motor, freed, directions, seeds)
 
 
 def _place(name: str, markers: tuple[int, ...]) -> int | None:
@@ -229,9 +213,7 @@ def _place(name: str, markers: tuple[int, ...]) -> int | None:
 
 
 def pivot_places(motion: Motion | None, arm: Arm | None, t: Array) -> Array:
-    """Return where the first joint is (m, 2), m, in the frame of its motion."""
+    """Return the places of the first joint (m, 2), m, in the frame of its motion."""
     motion = motion or hold_arm(0.0)
     place: Array = motion.point(t)
-    if arm is None:
-        return place
-    return place + arm.tip(motion.angle(t))
+    return place if arm is None else place + arm.tip(motion.angle(t))

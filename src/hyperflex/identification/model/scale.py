@@ -18,9 +18,9 @@ Mask = npt.NDArray[np.bool_]
 def scaling(parameters: Parameters, x: Array) -> Array | None:
     """Return the direction (P,) in which all moments, frictions and stiffnesses grow alike, or None if there is none.
 
-    In units of ``parameters.widths``, of length 1. It is the one that leaves the motion as it is where no known force
-    acts: d/dx of p, J (about the joint) and each resistance equals their own value, the lengths between joints stay.
-    Torques weigh as little as they act: one that is held hides no common factor of the moments, it only limits it.
+    In units of ``parameters.widths``, of length 1. It leaves the motion as it is where no known force acts: d/dx of p,
+    J (about the joint) and each resistance equals their own value, the lengths between joints stay. Torques have low
+    weights: one that is held hides no common factor of the moments.
     """
     now, fixed = _scaled(parameters.rope(x)), np.abs(_scaled(parameters.rope(x)))
     n = parameters.guess.n_links
@@ -54,8 +54,7 @@ def common_factor(parameters: Parameters, x: Array, unknown: Array) -> Array | N
 def in_common_factor(parameters: Parameters, x: Array, unknown: Array) -> Mask:
     """Return which parameters (P,) stand in an unknown common factor, True also for those at 0.
 
-    Such a one does not move along the factor: 0 stays 0. But how far it may be from 0 grows with the factor, so that
-    its own value is as unknown as that of the others; only its ratio to them is known.
+    At 0 a parameter does not move along the factor, but its uncertainty grows with it: only its ratio is known.
     """
     if common_factor(parameters, x, unknown) is None:
         return np.zeros(len(parameters), dtype=bool)

@@ -29,10 +29,8 @@ class Bootstrap:
         Of the P parameters, as in ``Identification.parameters``.
     samples : (B, P) array
         Fitted values, SI units.
-    failed : int
-        How many more fits failed.
-    interrupted : bool
-        Whether Ctrl-C came before all were done.
+    failed, interrupted : int, bool
+        How many more fits failed, and whether Ctrl-C came before all were done.
     """
 
     names: tuple[str, ...]
@@ -45,7 +43,7 @@ class Bootstrap:
         return f"<Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}: {', '.join(self.names)}>"
 
     def interval(self, name: str, level: float = LEVEL) -> Interval:
-        """Return the percentile interval of parameter `name`; beside a bound :func:`profile` covers better."""
+        """Return the percentile interval of parameter `name` at a confidence `level`; beside bounds prefer :func:`profile`."""
         if name not in self.names:
             raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(self.names))
         side = 0.5 * (1.0 - checked_level(level))

@@ -38,11 +38,8 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
 
     Returns
     -------
-    terms (k,)
-        The a_j, always of a stationary process.
-    agrees : bool
-        Whether that process, less what the fit absorbs, has the residuals' autocorrelations. If not, the terms are
-        those of Yule and Walker for the residuals as they are.
+    terms (k,), the a_j, of a stationary process; agrees, whether that process, less what the fit absorbs, has the
+    residuals' autocorrelations. If not, the terms are those of Yule and Walker for the residuals as they are.
 
     Notes
     -----

@@ -89,27 +89,21 @@ FILLED = 20  # a clock with more ticks than this for each sample would be nearly
 
 
 def correlogram(t: Array, residuals: Array, lags: int) -> tuple[Array, Array, Array]:
-    """Return the autocorrelation of residuals (m, C), NaN in gaps, at times t (m,), s.
+    """Return the autocorrelation of residuals, gaps left out: lags, correlations, and a 95 % band of white noise.
 
     Parameters
     ----------
     t : (m,) array, s
+        Increasing.
     residuals : (m, C) array
+        NaN in gaps.
     lags : int
         The greatest lag, in samples.
 
     Returns
     -------
-    lag : (L,) array, s
-        From one (usual) step between samples on, at most `lags` of them.
-    correlation : (L, C) array
-        NaN where no two samples are so far apart.
-    band : (L, C) array
-        95 % of the correlations of white residuals lie within plus and minus this.
-
-    Notes
-    -----
-    Samples are put on a grid of the usual step; where it would stay nearly empty, lags count samples.
+    lag (L,) s, from one (usual) step between samples on; correlation (L, C), NaN where no two samples are so far apart;
+    band (L, C). Where a grid of the usual step would stay nearly empty, lags count samples.
     """
     step = float(np.median(np.diff(t)))
     tick = np.round((t - t[0]) / step).astype(int)
