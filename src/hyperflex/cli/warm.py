@@ -226,7 +226,7 @@ def _vision() -> None:
 
     camera = Camera.facing((320, 240), pixels_per_metre=150.0, origin=(160.0, 20.0), exposure=0.01)
     motion = RopeMotion([0.0, 1.0], np.zeros((2, 4)), np.ones((2, 4)), [0.25] * 4)
-    image = Renderer(camera, motion, Scene([0.5, 1.0], marker_diameter=0.08)).image(0.5)
+    image = Renderer(camera, motion, Scene(np.array([0.5, 1.0]), marker_diameter=0.08)).image(0.5)
     MarkerDetector(MarkerColour.from_click(image, camera.project([[0.0, -0.5]])[0])).find(image)
 
 

@@ -28,6 +28,7 @@ ROUNDS = 4  # of Gauss-Newton in an update; more at the start
 FIRST_ROUNDS = 30
 SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
+BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
 GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 
 
@@ -141,7 +142,7 @@ class RopeFilter:
         self._last = self.process.noise(t - self.t, self.process_noise.value)
         with np.errstate(over="ignore", invalid="ignore"):
             factor = sr.predicted(self.factor, found.transition, self._last)
-        if not (np.isfinite(factor).all() and np.isfinite(found.x).all()):
+        if not (np.abs(factor).max() < BEYOND and np.abs(found.x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
         self.factor = factor
         self.age += t - self.t

@@ -43,7 +43,7 @@ class Bootstrap:
         return f"<Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}: {', '.join(self.names)}>"
 
     def interval(self, name: str, level: float = LEVEL) -> Interval:
-        """Return the percentile interval of parameter `name` at a confidence `level`; beside bounds prefer :func:`profile`."""
+        """Return the percentile interval of a parameter `name` at a `level`; beside bounds prefer :func:`profile`."""
         if name not in self.names:
             raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(self.names))
         side = 0.5 * (1.0 - checked_level(level))
