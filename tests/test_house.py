@@ -19,7 +19,7 @@ import hyperflex
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted((ROOT / "src" / "hyperflex").rglob("*.py"))
-HEAVY = {"xarray", "pandas", "matplotlib", "PIL", "h5netcdf", "h5py", "rich", "typer", "jinja2"}
+HEAVY = {"xarray", "pandas", "matplotlib", "PIL", "h5netcdf", "h5py", "rich", "typer", "jinja2", "cv2", "av"}
 HEAVY |= {
     "scipy.linalg",
     "scipy.sparse",

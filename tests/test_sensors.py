@@ -1,16 +1,18 @@
-"""What a camera, an encoder or a torque sensor would show, and its derivatives, against the simulator's own."""
+"""What sensors would show, and its derivatives, against the simulator's own."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex import dynamics
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.sensors import Angles, Markers, Measurement, MotorTorque
+from hyperflex.sensors import Accelerometer, Angles, Markers, Measurement, MotorTorque
 
 ROPE = hf.Rope(
     length=[0.2, 0.25, 0.15],
@@ -78,3 +80,154 @@ def test_torque_and_acceleration_are_inverse() -> None:
     begin = stepper.start(X[1:4], X[5:], arm_angle=X[0], arm_rate=X[4])
     end = stepper.step(begin, float(found.y[0]), dt)
     assert (end.arm_rate - X[4]) / dt == pytest.approx(3.0, abs=1e-2)  # to first order in dt
+
+
+PLACES = [(0, 0.0), (0, 0.15), (1, 0.2), (1, 0.3), (2, 0.45), (2, 0.6)]  # (link, m): joints, the tip, and between
+
+
+def dry(rope: hf.Rope) -> hf.Rope:
+    """Return the rope with so much dry friction that its second joint sticks where its links turn alike."""
+    return rope.replace(dry_friction=[1e-3, 1.0, 1e-3])
+
+
+def test_pendulum_at_rest_reads_g_along_the_link() -> None:
+    """Gravity from the side: the rope hangs askew, and its accelerometers with it. A bias adds to what is read."""
+    for gravity in ((0.0, -9.81), (3.0, -4.0)):
+        rope = ROPE.replace(gravity=gravity)
+        still = hf.State(0.0, np.full(3, rope.hanging_angle), np.zeros(3), arm_angle=rope.hanging_angle, arm_rate=0.0)
+        for link, s in PLACES:
+            found = Accelerometer(link, s, bias=(0.1, -0.2)).measure(rope, ARM, still)
+            np.testing.assert_allclose(found.y, [0.1, np.hypot(*gravity) - 0.2], rtol=0, atol=1e-12)
+
+
+def test_swinging_pendulum_reads_the_closed_form() -> None:
+    """One rigid link on a fixed hinge, alpha = -m a g sin q / I: (g sin q + s alpha, g cos q + s w^2)."""
+    rod = hf.Rope(length=[0.5], mass=[0.2], com=[0.25], inertia=[0.01], gravity=(0.0, -9.81))
+    q, w, s = 0.7, -3.0, 0.4
+    alpha = -0.2 * 0.25 * 9.81 * np.sin(q) / (0.01 + 0.2 * 0.25**2)
+    at = hf.State(0.0, np.array([q]), np.array([w]), arm_angle=0.3, arm_rate=0.0)
+    found = Accelerometer(0, s).measure(rod, hf.Arm(0.1), at)
+    expected = [9.81 * np.sin(q) + s * alpha, 9.81 * np.cos(q) + s * w**2]
+    np.testing.assert_allclose(found.y, expected, rtol=1e-13)
+
+
+def test_at_its_centre_of_percussion_a_free_pendulum_reads_nothing_across() -> None:
+    """s = I / (m a), known since Huygens; also while it swings."""
+    rod = hf.Rope(length=[0.5], mass=[0.2], com=[0.25], inertia=[0.01])
+    s = (0.01 + 0.2 * 0.25**2) / (0.2 * 0.25)
+    at = hf.State(0.0, np.array([1.1]), np.array([2.0]), arm_angle=0.0, arm_rate=0.0)
+    assert Accelerometer(0, s).measure(rod, hf.Arm(0.1), at).y[0] == pytest.approx(0.0, abs=1e-13)
+
+
+def test_acceleration_is_that_of_a_marker_in_a_run() -> None:
+    """Second differences of the places in a run, 1 ms apart: h^2 / 12 of the fourth derivative, some 1e5 m/s^4."""
+    h, motion = 1e-3, hf.move_arm(0.4, 1.4, 0.5)
+    t = 0.1 + h * np.arange(-1, 2)
+    run = hf.simulate(ROPE, motion, arm=ARM, q0=X[1:4], qd0=X[5:], t_eval=t, duration=0.2, tol=1e-11)
+    states = [
+        hf.State(t[k], run.q[k], run.qd[k], arm_angle=run.arm_angle[k], arm_rate=run.arm_rate[k]) for k in range(3)
+    ]
+    for link, s in PLACES:
+        places = [Markers([s]).measure(ROPE, ARM, at).y for at in states]
+        proper = (places[0] - 2.0 * places[1] + places[2]) / h**2 - ROPE.gravity
+        cos, sin = np.cos(run.q[1, link]), np.sin(run.q[1, link])
+        found = Accelerometer(link, s).measure(ROPE, ARM, states[1], float(motion.acceleration(t[1])))
+        np.testing.assert_allclose(found.y, np.array([[cos, sin], [-sin, cos]]) @ proper, rtol=0, atol=0.05)
+
+
+@pytest.mark.parametrize("rope", [ROPE, dry(ROPE)], ids=["viscous", "dry"])
+def test_accelerations_derivatives_are_those_of_differences(rope: hf.Rope) -> None:
+    """Central differences of 1e-5 of values to some hundreds: rounding and third derivatives leave some 1e-7."""
+    for link, s in PLACES:
+        sensor = Accelerometer(link, s, bias=(0.1, 0.2))
+        check_differences(lambda x, sensor=sensor: sensor.measure(rope, ARM, state(x), 3.0), 1e-5)
+        ends = [sensor.measure(rope, ARM, state(X), u) for u in (3.0, 5.0)]
+        np.testing.assert_allclose(ends[0].D[:, 0], (ends[1].y - ends[0].y) / 2.0, rtol=0, atol=1e-11)  # linear in it
+
+
+def test_accelerations_derivatives_by_the_sensors_values() -> None:
+    sensor, step = Accelerometer(1, 0.3, bias=(0.1, 0.2)), 1e-4
+    found = sensor.value_jacobian(ROPE, ARM, state(X), 3.0)
+    for k, e in enumerate(step * np.eye(3)):
+        ends = [sensor.with_values(sensor.values + d).measure(ROPE, ARM, state(X), 3.0).y for d in (e, -e)]
+        np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / (2.0 * step), rtol=0, atol=1e-9)  # linear in them
+
+
+def test_stuck_joint_makes_two_links_one() -> None:
+    """Links that dry friction holds together read what one rigid link of both reads."""
+    stuck = dry(ROPE).replace(stiffness=[0.0, 0.0, 0.0])
+    at = hf.State(0.0, np.array([0.3, 0.3, 0.9]), np.array([1.0, 1.0, 0.5]), arm_angle=0.4, arm_rate=1.5)
+    ends = {}
+    for rope in (stuck, ROPE):
+        by_place = [
+            Accelerometer(*at_place).value_jacobian(rope, ARM, at, 3.0)[:, 2] for at_place in ((0, 0.1), (1, 0.3))
+        ]
+        ends[rope is stuck] = by_place[0] - by_place[1]
+    np.testing.assert_allclose(ends[True], 0.0, rtol=0, atol=1e-9)
+    assert np.abs(ends[False]).max() > 1.0
+
+
+def test_acceleration_under_a_torque_follows_by_the_chain_rule() -> None:
+    """As the docstring says: H + D A[n + 1] and D B[n + 1]."""
+    sensor, tau = Accelerometer(2, 0.5), 0.2
+
+    def seen(x: Array, u: float) -> Measurement:
+        a, b = hf.linearize(ROPE, ARM, x[1:4], x[5:], x[0], x[4], command="torque", u=u)
+        linear = dynamics.partial_linearization(ROPE, ARM, x[1:4], x[5:], x[0], x[4])
+        found = sensor.measure(ROPE, ARM, state(x), dynamics.input_from_torque(linear, u))
+        return Measurement(found.y, found.H + found.D @ a[4:5], found.D @ b[4:5])
+
+    check_differences(lambda x: seen(x, tau), 1e-5)
+    change = (seen(X, tau + 1e-3).y - seen(X, tau - 1e-3).y) / 2e-3
+    np.testing.assert_allclose(seen(X, tau).D[:, 0], change, rtol=1e-8, atol=1e-8)
+
+
+def test_accelerometer_beside_markers_in_a_filter() -> None:
+    """A twin whose rates are off by half a rad/s: with the accelerometer the filter knows its state better."""
+    stepper, dt, rng = hf.Stepper(ROPE, arm=ARM, command="acceleration"), 0.01, np.random.default_rng(5)
+    camera, imu = Markers([0.2, 0.6]), Accelerometer(2, 0.6)
+    errors, spreads = [], []
+    frames, truth = [], stepper.start(X[1:4], X[5:], arm_angle=X[0], arm_rate=X[4])
+    for k in range(30):
+        u = 6.0 * np.cos(0.3 * k)
+        truth = stepper.step(truth, u, dt)
+        seen = camera.measure(ROPE, ARM, truth).y, imu.measure(ROPE, ARM, truth, u).y
+        frames.append((u, seen[0] + 3e-3 * rng.standard_normal(4), seen[1] + 0.1 * rng.standard_normal(2)))
+    for sensors in (1, 2):
+        off = 0.5 * np.array([1.0, -1.0, 1.0])
+        guess = stepper.start(X[1:4], X[5:] + off, arm_angle=X[0], arm_rate=X[4])
+        p = np.diag([1e-8, *[1e-2] * 3, 1e-8, *[0.25] * 3])
+        for u, *frame in frames:
+            linear = stepper.linearize(guess, u, dt)
+            guess, p = linear.state, linear.A @ p @ linear.A.T + 1e-10 * np.eye(8)
+            found = [camera.measure(ROPE, ARM, guess), imu.measure(ROPE, ARM, guess, u)][:sensors]
+            h, r = np.concatenate([m.H for m in found]), np.diag([*[9e-6] * 4, *[1e-2] * 2][: 2 * sensors + 2])
+            gain = np.linalg.solve(h @ p @ h.T + r, h @ p).T
+            change = gain @ np.concatenate([y - m.y for y, m in zip(frame, found, strict=False)])
+            p -= gain @ h @ p
+            guess = replace(
+                guess,
+                arm_angle=guess.arm_angle + change[0],
+                q=guess.q + change[1:4],
+                arm_rate=guess.arm_rate + change[4],
+                qd=guess.qd + change[5:],
+            )
+        errors.append(np.concatenate([guess.q - truth.q, guess.qd - truth.qd]))
+        spreads.append(np.sqrt(np.diag(p))[[1, 2, 3, 5, 6, 7]])
+    assert (np.abs(errors) < 4.0 * np.array(spreads)).all()  # four standard deviations
+    assert (spreads[1] < spreads[0]).all()
+    assert np.linalg.norm(errors[1] / spreads[0]) < np.linalg.norm(errors[0] / spreads[0])
+
+
+@pytest.mark.parametrize(
+    ("link", "s", "match"),
+    [
+        (-1, 0.1, "link"),
+        (3, 0.55, "link is not of this rope"),
+        (1, 0.1, "arc_length is not on link 1"),
+        (2, 0.61, "on link 2"),
+    ],
+)
+def test_accelerometer_refuses_places_that_are_not_on_its_link(link: int, s: float, match: str) -> None:
+    with pytest.raises(InvalidInput, match=match):
+        Accelerometer(link, s).measure(ROPE, ARM, state(X))

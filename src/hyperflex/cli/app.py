@@ -16,11 +16,13 @@ import typer
 
 from hyperflex import __version__
 from hyperflex.cli import output
+from hyperflex.cli.calibrate import calibrate
 from hyperflex.cli.cast import cast
 from hyperflex.cli.demo import demo
 from hyperflex.cli.identify import identify
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
+from hyperflex.cli.track import track
 from hyperflex.cli.warm import warm
 from hyperflex.cli.whip import whip
 from hyperflex.errors import HyperflexError
@@ -34,6 +36,8 @@ for _command, _example in (
     (identify, "identify swing.csv --guess guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 10 -o whipped"),
+    (calibrate, "calibrate board.mp4 --squares 8 6 --square 0.03 --marker 0.022 --plane plane.png -o camera.toml"),
+    (track, "track swing.mp4 --rope rope.toml --camera camera.toml --arc-lengths 0.2,0.4,0.6 -o markers.nc"),
     (reproduce, "reproduce fig10 fig12 -o paper"),
     (demo, "demo -o demo-output"),
     (warm, "warm"),

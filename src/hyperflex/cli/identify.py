@@ -82,8 +82,8 @@ def identify(
 
     _check_output(out, [recording, guess, *([setup] if setup else [])])
     driven = _drive(setup)
-    places = _numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6") if arc_lengths else None
-    seen = _numbers("--origin", [origin], "0.01,-0.02") if origin else None
+    places = output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6") if arc_lengths else None
+    seen = output.numbers("--origin", [origin], "0.01,-0.02") if origin else None
     fastest: dict[str, Any] = {} if max_rate is None else {"max_rate": max_rate}
     measured = read_recording(
         recording,
@@ -107,7 +107,7 @@ def identify(
         result = run(
             measured,
             first,
-            _words(free) or ["inertia", "friction"],
+            output.words(free) or ["inertia", "friction"],
             window=window,
             train=train,
             arc_lengths=places,
@@ -143,19 +143,6 @@ def _check_output(out: Path, inputs: Sequence[Path]) -> None:
         return
     for name in ("rope.toml", "identification.json", "report.html"):
         output.check_destination(out / name, Path(name).suffix, inputs)
-
-
-def _words(given: Sequence[str] | None) -> list[str]:
-    return [word.strip() for text in given or () for word in text.split(",") if word.strip()]
-
-
-def _numbers(option: str, given: Sequence[str], example: str) -> list[float]:
-    try:
-        return [float(word) for word in _words(given)]
-    except ValueError:
-        raise InvalidInput(
-            f"{option} holds something that is no number", got=",".join(given), allowed=f"numbers such as {example}"
-        ) from None
 
 
 def _drive(path: Path | None) -> dict[str, Any]:

@@ -74,6 +74,21 @@ def check_destination(out: Path, suffix: str, inputs: Sequence[Path]) -> None:
         )
 
 
+def words(given: Sequence[str] | None) -> list[str]:
+    """Return the words that an option was given, with commas or several times."""
+    return [word.strip() for text in given or () for word in text.split(",") if word.strip()]
+
+
+def numbers(option: str, given: Sequence[str], example: str) -> list[float]:
+    """Return the numbers that an option was given, in one or several words."""
+    try:
+        return [float(word) for word in words(given)]
+    except ValueError:
+        raise InvalidInput(
+            f"{option} holds something that is no number", got=",".join(given), allowed=f"numbers such as {example}"
+        ) from None
+
+
 def _exists(path: Path) -> bool:
     try:
         return path.exists()

@@ -219,6 +219,17 @@ def _dense() -> None:
     MotorTorque(arm).measure(rope, hf.State(0.0, rest, rest))
 
 
+def _vision() -> None:
+    import numpy as np
+
+    from hyperflex.vision import Camera, MarkerColour, MarkerDetector, Renderer, RopeMotion, Scene
+
+    camera = Camera.facing((320, 240), pixels_per_metre=150.0, origin=(160.0, 20.0), exposure=0.01)
+    motion = RopeMotion([0.0, 1.0], np.zeros((2, 4)), np.ones((2, 4)), [0.25] * 4)
+    image = Renderer(camera, motion, Scene(np.array([0.5, 1.0]), marker_diameter=0.08)).image(0.5)
+    MarkerDetector(MarkerColour.from_click(image, camera.project([[0.0, -0.5]])[0])).find(image)
+
+
 def _parts() -> tuple[Any, Any, Any, Any]:
     """Return hyperflex, and a small rope, arm and peg."""
     import hyperflex as hf
@@ -234,6 +245,7 @@ CALLS: dict[str, Callable[[], None]] = {
     "contact": _contact,
     "dense": _dense,
     "wound": _wound,
+    "vision": _vision,
 }
 # What one process compiles while another does the other: they share little, and "wound" needs what "simulate" has made.
-LANES = (("simulate", "sensitivities"), ("contact", "batch", "dense", "wound"))
+LANES = (("simulate", "sensitivities"), ("contact", "batch", "dense", "wound", "vision"))

@@ -8,8 +8,8 @@ omega, slipping in the sense chi (1, -1, or 0 where it is stuck), is the sum of 
     F = -viscous omega - dry chi,        G = -stiffness (phi - rest)
 
 ``reaction_factor`` is sigma of (M.7), the part of the friction that acts on the parent: 1.0, or 0.0 as the paper
-prints it. All
-functions take numbers or numpy arrays; a new law of friction or of a spring changes this file and no other.
+prints it. All functions take numbers or numpy arrays. The law is taken to be linear in angle and rate: the implicit
+step and its tangent use the slopes of ``jacobian``. One that is not needs them at the joint's state.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from hyperflex.sensors.accelerometer import Accelerometer
 from hyperflex.sensors.motor_torque import MotorTorque
 from hyperflex.sensors.posture import Angles, Markers, Measurement, Sensor
 
-__all__ = ["Angles", "Markers", "Measurement", "MotorTorque", "Sensor"]
+__all__ = ["Accelerometer", "Angles", "Markers", "Measurement", "MotorTorque", "Sensor"]

@@ -21,7 +21,7 @@ class Measurement(NamedTuple):
     Attributes
     ----------
     y : (C,) float64
-        The channels: rad, m or N m.
+        The channels: rad, m, N m or m/s^2.
     H : (C, 2 n + 2) float64
         Their derivatives with respect to x.
     D : (C, 1) float64

@@ -11,7 +11,7 @@ from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive
 from hyperflex.core.integrate.progress import Limits
-from hyperflex.core.tangent.directions import place_changes
+from hyperflex.core.tangent.directions import Directions, place_changes
 from hyperflex.errors import SimulationError
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import ARM, Parameters
@@ -37,6 +37,7 @@ class _Evaluation:
     motor: MotorTorque | None
     moving: list[int]  # which parameters move the rope
     parameter_directions: ParameterDirections  # state first, then those
+    seeds: Directions  # the same for the kernels
 
 
 @dataclass(frozen=True)
@@ -98,13 +99,13 @@ class Plant:
         n, start = at.rope.n_links, (state[: state.size // 2], state[state.size // 2 :])
         try:
             run = record_steps(at.chain, at.drive, start, self._limits(at, t), float(t[0]))
-            y, dy = forward_derivatives(run, at.parameter_directions, start, t)
+            y, dy = forward_derivatives(run, at.parameter_directions, start, t, at.seeds)
         except SimulationError:
             return None
         q, dq = y[:, :n], dy[:, :n, : len(at.parameter_directions.names)]
         dpivot = np.zeros((t.size, 2, at.parameter_directions.width))
         if self.sensor.placed:
-            place_changes(at.drive, at.parameter_directions.directions(at.chain, at.drive), t, dpivot)
+            place_changes(at.drive, at.seeds, np.array(t), dpivot)
         dpivot = dpivot[:, :, : dq.shape[2]]
         seen = self._channels(at, t, y)
         moved = at.sensor.jacobian(at.rope, q, dq, dpivot, at.parameter_directions.lengths(n))
@@ -199,8 +200,9 @@ class Plant:
                 part = {"breaks": breaks, "coef": np.zeros_like(drive.coef)}
             parts.append(part)
         names = tuple(str(k) for k in range(len(parts)))
-        sensor, directions = self.sensor.with_values(own), ParameterDirections(names, tuple(parts))
-        return _Evaluation(rope, rope.chain(), motion, drive, sensor, motor, [k for k, _ in moving], directions)
+        chain, directions = rope.chain(), ParameterDirections(names, tuple(parts))
+        seeds, freed = directions.directions(chain, drive), [k for k, _ in moving]
+        return _Evaluation(rope, chain, motion, drive, self.sensor.with_values(own), motor, freed, directions, seeds)
 
 
 def _place(name: str, markers: tuple[int, ...]) -> int | None:

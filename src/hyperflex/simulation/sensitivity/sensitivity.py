@@ -182,6 +182,14 @@ class AngleJacobian:
         self.setup, self.drive = setup, setup.drive()
         self.wrt = parameter_directions(setup, wrt)
         self.names = self.wrt.names
+        self._begin(setup.rope)
+
+    def _begin(self, rope: Rope) -> None:
+        """Make what follows from the rope alone."""
+        arm = self.setup.arm
+        self.rope = rope
+        self.chain = self.wrt.with_faint_terms(arm.chain(rope) if arm and self.setup.torque_driven else rope.chain())
+        self.seeds = self.wrt.directions(self.chain, self.drive)
 
     def __call__(self, t: Array, q0: Array, qd0: Array, rope: Rope | None = None) -> tuple[Array, Array, Array, Array]:
         """Return angles and rates (T, n) and their derivatives (T, n, P) at times t (T,).
@@ -195,11 +203,11 @@ class AngleJacobian:
         rope : Rope, optional
             Another rope with as many links.
         """
-        rope, arm = rope or self.setup.rope, self.setup.arm
-        chain = self.wrt.with_faint_terms(arm.chain(rope) if arm and self.setup.torque_driven else rope.chain())
-        bounds = limits(self.setup, chain, float(t[-1]))
+        if (rope or self.setup.rope) is not self.rope:
+            self._begin(rope or self.setup.rope)
+        chain, bounds = self.chain, limits(self.setup, self.chain, float(t[-1]))
         run = record_steps(chain, self.drive, (q0, qd0), bounds, float(t[0]))
-        y, dy = forward_derivatives(run, self.wrt, (q0, qd0), t)
+        y, dy = forward_derivatives(run, self.wrt, (q0, qd0), t, self.seeds)
         n, p = chain.length.size, len(self.names)
         return y[:, :n], y[:, n : 2 * n], dy[:, :n, :p], dy[:, n:, :p]
 
@@ -218,9 +226,16 @@ def record_steps(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds:
 
 
 def forward_derivatives(
-    run: Rollout, directions: ParameterDirections, start: tuple[Array, Array], t: Array
+    run: Rollout,
+    directions: ParameterDirections,
+    start: tuple[Array, Array],
+    t: Array,
+    seeds: Directions | None = None,
 ) -> tuple[Array, Array]:
-    """Go through a recorded run again: states (T, 2 n + 2) and derivatives (T, 2 n, p) at times t (T,)."""
+    """Go through a recorded run again: states (T, 2 n + 2) and derivatives (T, 2 n, p) at times t (T,).
+
+    `seeds` are the directions as the kernels take them, where they are at hand.
+    """
     n, begin = run.chain.length.size, float(run.t[0])
     times = np.append([] if t[0] == begin else begin, t)
     y, dy = np.zeros((times.size, 2 * n + 2)), np.zeros((times.size, 2 * n, directions.width))
@@ -228,7 +243,7 @@ def forward_derivatives(
     dy[:] = directions.start(n)
     steps = run.progress.log
     if steps.size:
-        seeds = directions.directions(run.chain, run.drive)
+        seeds = seeds or directions.directions(run.chain, run.drive)
         begins = stiction_projection(run.chain, run.drive, begin, y[0, :n], steps[0, MODES:], seeds, dy[0])
         core.forward_sensitivities(run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
     first = times.size - t.size
@@ -273,7 +288,7 @@ def _labelled(
     reach = np.stack([(chain.length * sin).sum(axis=1), -(chain.length * cos).sum(axis=1)], axis=1)
     tip = motion.point(t) + drive.arm_length * np.stack([np.sin(angle), -np.cos(angle)], axis=1) + reach
     dtip = np.zeros((t.size, 2, directions.width))
-    place_changes(drive, directions.directions(chain, drive), t, dtip)
+    place_changes(drive, directions.directions(chain, drive), np.array(t), dtip)  # compiled for arrays of one kind
     dtip = dtip[:, :, :p] + np.matmul(chain.length * np.stack([cos, sin], axis=1), dq)
     dtip += np.matmul(np.stack([sin, -cos], axis=1), directions.lengths(n))
     qd, dqd, names = y[:, n : 2 * n], dy[:, n:, :p], directions.names

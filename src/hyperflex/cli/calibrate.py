@@ -1,0 +1,127 @@
+"""``hyperflex calibrate``: pictures or a video of a board in, a camera out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hyperflex.checks import number
+from hyperflex.cli import output
+from hyperflex.errors import InvalidInput
+
+
+def calibrate(
+    pictures: Annotated[
+        list[Path], typer.Argument(help="Pictures of the board, or a video of it.", show_default=False)
+    ],
+    squares: Annotated[
+        tuple[int, int],
+        typer.Option(help="Numbers of squares of the board, to the right and down.", show_default=False),
+    ],
+    square: Annotated[float, typer.Option(help="Side of a square, m, measured on the print.", show_default=False)],
+    out: Annotated[Path, typer.Option("-o", "--output", help="TOML file for the camera.")] = Path("camera.toml"),
+    marker: Annotated[
+        float | None, typer.Option(help="Side of a marker, m, of a ChArUco board. [default: a plain chessboard]")
+    ] = None,
+    dictionary: Annotated[str, typer.Option(help="Of the markers, as OpenCV names it.")] = "DICT_4X4_50",
+    plane: Annotated[
+        Path | None, typer.Option(help="Picture of the board held in the swing plane.", show_default=False)
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            help="In place of --plane: CSV table x,y,u,v of 4 or more known points (m, px).", show_default=False
+        ),
+    ] = None,
+    origin: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Where --plane shows the arm's axis, px. [default: the board's corner]", show_default=False),
+    ] = None,
+    exposure: Annotated[float, typer.Option(help="Of the videos to come, s.")] = 0.0,
+    readout: Annotated[float, typer.Option(help="From the first row to the last, s; 0 for a global shutter.")] = 0.0,
+    readout_direction: Annotated[str, typer.Option(help="down, up, right or left, as the picture is seen.")] = "down",
+    delay: Annotated[float, typer.Option(help="By which time stamps are late, s.")] = 0.0,
+    json: output.Json = False,
+) -> None:
+    """Calibrate a camera from pictures of a chessboard or ChArUco board.
+
+    Show the whole board, flat and sharp, at 15 or more places and angles, tilted by 30 to 45 degrees. New and legacy
+    ChArUco boards are tried both. With --plane or --points the file also holds where the swing plane is: x to the
+    right, y up.
+
+    Refused by name: too few views, views that are all parallel, mirrored pictures, a board with other squares or
+    markers. A size of squares that is wrong by a factor shows in no picture: measure it.
+    """
+    from hyperflex.vision import Board, calibrate_camera, read_image, read_pictures
+
+    inputs = [*pictures, *(path for path in (plane, points) if path is not None)]
+    output.check_destination(out, ".toml", inputs)
+    if plane is not None and points is not None:
+        raise InvalidInput("--plane and --points are given both", fix="Give one of them")
+    if origin is not None and plane is None:
+        raise InvalidInput("--origin is given without --plane", fix="Give both")
+    timing: dict[str, Any] = {
+        "exposure": number("--exposure", exposure, sign="nonnegative", unit="s"),
+        "readout": number("--readout", readout, sign="nonnegative", unit="s"),
+        "readout_direction": readout_direction,
+        "delay": number("--delay", delay, unit="s"),
+    }
+    board = Board(squares, square, marker, dictionary)
+    with output.spinner(json) as progress:
+        found = calibrate_camera(
+            read_pictures(pictures),
+            board,
+            progress=lambda images, views: progress(f"{images} pictures, {views} views of the board"),
+            **timing,
+        )
+    camera = found.camera
+    if plane is not None:
+        camera = found.place_plane(read_image(plane), origin)
+    if points is not None:
+        camera = camera.with_plane(*_known_points(points))
+    camera.write(out)
+    result = {
+        "output": out,
+        "reprojection_error_px": found.rms,
+        "pictures": found.images,
+        "views": found.views,
+        "focal_length_px": camera.matrix[0, 0],
+        "focal_length_std_px": found.focal_std,
+        "greatest_tilt_deg": found.tilt,
+        "legacy_pattern": found.legacy,
+        "pixels_per_metre": None if camera.rotation is None else camera.pixels_per_metre,
+        "notes": list(found.notes),
+    }
+    if json:
+        output.print_json(result)
+        return
+    _print(result)
+
+
+def _known_points(path: Path) -> tuple[Any, Any]:
+    """Return places (K, 2), m, and pixels (K, 2) of a CSV table."""
+    from hyperflex.files import read_table
+
+    names, rows = read_table(path)
+    wanted = ["x", "y", "u", "v"]
+    if sorted(names) != sorted(wanted):
+        raise InvalidInput(f"{path}: the columns do not fit", got=names, allowed="x, y (m), u, v (px)")
+    table = rows[:, [names.index(name) for name in wanted]]
+    return table[:, :2], table[:, 2:]
+
+
+def _print(result: dict[str, Any]) -> None:
+    scale = result["pixels_per_metre"]
+    output.print_pairs(
+        f"Calibrated from {result['views']} views in {result['pictures']} pictures",
+        [
+            ("reprojection error", f"{result['reprojection_error_px']:.3f} px"),
+            ("focal length", f"{result['focal_length_px']:.1f} ± {result['focal_length_std_px']:.1f} px"),
+            ("greatest tilt between views", f"{result['greatest_tilt_deg']:.0f} degrees"),
+            ("swing plane", "not known yet" if scale is None else f"{scale:.1f} px/m at its origin"),
+            *(("note", note) for note in result["notes"]),
+            ("written", str(result["output"])),
+        ],
+    )

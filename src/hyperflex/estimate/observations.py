@@ -1,0 +1,198 @@
+"""Observations of markers, and the model that predicts them from a rope's state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.estimate.parameters import ParameterStates
+from hyperflex.model import Rope
+from hyperflex.vision import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Where markers were seen at one time.
+
+    Parameters
+    ----------
+    t : float
+        Middle of the exposure, s.
+    places : (K, 2) array_like
+        Of each marker along the rope; m, or px where there is a camera. NaN: not seen.
+    std : float or (K,) array_like, optional
+        Standard deviation of each coordinate, same unit.
+    covariances : (K, 2, 2) array_like, optional
+        In place of `std`: of each place.
+    rows : (K,) array_like, optional
+        When each was read, as a part of the picture's readout: -0.5 in the first row, 0.5 in the last. By default 0.
+
+    Raises
+    ------
+    InvalidInput
+        If shapes differ, or a standard deviation is not positive.
+    """
+
+    t: float
+    places: Array
+    covariances: Array
+    rows: Array
+
+    def __init__(
+        self,
+        t: float,
+        places: npt.ArrayLike,
+        std: npt.ArrayLike | None = None,
+        rows: npt.ArrayLike | None = None,
+        *,
+        covariances: npt.ArrayLike | None = None,
+    ) -> None:
+        found = np.array(places, dtype=np.float64)
+        if found.ndim != 2 or found.shape[1] != 2:
+            raise InvalidInput("places of markers have the wrong shape", got=found.shape, allowed="(K, 2)")
+        found[np.isnan(found).any(axis=1)] = np.nan
+        if np.isinf(found).any():
+            raise InvalidInput("places of markers are infinite", got=found, allowed="numbers, or NaN: not seen")
+        if (std is None) == (covariances is None):
+            raise InvalidInput("an observation needs its uncertainty", allowed="either std or covariances")
+        seen, k = ~np.isnan(found[:, 0]), len(found)
+        wide = np.zeros((k, 2, 2))
+        if covariances is None:
+            wide[:] = np.broadcast_to(np.asarray(std, dtype=np.float64), (k,))[:, None, None] ** 2 * np.eye(2)
+        else:
+            wide[:] = covariances
+        wide[~seen] = np.eye(2)
+        if not np.isfinite(wide).all() or (np.linalg.eigvalsh(wide) <= 0.0).any():
+            raise InvalidInput("the uncertainty of an observation is not positive", got=std, allowed="> 0")
+        late = np.zeros(k) if rows is None else np.nan_to_num(np.broadcast_to(np.asarray(rows, float), (k,)))
+        values = {"t": checks.number("time of an observation", t, unit="s"), "places": found, "covariances": wide}
+        for name, value in {**values, "rows": late.copy()}.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def seen(self) -> npt.NDArray[np.bool_]:
+        """Which markers were seen (K,)."""
+        return ~np.isnan(self.places[:, 0])
+
+
+class MarkerModel:
+    """Predicts where a camera sees markers, with exact first derivatives.
+
+    Parameters
+    ----------
+    rope : Rope
+    arc_lengths : (K,) array_like
+        How far along the rope each marker sits, m from the first joint.
+    parameters : ParameterStates
+    camera : Camera, optional
+        By default places are seen in metres.
+    readout : float
+        Known time from the first row of a picture to the last, s.
+
+    Notes
+    -----
+    A marker that is read tau before or after the state's time is seen at ``r + tau v + tau^2 a / 2``. The derivatives
+    leave out those of the last term.
+    """
+
+    def __init__(
+        self,
+        rope: Rope,
+        arc_lengths: npt.ArrayLike,
+        parameters: ParameterStates,
+        camera: Camera | None = None,
+        readout: float = 0.0,
+    ) -> None:
+        arcs = checks.array("arc_lengths", arc_lengths, (-1,), unit="m")
+        total = float(rope.length.sum())
+        if not arcs.size or (arcs < 0.0).any() or (arcs > total * (1.0 + 1e-9)).any():
+            raise InvalidInput("a marker is not on the rope", got=arcs, allowed=f"0 to {total:g} m, at least one")
+        self.arc_lengths, self.parameters, self.camera, self.readout = arcs, parameters, camera, readout
+        ends = np.cumsum(rope.length)
+        self.link = np.minimum(np.searchsorted(ends, arcs - 1e-12 * total), rope.n_links - 1)
+        before = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[self.link]
+        self.arms = before * rope.length
+        self.arms[np.arange(arcs.size), self.link] = arcs - (ends - rope.length)[self.link]
+        self._arc_states = {k: int(name[4:-1]) for k, name in enumerate(parameters.names) if name.startswith("arc[")}
+        if any(marker >= arcs.size for marker in self._arc_states.values()):
+            raise InvalidInput(
+                "an arc length is of no marker", got=parameters.names, allowed=f"arc[0..{arcs.size - 1}]"
+            )
+
+    def predict(self, x: Array, base: Array, rows: Array, qdd: Array | None = None) -> tuple[Array, Array]:
+        """Return where the markers are seen (K, 2), and the derivatives (K, 2, 2 n + P) with respect to x.
+
+        Parameters
+        ----------
+        x : (2 n + P,) float64
+            Angles, rad, rates, rad/s, and parameters.
+        base : (3, 2) float64
+            Place, velocity and acceleration of the first joint, m, m/s, m/s^2.
+        rows : (K,) float64
+            As in :class:`Observations`.
+        qdd : (n,) float64, optional
+            Angular accelerations, rad/s^2; where they are left out, markers move uniformly within a readout.
+        """
+        n = self.arms.shape[1]
+        q, qd, values = x[:n], x[n : 2 * n], x[2 * n :]
+        at = self.parameters.value
+        delay, readout = at("delay", values), self.readout + at("readout", values)
+        along = np.stack([np.sin(q), -np.cos(q)])  # (2, n)
+        across = np.stack([np.cos(q), np.sin(q)])
+        arms = self.arms * (1.0 + at("length", values))
+        for k, marker in self._arc_states.items():
+            arms[marker, self.link[marker]] += values[k]
+        tau = rows * readout - delay  # (K,)
+        slope = arms[:, None, :] * across  # (K, 2, n) of the places by the angles
+        place, velocity = base[0] + arms @ along.T, base[1] + slope @ qd
+        bend = np.zeros_like(place)
+        if qdd is not None and tau.any():
+            bend = base[2] + slope @ qdd - arms @ (along * qd * qd).T
+        size = 2 * n + len(self.parameters)
+        seen = place + tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend
+        jacobian = np.zeros((len(arms), 2, size))
+        jacobian[:, :, :n] = slope
+        if tau.any():
+            jacobian[:, :, :n] -= (tau[:, None, None] * arms[:, None, :]) * along * qd
+            jacobian[:, :, n : 2 * n] = tau[:, None, None] * slope
+        now = velocity + tau[:, None] * bend
+        for k, name in enumerate(self.parameters.names):
+            column = jacobian[:, :, 2 * n + k]
+            if name == "length":
+                column[:] = self.arms @ along.T + tau[:, None] * ((self.arms[:, None, :] * across) @ qd)
+            elif name == "delay":
+                column[:] = -now
+            elif name == "readout":
+                column[:] = rows[:, None] * now
+            elif k in self._arc_states:
+                marker = self._arc_states[k]
+                i = self.link[marker]
+                column[marker] = along[:, i] + tau[marker] * across[:, i] * qd[i]
+        return self._seen(seen, jacobian, values, 2 * n)
+
+    def _seen(self, places: Array, jacobian: Array, values: Array, first: int) -> tuple[Array, Array]:
+        """Turn places in the rope's plane and their derivatives into what the camera shows."""
+        at, names = self.parameters.value, self.parameters.names
+        scale, roll = 1.0 + at("scale", values), at("roll", values)
+        turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
+        turned = places @ turn.T
+        shown = scale * turned + np.array([at("offset_x", values), at("offset_y", values)])
+        moved = scale * (turn @ jacobian)
+        changes = {
+            "scale": turned,
+            "roll": scale * np.stack([-turned[:, 1], turned[:, 0]], axis=1),
+            "offset_x": np.array([1.0, 0.0]),
+            "offset_y": np.array([0.0, 1.0]),
+        }
+        for name, change in changes.items():
+            if name in names:
+                moved[:, :, first + names.index(name)] = change
+        if self.camera is None:
+            return shown, moved
+        found = self.camera.linearize(shown)
+        return found.pixels, found.by_point @ moved

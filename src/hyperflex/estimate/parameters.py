@@ -1,0 +1,120 @@
+"""Parameters estimated beside the rope's state: each with a prior, and how it enters the motion or the picture."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Rope
+
+# of the rope: what one unit of the parameter changes, as directions of a derivative
+DYNAMIC: dict[str, Callable[[Rope], dict[str, Array]]] = {
+    "length": lambda rope: {"length": rope.length, "com": rope.com, "inertia": 2.0 * rope.inertia},
+    "friction": lambda rope: {"friction": rope.friction},
+    "drag": lambda rope: {"drag": rope.drag},
+    "tip_mass": lambda rope: {"tip_mass": np.ones(1)},
+}
+# of the picture, with what they are
+OPTICAL = ("scale", "roll", "offset_x", "offset_y", "delay", "readout")
+
+
+@dataclass(frozen=True)
+class EstimatedParameter:
+    """A constant that is estimated beside the state.
+
+    Parameters
+    ----------
+    name : str
+        ``"length"``: relative change of all lengths of the rope, markers included; ``"friction"``, ``"drag"``: relative
+        change of the rope's own; ``"tip_mass"``: kg, beside the rope's own. Of the picture: ``"scale"``: relative
+        change of the plane's scale; ``"roll"``: its turn about the line of sight, rad; ``"offset_x"``,
+        ``"offset_y"``: m; ``"arc[k]"``: change of the k-th marker's arc length, m; ``"delay"``: by how much the
+        pictures are older than their stamps, s; ``"readout"``: time from the first row of a picture to the last, s.
+    std : float
+        Standard deviation of the prior, > 0.
+    value : float
+        Its mean.
+    walk : float
+        Random walk, per square root of a second; 0 of a true constant.
+    """
+
+    name: str
+    std: float
+    value: float = 0.0
+    walk: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.name not in (*DYNAMIC, *OPTICAL) and not re.fullmatch(r"arc\[\d+\]", self.name):
+            allowed = ", ".join((*DYNAMIC, *OPTICAL, "arc[k]"))
+            raise InvalidInput("this cannot be estimated beside the state", got=self.name, allowed=allowed)
+        checks.number(f"std of {self.name}", self.std, sign="positive")
+        checks.number(f"value of {self.name}", self.value)
+        checks.number(f"walk of {self.name}", self.walk, sign="nonnegative")
+
+
+class ParameterStates:
+    """The parameters of one estimate, in their order.
+
+    Parameters
+    ----------
+    wanted : sequence of EstimatedParameter
+    rope : Rope
+        As it is taken to be where all are 0.
+    """
+
+    def __init__(self, wanted: Sequence[EstimatedParameter], rope: Rope) -> None:
+        self.all, self.rope = tuple(wanted), rope
+        self.names = tuple(each.name for each in self.all)
+        if len(set(self.names)) != len(self.names):
+            raise InvalidInput("parameters name something twice", got=self.names, allowed="each name once")
+        for name in ("friction", "drag"):
+            if name in self.names and not getattr(rope, name).any():
+                fix = f"Give the rope a {name} to begin with"
+                raise InvalidInput(f"{name} is a relative change, and the rope has none", got=0.0, fix=fix)
+        self.dynamic = [k for k, name in enumerate(self.names) if name in DYNAMIC]
+
+    def __len__(self) -> int:
+        """Number of parameters."""
+        return len(self.all)
+
+    def value(self, name: str, values: Array) -> float:
+        """Return one parameter's value; 0 where it is not estimated."""
+        return float(values[self.names.index(name)]) if name in self.names else 0.0
+
+    def directions(self) -> list[dict[str, dict[str, Array]]]:
+        """Return the directions of the rope's own parameters, as ``sensitivities`` takes them."""
+        return [{self.names[k]: DYNAMIC[self.names[k]](self.rope)} for k in self.dynamic]
+
+    def possible(self, values: Array) -> Array:
+        """Return the values (P,), moved to what a rope can have."""
+        result = values.copy()
+        for k, name in enumerate(self.names):
+            if name in ("friction", "drag"):
+                result[k] = max(result[k], -1.0)
+            elif name == "tip_mass":
+                result[k] = max(result[k], -self.rope.tip_mass)
+            elif name in ("length", "scale"):
+                result[k] = min(max(result[k], -0.5), 1.0)
+        return result
+
+    def rope_at(self, values: Array) -> Rope:
+        """Return the rope that the values (P,) describe."""
+        changes: dict[str, Any] = {}
+        for k in self.dynamic:
+            name, value = self.names[k], float(values[k])
+            if name == "length":
+                changes |= {"length": self.rope.length * (1.0 + value), "com": self.rope.com * (1.0 + value)}
+                changes["inertia"] = self.rope.inertia * (1.0 + value) ** 2
+            elif name == "tip_mass":
+                changes["tip_mass"] = self.rope.tip_mass + value
+            else:
+                changes[name] = getattr(self.rope, name) * (1.0 + value)
+        return self.rope.replace(**changes) if changes else self.rope

@@ -1,0 +1,26 @@
+"""Vision: camera and calibration, video, markers and bars in pictures, and a synthetic camera to test them with."""
+
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import attach
+
+if TYPE_CHECKING:
+    from hyperflex.vision.assignment import Assignment, assign_markers
+    from hyperflex.vision.bars import BarDetector, BarObservations
+    from hyperflex.vision.boards import Board, BoardView
+    from hyperflex.vision.calibration import Calibration, calibrate_camera
+    from hyperflex.vision.camera import Camera, Projection
+    from hyperflex.vision.camera_file import read_camera
+    from hyperflex.vision.colour import MarkerColour
+    from hyperflex.vision.live import LiveCamera
+    from hyperflex.vision.markers import Gate, MarkerDetector, Observations
+    from hyperflex.vision.ordering import Ordering, order_markers
+    from hyperflex.vision.pictures import read_image, read_pictures
+    from hyperflex.vision.plane import AS_CALIBRATED, PlaneAdjustment
+    from hyperflex.vision.renderer.motion import RopeMotion, sway
+    from hyperflex.vision.renderer.renderer import Renderer, frame_times
+    from hyperflex.vision.renderer.scene import Bar, Occluder, Scene, random_occlusion
+    from hyperflex.vision.renderer.truth import Truth
+    from hyperflex.vision.video import Frame, Image, VideoReader, VideoWriter
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,0 +1,292 @@
+"""Assignment of identical markers in a frame to where a model expects them, jointly, with what is not sure said."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.vision.markers import Observations
+
+CLEAR = 12.0  # difference of squared distances from which a pair needs no second look: odds of e^6
+UNSURE = 6.0  # below which two markers may be swapped: odds of e^3
+SLACK = 0.02  # by which a rope may look longer than it is
+_FORBIDDEN = 1e9
+
+
+class Assignment(NamedTuple):
+    """Which observation is which of K markers.
+
+    Attributes
+    ----------
+    indices : (K,) int
+        Of the observation; -1: not seen.
+    places : (K, 2) float64
+        px; NaN: not seen. Where two markers may be swapped, the mean of both explanations.
+    covariances : (K, 2, 2) float64
+        Of the places, px^2; they hold the spread of both explanations.
+    distances : (K,) float64
+        Squared Mahalanobis distance from the prediction; NaN: not seen.
+    swappable : (K,) bool
+        Whether another marker may well be this one.
+    """
+
+    indices: npt.NDArray[np.int64]
+    places: Array
+    covariances: Array
+    distances: Array
+    swappable: npt.NDArray[np.bool_]
+
+
+def assign_markers(
+    seen: Observations,
+    predicted: npt.ArrayLike,
+    covariance: npt.ArrayLike,
+    *,
+    gate_probability: float = 0.999,
+    reach: npt.ArrayLike | None = None,
+) -> Assignment:
+    """Assign what is seen to markers that a model predicts.
+
+    Parameters
+    ----------
+    seen : Observations
+        M blobs, clutter among them.
+    predicted : (K, 2) array_like
+        Where the markers are expected, px.
+    covariance : (K, 2, 2) or (2 K, 2 K) array_like
+        Of the prediction, px^2: of each marker, or of all together. With all, a marker that is recognised moves the
+        expectation of the others along: a whole rope that is off by more than a gate is still told.
+    gate_probability : float
+        With which a marker's own observation lies in its gate.
+    reach : (K - 1,) array_like, optional
+        Greatest distance between markers k and k + 1, px: the rope between them, times the scale. Pairs that are
+        further apart than that, and 2 %, are not both taken.
+
+    Returns
+    -------
+    Assignment
+
+    Notes
+    -----
+    Least sum of squared Mahalanobis distances plus logarithms of determinants (scipy's linear_sum_assignment); the
+    clearest pairs are settled first, and the prediction of the others is conditioned on them. Two markers for which the
+    swapped pair is nearly as likely get the mean and covariance over both explanations (a joint probabilistic data
+    association of pairs; Bar-Shalom, Fortmann 1988).
+    """
+    mean = checks.array("predicted", predicted, (-1, 2), unit="px")
+    count = mean.shape[0]
+    prior = _joint(covariance, count)
+    p = checks.number("gate_probability", gate_probability, sign="positive")
+    if p >= 1.0:
+        raise InvalidInput("gate_probability is none", got=p, allowed="between 0 and 1")
+    limits = None if reach is None else checks.array("reach", reach, (max(count - 1, 0),), sign="positive", unit="px")
+    forbidden = np.zeros((count, len(seen.places)), bool)
+    while True:
+        indices = _best(seen, mean, prior, -2.0 * math.log(1.0 - p), forbidden)
+        distances, worst = _check_reach(seen, indices, mean, prior, limits)
+        if worst < 0:
+            break
+        forbidden[worst, indices[worst]] = True
+    places, covariances = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
+    found = indices >= 0
+    places[found], covariances[found] = seen.places[indices[found]], seen.covariances[indices[found]]
+    swappable = _spread_swaps(seen, indices, mean, prior, places, covariances)
+    return Assignment(indices, places, covariances, distances, swappable)
+
+
+def _joint(covariance: npt.ArrayLike, count: int) -> Array:
+    """Return the covariance of all predictions together (2 K, 2 K)."""
+    given = np.asarray(covariance, dtype=np.float64)
+    if given.shape == (2 * count, 2 * count):
+        return given
+    each = checks.array("covariance", given, (count, 2, 2), unit="px^2")
+    result = np.zeros((count, 2, count, 2))
+    result[np.arange(count), :, np.arange(count)] = each
+    return result.reshape(2 * count, 2 * count)
+
+
+def _best(
+    seen: Observations, mean: Array, prior: Array, gate: float, forbidden: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.int64]:
+    """Return the observation (K,) of each marker, or -1.
+
+    Where no pair is clear to begin with, each that the surest marker may have is tried, and the one kept that explains
+    all markers together best.
+    """
+    if not forbidden.size:
+        return np.full(len(mean), -1)
+    cost = _costs(seen, mean, prior, gate)
+    cost[forbidden] = _FORBIDDEN
+    greedy = _settle(seen, mean, prior, gate, forbidden, None)
+    if not (cost < _FORBIDDEN).any() or not _correlated(prior) or _margins(cost)[cost < _FORBIDDEN].max() > UNSURE:
+        return greedy
+    widths = np.array([prior[2 * k, 2 * k] + prior[2 * k + 1, 2 * k + 1] for k in range(len(mean))])
+    widths[(cost >= _FORBIDDEN).all(axis=1)] = np.inf
+    surest = int(np.argmin(widths))
+    tries = [greedy] + [
+        _settle(seen, mean, prior, gate, forbidden, (surest, int(j))) for j in np.flatnonzero(cost[surest] < _FORBIDDEN)
+    ]
+    return min(tries, key=lambda indices: _joint_cost(seen, mean, prior, gate, indices))
+
+
+def _correlated(prior: Array) -> bool:
+    """Whether markers tell of each other at all."""
+    count = len(prior) // 2
+    off = prior.reshape(count, 2, count, 2).copy()
+    off[np.arange(count), :, np.arange(count)] = 0.0
+    return bool(off.any())
+
+
+def _joint_cost(seen: Observations, mean: Array, prior: Array, gate: float, indices: npt.NDArray[np.int64]) -> float:
+    """Return the cost of all pairs together against nothing being seen."""
+    found = np.flatnonzero(indices >= 0)
+    if not found.size:
+        return 0.0
+    off, S = _innovation(seen, mean, prior, indices, found)
+    own = [np.linalg.slogdet(S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2])[1] for i in range(found.size)]
+    return float(off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1] - sum(own) - gate * found.size)
+
+
+def _innovation(
+    seen: Observations, mean: Array, prior: Array, indices: npt.NDArray[np.int64], found: npt.NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Return the innovation (2 F,) of the markers found, and its covariance (2 F, 2 F)."""
+    rows = np.concatenate([[2 * k, 2 * k + 1] for k in found])
+    S = prior[np.ix_(rows, rows)].copy()
+    for i, k in enumerate(found):
+        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += seen.covariances[indices[k]]
+    return (seen.places[indices[found]] - mean[found]).ravel(), S
+
+
+def _settle(
+    seen: Observations,
+    mean: Array,
+    prior: Array,
+    gate: float,
+    forbidden: npt.NDArray[np.bool_],
+    given: tuple[int, int] | None,
+) -> npt.NDArray[np.int64]:
+    """Return the observation (K,) of each marker, or -1; the clearest first, the others conditioned on them.
+
+    `given` is a pair that is settled before all others.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    count, many = forbidden.shape
+    indices = np.full(count, -1)
+    m, P = mean.ravel().copy(), prior.copy()
+    taken = np.zeros(many, bool)
+    while True:
+        cost = _costs(seen, m.reshape(-1, 2), P, gate)
+        cost[forbidden] = _FORBIDDEN
+        if given is not None:
+            only = cost[given]
+            cost[:] = _FORBIDDEN
+            cost[given] = only
+            given = None
+        cost[indices >= 0] = _FORBIDDEN
+        cost[:, taken] = _FORBIDDEN
+        full = np.full((count, many + count), _FORBIDDEN)
+        full[:, :many] = cost
+        full[np.arange(count), many + np.arange(count)] = 0.0  # not seen
+        rows, columns = linear_sum_assignment(full)
+        pairs = [(k, j) for k, j in zip(rows.tolist(), columns.tolist(), strict=True) if j < many]
+        if not pairs:
+            return indices
+        margins = _margins(cost)[tuple(np.transpose(pairs))]
+        clear = np.flatnonzero(margins > CLEAR)
+        for i in clear if clear.size else [int(np.argmax(margins))]:
+            k, j = pairs[i]
+            indices[k], taken[j] = j, True
+            own = slice(2 * k, 2 * k + 2)
+            gain = np.linalg.solve(P[own, own] + seen.covariances[j], P[own]).T
+            m = m + gain @ (seen.places[j] - m[own])
+            P = P - gain @ P[own]
+
+
+def _costs(seen: Observations, mean: Array, P: Array, gate: float) -> Array:
+    """Return the cost (K, M) of each pair against not being seen; pairs outside the gate are forbidden."""
+    count = len(mean)
+    own = P.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
+    S = own[:, None] + seen.covariances[None]
+    off = seen.places[None] - mean[:, None]
+    a, b, d = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
+    determinant = a * d - b * b
+    squared = (d * off[..., 0] ** 2 - 2.0 * b * off[..., 0] * off[..., 1] + a * off[..., 1] ** 2) / determinant
+    least = determinant.min(axis=1, keepdims=True)
+    cost = squared + np.log(determinant / least) - gate
+    return np.where(squared > gate, _FORBIDDEN, cost)
+
+
+def _margins(cost: Array) -> Array:
+    """Return by how much each pair (K, M) is better than the next one of its marker or of its observation."""
+    others = np.full_like(cost, _FORBIDDEN)
+    for axis in (0, 1):
+        if cost.shape[axis] > 1:
+            two = np.partition(cost, 1, axis=axis).take([0, 1], axis=axis)
+            least, second = np.split(two, 2, axis=axis)
+            others = np.minimum(others, np.where(cost > least, least, second))
+    return np.asarray(others - cost)
+
+
+def _check_reach(
+    seen: Observations, indices: npt.NDArray[np.int64], mean: Array, prior: Array, limits: Array | None
+) -> tuple[Array, int]:
+    """Return squared distances (K,), and which marker is to be given up since the rope is too short for it (or -1)."""
+    count = len(indices)
+    distances = np.full(count, np.nan)
+    for k in np.flatnonzero(indices >= 0):
+        off = seen.places[indices[k]] - mean[k]
+        own = slice(2 * k, 2 * k + 2)
+        distances[k] = off @ np.linalg.solve(prior[own, own] + seen.covariances[indices[k]], off)
+    if limits is None:
+        return distances, -1
+    along = np.concatenate([[0.0], np.cumsum(limits)])
+    found = np.flatnonzero(indices >= 0)
+    for one, two in pairwise(found.tolist()):
+        i, j = indices[one], indices[two]
+        doubt = 3.0 * math.sqrt(np.trace(seen.covariances[i]) + np.trace(seen.covariances[j]))
+        apart = float(np.linalg.norm(seen.places[i] - seen.places[j]))
+        if apart > (1.0 + SLACK) * (along[two] - along[one]) + doubt:
+            return distances, one if distances[one] > distances[two] else two
+    return distances, -1
+
+
+def _spread_swaps(
+    seen: Observations,
+    indices: npt.NDArray[np.int64],
+    mean: Array,
+    prior: Array,
+    places: Array,
+    covariances: Array,
+) -> npt.NDArray[np.bool_]:
+    """Mark markers that may be swapped; their places and covariances become those over both explanations."""
+    found = np.flatnonzero(indices >= 0)
+    swappable = np.zeros(len(indices), bool)
+    if found.size < 2:
+        return swappable
+    off, S = _innovation(seen, mean, prior, indices, found)
+    precision = np.linalg.inv(S)
+    pull = (precision @ off).reshape(-1, 2)
+    blocks = precision.reshape(found.size, 2, found.size, 2).transpose(0, 2, 1, 3)
+    own = blocks[np.arange(found.size), np.arange(found.size)]
+    between = seen.places[indices[found]][None] - seen.places[indices[found]][:, None]
+    stiffness = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
+    apart = 2.0 * ((pull[:, None] - pull[None]) * between).sum(axis=2)
+    dearer = apart + np.einsum("abi,abij,abj->ab", between, stiffness, between)  # the swapped pair than this one
+    for a, b in np.argwhere(np.triu(dearer < UNSURE, 1)).tolist():
+        one, two, step = found[a], found[b], between[a, b]
+        swappable[[one, two]] = True
+        share = 1.0 / (1.0 + math.exp(0.5 * max(float(dearer[a, b]), 0.0)))  # probability of the swapped pair
+        spread = share * (1.0 - share) * np.outer(step, step)
+        for k, side in ((one, 1.0), (two, -1.0)):
+            places[k] = seen.places[indices[k]] + side * share * step
+            covariances[k] = seen.covariances[indices[k]] + spread
+    return swappable

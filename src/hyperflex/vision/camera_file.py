@@ -1,0 +1,32 @@
+"""Cameras read back from TOML files."""
+
+from __future__ import annotations
+
+from hyperflex import files
+from hyperflex.errors import InvalidInput
+from hyperflex.files import PathLike
+from hyperflex.vision.camera import FORMAT, TIMING, Camera
+
+
+def read_camera(path: PathLike) -> Camera:
+    """Return the camera of a TOML file that :meth:`Camera.write` or ``hyperflex calibrate`` wrote.
+
+    Raises
+    ------
+    FileProblem
+        If it cannot be read.
+    InvalidInput
+        If it is no camera's file; names what is wrong.
+    """
+    content = files.read_toml(path)
+    table, plane = content.get("camera"), content.get("plane", {})
+    if not isinstance(table, dict) or not isinstance(plane, dict) or content.get("format", FORMAT) != FORMAT:
+        raise InvalidInput(f"{path} is no camera's file", got=sorted(content), allowed="a table [camera], and [plane]")
+    known = {"image_size", "matrix", "distortion", *TIMING}
+    missing, unknown = {"image_size", "matrix", "distortion"} - set(table), set(table) - known
+    unknown |= set(plane) - {"rotation", "translation"}
+    if missing or unknown:
+        raise InvalidInput(
+            f"{path}: the camera's keys do not fit", got=sorted(missing | unknown), allowed=", ".join(sorted(known))
+        )
+    return Camera(**table, **plane)

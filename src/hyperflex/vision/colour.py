@@ -1,0 +1,217 @@
+"""The colour of markers: from one click or one frame, as a linear measure of how far a marker covers a pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.core.image.discriminant import discriminant
+from hyperflex.errors import InvalidInput
+from hyperflex.vision.video import Image
+
+LEAST_CHROMA = 35.0  # levels, from which a colour is told from grey
+_LEAST_CONTRAST = 30.0  # levels
+_NOISE = 1.5  # levels, of a channel at least
+_TOLERANCE = 28.0  # levels, within which pixels about a click belong to the marker
+# two directions across grey: what shade, shadow and grey ropes leave alone
+_CHROMA = np.array([[-1.0, -1.0, 2.0], [1.0, -1.0, 0.0]]) / np.array([[6.0**0.5], [2.0**0.5]])
+_GREY = np.array([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]) / 3.0**0.5
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerColour:
+    """The colour of markers, and how large they are.
+
+    Parameters
+    ----------
+    bgr : (3,) array_like
+        Blue, green, red, 0 to 255.
+    bright : bool
+        Told by brightness (reflecting or glowing markers; dark ones on a bright wall, too) rather than by chroma.
+    area : float or None
+        Of a marker at rest, px^2; a blurred one covers as much in all. None: not known.
+
+    Notes
+    -----
+    A pixel that a marker covers in part is a mixture, linear in the share covered. With chroma, grey is projected out
+    first, so that shade, shadow, and a black, grey or white rope do not count. The share is Fisher's linear
+    discriminant between the marker's colour and the pixels around it, scaled to 0 for these and 1 for the marker.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> image = np.full((60, 80, 3), 180, np.uint8)
+    >>> image[25:35, 30:40] = (40, 30, 210)
+    >>> found = MarkerColour.from_click(image, (34, 30))
+    >>> found.bgr.round().tolist(), found.bright
+    ([40.0, 30.0, 210.0], False)
+    """
+
+    bgr: Array
+    bright: bool = False
+    area: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bgr", checks.array("bgr", self.bgr, (3,), sign="nonnegative"))
+        if self.area is not None:
+            object.__setattr__(self, "area", checks.number("area", self.area, sign="positive", unit="px^2"))
+        if not self.bright and np.linalg.norm(_CHROMA @ self.bgr) < LEAST_CHROMA:
+            raise InvalidInput(
+                "the colour is too grey to be told by its chroma",
+                got=np.round(self.bgr).tolist(),
+                allowed=f"a chroma of at least {LEAST_CHROMA:g} levels",
+                fix="Take a stronger colour, or bright=True for markers told by their brightness",
+            )
+
+    @classmethod
+    def from_click(cls, image: Image, place: npt.ArrayLike, bright: bool | None = None) -> MarkerColour:
+        """Return the colour of the marker at a place in a frame.
+
+        Parameters
+        ----------
+        image : (height, width, 3) uint8
+        place : (2,) array_like
+            A pixel of the marker, u, v.
+        bright : bool, optional
+            Whether it is told by its brightness; if left out, where it is nearly grey.
+
+        Raises
+        ------
+        InvalidInput
+            If the place is not in the picture, or what is there does not stand out against what is around it.
+        """
+        colour, inside, around = surface(image, place)
+        if inside.mean() > 0.05 or not around.any():
+            raise InvalidInput(
+                "the click shows a large surface, not a marker",
+                got=f"{int(inside.sum())} px of one colour",
+                allowed="at most 5 % of the picture",
+                fix="Click the middle of a marker",
+            )
+        wall = np.median(image[around], axis=0)
+        grey = bool(np.linalg.norm(_CHROMA @ (colour - wall)) < LEAST_CHROMA) if bright is None else bright
+        return cls._checked(colour, wall, grey, float(inside.sum()))
+
+    @classmethod
+    def from_frame(cls, image: Image, least: int = 3) -> MarkerColour:
+        """Return the colour that most small things of one size in a frame share.
+
+        Parameters
+        ----------
+        image : (height, width, 3) uint8
+        least : int
+            Markers at least.
+
+        Raises
+        ------
+        InvalidInput
+            If no colour has so many; then show the marker by :meth:`from_click`.
+        """
+        import cv2
+
+        chroma = cv2.transform(cv2.GaussianBlur(image, (3, 3), 0).astype(np.float32), _CHROMA.astype(np.float32))
+        strong = np.hypot(chroma[..., 0], chroma[..., 1])
+        hue = np.arctan2(chroma[..., 1], chroma[..., 0])
+        best: tuple[float, MarkerColour | None] = (0.0, None)
+        for centre in np.linspace(-np.pi, np.pi, 24, endpoint=False):
+            near = np.abs((hue - centre + np.pi) % (2.0 * np.pi) - np.pi) < np.pi / 12
+            mask = (near & (strong > LEAST_CHROMA)).astype(np.uint8)
+            _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+            compact = [k for k in range(1, len(stats)) if _is_compact(stats[k])]
+            if len(compact) < least:
+                continue
+            sizes = stats[compact, cv2.CC_STAT_AREA].astype(float)
+            alike = np.abs(np.log(sizes / sizes[:, None])) < np.log(1.6)
+            group = alike[int(np.argmax(alike.sum(axis=1)))]
+            members = np.isin(label, np.array(compact)[group])
+            score = float(group.sum()) * (1.0 + 0.002 * float(np.median(strong[members])))
+            if group.sum() >= least and score > best[0]:
+                pixels = image[members & (strong > 0.8 * np.percentile(strong[members], 90))]
+                best = (score, cls(np.median(pixels, axis=0), False, float(np.median(sizes[group]))))
+        if best[1] is None:
+            raise InvalidInput(
+                "no colour of markers was found in the frame",
+                allowed=f"at least {least} small things of one strong colour and size",
+                fix="Show a marker: MarkerColour.from_click(image, (u, v))",
+            )
+        return best[1]
+
+    @classmethod
+    def _checked(cls, colour: Array, wall: Array, bright: bool, area: float) -> MarkerColour:
+        """Return the colour, or refuse one that does not stand out."""
+        axes = _GREY if bright else _CHROMA
+        contrast = float(np.linalg.norm(axes @ (colour - wall)))
+        if contrast < _LEAST_CONTRAST:
+            raise InvalidInput(
+                "the marker does not stand out against what is around it: contrast in levels",
+                got=round(contrast, 1),
+                allowed=f"at least {_LEAST_CONTRAST:g}",
+                fix="Take markers of a stronger colour, or more light",
+            )
+        return cls(colour, bright, area)
+
+    def adapted(self, bgr: Array, rate: float) -> MarkerColour:
+        """Return this colour moved by a share `rate` towards one seen (3,), unless that would be too grey."""
+        moved = self.bgr + rate * (np.clip(bgr, 0.0, 255.0) - self.bgr)
+        if not self.bright and np.linalg.norm(_CHROMA @ moved) < LEAST_CHROMA:
+            return self
+        return replace(self, bgr=moved)
+
+    @property
+    def axes(self) -> Array:
+        """Directions (2, 3) in blue, green, red in which the marker is told; by brightness the second one is zero."""
+        return np.asarray(_GREY if self.bright else _CHROMA)
+
+    def functional(self, region: Image) -> tuple[Array, float]:
+        """Return coefficients (4,) of the share that a marker covers of a pixel, and the share's noise.
+
+        Parameters
+        ----------
+        region : (h, w, 3) uint8
+            A small part of the picture; most of it is no marker.
+
+        Returns
+        -------
+        (4,) float64
+            Share = c[:3] . (blue, green, red) + c[3].
+        float
+            Standard deviation of the share where no marker is (0: nothing can be told here).
+        """
+        result = np.empty(4)
+        contrast = np.array([0.5 * _LEAST_CONTRAST, _NOISE])
+        noise = discriminant(region, self.axes, self.axes @ self.bgr, contrast, result)
+        return result, float(noise)
+
+
+def surface(image: Image, place: npt.ArrayLike) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Return the colour (3,) of the surface at a place (2,), px, and masks of it and of what is around it.
+
+    Raises
+    ------
+    InvalidInput
+        If the place is not in the picture.
+    """
+    import cv2
+
+    u, v = np.rint(checks.array("place", place, (2,), unit="px")).astype(int).tolist()
+    height, width = image.shape[:2]
+    if not (0 <= u < width and 0 <= v < height):
+        raise InvalidInput("the click is not in the picture", got=[u, v], allowed=f"within {width} x {height} px")
+    smooth = cv2.medianBlur(image, 3)
+    mask = np.zeros((height + 2, width + 2), np.uint8)
+    flags = 8 | cv2.FLOODFILL_MASK_ONLY | cv2.FLOODFILL_FIXED_RANGE
+    cv2.floodFill(smooth, mask, (u, v), 0, (_TOLERANCE,) * 3, (_TOLERANCE,) * 3, flags)
+    inside = (mask[1:-1, 1:-1] > 0).astype(np.uint8)
+    core = cv2.erode(inside, np.ones((3, 3), np.uint8)) > 0
+    far, near = (cv2.dilate(inside, np.ones((size, size), np.uint8)) > 0 for size in (9, 5))
+    return np.median(image[core if core.any() else inside > 0], axis=0), inside > 0, far & ~near
+
+
+def _is_compact(stats: npt.NDArray[np.int32]) -> bool:
+    """Whether a component (OpenCV's left, top, width, height, area) may be a marker at rest."""
+    _, _, width, height, area = (float(value) for value in stats)
+    return area >= 8.0 and max(width, height) <= 2.0 * min(width, height) and area >= 0.5 * width * height

@@ -1,0 +1,125 @@
+"""Where a moving rope is at any time: its link angles between samples, and motion off the plane by choice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.trajectory import Trajectory
+
+OffPlane = Callable[[Array, Array], Array]  # times (m,), arc lengths (P,) -> (m, P), m
+
+
+class RopeMotion:
+    """Places along a rope whose link angles are known at sample times.
+
+    Parameters
+    ----------
+    t : (T,) array_like
+        Times, s, T >= 2.
+    q, qd : (T, n) array_like
+        Absolute link angles, rad, and rates, rad/s.
+    length : (n,) array_like
+        Of the links, m.
+    base, base_velocity : (T, 2) array_like or None
+        Of the first joint, m and m/s; None: it rests at the origin.
+    off_plane : callable, optional
+        Of times (m,), s, and arc lengths (P,), m, to how far off the plane (m, P) that is, m, towards the viewer; see
+        :func:`sway`. The rope is made that much longer, which is of second order.
+
+    Notes
+    -----
+    Cubic Hermite interpolation between samples: error (step)^4 / 384 of the fourth derivative. Before the first and
+    after the last sample it stands still.
+    """
+
+    def __init__(
+        self,
+        t: npt.ArrayLike,
+        q: npt.ArrayLike,
+        qd: npt.ArrayLike,
+        length: npt.ArrayLike,
+        base: npt.ArrayLike | None = None,
+        base_velocity: npt.ArrayLike | None = None,
+        off_plane: OffPlane | None = None,
+    ) -> None:
+        self.t = checks.times("t", t, least=2)
+        self.length = checks.array("length", length, (-1,), sign="positive", unit="m")
+        shape = (self.t.size, self.length.size)
+        if (base is None) != (base_velocity is None):
+            raise InvalidInput("one of base and base_velocity is missing", fix="Give both or none")
+        rest = np.zeros((self.t.size, 2))
+        columns = [checks.array("q", q, shape, unit="rad"), rest if base is None else base]
+        rates = [checks.array("qd", qd, shape, unit="rad/s"), rest if base_velocity is None else base_velocity]
+        self._values = np.hstack([columns[0], checks.array("base", columns[1], (self.t.size, 2), unit="m")])
+        self._rates = np.hstack([rates[0], checks.array("base_velocity", rates[1], (self.t.size, 2), unit="m/s")])
+        self.off_plane = off_plane
+
+    @classmethod
+    def from_trajectory(cls, trajectory: Trajectory, off_plane: OffPlane | None = None) -> RopeMotion:
+        """Return the motion of a simulated rope, and of its arm's tip; see the class for `off_plane`."""
+        run = trajectory
+        return cls(run.t, run.q, run.qd, run.setup.rope.length, run.base, run.base_velocity, off_plane)
+
+    @property
+    def joint_arc_lengths(self) -> Array:
+        """Arc lengths (n + 1,) of the joints, the tip last, m."""
+        return np.concatenate([[0.0], np.cumsum(self.length)])
+
+    def places(self, t: npt.ArrayLike, arc_lengths: npt.ArrayLike) -> Array:
+        """Return places (m, P, 3), m: x, y and off the plane, at times (m,), s, of points (P,), m along the rope.
+
+        Points beyond the tip lie on the last link's line.
+        """
+        times, arcs = np.atleast_1d(np.asarray(t, float)), np.asarray(arc_lengths, float)
+        values = self._at(times)
+        q, base = values[:, :-2], values[:, -2:]
+        along = np.stack([np.sin(q), -np.cos(q)], axis=2)  # (m, n, 2)
+        joints = base[:, None] + np.concatenate(
+            [np.zeros((times.size, 1, 2)), np.cumsum(self.length[:, None] * along, axis=1)], axis=1
+        )
+        ends = self.joint_arc_lengths
+        link = np.clip(np.searchsorted(ends, arcs, side="right") - 1, 0, self.length.size - 1)
+        result = np.zeros((times.size, arcs.size, 3))
+        result[:, :, :2] = joints[:, link] + (arcs - ends[link])[:, None] * along[:, link]
+        if self.off_plane is not None:
+            result[:, :, 2] = self.off_plane(times, arcs)
+        return result
+
+    def _at(self, times: Array) -> Array:
+        """Return angles and base (m, n + 2) at times."""
+        inside = np.clip(times, self.t[0], self.t[-1])
+        k = np.clip(np.searchsorted(self.t, inside, side="right") - 1, 0, self.t.size - 2)
+        step = (self.t[k + 1] - self.t[k])[:, None]
+        x = (inside - self.t[k])[:, None] / step
+        smooth = x * x * (3.0 - 2.0 * x)
+        values = self._values[k] + smooth * (self._values[k + 1] - self._values[k])
+        moved = step * x * (1.0 - x) * ((1.0 - x) * self._rates[k] - x * self._rates[k + 1])
+        return np.asarray(values + moved)
+
+
+def sway(amplitude: float, frequency: float, length: float, *, tilt: float = 0.0) -> OffPlane:
+    """Return a motion off the plane that grows along the rope: a swing across it, and a plane that is tilted.
+
+    Parameters
+    ----------
+    amplitude : float
+        Of the tip, m.
+    frequency : float
+        Hz.
+    length : float
+        Of the rope, m.
+    tilt : float
+        Off the plane by so much a length of rope, constant in time, rad.
+    """
+
+    def off_plane(t: Array, arc_lengths: Array) -> Array:
+        swing = amplitude * np.sin(2.0 * np.pi * frequency * t)[:, None] * (arc_lengths / length) ** 2
+        return np.asarray(swing + np.sin(tilt) * arc_lengths)
+
+    return off_plane

@@ -1,0 +1,136 @@
+"""From a rendered video of a finer rope to its markers, and to the rope (simulated throughout)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.cli.app import run
+from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.estimate import RopeFilter, RopeTracker, track_video
+from hyperflex.vision import (
+    Camera,
+    MarkerColour,
+    MarkerDetector,
+    Renderer,
+    RopeMotion,
+    Scene,
+    Truth,
+    VideoReader,
+    VideoWriter,
+)
+from tests.estimate.runs import free_swing, rope
+
+ARCS = np.linspace(0.25, 2.0, 8)
+
+
+def camera(**timing: float) -> Camera:
+    return Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0), **timing)
+
+
+def stamps(until: float = 3.0) -> np.ndarray:
+    """Thirty frames a second, unevenly."""
+    rng = np.random.default_rng(1)
+    return np.arange(0.05, until, 1.0 / 30.0) + rng.uniform(-0.004, 0.004, len(np.arange(0.05, until, 1.0 / 30.0)))
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Truth]:
+    """A free swing with clutter of the markers' colour, drifting light and a blackout of 0.2 s."""
+    folder = tmp_path_factory.mktemp("video")
+    swing = free_swing(0, 4.0)
+    motion = RopeMotion(swing.t, swing.q, swing.qd, rope(100).length)
+    scene = Scene(ARCS, marker_diameter=0.035, clutter=8, light_drift=0.1, blackouts=((1.5, 1.7),))
+    renderer = Renderer(camera(exposure=0.005, readout=0.02), motion, scene)
+    renderer.write(folder / "swing.mp4", stamps())
+    return folder / "swing.mp4", renderer.truth(stamps())
+
+
+def tracker(path: Path, truth: Truth) -> RopeTracker:
+    with VideoReader(path) as reader:
+        first = next(iter(reader)).image
+    estimator = RopeFilter(rope(50), ARCS, camera=camera(exposure=0.005, readout=0.02))
+    return RopeTracker(estimator, MarkerDetector(MarkerColour.from_click(first, truth.pixels[0, 3])))
+
+
+def test_markers_are_followed_through_clutter_and_a_blackout(video: tuple[Path, Truth], tmp_path: Path) -> None:
+    """A pixel is 5 mm; its noise after compression some 0.25 px, so 2 mm in both coordinates."""
+    path, truth = video
+    found = track_video(path, tracker(path, truth), preview=tmp_path / "seen.mp4")
+    recording = found.recording
+    middle = truth.stamps + 0.5 * 0.02
+    at = [int(np.abs(middle - t).argmin()) for t in recording.t]
+    # the truth is of each marker's own row: where it is in the middle of the readout follows from its speed
+    swing, ends = free_swing(0, 4.0), np.linspace(0.0, 2.0, 101)
+    moments = np.round(recording.t * 600.0).astype(int)
+    true = np.stack([np.stack([np.interp(ARCS, ends, swing.joints[i, :, c]) for c in (0, 1)], axis=1) for i in moments])
+    true += (recording.t - swing.t[moments])[:, None, None] * np.gradient(true, recording.t, axis=0)
+    visible = truth.visible[at]
+    error = np.where(visible[:, :, None], recording.data.reshape(true.shape) - true, np.nan)
+    scaled = error / recording.noise.reshape(true.shape)
+    assert np.sqrt(np.nanmean((error[1:] ** 2).sum(axis=2))) < 2e-3  # in the first frame, speeds are not known yet
+    assert np.nanmax(np.linalg.norm(error, axis=2)) < 0.015  # none swapped: they are 0.25 m apart
+    assert np.sqrt(np.nanmean(scaled**2)) < 1.3
+    assert np.isfinite(error[:, :, 0]).sum() > 0.95 * visible.sum()
+    with VideoReader(tmp_path / "seen.mp4") as seen:
+        assert sum(1 for _ in seen) == found.frames == stamps().size
+
+
+def test_a_video_becomes_a_rope(video: tuple[Path, Truth], tmp_path: Path) -> None:
+    """track, then identify: friction and inertia of the rope that was filmed, from a guess that is 30 % off."""
+    path, truth = video
+    rope(12).to_toml(tmp_path / "rope.toml")
+    camera(exposure=0.005, readout=0.02).write(tmp_path / "camera.toml")
+    arcs = ",".join(map(str, ARCS))
+    u, v = truth.pixels[0, 3].tolist()
+    named = ["--rope", tmp_path / "rope.toml", "--camera", tmp_path / "camera.toml", "--arc-lengths", arcs]
+    words = ["track", path, *named, "--click", u, v, "-o", tmp_path / "markers.nc", "--json"]
+    assert run([str(word) for word in words]) == 0
+    recording = hf.read_recording(tmp_path / "markers.nc")
+    guess = rope(12).replace(friction=1.3 * rope(12).friction)
+    result = hf.identify(recording, guess, ["friction:factor"], arc_lengths=ARCS, origin=(0.0, 0.0))
+    assert result.success
+    assert result.rope.friction[3] == pytest.approx(rope(12).friction[3], rel=0.2)
+
+
+def test_the_command_says_what_it_saw(
+    video: tuple[Path, Truth], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, truth = video
+    rope(12).to_toml(tmp_path / "rope.toml")
+    camera(exposure=0.005, readout=0.02).write(tmp_path / "camera.toml")
+    u, v = truth.pixels[0, 3].tolist()
+    named = ["--rope", tmp_path / "rope.toml", "--camera", tmp_path / "camera.toml", "-o", tmp_path / "markers.nc"]
+    words = ["track", path, *named, "--arc-lengths", *[",".join(map(str, ARCS))], "--click", u, v, "--json"]
+    assert run([str(word) for word in [*words, "--estimate", "scale=0.02"]]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["frames"] == stamps().size
+    assert result["seen"] > 0.86  # 7 % are in the blackout
+    assert abs(result["estimated"]["scale"]["value"]) < 5e-3  # it is right, and gravity tells; 12 links for 100
+
+
+def test_no_rope_in_the_video(tmp_path: Path, video: tuple[Path, Truth]) -> None:
+    path, truth = video
+    with VideoWriter(tmp_path / "dark.mp4", (640, 480)) as writer:
+        for time in (0.0, 0.1, 0.2):
+            writer.write(np.zeros((480, 640, 3), np.uint8), time)
+    with pytest.raises(InvalidInput, match="not found in the video"):
+        track_video(tmp_path / "dark.mp4", tracker(path, truth))
+    (tmp_path / "empty.mp4").touch()
+    with pytest.raises(FileProblem):
+        track_video(tmp_path / "empty.mp4", tracker(path, truth))
+    with VideoWriter(tmp_path / "small.mp4", (320, 240)) as writer:
+        writer.write(np.zeros((240, 320, 3), np.uint8), 0.0)
+    with pytest.raises(InvalidInput, match="another size"):
+        track_video(tmp_path / "small.mp4", tracker(path, truth), preview=tmp_path / "seen.mp4")
+    assert not (tmp_path / "seen.mp4").exists()
+
+
+def test_a_camera_without_a_plane() -> None:
+    lens = Camera.pinhole((640, 480))
+    with pytest.raises(InvalidInput, match="knows the swing plane"):
+        RopeTracker(RopeFilter(rope(5), [1.0], camera=lens), MarkerDetector(MarkerColour((200.0, 30.0, 30.0))))

@@ -1,0 +1,184 @@
+"""Assignment of identical markers: jointly, with gaps, clutter, swaps and the rope's length; and their first order."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex import InvalidInput
+from hyperflex.vision import Observations, RopeMotion, assign_markers, order_markers
+from tests.vision.ropes import ARCS
+
+NOISE = 0.5  # px
+
+
+def observed(places, covariances=None):
+    many = len(places)
+    each = np.tile(NOISE**2 * np.eye(2), (many, 1, 1)) if covariances is None else covariances
+    zeros = np.zeros(many)
+    return Observations(
+        np.asarray(places, float).reshape(-1, 2), each, np.zeros((many, 2)), zeros, zeros + 1, zeros > 1
+    )
+
+
+def each(std, count):
+    return np.tile(std**2 * np.eye(2), (count, 1, 1))
+
+
+def test_it_is_the_cheapest_of_all_assignments():
+    """Against all permutations of six, by their log-likelihood, where predictions overlap."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        mean = rng.uniform(0.0, 60.0, (6, 2))
+        spread = each(1.0, 6) * rng.uniform(20.0, 80.0, 6)[:, None, None]
+        seen = observed(rng.permutation(mean + rng.normal(0.0, 3.0, (6, 2))))
+        got = assign_markers(seen, mean, spread, gate_probability=1.0 - 1e-12).indices
+
+        def cost(order, mean=mean, spread=spread, seen=seen):
+            off = seen.places[list(order)] - mean
+            return float(np.sum(off**2 / (spread[:, 0, 0] + NOISE**2)[:, None]))
+
+        best = min(permutations(range(6)), key=cost)
+        clear = sorted(cost(order) for order in permutations(range(6)))[1] - cost(best) > 1.0
+        assert got.tolist() == list(best) or not clear or cost(got) < cost(best) + 1e-9
+
+
+def test_gaps_and_clutter():
+    mean = np.column_stack([np.arange(10) * 60.0, 100.0 + np.zeros(10)])
+    rng = np.random.default_rng(1)
+    keep = np.array([0, 1, 2, 4, 5, 7, 8, 9])
+    truth = mean + rng.normal(0.0, 2.0, (10, 2))
+    seen = observed(np.vstack([[[33.0, 300.0]], truth[keep][::-1], [[500.0, -40.0]]]))
+    got = assign_markers(seen, mean, each(3.0, 10))
+    assert got.indices.tolist() == [8, 7, 6, -1, 5, 4, -1, 3, 2, 1]
+    assert np.isnan(got.places[[3, 6]]).all()
+    assert np.isnan(got.distances[[3, 6]]).all()
+    assert np.allclose(got.places[keep], truth[keep])
+    assert not got.swappable.any()
+
+
+def test_nothing_seen():
+    got = assign_markers(observed(np.zeros((0, 2))), np.zeros((3, 2)), each(3.0, 3))
+    assert got.indices.tolist() == [-1] * 3
+    assert np.isnan(got.covariances).all()
+
+
+def test_a_whole_rope_that_is_off_is_told_by_its_joint_covariance():
+    """All predictions are 70 px to the left of the truth, more than the spacing of 60 px, and something lies where the
+    first marker is expected: each alone takes a neighbour, together they are right by the rope's shape."""
+    count = 8
+    mean = np.column_stack([np.arange(count) * 60.0, 15.0 * np.sin(2.0 * np.arange(count))])
+    common = 40.0**2 * np.kron(np.ones((count, count)), np.diag([1.0, 0.2]))
+    prior = common + 2.0**2 * np.eye(2 * count)
+    seen = observed(np.vstack([mean + np.array([70.0, 3.0]), [[10.0, 0.0]]]))
+    together = assign_markers(seen, mean, prior)
+    assert together.indices.tolist() == list(range(count))
+    own = np.array([prior[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(count)])
+    alone = assign_markers(seen, mean, own)
+    assert (alone.indices != np.arange(count)).all()
+
+
+def test_two_that_may_be_swapped_say_so():
+    mean = np.array([[100.0, 100.0], [108.0, 100.0], [300.0, 100.0]])
+    seen = observed([[104.0, 97.0], [104.0, 103.0], [300.0, 101.0]])
+    got = assign_markers(seen, mean, each(5.0, 3))
+    assert got.swappable.tolist() == [True, True, False]
+    assert np.allclose(got.places[:2], [[104.0, 100.0]] * 2, atol=0.1)  # both explanations are equally likely
+    assert got.covariances[0, 1, 1] == pytest.approx(NOISE**2 + 3.0**2, rel=0.05)
+    assert got.covariances[2, 1, 1] == NOISE**2
+    apart = assign_markers(observed([[100.0, 101.0], [110.0, 99.0], [300.0, 101.0]]), mean, each(1.0, 3))
+    assert not apart.swappable.any()
+
+
+def test_the_rope_is_not_longer_than_it_is():
+    mean = np.array([[0.0, 0.0], [50.0, 0.0], [100.0, 0.0]])
+    seen = observed([[0.0, 0.0], [50.0, 0.0], [160.0, 0.0]])
+    free = assign_markers(seen, mean, each(30.0, 3))
+    assert free.indices.tolist() == [0, 1, 2]
+    held = assign_markers(seen, mean, each(30.0, 3), reach=[52.0, 52.0])
+    assert held.indices.tolist() == [0, 1, -1]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"gate_probability": 1.0}, "gate_probability"),
+        ({"covariance": np.eye(3)}, "covariance"),
+        ({"reach": [1.0]}, "reach"),
+    ],
+)
+def test_bad_arguments_are_refused(change, message):
+    arguments = {"covariance": each(1.0, 3)} | change
+    with pytest.raises(InvalidInput, match=message):
+        assign_markers(observed([[0.0, 0.0]]), np.zeros((3, 2)), **arguments)
+
+
+@pytest.fixture(scope="module")
+def motions():
+    """Ropes of 2 m swung at four rhythms up to tip speeds of 20 to 30 m/s."""
+    rope = hf.Rope.uniform(length=2.0, mass=0.1, n_links=50, radius=0.003, friction=1e-3)
+    arm = hf.Arm(length=0.3)
+    t = np.arange(0.0, 6.0, 0.005)
+    rhythms = ((0.73, 0.53), (0.6, 0.4), (0.5, 0.6), (0.9, 0.3))
+    runs = [hf.simulate(rope, hf.arm_swings(*r), arm=arm, duration=6.0, t_eval=t) for r in rhythms]
+    return [RopeMotion.from_trajectory(run) for run in runs]
+
+
+def pose(motions, rng, missing=0, clutter=0):
+    """Return places in random order (M, 2), the truth (K,) and the origin, of a random pose."""
+    motion = motions[rng.integers(len(motions))]
+    joints = motion.places([rng.uniform(0.5, 6.0)], np.concatenate([[0.0], ARCS]))[0, :, :2]
+    seen = joints[1:] + rng.normal(0.0, 0.002, (10, 2))
+    keep = np.ones(10, bool)
+    keep[rng.choice(10, missing, replace=False)] = False
+    places = np.concatenate([seen[keep], joints[0] + rng.uniform(-2.0, 2.0, (clutter, 2))])
+    shuffled = rng.permutation(len(places))
+    truth = np.full(10, -1)
+    truth[keep] = np.argsort(shuffled)[: keep.sum()]
+    return places[shuffled], truth, joints[0]
+
+
+def test_first_order_of_random_poses(motions):
+    """Right in 95 % of 200 poses, and where it is wrong it does not claim to be certain; certain in 75 %."""
+    rng = np.random.default_rng(1)
+    right, certain = [], []
+    for _ in range(200):
+        places, truth, origin = pose(motions, rng)
+        found = order_markers(places, ARCS, origin)
+        right.append(bool((found.indices == truth).all()))
+        certain.append(found.certain)
+    assert np.mean(right) >= 0.95
+    assert not (np.array(certain) & ~np.array(right)).any()
+    assert np.mean(certain) > 0.75
+
+
+def test_first_order_with_two_missing_and_two_that_are_none(motions):
+    """Harder: right in 85 %, certain and wrong in at most 1 %."""
+    rng = np.random.default_rng(2)
+    right, certain = [], []
+    for _ in range(200):
+        places, truth, origin = pose(motions, rng, missing=2, clutter=2)
+        found = order_markers(places, ARCS, origin)
+        right.append(bool((found.indices == truth).all()))
+        certain.append(found.certain)
+    assert np.mean(right) >= 0.85
+    assert np.mean(np.array(certain) & ~np.array(right)) <= 0.01
+
+
+def test_order_of_a_hanging_rope_and_of_none():
+    places = np.column_stack([np.zeros(10), -ARCS])
+    found = order_markers(places[::-1], ARCS, (0.0, 0.0))
+    assert found.indices.tolist() == list(range(9, -1, -1))
+    assert found.certain
+    nothing = order_markers(np.zeros((0, 2)), ARCS, (0.0, 0.0))
+    assert nothing.indices.tolist() == [-1] * 10
+    assert not nothing.certain
+
+
+def test_the_order_obeys_the_rope_s_length():
+    """Two roots: a marker beyond the reach of its arc is none."""
+    found = order_markers([[0.0, -0.2], [0.0, -0.95]], [0.2, 0.4], (0.0, 0.0))
+    assert found.indices.tolist() == [0, -1]

@@ -1,0 +1,148 @@
+"""Calibration on rendered boards: how exact it is, and what it refuses."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from hyperflex import InvalidInput
+from hyperflex.vision import Board, VideoWriter, calibrate_camera, read_camera
+from tests.cli.conftest import hyperflex, hyperflex_json  # noqa: F401 fixtures
+from tests.vision.rendered_boards import DISTORTION, MATRIX, SIZE, poses, render
+
+CHARUCO = Board((8, 6), 0.03, 0.0225)  # even rows: new and legacy patterns differ
+CHESSBOARD = Board((9, 7), 0.025)
+PLANE = np.array([0.1, -0.2, 0.05]), np.array([-0.12, -0.08, 0.55])
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    return [render(CHARUCO, *pose, seed=k) for k, pose in enumerate(poses(CHARUCO, 10))]
+
+
+@pytest.fixture(scope="module")
+def legacy_pictures():
+    return [render(CHARUCO, *pose, legacy=True, seed=k) for k, pose in enumerate(poses(CHARUCO, 10))]
+
+
+@pytest.fixture(scope="module")
+def chessboard_pictures():
+    return [render(CHESSBOARD, *pose, seed=k) for k, pose in enumerate(poses(CHESSBOARD, 10))]
+
+
+@pytest.mark.parametrize(
+    ("name", "board", "legacy"),
+    [
+        ("pictures", CHARUCO, False),
+        ("legacy_pictures", CHARUCO, True),
+        ("chessboard_pictures", CHESSBOARD, False),
+    ],
+)
+def test_camera_and_scale_are_found(request, name, board, legacy):
+    """Reprojection below 0.3 px and the scale in the plane within 0.1 %: the acceptance figures."""
+    found = calibrate_camera(request.getfixturevalue(name), board)
+    assert found.rms < 0.3
+    assert found.legacy == legacy
+    assert abs(found.camera.matrix[0, 0] - MATRIX[0, 0]) < 4.0 * found.focal_std
+    assert 0.0 < found.focal_std < 0.002 * MATRIX[0, 0]
+    camera = found.place_plane(render(board, *PLANE, legacy=legacy, seed=99))
+    extent = board.square * np.array(board.squares)
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * extent
+    pixels = cv2.projectPoints(np.column_stack([corners, np.zeros(4)]), *PLANE, MATRIX, DISTORTION)[0][:, 0]
+    places = camera.locate(pixels)
+    sides, true = (np.linalg.norm(p - np.roll(p, 1, axis=0), axis=1) for p in (places, corners))
+    assert np.abs(sides / true - 1.0).max() < 1e-3
+    assert np.abs(places - corners * [1.0, -1.0]).max() < 5e-4  # x right, y up from the top left corner
+
+
+def refused(images, board, message):
+    with pytest.raises(InvalidInput, match=message):
+        calibrate_camera(images, board)
+
+
+def test_mirrored_pictures_are_refused(pictures):
+    refused([image[:, ::-1].copy() for image in pictures], CHARUCO, "mirrored")
+
+
+@pytest.mark.parametrize("squares", [(6, 8), (7, 6), (9, 6)])
+def test_other_numbers_of_squares_are_refused(pictures, squares):
+    refused(pictures, Board(squares, 0.03, 0.0225), "not the declared one")
+
+
+def test_markers_of_another_size_are_refused(pictures):
+    refused(pictures, Board((8, 6), 0.03, 0.02), "another size in their squares.*0.7[2-5]")
+
+
+def test_markers_of_another_dictionary_are_refused_with_the_right_one(pictures):
+    refused(pictures, Board((8, 6), 0.03, 0.0225, "DICT_5X5_100"), "another dictionary.*DICT_4X4")
+
+
+def test_too_few_views_are_refused(pictures):
+    refused(pictures[:3], CHARUCO, "too few views.*3 in 3 pictures")
+    refused([np.zeros((480, 640, 3), np.uint8)], CHARUCO, "too few views.*0 in 1")
+    refused([], CHARUCO, "no picture")
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.5])
+def test_parallel_views_are_refused(lean):
+    """Boards that all lean the same way tell no focal length, whether they face the camera or not."""
+    views = []
+    for k, (_, place) in enumerate(poses(CHARUCO, 6, tilt=0.0)):
+        views.append(render(CHARUCO, np.array([lean, 0.0, 0.0]), place - [0.03, 0.02, 0.0], seed=k))
+    refused(views, CHARUCO, "degenerate.*parallel")
+
+
+def test_pictures_of_different_sizes_are_refused(pictures):
+    refused([pictures[0], pictures[1][:-2]], CHARUCO, "differ in size")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (((2, 6), 0.03), "squares to the right"),
+        (((8, 6), -0.03), "square"),
+        (((8, 6), 0.03, 0.03), "no smaller"),
+        (((8, 6), 0.03, 0.02, "DICT_9X9"), "dictionary"),
+        (((16, 16), 0.03, 0.02), "too few markers"),
+    ],
+)
+def test_boards_that_cannot_be_are_refused(arguments, message):
+    with pytest.raises(InvalidInput, match=message):
+        Board(*arguments)
+
+
+def test_command_on_a_video(hyperflex, hyperflex_json, pictures, tmp_path):  # noqa: F811
+    with VideoWriter(tmp_path / "board.mp4", SIZE) as video:
+        for k, picture in enumerate(pictures):
+            video.write(picture, 0.25 * k)
+    cv2.imwrite(str(tmp_path / "plane.png"), render(CHARUCO, *PLANE, seed=99))
+    arguments = ("calibrate", tmp_path / "board.mp4", "--squares", 8, 6, "--square", 0.03, "--marker", 0.0225)
+    arguments += ("-o", tmp_path / "camera.toml", "--exposure", 0.01)
+    code, result = hyperflex_json(*arguments, "--plane", tmp_path / "plane.png", "--origin", 384, 216)
+    assert code == 0
+    assert result["views"] == 10
+    assert result["reprojection_error_px"] < 0.3
+    camera = read_camera(tmp_path / "camera.toml")
+    assert camera.exposure == 0.01
+    assert np.abs(camera.project([[0.0, 0.0]])[0] - [384.0, 216.0]).max() < 1e-6
+    (tmp_path / "points.csv").write_text("x,y,u,v\n0,0,100,400\n0.3,0,500,400\n0.3,0.2,500,133\n0,0.2,100,133\n")
+    code, out, _ = hyperflex(*arguments, "--points", tmp_path / "points.csv")
+    assert code == 0
+    assert "px/m at its origin" in out
+    assert read_camera(tmp_path / "camera.toml").pixels_per_metre == pytest.approx(
+        1333.0, rel=0.02
+    )  # the lens bends it
+
+
+def test_command_refuses(hyperflex_json, tmp_path):  # noqa: F811
+    (tmp_path / "empty.mp4").write_bytes(b"")
+    (tmp_path / "text.png").write_bytes(b"no picture")
+    common = ("--squares", 8, 6, "--square", 0.03, "-o", tmp_path / "camera.toml")
+    for name, message in (("empty.mp4", "empty"), ("text.png", "as a picture"), ("none.png", "There is no picture")):
+        code, result = hyperflex_json("calibrate", tmp_path / name, *common)
+        assert code == 2
+        assert message in result["error"]
+    code, result = hyperflex_json("calibrate", tmp_path / "text.png", *common, "--origin", 3, 4)
+    assert (code, "without --plane" in result["error"]) == (2, True)
+    assert not (tmp_path / "camera.toml").exists()

@@ -1,0 +1,150 @@
+"""The camera: projection against OpenCV's own, derivatives against differences, poses, row times, files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from hyperflex import InvalidInput
+from hyperflex.vision import Camera, PlaneAdjustment, read_camera
+
+POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (10, 2)) * [1.0, 0.8]
+ADJUSTED = PlaneAdjustment(1.02, 0.1, (0.05, -0.02))
+
+
+def tilted():
+    """Return a camera with distortion that looks at the plane from the side."""
+    facing = Camera.facing((1280, 720), pixels_per_metre=300.0, origin=(640.0, 300.0))
+    turn = cv2.Rodrigues(np.array([0.1, 0.2, 0.05]))[0] @ facing.axes[0]
+    return replace(
+        facing, distortion=np.array([0.1, -0.2, 0.001, -0.002, 0.05]), rotation=cv2.Rodrigues(turn)[0].ravel()
+    )
+
+
+def differences(function, values, step=1e-6):
+    values = np.asarray(values, dtype=float)
+    steps = step * np.eye(values.size)
+    return np.stack([(function(values + s) - function(values - s)) / (2.0 * step) for s in steps], axis=-1)
+
+
+def test_projection_by_hand():
+    """The pinhole formula with Brown's distortion, written out here: rounding only."""
+    camera = tilted()
+    rotation, translation = camera.axes
+    k1, k2, p1, p2, k3 = camera.distortion
+    seen = np.column_stack([POINTS, np.zeros(10)]) @ rotation.T + translation
+    x, y = seen[:, 0] / seen[:, 2], seen[:, 1] / seen[:, 2]
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    want = np.column_stack([u, v]) * np.diag(camera.matrix)[:2] + camera.matrix[:2, 2]
+    assert np.abs(camera.project(POINTS) - want).max() < 1e-9
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_derivatives_are_those_of_the_projection(size):
+    """Central differences of step 1e-6: rounding of 1e-10 px over 1e-6, so 1e-3 is loose and 1e-5 is what is left."""
+    camera = tilted()
+    points = np.column_stack([POINTS, 0.1 * POINTS[:, 0]])[:, :size]
+    got = camera.linearize(points, ADJUSTED)
+    assert np.array_equal(got.pixels, camera.project(points, ADJUSTED))
+    for k, point in enumerate(points):
+        want = differences(lambda p: camera.project(p[None], ADJUSTED)[0], point)
+        assert np.abs(got.by_point[k] - want).max() < 1e-5
+    values = [ADJUSTED.scale, ADJUSTED.roll, *ADJUSTED.offset]
+    want = differences(lambda a: camera.project(points, PlaneAdjustment(a[0], a[1], a[2:])), values)
+    assert np.abs(got.by_adjustment - want).max() < 1e-5
+
+
+def test_pixels_lead_back_to_the_plane():
+    camera = tilted()
+    assert np.abs(camera.locate(camera.project(POINTS, ADJUSTED), ADJUSTED) - POINTS).max() < 1e-10
+
+
+def test_gaps_and_points_behind_the_camera_are_nan():
+    camera = tilted()
+    behind = [0.0, 0.0, 2.0 * camera.translation[2]]
+    pixels = camera.project([[0.1, 0.2, 0.0], [np.nan, 0.0, 0.0], behind])
+    assert np.isfinite(pixels[0]).all()
+    assert np.isnan(pixels[1:]).all()
+    assert np.isnan(camera.locate([[np.nan, 3.0]])).all()
+    assert camera.project(np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_facing_camera_has_the_scale_and_roll_asked_for():
+    camera = Camera.facing((640, 480), pixels_per_metre=250.0, origin=(300.0, 50.0), roll=np.pi / 2)
+    assert np.allclose(camera.project([[0.0, 0.0], [0.4, 0.0], [0.0, 0.4]]), [[300, 50], [300, -50], [200, 50]])
+    assert camera.pixels_per_metre == pytest.approx(250.0)
+
+
+@pytest.mark.parametrize("count", [4, 10])
+def test_pose_from_known_points(count):
+    camera = tilted()
+    found = Camera(camera.image_size, camera.matrix, camera.distortion).with_plane(
+        POINTS[:count], camera.project(POINTS[:count])
+    )
+    assert np.abs(found.project(POINTS) - camera.project(POINTS)).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("points", "pixels", "message"),
+    [
+        (POINTS[:3], np.zeros((3, 2)), "too few points"),
+        (np.column_stack([np.arange(4.0), np.arange(4.0)]), np.zeros((4, 2)), "one line"),
+        ([[0, 0], [1, 0], [1, 1], [0, 1], [2, 2]], [[0, 500], [900, 500], [900, 0], [0, 0], [30, 700]], "no pose"),
+    ],
+)
+def test_pose_is_refused_by_name(points, pixels, message):
+    with pytest.raises(InvalidInput, match=message):
+        Camera.pinhole((1280, 720)).with_plane(points, pixels)
+
+
+def test_without_a_plane_it_says_what_to_do():
+    with pytest.raises(InvalidInput, match="with_plane"):
+        Camera.pinhole((1280, 720)).project(POINTS)
+
+
+@pytest.mark.parametrize(
+    ("direction", "first", "last"),
+    [
+        ("down", (5, 0), (5, 719)),
+        ("up", (5, 719), (5, 0)),
+        ("right", (0, 5), (1279, 5)),
+        ("left", (1279, 5), (0, 5)),
+    ],
+)
+def test_rows_are_exposed_one_after_the_other(direction, first, last):
+    camera = Camera.pinhole((1280, 720), exposure=0.01, readout=0.03, readout_direction=direction, delay=0.005)
+    assert np.allclose(camera.exposure_times(2.0, [first, last]), [1.995, 2.025])
+
+
+def test_file_reads_back_to_the_bit(tmp_path):
+    camera = replace(tilted(), exposure=0.01, readout=0.02, readout_direction="left", delay=-0.001)
+    camera.write(tmp_path / "camera.toml")
+    again = read_camera(tmp_path / "camera.toml")
+    for name in ("matrix", "distortion", "rotation", "translation"):
+        assert np.array_equal(getattr(camera, name), getattr(again, name))
+    for name in ("image_size", "exposure", "readout", "readout_direction", "delay"):
+        assert getattr(camera, name) == getattr(again, name)
+    Camera.pinhole((64, 48)).write(tmp_path / "camera.toml")
+    assert read_camera(tmp_path / "camera.toml").rotation is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[rope]\nmass = 1.0", "no camera's file"),
+        ("[camera]\nimage_size = [4, 4]", "keys do not fit.*distortion"),
+        ("[camera]\nimage_size = [4, 4]\nmatrix = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\ndistortion = [1]", "4, 5 or 8"),
+        ("[camera]\nimage_size = 4\nmatrix = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\ndistortion = [0, 0, 0, 0]", "pair"),
+        ("[camera]\nimage_size = [4, 4]\nmatrix = [[1, 9, 0], [0, 1, 0], [0, 0, 1]]\ndistortion = []", "camera matrix"),
+    ],
+)
+def test_bad_files_are_refused_by_name(tmp_path, text, message):
+    (tmp_path / "camera.toml").write_text(text)
+    with pytest.raises(InvalidInput, match=message):
+        read_camera(tmp_path / "camera.toml")
