@@ -18,7 +18,8 @@ import pytest
 import hyperflex
 
 ROOT = Path(__file__).parent.parent
-SOURCES = sorted((ROOT / "src" / "hyperflex").rglob("*.py"))
+PACKAGE = ROOT / "src" / "hyperflex"
+SOURCES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"xarray", "pandas", "matplotlib", "PIL", "h5netcdf", "h5py", "rich", "typer", "jinja2", "cv2", "av"}
 HEAVY |= {
     "scipy.linalg",
@@ -228,3 +229,23 @@ def test_every_dependency_is_pinned_once() -> None:
     assert len(names) == len(set(names))
     needed = {re.split(r"[\[<>=!~ ;]", entry)[0].lower() for entry in wanted} - {"hyperflex"}
     assert needed <= set(names), needed - set(names)
+
+
+def cross_room_imports(path: Path, source: str) -> list[str]:
+    """Return what a module imports from inside another room: a room is entered by its ``__init__`` (but `core`)."""
+    home, package = path.relative_to(PACKAGE).parts[0], "hyperflex."
+    modules = [node.module or "" for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)]
+    inner = [m.removeprefix(package).split(".") for m in modules if m.startswith(package) and m.count(".") > 1]
+    return [".".join(parts) for parts in inner if parts[0] not in {home, "core"}]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT / "src").as_posix())
+def test_other_rooms_are_entered_by_their_init(path: Path) -> None:
+    if path != PACKAGE / "__init__.py":  # the package's own list of public names says where each is
+        assert cross_room_imports(path, path.read_text("utf-8")) == []
+
+
+def test_an_import_from_inside_another_room_is_seen() -> None:
+    source = "from hyperflex.model.rope import Rope\nfrom hyperflex.core.chain.chain import Chain\nimport math\n"
+    assert cross_room_imports(PACKAGE / "report" / "page.py", source) == ["model.rope"]
+    assert cross_room_imports(PACKAGE / "model" / "arm.py", source) == []

@@ -19,10 +19,15 @@ from hyperflex.core.read_only import read_only
 from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
 from hyperflex.core.stiction.slip_modes import find_modes
 from hyperflex.model import Arm, Rope, Setup
-from hyperflex.simulation.commands import arm_polynomials, set_commands, setup_for, state_directions
-from hyperflex.simulation.rollouts import Interval
-from hyperflex.simulation.sensitivity.sensitivity import acceleration_jacobian
-from hyperflex.simulation.stepper import Stepper
+from hyperflex.simulation import (
+    Interval,
+    Stepper,
+    acceleration_jacobian,
+    arm_polynomials,
+    set_commands,
+    setup_for,
+    state_directions,
+)
 
 
 class PartialLinearization(NamedTuple):

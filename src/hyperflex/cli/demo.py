@@ -35,7 +35,7 @@ def demo(
 
 def _figures(report: DemoReport) -> dict[str, Any]:
     """Return what the demo found, for JSON."""
-    from hyperflex.demo.report import held_out_rms
+    from hyperflex.demo import held_out_rms
 
     found = report.demo
     parameters = {

@@ -16,7 +16,7 @@ from hyperflex.errors import FileProblem, InvalidInput
 if TYPE_CHECKING:
     from hyperflex.model import Arm, Ground, Peg, Rope, Wall
     from hyperflex.planning import MotorLimits
-    from hyperflex.report.plan import PlanReport
+    from hyperflex.report import PlanReport
 
     Obstacle = Peg | Wall | Ground
 

@@ -24,8 +24,8 @@ def reproduce(
     Fig. 13 on timing control (C5).
     Writes PNG and CSV for each figure, CSV for each table, a Markdown table of the claims and a page that shows it all.
     """
-    from hyperflex.paper.report.part import verdicts
-    from hyperflex.paper.report.reproduce import reproduce as run
+    from hyperflex.paper import reproduce as run
+    from hyperflex.paper import verdicts
 
     with output.spinner(json) as progress:
         result = run(figures, out, progress=progress)

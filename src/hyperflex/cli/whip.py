@@ -59,7 +59,7 @@ def whip(
     The exit code is 4 if no whip that meets the target was found; the best is written all the same, with the reason.
     """
     from hyperflex.planning import plan_whip
-    from hyperflex.report.whip import WhipReport
+    from hyperflex.report import WhipReport
 
     planner.check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}

@@ -12,15 +12,31 @@ import numpy as np
 from hyperflex import files
 from hyperflex.demo.run import INTERVAL, Demo, Parameter, run_demo
 from hyperflex.paper import T_MOVE, T_REST, casting_arm
-from hyperflex.report.animation import animate
-from hyperflex.report.cast import CastReport, plain
-from hyperflex.report.folder import Progress, silent, whole_folder
-from hyperflex.report.identification.figures import fit_figure
-from hyperflex.report.identification.fitted import fitted_channels
-from hyperflex.report.page import Picture, Section, TextTable, sections_markdown, write_page
-from hyperflex.report.plan import film_progress, search_summary
-from hyperflex.report.strobe import strobe
-from hyperflex.report.style import BLUE, GREEN, GREY, RED, legend, new_figure, png
+from hyperflex.report import (
+    BLUE,
+    GREEN,
+    GREY,
+    RED,
+    CastReport,
+    Picture,
+    Progress,
+    Section,
+    TextTable,
+    animate,
+    film_progress,
+    fit_figure,
+    fitted_channels,
+    legend,
+    new_figure,
+    plain_reason,
+    png,
+    search_summary,
+    sections_markdown,
+    silent,
+    strobe_figure,
+    whole_folder,
+    write_page,
+)
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -117,7 +133,9 @@ def _figures(demo: Demo) -> dict[str, bytes]:
     return {
         "prediction": png(fit_figure(replace(view, chosen=((last + 1) // 2, last)))),
         "parameters": png(_parameters_figure(demo.parameters)),
-        "strobe": png(strobe(demo.cast, start=10.1, end=11.35, count=60, title="identified rope, cast (simulated)")),
+        "strobe": png(
+            strobe_figure(demo.cast, start=10.1, end=11.35, count=60, title="identified rope, cast (simulated)")
+        ),
         "casts": png(_casts_figure(demo)),
     }
 
@@ -168,7 +186,7 @@ def _proof(demo: Demo) -> tuple[tuple[bool, str], ...]:
     rope = f"The rope that made the recording ({demo.reference.q.shape[1]} links), thrown by the same motion"
     if proof.success:
         return ((True, f"{rope}, winds {abs(proof.turns):.2f} turns and holds too."),)
-    return ((False, f"{rope}, does not: {plain(proof.message)}. The identified rope is not quite that rope."),)
+    return ((False, f"{rope}, does not: {plain_reason(proof.message)}. The identified rope is not quite that rope."),)
 
 
 def held_out_rms(demo: Demo) -> float:

@@ -14,7 +14,7 @@ from hyperflex.motion import arm_swings
 from hyperflex.paper import DURATION, T_MOVE, T_REST, casting_arm
 from hyperflex.planning import CastOutcome, CastPlan, CastSetup, HoldingForce, plan_cast, verify_cast
 from hyperflex.recording import Recording
-from hyperflex.report.folder import Progress, silent
+from hyperflex.report import Progress, silent
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 

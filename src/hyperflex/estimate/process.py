@@ -11,7 +11,7 @@ from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.sensitivity.sensitivity import AngleJacobian
+from hyperflex.simulation import AngleJacobian
 
 PRECISION = 1e-5  # tolerance of a prediction over the rope's length: far below any marker's noise
 CORRELATION = 0.15  # of the rope's length, over which its disturbances are alike

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from hyperflex.hardware.motor import SimulatedMotor
+from hyperflex.hardware.motor import SAMPLE_TIME, SimulatedMotor
 
-__all__ = ["SimulatedMotor"]
+__all__ = ["SAMPLE_TIME", "SimulatedMotor"]

@@ -13,9 +13,7 @@ from hyperflex.core.chain.motor_torque import senses
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.sensors.posture import Measurement
-from hyperflex.simulation.commands import arm_polynomials, set_commands, state_directions
-from hyperflex.simulation.rollouts import Interval
-from hyperflex.simulation.sensitivity.sensitivity import acceleration_jacobian
+from hyperflex.simulation import Interval, acceleration_jacobian, arm_polynomials, set_commands, state_directions
 from hyperflex.trajectory import State
 
 ROUNDING = 1e-9  # of the rope's length: sums of lengths of links differ by less

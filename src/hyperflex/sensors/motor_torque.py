@@ -12,12 +12,9 @@ from hyperflex.core.chain import motor_torque as core
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import ANGLE, Drive
 from hyperflex.core.read_only import read_only
-from hyperflex.model import Arm, Rope, Setup
-from hyperflex.model.properties import LINKS, PROPERTIES
+from hyperflex.model import LINK_PROPERTIES, PROPERTIES, Arm, Rope, Setup
 from hyperflex.sensors.posture import Measurement
-from hyperflex.simulation.commands import arm_polynomials
-from hyperflex.simulation.rollouts import Interval
-from hyperflex.simulation.sensitivity.directions import Part
+from hyperflex.simulation import Interval, ParameterChange, arm_polynomials
 from hyperflex.trajectory import State
 
 ANGLE_STEP = 1e-5  # rad, and of x: differences of a smooth function then err by some 1e-10 of it
@@ -70,7 +67,9 @@ class MotorTorque:
         """Return the torque (m,), N m, at times t (m,) and states y (m, 2n or more)."""
         return self._torque(chain, drive, t, y, self._slip(chain, drive, t, y))
 
-    def jacobian(self, chain: Chain, drive: Drive, parts: tuple[Part, ...], t: Array, y: Array, dy: Array) -> Array:
+    def jacobian(
+        self, chain: Chain, drive: Drive, parts: tuple[ParameterChange, ...], t: Array, y: Array, dy: Array
+    ) -> Array:
         """Return its derivatives (m, 2n + P): by the start's state, and by the parameters whose changes are `parts`.
 
         `parts` are P changes of the chain, or of the drive's ``breaks`` and ``coef``; y is (m, 2n or more), dy
@@ -117,7 +116,7 @@ class MotorTorque:
         return result
 
 
-def _moved(chain: Chain, part: Part, step: float) -> Chain:
+def _moved(chain: Chain, part: ParameterChange, step: float) -> Chain:
     """Return the chain with the properties in `part` changed by `step` times as much."""
     changes: dict[str, object] = {}
     for name, change in part.items():
@@ -125,11 +124,13 @@ def _moved(chain: Chain, part: Part, step: float) -> Chain:
             changes |= {"gx": chain.gx + step * float(change[0]), "gy": chain.gy + step * float(change[1])}
         elif name in PROPERTIES:
             field = PROPERTIES[name].field
-            changes[field] = getattr(chain, field) + step * (change if PROPERTIES[name] in LINKS else float(change[0]))
+            changes[field] = getattr(chain, field) + step * (
+                change if PROPERTIES[name] in LINK_PROPERTIES else float(change[0])
+            )
     return read_only(chain._replace(**changes))  # type: ignore[arg-type]
 
 
-def _shifted(drive: Drive, part: Part, step: float) -> Drive:
+def _shifted(drive: Drive, part: ParameterChange, step: float) -> Drive:
     """Return the drive with its breaks and pieces changed by `step` times as much as `part` says."""
     changes = {name: getattr(drive, name) + step * part[name] for name in ("breaks", "coef") if name in part}
     return read_only(drive._replace(**changes))

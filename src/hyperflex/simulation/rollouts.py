@@ -84,7 +84,7 @@ class Rollout:
         return int(rollout.run(self.chain, self.drive, TABLES, self.limits, self.progress, self.t, self.y))
 
 
-def prepare(
+def prepare_rollout(
     chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits, log: Array | None = None
 ) -> Rollout:
     """Make a rollout of angles and rates `start` (n,) from time ``t[0]`` with outputs at `t`; steps go to the `log`."""
@@ -113,7 +113,7 @@ def lever(chain: Chain) -> Array:
     return np.maximum(chain.length, np.where(chain.mass > 0.0, np.minimum(gyration, 1e3 * chain.length), 0.0))
 
 
-def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until: Until = NEVER) -> Limits:
+def rollout_limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until: Until = NEVER) -> Limits:
     """Return the bounds of a run until `stop`, s, or what ends it before; refuses an unstable Runge-Kutta step."""
     weight, reach = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy), float(chain.length.sum())
     scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
@@ -144,7 +144,7 @@ def end_at_event(run: Rollout) -> None:
     clock[INDEX], clock[MARK] = run.t.size, -np.inf
 
 
-def finish(run: Rollout, report: Callable[[float], None] | None = None) -> int:
+def finish_rollout(run: Rollout, report: Callable[[float], None] | None = None) -> int:
     """Run to the end and return the status code; `report` is called with the simulated time between budgets."""
     code = status.RUNNING
     run.progress.clock[MARK] = -np.inf

@@ -30,13 +30,12 @@ from hyperflex.simulation.rollouts import (
     Rollout,
     controlled,
     end_at_event,
-    finish,
-    limits,
-    prepare,
+    finish_rollout,
+    prepare_rollout,
     progress_bar,
+    rollout_limits,
 )
-from hyperflex.simulation.time_budget import INTERRUPTED, TimeBudgetExceeded, budget_error, enforce_budget
-from hyperflex.simulation.time_budget import NAME as TOO_SLOW
+from hyperflex.simulation.time_budget import INTERRUPTED, OUT_OF_TIME, TimeBudgetExceeded, budget_error, enforce_budget
 from hyperflex.trajectory import State, Trajectory
 
 
@@ -189,8 +188,8 @@ def simulate(
     t = output_times(t_eval, begin, begin + length)
     skip = int(t[0] > begin)  # the energy account starts where the run does, whether or not that is asked for
     chain = setup.chain()
-    bounds = limits(setup, chain, begin + length, until=_ending(until, setup))
-    run = prepare(chain, setup.drive(), setup.start(), np.append(begin, t) if skip else t, bounds)
+    bounds = rollout_limits(setup, chain, begin + length, until=_ending(until, setup))
+    run = prepare_rollout(chain, setup.drive(), setup.start(), np.append(begin, t) if skip else t, bounds)
     if state is not None:
         resume(run, state, setup)
     try:
@@ -206,7 +205,7 @@ def simulate(
     except TimeBudgetExceeded:
         if throw:
             raise budget_error(run.time) from None
-        code, name = status.RUNNING, TOO_SLOW
+        code, name = status.RUNNING, OUT_OF_TIME
     event = None
     if code == status.REACHED and until is not None:
         code, event = status.OK, (until.name, run.time)
@@ -239,7 +238,7 @@ def _finished(
 def runner(run: Rollout, setup: Setup, state: State | None) -> Callable[..., int]:
     """Return the function that finishes a run, with contact or without: from a progress callable to the code."""
     free = not setup.touches or run.limits.until.kind != NEVER.kind
-    return partial(finish, run) if free else contact_run(run, setup, state).finish
+    return partial(finish_rollout, run) if free else contact_run(run, setup, state).finish
 
 
 def angles(
@@ -259,8 +258,8 @@ def angles(
     """
     setup = Setup(rope, motion, arm, tol=tol)
     chain = rope.chain()
-    run = prepare(chain, setup.drive(), (q0, qd0), t, limits(setup, chain, float(t[-1]), 1_000_000))
-    refuse_failure(finish(run), run)
+    run = prepare_rollout(chain, setup.drive(), (q0, qd0), t, rollout_limits(setup, chain, float(t[-1]), 1_000_000))
+    refuse_failure(finish_rollout(run), run)
     n = chain.length.size
     return run.y[:, :n], run.y[:, n : 2 * n]
 

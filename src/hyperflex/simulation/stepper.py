@@ -27,7 +27,7 @@ from hyperflex.simulation.contact.runs import ContactRun, refine_arguments
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.outcome import refuse_failure
 from hyperflex.simulation.restart import resume, state_of
-from hyperflex.simulation.rollouts import TABLES, Interval, finish, limits, prepare
+from hyperflex.simulation.rollouts import TABLES, Interval, finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.sensitivity.directions import check_smooth
 from hyperflex.simulation.sensitivity.stiction import stiction_projection
 from hyperflex.trajectory import State
@@ -126,7 +126,9 @@ class Stepper:
             setup = Setup(rope, None, arm, tol=tol, pegs=tuple(pegs), contact_step=contact_step, tip_force=tip_force)  # type: ignore[arg-type]
         self.setup = setup_for(command, setup)
         chain, self._interval = self.setup.chain(), Interval(self.setup.drive())
-        run = prepare(chain, self._interval.drive, self.setup.start(), np.zeros(1), limits(self.setup, chain, 0.0))
+        run = prepare_rollout(
+            chain, self._interval.drive, self.setup.start(), np.zeros(1), rollout_limits(self.setup, chain, 0.0)
+        )
         run.t, run.y = run.t[1:], run.y[1:]  # no outputs: a step shows its end
         self._run, self._log = run, np.empty((STEPS, MODES + chain.length.size if can_stick(chain) else JOINT))
         self._contact_run = ContactRun(run, self.setup, None) if self.setup.touches else None
@@ -268,7 +270,9 @@ class Stepper:
         return angle, rate
 
     def _finish(self) -> None:
-        refuse_failure(finish(self._run) if self._contact_run is None else self._contact_run.finish(), self._run)
+        refuse_failure(
+            finish_rollout(self._run) if self._contact_run is None else self._contact_run.finish(), self._run
+        )
 
     def _recorded(self, state: State, command: float, dt: float) -> tuple[tuple[float, float], Array, Array]:
         """Take a step; returns what :meth:`_begin` does, the steps (m, ...) taken and the start (2 N + 2,)."""

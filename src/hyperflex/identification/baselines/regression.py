@@ -18,8 +18,7 @@ from hyperflex.core import joint_law
 from hyperflex.core.chain.air import link_drag
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.parameters import lumped
-from hyperflex.model import Rope
-from hyperflex.model.properties import RESISTANCES, parsed
+from hyperflex.model import RESISTANCES, Rope, parse_label
 
 LUMPED = ("p", "J", *(each.name for each in RESISTANCES))  # blocks of n columns, in this order
 NAMES = ("inertia", "mass", "tip_mass", *LUMPED)
@@ -236,7 +235,7 @@ def _unknowns(rope: Rope, names: Sequence[str]) -> list[tuple[str, str, list[int
     """Return label, property and links of each unknown."""
     result = []
     for given in [names] if isinstance(names, str) else names:
-        label = parsed(given)
+        label = parse_label(given)
         if label is None or label.name not in NAMES or label.law not in ("", "shared"):
             raise InvalidInput(
                 "an unknown of the regression is not known",

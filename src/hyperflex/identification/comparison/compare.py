@@ -19,12 +19,9 @@ from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.identification.model.names import scales
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
-from hyperflex.model import Rope
-from hyperflex.model.properties import DAMPING, FREE, RESISTANCES, parsed
-from hyperflex.model.refine import recut
-from hyperflex.model.rope_table import MOST_LINKS
+from hyperflex.model import DAMPING, FREE_PROPERTIES, MOST_LINKS, RESISTANCES, Rope, parse_label, recut
 from hyperflex.recording import Recording
-from hyperflex.simulation.rollouts import progress_bar
+from hyperflex.simulation import progress_bar
 
 WORSE = 1.001  # ratio of costs: within it fits have met the same optimum, as far as they go
 SLIGHT = 0.1  # of its scale, what a guess has none of at the start
@@ -45,8 +42,10 @@ class Candidate:
 
     def starting_guess(self, other: Candidate, rope: Rope) -> Rope:
         """Return the guess of `other` with the values fitted here, of `rope`; laws keep their guess."""
-        labels = [label for word in self.free if (label := parsed(word)) and label.law in ("", "shared")]
-        names = {label.name for label in labels if FREE[label.name].owner in ("link", "rope")} - {"gravity_angle"}
+        labels = [label for word in self.free if (label := parse_label(word)) and label.law in ("", "shared")]
+        names = {label.name for label in labels if FREE_PROPERTIES[label.name].owner in ("link", "rope")} - {
+            "gravity_angle"
+        }
         return other.guess.replace(**{name: getattr(rope, name) for name in sorted(names)})
 
 
@@ -231,7 +230,7 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
         raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
     own: dict[str, tuple[str, ...]] = {}
     for word in free:
-        label = parsed(word)
+        label = parse_label(word)
         own.setdefault(label.name if label else "", ())
         own[label.name if label else ""] += (word,)
     viscous, *added = RESISTANCES

@@ -17,7 +17,7 @@ from hyperflex.identification.experiment_design.fisher_information import Expect
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.scale import common_factor
 from hyperflex.model import Arm, Rope
-from hyperflex.simulation.rollouts import progress_bar
+from hyperflex.simulation import progress_bar
 
 WEIGHED = ("mass", "com", "tip_mass")  # what a pair of scales can tell
 TORQUE_NOISE = 0.01  # part of the torque that holds arm and rope out level, all mass at the tip

@@ -10,8 +10,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.parameters import Parameter, Parameters, lumped
-from hyperflex.model import Arm, Rope
-from hyperflex.model.properties import FREE, Label, parsed
+from hyperflex.model import FREE_PROPERTIES, Arm, Label, Rope, parse_label
 
 SHARE = 0.01  # size of an unknown small torque, as a part of gravity's, in the scale of a friction that starts from 0
 DELAY = 0.05  # s, scale of the time between camera and motor
@@ -36,13 +35,13 @@ def parse(
         raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
     result: list[Parameter] = []
     for word in free:
-        label = parsed(word)
-        if label is None or label.name not in FREE:
+        label = parse_label(word)
+        if label is None or label.name not in FREE_PROPERTIES:
             raise InvalidInput(
                 "free has an unknown name",
                 got=word,
-                allowed=f"{', '.join(FREE)}; 'friction[2]' for one link, 'friction:shared' for one value of all "
-                "links, 'friction:factor' and 'friction:taper' for laws along the rope",
+                allowed=f"{', '.join(FREE_PROPERTIES)}; 'friction[2]' for one link, 'friction:shared' for one value of "
+                "all links, 'friction:factor' and 'friction:taper' for laws along the rope",
             )
         result += _one(guess, label, arc_lengths, moved, arm)
     _refuse_twice(result, free)
@@ -67,7 +66,7 @@ def _refuse_twice(chosen: list[Parameter], free: Sequence[str]) -> None:
 def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm: Arm | None) -> list[Parameter]:
     """Return the parameters of one word in `free`."""
     name, place, law = label
-    owner = FREE[name].owner
+    owner = FREE_PROPERTIES[name].owner
     unseen = arc_lengths is None
     if {"motion": not moved, "camera": unseen, "marker": unseen, "arm": arm is None}.get(owner):
         why, fix = NEEDS[owner]
@@ -125,7 +124,7 @@ def _arcs(guess: Rope, marker: int | None, law: str, arc_lengths: Array) -> list
 def scales(guess: Rope, name: str) -> Array:
     """Return the scales (n,) of a property of the links: its value, or what is typical by its unit, if that is more."""
     value: Array = np.array(getattr(guess, name))
-    if FREE[name].form == "log":
+    if FREE_PROPERTIES[name].form == "log":
         if not (value > 0.0).all():
             raise InvalidInput(f"{name} is free but starts from 0", got=value, allowed=f"a guess of {name} > 0")
         return value
@@ -140,7 +139,7 @@ def scales(guess: Rope, name: str) -> Array:
         "rad": 1.0,
         "kg/m^2": SHARE * guess.total_mass / guess.total_length**2,
     }
-    return np.maximum(np.abs(value), typical[FREE[name].unit])
+    return np.maximum(np.abs(value), typical[FREE_PROPERTIES[name].unit])
 
 
 def perturbed(rope: Rope, off: Mapping[str, float]) -> Rope:
@@ -154,7 +153,7 @@ def perturbed(rope: Rope, off: Mapping[str, float]) -> Rope:
         Changes by labels such as ``friction[1]``, SI units; of a factor relative. What is none of the rope's is left
         out.
     """
-    owners = {label: FREE[parts.name].owner for label in off if (parts := parsed(label))}
+    owners = {label: FREE_PROPERTIES[parts.name].owner for label in off if (parts := parse_label(label))}
     own = {label: off[label] for label, owner in owners.items() if owner in ("link", "rope")}
     if not own:
         return rope

@@ -10,9 +10,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Rope
-from hyperflex.model.properties import PROPERTIES, Form, Property
-from hyperflex.model.stretch import growth, stretched
+from hyperflex.model import PROPERTIES, Form, Property, Rope, growth, stretched
 
 Law = Literal["own", "factor", "taper"]
 Part = dict[str, Array]

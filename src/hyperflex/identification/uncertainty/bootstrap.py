@@ -15,7 +15,7 @@ from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level
 from hyperflex.identification.uncertainty.noise import correlations
-from hyperflex.simulation.rollouts import progress_bar
+from hyperflex.simulation import progress_bar
 
 
 @dataclass(frozen=True, eq=False, repr=False)

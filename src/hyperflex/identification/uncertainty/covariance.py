@@ -20,8 +20,7 @@ from hyperflex.identification.model.scale import Mask, in_common_factor
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, autoregression, correlated, correlations
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.identification.uncertainty.whiteness import whiteness
-from hyperflex.model import Rope
-from hyperflex.model.properties import RESISTANCES
+from hyperflex.model import RESISTANCES, Rope
 
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known

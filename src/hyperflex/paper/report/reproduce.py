@@ -10,8 +10,7 @@ from hyperflex import checks, files
 from hyperflex.paper.report import casting, identification, timing
 from hyperflex.paper.report.part import Part, Written, claims_table, verdicts, write_part
 from hyperflex.paper.results import Claim
-from hyperflex.report.folder import Progress, silent, whole_folder
-from hyperflex.report.page import Section, sections_markdown, write_page
+from hyperflex.report import Progress, Section, sections_markdown, silent, whole_folder, write_page
 
 PARTS = (identification.PART, casting.PART, timing.PART)
 FIGURES = tuple(name for part in PARTS for name in part.items)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from hyperflex.control import TrueState
-from hyperflex.hardware import SimulatedMotor
-from hyperflex.hardware.motor import SAMPLE_TIME
+from hyperflex.hardware import SAMPLE_TIME, SimulatedMotor
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion

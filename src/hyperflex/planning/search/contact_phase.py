@@ -13,8 +13,7 @@ from hyperflex.model import Arm, Setup
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.strikes import arm_tip
-from hyperflex.simulation import Batch
-from hyperflex.simulation.contact.start import check_outside
+from hyperflex.simulation import Batch, check_outside
 from hyperflex.winding import slid
 
 COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search; coarser ones of wound ropes took longer, not less

@@ -18,7 +18,7 @@ from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fal
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
 from hyperflex.planning.wind.planner import NOMINAL, CastPlanner
 from hyperflex.planning.wind.remedies import find_remedies
-from hyperflex.simulation.rollouts import progress_bar
+from hyperflex.simulation import progress_bar
 
 TIME_BUDGET = 60.0  # s
 

@@ -23,7 +23,7 @@ from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import output_times, setup_of
 from hyperflex.simulation.outcome import refuse_failure, refuse_unbalanced
-from hyperflex.simulation.rollouts import TABLES, Rollout, finish, limits, prepare
+from hyperflex.simulation.rollouts import TABLES, Rollout, finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.sensitivity.directions import ParameterDirections, Wrt, check_smooth, parameter_directions
 from hyperflex.simulation.sensitivity.stiction import stiction_projection
 
@@ -165,7 +165,7 @@ def sensitivities(
     directions = parameter_directions(setup, wrt)
     t = output_times(t_eval, 0.0, setup.duration)
     chain, drive = directions.with_faint_terms(setup.chain()), setup.drive()
-    run = record_steps(chain, drive, setup.start(), limits(setup, chain, setup.duration))
+    run = record_steps(chain, drive, setup.start(), rollout_limits(setup, chain, setup.duration))
     refuse_unbalanced(run, setup)
     y, dy = forward_derivatives(run, directions, setup.start(), t)
     return _labelled(chain, drive, directions, t, y, dy, own=1 if setup.torque_driven else 0)
@@ -205,7 +205,7 @@ class AngleJacobian:
         """
         if (rope or self.setup.rope) is not self.rope:
             self._begin(rope or self.setup.rope)
-        chain, bounds = self.chain, limits(self.setup, self.chain, float(t[-1]))
+        chain, bounds = self.chain, rollout_limits(self.setup, self.chain, float(t[-1]))
         run = record_steps(chain, self.drive, (q0, qd0), bounds, float(t[0]))
         y, dy = forward_derivatives(run, self.wrt, (q0, qd0), t, self.seeds)
         n, p = chain.length.size, len(self.names)
@@ -216,8 +216,8 @@ def record_steps(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds:
     """Run to the end, noting every step; raises where that fails."""
     count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
     while True:
-        run = prepare(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
-        refuse_failure(finish(run), run)
+        run = prepare_rollout(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
+        refuse_failure(finish_rollout(run), run)
         steps = int(run.progress.clock[TAKEN] - run.progress.clock[REJECTED])
         if steps <= count:
             run.progress = run.progress._replace(log=run.progress.log[:steps])
