@@ -3,8 +3,6 @@
 Each returns the value in the form that the package works with, or raises :class:`hyperflex.errors.InvalidInput`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal

@@ -4,8 +4,6 @@ Coordinates are absolute angles, the arm's (index a) before the rope's (index u)
 M [a; u] + bias = [tau; 0], where bias gathers the centrifugal, potential and friction terms, C + P - F.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Exceptions of hyperflex. Every message says what was wrong, the value got, what is allowed and what to do."""
 
-from __future__ import annotations
-
 
 class HyperflexError(Exception):
     """Base class of everything that hyperflex raises on purpose."""

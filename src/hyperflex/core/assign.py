@@ -4,8 +4,6 @@
 it stands: a hundred times the code of the loop.
 """
 
-from __future__ import annotations
-
 from hyperflex.core.jit import lean
 
 

@@ -11,8 +11,6 @@ time and never a wrong run.
 ``HYPERFLEX_CACHE_DIR`` names the cache; without it, it is ``hyperflex`` in the user's cache folder.
 """
 
-from __future__ import annotations
-
 import ast
 import functools
 import hashlib

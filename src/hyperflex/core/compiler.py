@@ -8,8 +8,6 @@ optimised and turned into machine code once. That takes half of the time and giv
 Both are kept on disk, see :mod:`hyperflex.core.cache`.
 """
 
-from __future__ import annotations
-
 import functools
 import gc
 import pickle

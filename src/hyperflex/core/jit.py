@@ -1,7 +1,5 @@
 """Decorators of kernels: the one place with numba's options."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import sys

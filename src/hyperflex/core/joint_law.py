@@ -12,8 +12,6 @@ prints it. All functions take numbers or numpy arrays. The law is taken to be li
 step and its tangent use the slopes of ``jacobian``. One that is not needs them at the joint's state.
 """
 
-from __future__ import annotations
-
 from hyperflex.core.jit import shared
 
 

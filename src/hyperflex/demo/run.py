@@ -1,7 +1,5 @@
 """The demo's computations: a recording, an identified rope, its cast, a plan that winds it round a target."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The demo's recording: a finer rope than the one that is fitted to it, simulated and seen by a noisy camera."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Results as JSON: plain numbers, lists and strings."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

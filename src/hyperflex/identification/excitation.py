@@ -1,7 +1,5 @@
 """Checks before a fit: sampling times that suit the rope, and motion beyond the noise."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.checks import Array

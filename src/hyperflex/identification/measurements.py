@@ -1,7 +1,5 @@
 """Measurements to fit: angles, places of markers, and motor torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """identify: from a recording and a first guess to an Identification."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Sequence

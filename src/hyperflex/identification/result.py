@@ -1,7 +1,5 @@
 """The result of an identification, and how it is put together from a fit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

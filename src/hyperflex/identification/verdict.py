@@ -1,7 +1,5 @@
 """The verdict of a fit in sentences: what is known, what is not, and what looks wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

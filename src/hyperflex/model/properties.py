@@ -4,8 +4,6 @@ A new property of the links is a row here, an argument of :class:`hyperflex.mode
 ``core.chain.Chain``; files, identification, the comparison of models, derivatives and reports read the row.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

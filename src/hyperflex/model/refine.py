@@ -1,7 +1,5 @@
 """Refinement of a rope's links where it may wind round a peg."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Derivatives of a motion by its parameters: of its breaks and coefficients."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a plan is made for: a rope on an arm, the motor's limits, and the time until the strike."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

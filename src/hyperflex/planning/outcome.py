@@ -1,7 +1,5 @@
 """The outcome of a throw in a simulated run: wound or not, held or not, why not, and the force that it holds."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 Nothing is guessed: what neither the file nor the caller declares is refused, and what both declare must agree.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Read recordings from files of any known format, NetCDF-4 with its attributes among them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

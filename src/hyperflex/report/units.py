@@ -1,7 +1,5 @@
 """Numbers as people read them: a unit that suits their size, and as many digits as their uncertainty leaves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sensor models with derivatives, for identification and filters."""
 
-from __future__ import annotations
-
 from hyperflex.sensors.accelerometer import Accelerometer
 from hyperflex.sensors.motor_torque import MotorTorque
 from hyperflex.sensors.posture import Angles, Markers, Measurement, Sensor

@@ -1,7 +1,5 @@
 """Arguments of a run: a set-up or its parts, and output times."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Commands of the arm in an interval: acceleration, angle or motor torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Events that end a run where they happen, as in ``until=tip_crosses((0.0, 0.0), (1.0, 0.0))``."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

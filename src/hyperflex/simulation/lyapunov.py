@@ -1,7 +1,5 @@
 """Predictability: growth of small errors and the largest Lyapunov exponent."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Checkpoints: save the state of a run and resume from it."""
 
-from __future__ import annotations
-
 import hashlib
 import struct
 from typing import Any

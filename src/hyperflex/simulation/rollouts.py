@@ -1,7 +1,5 @@
 """Rollouts of a set-up: kernel arrays, step control, progress, torque callbacks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

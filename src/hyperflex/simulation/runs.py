@@ -1,7 +1,5 @@
 """Whole runs: from rope and motion to a Trajectory."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Stepper: a run taken one interval at a time, with a command for each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Time budget of a run: processor time, and Ctrl-C."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Members of a batch: parameters, drives, and how a member enters a lane."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -3,8 +3,6 @@
 No number of one lane ever enters another, so a member's result does not depend on its neighbours or on the threads.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Dry friction in the lanes of a batch: modes, events and shortened steps of each lane."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

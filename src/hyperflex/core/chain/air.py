@@ -5,8 +5,6 @@ motor-side joint and grows to u + w l at its far joint. With S = |u| + |u + w l|
 needs to know whether v changes its sign on the way, and none cancels where the link hardly turns.
 """
 
-from __future__ import annotations
-
 from hyperflex.core.jit import inlined, lean, shared
 
 TINY = 1e-140  # m/s, beside which any speed counts; its square is still a number

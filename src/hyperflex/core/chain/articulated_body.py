@@ -5,8 +5,6 @@ its far joint, n = (cos q, sin q). Joint i joins link i - 1 to link i; the paren
 The derivation is in docs/models.md; equation numbers below refer to it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Drive of the chain: arm angle, pivot and motor torque as piecewise polynomials."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -16,8 +16,6 @@ it stands in one place, the last row, which is an array of its own: with lanes e
 not overlap pays.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core import joint_law

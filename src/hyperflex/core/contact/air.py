@@ -1,7 +1,5 @@
 """Impulses of air drag in a contact step (M.34)."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

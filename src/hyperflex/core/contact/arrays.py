@@ -1,7 +1,5 @@
 """Arrays of the contact solver: impulses of contacts and joints, and the rates."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """State and bounds of a rollout with contact."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from hyperflex.core.chain.articulated_body import Array

@@ -7,8 +7,6 @@ contact force acts on the axis: the rope is thin in so far as the lever of frict
 the capstan law of a thin rope holds (docs/models.md).
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

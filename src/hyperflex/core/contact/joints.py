@@ -7,8 +7,6 @@ mode is a step of the staircase. Where the rate is given, L = L0 - M rate by the
 more than a change of the joint's (T, kappa) in the sweep.
 """
 
-from __future__ import annotations
-
 import math
 
 from hyperflex.core.contact.arrays import (

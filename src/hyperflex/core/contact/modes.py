@@ -5,8 +5,6 @@ Lagrangian) takes those nearest to the last step's, P = P0 - M v with a mass M f
 on the cone. Its residual velocity is (P - P0) / M and dies out where the load is steady, so what sticks does not creep.
 """
 
-from __future__ import annotations
-
 import math
 
 from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK

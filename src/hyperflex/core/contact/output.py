@@ -1,7 +1,5 @@
 """Outputs of a rollout with contact."""
 
-from __future__ import annotations
-
 from hyperflex.core.assign import assign
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import INDEX, LOST, MOMENT, T, energy_allowance, energy_balanced

@@ -1,7 +1,5 @@
 """One contact: the velocity of its point and its impulse as a term of the sweep."""
 
-from __future__ import annotations
-
 from hyperflex.core.contact.arrays import AHEAD, STICK
 from hyperflex.core.contact.sweep import add_contact
 from hyperflex.core.jit import lean

@@ -1,7 +1,5 @@
 """Run loop with contact: steps that end at touchdown, impacts, and an energy check."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

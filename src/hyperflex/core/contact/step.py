@@ -1,7 +1,5 @@
 """One contact step of the Moreau-Jean scheme: angles at its middle, rates at its ends."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ next to nothing. That is one more linear term on its link, so the sweep solves r
 contact matrix: (M.8)-(M.13) with the terms of B and C.
 """
 
-from __future__ import annotations
-
 from hyperflex.core.jit import inlined, lean
 
 # of a row of `touch`: sums over the contacts of a link at places s, n the direction across the link

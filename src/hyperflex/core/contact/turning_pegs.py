@@ -6,8 +6,6 @@ than action and reaction in one point. With fixed modes the rope's answer is lin
 sweep for each peg that a link sticks to, and one equation a peg, give them all.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

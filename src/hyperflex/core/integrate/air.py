@@ -1,7 +1,5 @@
 """Error of a step by drag reversal, the kink of quadratic drag (M.35)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.chain.articulated_body import sines

@@ -1,7 +1,5 @@
 """Dense output: Hermite interpolation within a step, and what is observed at a sample."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

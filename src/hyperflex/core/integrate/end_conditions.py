@@ -1,7 +1,5 @@
 """Event functions that may end a run, and margins of the joint limits."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Event location: the step that ends at the first event, and the modes after it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.assign import assign, assign_rows

@@ -5,8 +5,6 @@ Every event is a margin that falls from above zero to zero: of each joint that m
 the last column of what is to end the run. A margin comes with its slope where that is known.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

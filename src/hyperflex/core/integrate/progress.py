@@ -1,7 +1,5 @@
 """State, bounds and workspace of a rollout."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Run loop of a rollout: error control, restarts at switches, dense output."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

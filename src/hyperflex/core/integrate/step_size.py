@@ -1,7 +1,5 @@
 """Step-size control: from the error, its trend, and the time that is left."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

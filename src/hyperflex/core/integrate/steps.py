@@ -3,8 +3,6 @@
 The state y (2 n + 2,) holds angles, rates, work put in and energy dissipated.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

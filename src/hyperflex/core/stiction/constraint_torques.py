@@ -5,8 +5,6 @@ constraint torque is at most the dry friction (M.16). The modes, `slip`, are con
 an event, and a step ends exactly there. Which modes hold at an instant is decided in ``slip_modes``.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

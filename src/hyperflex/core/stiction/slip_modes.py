@@ -1,7 +1,5 @@
 """Slip modes of joints with dry friction: an active-set search (M.16)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.assign import assign

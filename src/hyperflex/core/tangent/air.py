@@ -5,8 +5,6 @@ the links, row n + 1 is what lies beyond the tip, where nothing acts. A step lea
 each direction's changes of angles and rates are copied in, and the changes of the torques on the links out.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.chain import lanes as ln

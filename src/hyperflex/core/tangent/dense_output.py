@@ -1,7 +1,5 @@
 """Tangent of the dense output: outputs within a step, with derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.chain import lanes as ln

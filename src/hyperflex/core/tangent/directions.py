@@ -1,7 +1,5 @@
 """Directions of a derivative: changes of the chain, its drive and its base motion."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ to fall to zero (core/integrate/event_search.py), so its length has a derivative
 margin's slope. The slope is the derivative along one more direction, in which nothing changes but the step's length.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tangent of an extrapolated step, for any number of directions."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

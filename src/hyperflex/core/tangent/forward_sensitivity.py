@@ -4,8 +4,6 @@ The steps stay what they were, so the result is the derivative of the very numbe
 its length but for one that ends at a switch, at an event or at an output, whose time depends on a direction.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.assign import assign, assign_rows

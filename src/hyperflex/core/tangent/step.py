@@ -7,8 +7,6 @@ place of what only whole rollouts need; two directions together make a loop body
 to turn into packed instructions (core/chain/lanes.py says more; tests/core/test_tangent.py looks).
 """
 
-from __future__ import annotations
-
 from hyperflex.core import joint_law
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.jit import inlined, lean

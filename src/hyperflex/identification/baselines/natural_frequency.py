@@ -1,7 +1,5 @@
 """Baselines of the paper: inertia by natural frequency (8) and of a cylinder."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex import checks

@@ -1,7 +1,5 @@
 """Iterative revision (IR) of parameters and initial state, the paper's method (Fig. 4)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

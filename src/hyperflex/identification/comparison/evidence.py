@@ -1,7 +1,5 @@
 """Evidence for models: BIC and held-out prediction, and the recommendation from both."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Choice of the next experiment: candidates ranked by expected standard deviation, and advice."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

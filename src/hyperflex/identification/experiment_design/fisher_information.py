@@ -1,7 +1,5 @@
 """Fisher information that a simulated experiment has of the parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

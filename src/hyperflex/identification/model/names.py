@@ -1,7 +1,5 @@
 """The names in `free`, and the parameters that they stand for."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """Free parameters: their scales and bounds for the fit, and the rope with given values."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """The common factor of moments, frictions and stiffnesses; unknown without a known force or torque."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

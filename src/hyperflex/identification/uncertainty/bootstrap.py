@@ -1,7 +1,5 @@
 """Parametric bootstrap: fits to recordings simulated from a fit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

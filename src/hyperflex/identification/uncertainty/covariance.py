@@ -1,7 +1,5 @@
 """Covariance of the parameters (sandwich estimate for robust losses and coloured noise), and intervals from it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal

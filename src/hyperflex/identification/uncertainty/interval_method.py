@@ -1,7 +1,5 @@
 """Choice of each interval's method: covariance, or profile likelihood where skewed."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Autoregressive model of the residuals as noise, its order chosen by BIC."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Profile likelihood: one parameter held at a value, all others fitted again."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -6,8 +6,6 @@ taken at the very value that is tested, so that intervals hold the truth as ofte
 at the bound, near it or far off (the construction of Feldman and Cousins 1998, doi:10.1103/PhysRevD.57.3873).
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

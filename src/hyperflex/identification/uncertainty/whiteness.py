@@ -1,7 +1,5 @@
 """Whiteness of residuals: a portmanteau test and the correlogram."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

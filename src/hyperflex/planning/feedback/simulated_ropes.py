@@ -1,7 +1,5 @@
 """State sources that simulate the true rope: in a sampled scenario, or on a simulated motor."""
 
-from __future__ import annotations
-
 from hyperflex.control import TrueState
 from hyperflex.hardware import SAMPLE_TIME, SimulatedMotor
 from hyperflex.interfaces import RopeState

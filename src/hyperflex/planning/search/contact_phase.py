@@ -1,7 +1,5 @@
 """The contact phase of throws: coarse batch rollouts beside the peg from shortly before the strike, and their score."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Gauss-Newton on strokes and rests, with exact derivatives, that moves the peak of the tip's speed onto the target."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plan a whip: swings of a map are aimed at the target one after the other, and the best ones are verified."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

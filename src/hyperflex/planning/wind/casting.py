@@ -1,7 +1,5 @@
 """Plan a cast: check the target, search for a throw that winds and holds, verify it, and look for fallbacks."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial

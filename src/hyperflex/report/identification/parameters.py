@@ -1,7 +1,5 @@
 """Tables of identified parameters, ratios and the rope, in units for people."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

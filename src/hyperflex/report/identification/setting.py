@@ -1,7 +1,5 @@
 """How an identification was set up: recording, fit, what was held, versions."""
 
-from __future__ import annotations
-
 import platform
 from importlib.metadata import version
 

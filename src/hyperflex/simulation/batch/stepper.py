@@ -1,7 +1,5 @@
 """Batch stepper: many runs taken one interval at a time, each with its own command."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -4,8 +4,6 @@ A flight is so short that no joint can reach a peg meanwhile, as far as the spee
 more than was allowed for, it is flown again by the stepper for contacts. A flight ends where a joint reaches its limit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Parameter directions: names and mappings, checked, as kernel arrays."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
