@@ -97,7 +97,7 @@ class ParameterDirections:
             arm[m] = part.get("arm_length", np.zeros(1))[0]
         ends = (driven >= 0) | whole.any(axis=1)
         own = links.any(axis=(1, 2)) | ((driven >= 0) & drive.coef[:, TORQUE].any())
-        kind = np.where(own.reshape(pairs, 2).any(axis=1), dr.LINK_PROPERTIES, 0)
+        kind = np.where(own.reshape(pairs, 2).any(axis=1), dr.LINKS, 0)
         kind += np.where(ends.reshape(pairs, 2).any(axis=1), dr.ENDS, 0)
         return Directions(
             links.reshape(pairs, 2, n, tg.SEEDS),
