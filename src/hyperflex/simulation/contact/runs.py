@@ -71,7 +71,7 @@ class ContactRun:
         if STEP in saved and np.array_equal(saved["y"], contact.y):
             contact.clock[at.STEP], contact.clock[at.IMPACT_DUE] = min(float(saved[STEP]), self.longest), 0.0
 
-    def finish_rollout(self, report: Callable[[float], None] | None = None) -> int:
+    def finish(self, report: Callable[[float], None] | None = None) -> int:
         """Run to the end and return the status code; `report` is called with the simulated time now and then."""
         code = status.RUNNING
         while code in (status.RUNNING, status.LEFT):
