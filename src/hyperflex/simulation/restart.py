@@ -8,6 +8,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.integrate.progress import MARK, STEP, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.errors import InvalidInput
@@ -96,7 +97,9 @@ def state_of(
     if own:
         arm = float(y[0]), float(y[n])
     elif arm is None:
-        arm = (0.0, 0.0) if setup.motion is None else (float(setup.motion.angle(t)), float(setup.motion.rate(t)))
+        motion = np.empty(9)
+        base_state(run.drive, segment(run.drive, t), t, motion)
+        arm = float(motion[4]), float(motion[3])
     return State(
         t=t,
         q=y[own:n].copy(),

@@ -153,14 +153,6 @@ def simulate(
     True
     """
     control = torque if callable(torque) else None
-    setup = whole_setup(
-        rope,
-        "duration, t_eval, state, until, throw, progress",
-        {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "step": step, "torque": torque, "pegs": bool(pegs)},
-        {"arm_angle0": arm_angle0 != 0.0, "arm_rate0": arm_rate0 != 0.0, "tol": tol != DEFAULT_TOL},
-        {"method": method != METHODS[0], "control_rate": control_rate, "tip_force": bool(np.any(tip_force))},
-        {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
-    )
     if isinstance(rope, Rope):
         if pegs and refine:
             rope, q0, qd0, state = refine_arguments(rope, tuple(pegs), arm, q0, qd0, state)
@@ -180,6 +172,15 @@ def simulate(
             pegs=tuple(pegs),
             contact_step=contact_step,
             tip_force=tip_force,  # type: ignore[arg-type]
+        )
+    else:
+        setup = whole_setup(
+            rope,
+            "duration, t_eval, state, until, throw, progress",
+            {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "step": step, "torque": torque, "pegs": bool(pegs)},
+            {"arm_angle0": arm_angle0 != 0.0, "arm_rate0": arm_rate0 != 0.0, "tol": tol != DEFAULT_TOL},
+            {"method": method != METHODS[0], "control_rate": control_rate, "tip_force": bool(np.any(tip_force))},
+            {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
         )
     length = setup.duration if duration is None else checks.number("duration", duration, sign="positive", unit="s")
     begin = _begin(state)

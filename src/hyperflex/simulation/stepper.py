@@ -113,15 +113,16 @@ class Stepper:
         refine: bool = True,
     ) -> None:
         self.command = checks.choice("command", command, COMMANDS)
-        setup = whole_setup(
-            rope,
-            "command",
-            {"arm": arm, "tol": tol != DEFAULT_TOL, "pegs": bool(pegs), "tip_force": bool(np.any(tip_force))},
-            {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
-        )
         if isinstance(rope, Rope):
             rope = refine_arguments(rope, tuple(pegs), arm, None, None, None)[0] if refine and pegs else rope
             setup = Setup(rope, None, arm, tol=tol, pegs=tuple(pegs), contact_step=contact_step, tip_force=tip_force)  # type: ignore[arg-type]
+        else:
+            setup = whole_setup(
+                rope,
+                "command",
+                {"arm": arm, "tol": tol != DEFAULT_TOL, "pegs": bool(pegs), "tip_force": bool(np.any(tip_force))},
+                {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
+            )
         self.setup = setup_for(command, setup)
         chain, self._interval = self.setup.chain(), Interval(self.setup.drive())
         run = prepare_rollout(
