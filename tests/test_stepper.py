@@ -108,7 +108,7 @@ def test_beside_a_peg_a_run_in_steps_is_a_run(command: str) -> None:
 
 
 def test_joints_keep_their_limits_in_steps_as_in_a_run() -> None:
-    """As beside a peg: steps at a limit are cut elsewhere."""
+    """As with a peg: steps at a limit are cut elsewhere."""
     cable, given = rope(6, friction=1e-3, max_bend=0.25), np.repeat([40.0, -40.0, 20.0], 5)
     stepper = hf.Stepper(cable, arm=ARM)
     states = walk(stepper, stepper.start(), given)

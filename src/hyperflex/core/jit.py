@@ -59,7 +59,7 @@ def kernel(function: _F) -> _F:
     return _compiled(function)
 
 
-def lean(function: _F) -> _F:
+def non_allocating(function: _F) -> _F:
     """Compile a kernel that makes no arrays: it counts no references, which costs small kernels half of their time.
 
     Its arrays are its callers'. It returns numbers alone, and assigns to slices no more than numbers.

@@ -101,7 +101,7 @@ def verify_cast(
     watch_time: float = WATCH_TIME,
     time_budget: float | None = None,
 ) -> CastOutcome:
-    """Simulate a motion from rest beside a peg, with links refined near the peg, and evaluate the outcome.
+    """Simulate a motion from rest with a peg, with links refined near the peg, and evaluate the outcome.
 
     Parameters
     ----------

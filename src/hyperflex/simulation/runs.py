@@ -107,9 +107,9 @@ def simulate(
         1e-12 s within the run's own accuracy. Steps are 10 ms at most while an event is awaited; one that comes and
         goes within such a step can be missed.
     pegs : sequence of Peg, Wall or Ground, optional
-        What the rope may touch and wind round. Events are not there yet beside pegs, nor where a joint is at its limit.
+        What the rope may touch and wind round. Events are not there yet with pegs, nor where a joint is at its limit.
     contact_step : float
-        Longest step beside a peg or with a joint at its limit, s. A run that goes on from a `state` takes its steps
+        Longest step with a peg or with a joint at its limit, s. A run that goes on from a `state` takes its steps
         elsewhere than one that was not stopped, so the two agree within the accuracy of these steps only.
     tip_force : (2,) array_like
         Constant force on the tip beside gravity, N; only with pegs.
@@ -268,7 +268,7 @@ def _ending(until: Event | None, setup: Setup) -> Until:
     if until is not None and not isinstance(until, Event):
         raise InvalidInput("until is not an event", got=until, allowed="tip_crosses(...), tip_speed_peak(...), ...")
     if setup.pegs and until is not None:
-        raise InvalidInput("events are not there yet beside pegs", fix="Leave out until or pegs")
+        raise InvalidInput("events are not there yet with pegs", fix="Leave out until or pegs")
     return NEVER if until is None else until.packed(setup)
 
 

@@ -42,7 +42,7 @@ class WindingScores:
 def simulate_contact(
     batch: RolloutBatch, begin: Array, *, arm: Arm, time_budget: float = TIME_BUDGET, threads: int | None = None
 ) -> WindingScores:
-    """Simulate ropes (M,) beside pegs from shortly before their strikes, under motions that end.
+    """Simulate ropes (M,) with pegs from shortly before their strikes, under motions that end.
 
     A strike that begins later, at `begin` (M,), s, lowers the score. `time_budget` is the processor time of each run,
     s; a run that takes more has failed.
