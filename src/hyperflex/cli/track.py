@@ -1,28 +1,44 @@
-"""``hyperflex track``: a video of a rope with markers in, their places out."""
+"""``hyperflex track``: a video of a rope with markers, or of a pendulum of bars, in; places or angles out."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hyperflex.cli import output
+from hyperflex.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from hyperflex.vision import BarDetector
 
 
 def track(
     video: Annotated[Path, typer.Argument(help="Video of the rope, MP4, MOV, ...", show_default=False)],
-    rope: Annotated[Path, typer.Option(help="TOML file with the rope.", show_default=False)],
+    rope: Annotated[Path | None, typer.Option(help="TOML file with the rope.", show_default=False)] = None,
     camera: Annotated[
-        Path, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).", show_default=False)
-    ],
+        Path | None, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).", show_default=False)
+    ] = None,
     arc_lengths: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             help="How far along the rope each marker sits, m; several times or with commas.", show_default=False
         ),
-    ],
-    out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the markers' places.")] = Path(
+    ] = None,
+    bar: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="In place of markers: a pixel u,v in the middle of a link that is a bar of its own colour; once for "
+            "each link, from the pivot on.",
+            show_default=False,
+        ),
+    ] = None,
+    pivot: Annotated[
+        tuple[float, float] | None, typer.Option(help="Pixel of the first joint, u v, for --bar.", show_default=False)
+    ] = None,
+    at: Annotated[float, typer.Option(help="Time of the frame in which the bars were clicked, s.")] = 0.0,
+    out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the places or angles.")] = Path(
         "markers.nc"
     ),
     preview: Annotated[Path | None, typer.Option(help="MP4 file that shows what was seen.", show_default=False)] = None,
@@ -44,7 +60,18 @@ def track(
     The rope hangs from the swing plane's origin. In the first frames its markers are found and put in order; from then
     on each is looked for where the rope's motion says. `hyperflex identify` goes on from the file, with the same
     --arc-lengths and --origin 0,0.
+
+    With --bar and --pivot, the links of a pendulum are followed by their colours, and no rope and no camera is needed:
+    the file then holds the links' angles.
     """
+    if bar:
+        _track_bars(video, bar, pivot, at, out, preview, json)
+        return
+    if rope is None or camera is None or not arc_lengths:
+        needed = {"--rope": rope, "--camera": camera, "--arc-lengths": arc_lengths}
+        missing = [name for name, value in needed.items() if not value]
+        fix = "Give them, or --bar and --pivot for a pendulum whose links are bars"
+        raise InvalidInput("a rope with markers needs more to be tracked", got="no " + ", ".join(missing), fix=fix)
     from hyperflex.estimate import EstimatedParameter, RopeFilter, RopeTracker, track_video
     from hyperflex.model import Rope
     from hyperflex.vision import MarkerColour, MarkerDetector, VideoReader, read_camera
@@ -98,3 +125,57 @@ def track(
             ("written", str(out)),
         ],
     )
+
+
+def _track_bars(
+    video: Path,
+    clicks: list[str],
+    pivot: tuple[float, float] | None,
+    at: float,
+    out: Path,
+    preview: Path | None,
+    json: bool,
+) -> None:
+    """Track links that are bars, and write their angles."""
+    from hyperflex.vision import track_bars
+
+    if pivot is None:
+        raise InvalidInput("--pivot is missing", fix="Give the pixel of the first joint, as --pivot 167 147")
+    output.check_destination(out, ".nc", [video])
+    if preview is not None:
+        output.check_destination(preview, ".mp4", [video])
+    detector = _clicked(video, [output.numbers("--bar", [each], "213,140") for each in clicks], at)
+    with output.spinner(json) as said:
+        found = track_bars(video, detector, pivot, preview=preview, progress=lambda count: said(f"frame {count}"))
+    found.recording.to_netcdf(out)
+    result: dict[str, Any] = {
+        "output": out,
+        "frames": found.frames,
+        "duration_s": found.recording.duration,
+        "seen": found.seen.tolist(),
+        "notes": list(found.notes),
+    }
+    if json:
+        output.print_json(result)
+        return
+    output.print_pairs(
+        f"Tracked {len(found.seen)} bars in {found.frames} frames",
+        [
+            *((f"link {k}", f"seen in {100.0 * part:.1f} % of the frames") for k, part in enumerate(found.seen)),
+            *(("note", note) for note in found.notes),
+            ("written", str(out)),
+        ],
+    )
+
+
+def _clicked(video: Path, clicks: list[list[float]], at: float) -> BarDetector:
+    """Return a detector of the bars at pixels in the first frame at or after a time."""
+    from hyperflex.vision import BarDetector, VideoReader
+
+    if any(len(each) != 2 for each in clicks):
+        raise InvalidInput("--bar is a pixel", got=clicks, allowed="u,v", fix="Give it once for each link")
+    with VideoReader(video) as reader:
+        for frame in reader:
+            if frame.time >= at - 1e-6:
+                return BarDetector.from_clicks(frame.image, clicks)
+    raise InvalidInput("--at is after the end of the video", got=at, allowed=f"up to {frame.time:g} s")

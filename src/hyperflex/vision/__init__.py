@@ -6,7 +6,7 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.vision.assignment import Assignment, assign_markers
-    from hyperflex.vision.bars import BarDetector, BarObservations, BarTrack, link_angles, track_bars
+    from hyperflex.vision.bars import FLOOR, BarDetector, BarObservations, BarTrack, link_angles, track_bars
     from hyperflex.vision.boards import Board, BoardView
     from hyperflex.vision.calibration import Calibration, calibrate_camera
     from hyperflex.vision.camera import Camera, Projection
