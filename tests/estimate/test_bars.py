@@ -121,7 +121,7 @@ def test_the_real_pendulum(data_dir, tmp_path):
     whole = [k for k, each in enumerate(bars) if (each.areas > 0.9).all()]
     first = np.array([np.sin(track.recording.data[5:, 0]), np.cos(track.recording.data[5:, 0])]).T
     reach = np.array([np.linalg.norm(bars[k].centres[1] - (pivot + 85.7 * first[k])) for k in whole])
-    assert len(whole) > 30
+    assert len(whole) > 25
     assert np.std(reach) < 2.0  # px: the second link keeps its length
     angles = track.recording.window(0.16, track.recording.t[-1])  # the first frames fade in
     guess = hf.Rope(

@@ -76,8 +76,8 @@ class BarTracker:
     def points(self, image: Image, expected: Array) -> tuple[BarObservations, Array, Array]:
         """Return the bars in a frame, two points (2 J, 2) of each, px, NaN: not seen, and covariances (2 J, 2, 2).
 
-        Where more or less of a bar is seen than its span, half of the difference counts as a standard deviation along it:
-        another bar may lie over one of its ends.
+        Where more or less of a bar is seen than its span, half of the difference counts as a standard deviation along
+        it: another bar may lie over one of its ends.
 
         Parameters
         ----------
