@@ -5,13 +5,16 @@ from __future__ import annotations
 import ast
 import importlib.util
 import inspect
+import io
 import re
 import subprocess
 import sys
+import tokenize
 import tomllib
 from collections import Counter
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from typing import Any, get_args, get_type_hints
 
 import pytest
 
@@ -246,3 +249,57 @@ def test_an_import_from_inside_another_room_is_seen() -> None:
     source = "from hyperflex.model.rope import Rope\nfrom hyperflex.core.chain.chain import Chain\nimport math\n"
     assert cross_room_imports(PACKAGE / "report" / "page.py", source) == ["model.rope"]
     assert cross_room_imports(PACKAGE / "model" / "arm.py", source) == []
+
+
+def code_names() -> set[str]:
+    """Return every name that the sources' code uses: words in comments and docstrings do not count."""
+    found = set()
+    for path in SOURCES:
+        for token in tokenize.generate_tokens(io.StringIO(path.read_text("utf-8")).readline):
+            if token.type == tokenize.NAME:
+                found.add(token.string)
+            elif token.type == tokenize.STRING and re.fullmatch(r"[\"']\w+[\"']", token.string):
+                found.add(token.string[1:-1])
+    return found
+
+
+def stale_names(source: str, known: set[str]) -> list[str]:
+    """Return what docstrings put between double backticks, or refer to, that is no name of the code."""
+    quoted = re.findall(r"``([A-Za-z]\w*[A-Za-z0-9](?:\.\w+)*)(?:\([^`]*\))?``", source)
+    quoted += re.findall(r":(?:func|class|mod|meth|data|attr):`~?([\w.]+)`", source)
+    return sorted({name for name in quoted if not set(name.split(".")) <= known})
+
+
+def test_docstrings_name_what_is_there() -> None:
+    known = code_names() | {p.stem for p in SOURCES} | {p.parent.name for p in SOURCES}
+    known |= {"vdivpd", "link_length", "link_mass"}  # an instruction; keys that are put together from two words
+    found = {p.relative_to(PACKAGE).as_posix(): stale_names(p.read_text("utf-8"), known) for p in SOURCES}
+    assert {name: stale for name, stale in found.items() if stale} == {}
+    assert stale_names('"""See :func:`no_such_name` and ``simulate``."""', known) == ["no_such_name"]
+
+
+def types_of(annotation: object) -> set[type]:
+    """Return the classes of this package in a type hint."""
+    own = {annotation} if inspect.isclass(annotation) and annotation.__module__.startswith("hyperflex") else set()
+    return own.union(*(types_of(part) for part in get_args(annotation)))
+
+
+def test_types_that_public_calls_take_and_return_are_public() -> None:
+    """Each is offered by `hyperflex` itself or by its room, as ``hyperflex.planning.CastOutcome`` is."""
+    hidden: dict[str, list[str]] = {}
+    for name, obj in public_callables().items():
+        for kind in set().union(*(types_of(hint) for hint in hints_of(obj).values())):
+            room = importlib.import_module(".".join(kind.__module__.split(".")[:2]))
+            if room.__name__ == "hyperflex.core":  # what kernels are given, by Rope.chain and the like
+                continue
+            if kind.__name__ not in hyperflex.__all__ and getattr(room, kind.__name__, None) is not kind:
+                hidden.setdefault(f"{kind.__module__}.{kind.__name__}", []).append(name)
+    assert hidden == {}
+
+
+def hints_of(obj: object) -> dict[str, Any]:
+    """Return type hints, where names that only type checkers import are left out."""
+    try:
+        return get_type_hints(obj)
+    except NameError:
+        return {}

@@ -29,7 +29,8 @@ class Property:
     unit : str
         SI.
     field : str
-        In :class:`hyperflex.core.chain.Chain`; of a resistance also the word for it in the names of candidate models.
+        In :class:`hyperflex.core.chain.articulated_body.Chain`; of a resistance also the word for it in the names of
+        candidate models.
     owner : str
         Whose it is: of each ``link`` (or of its joint), of the whole ``rope``, of the ``motion``, the ``camera``, each
         ``marker`` or the ``arm``.

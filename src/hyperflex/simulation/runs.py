@@ -71,7 +71,7 @@ def simulate(
         The rope; or a whole set-up, and then only `duration`, `t_eval`, `state`, `until`, `throw`, `time_budget` and
         `progress` may be given beside it.
     motion : Motion, optional
-        Prescribed motion of the arm, or of the point that the rope hangs from (``moving_point``).
+        Prescribed motion of the arm, or of the point that the rope hangs from (``moving_pivot``).
     arm : Arm, optional
         The arm; without one the rope hangs from the point itself.
     duration : float

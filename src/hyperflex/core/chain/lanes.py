@@ -99,7 +99,7 @@ def load_lane(width, j, chain, lanes, tip):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def set_slip(width, lanes, slip):  # type: ignore[no-untyped-def]
-    """Set how each joint slips in every lane, (n,) as in ``chain.accelerations``."""
+    """Set how each joint slips in every lane, (n,) as in ``articulated_body.accelerations``."""
     k = len(width)
     for i in range(slip.size):
         for j in range(k):

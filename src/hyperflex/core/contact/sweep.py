@@ -17,7 +17,7 @@ TOUCH = 12
 
 @inlined
 def link_change(link, joint, sin, cos, rho, touch, beyond):  # type: ignore[no-untyped-def]
-    """One link of the sweep from tip to motor, as ``chain.link_step``, with contacts and without symmetry.
+    """One link of the sweep from tip to motor, as ``articulated_body.link_step``, with contacts and without symmetry.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ class Progress(NamedTuple):
 
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
     mark: Array  # (2 n + 2,) the state before the first step that was cut short to end at `stop`
-    slip: Array  # (n,) modes of the joints, as in chain.accelerations
+    slip: Array  # (n,) modes of the joints, as in ``articulated_body.accelerations``
     mark_slip: Array
     clock: Array  # (CLOCK,) see the names below; the mark's time is -inf while no step has been cut
     log: Array  # (m, 3) or (m, 4 + n) with stiction: of the first m steps that succeed, see below

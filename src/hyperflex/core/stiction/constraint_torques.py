@@ -46,7 +46,7 @@ def constraint_torques(chain, q, w, slip, base, torque, workspace):  # type: ign
     """Accelerations, and the friction torque of each joint, also of stuck ones; two passes, O(n).
 
     Newton's and Euler's equations link by link, from the tip: independent of the elimination in the sweep. Arguments as
-    in ``chain.accelerations``; results in ``workspace.alpha``, ``workspace.load``, ``workspace.slack`` of `workspace`.
+    in ``articulated_body.accelerations``; results in ``alpha``, ``load`` and ``slack`` of `workspace`.
     """
     n = q.size
     alpha, work = workspace.alpha, workspace.work

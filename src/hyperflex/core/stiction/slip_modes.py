@@ -64,7 +64,7 @@ def find_modes(chain, q, w, base, torque, widen, slip, workspace):  # type: igno
 
     Parameters
     ----------
-    chain, q, w, base, torque : as in ``chain.accelerations``
+    chain, q, w, base, torque : as in ``articulated_body.accelerations``
     widen : float
         Factor on the tolerance of the dry friction; 1.0 unless joints chatter.
 

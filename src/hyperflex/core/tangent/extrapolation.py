@@ -192,7 +192,7 @@ def step_pair(reaction, lanes, air, links, stretch):  # type: ignore[no-untyped-
 
 @kernel
 def tangent_step(chain, drive, part, table, t, step, y, out, directions, result, workspace):  # type: ignore[no-untyped-def]
-    """One extrapolated step, as ``steppers.extrapolate``, with the derivatives of its result.
+    """One extrapolated step, as ``steps.extrapolate``, with the derivatives of its result.
 
     Parameters
     ----------

@@ -19,13 +19,13 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import LINK_PROPERTIES, Arm, Setup
 from hyperflex.motion import motion_derivatives, motion_parameters
 
-LINK_NAMES = tuple(each.name for each in LINK_PROPERTIES if each.form)
+DIFFERENTIABLE = tuple(each.name for each in LINK_PROPERTIES if each.form)
 STATE_NAMES = ("q0", "qd0")
 # parts of a direction that the user makes himself: how often it is told
-PARTS = (*STATE_NAMES, *LINK_NAMES, "tip_mass", "gravity", "arm_length", "breaks", "coef")
+PARTS = (*STATE_NAMES, *DIFFERENTIABLE, "tip_mass", "gravity", "arm_length", "breaks", "coef")
 # of a torque-driven arm, the chain's first link: its own names, and those of the links
 ARM_NAMES = {
-    **{f"arm.{each.name}": each.name for each in fields(Arm) if each.name in LINK_NAMES},
+    **{f"arm.{each.name}": each.name for each in fields(Arm) if each.name in DIFFERENTIABLE},
     "arm_angle0": "q0",
     "arm_rate0": "qd0",
 }
@@ -146,18 +146,18 @@ def parameter_directions(setup: Setup, wrt: Wrt) -> ParameterDirections:
 
 def _with_arm(part: ParameterChange, n: int) -> ParameterChange:
     """A direction of the rope's n links, and of the arm, as one of a chain that begins with the arm."""
-    joined = {name: value for name, value in part.items() if name not in (*STATE_NAMES, *LINK_NAMES, *ARM_NAMES)}
+    joined = {name: value for name, value in part.items() if name not in (*STATE_NAMES, *DIFFERENTIABLE, *ARM_NAMES)}
     if "arm_length" in joined:
         part = {**part, "arm.length": joined.pop("arm_length")}
     arm = {name: part[own] for own, name in ARM_NAMES.items() if own in part}
-    for name in (*STATE_NAMES, *LINK_NAMES):
+    for name in (*STATE_NAMES, *DIFFERENTIABLE):
         if name in part or name in arm:
             joined[name] = np.append(arm.get(name, 0.0), part.get(name, np.zeros(n)))
     return joined
 
 
 def _allowed(setup: Setup) -> str:
-    links = ", ".join((*STATE_NAMES, *LINK_NAMES))
+    links = ", ".join((*STATE_NAMES, *DIFFERENTIABLE))
     moving = ", ".join(f"motion.{name}" for name in motion_parameters(setup.motion)[:8]) if setup.motion else ""
     if setup.torque is not None:
         moving = ", ".join(f"torque.{name}" for name in motion_parameters(setup.torque)[:8])
@@ -174,8 +174,8 @@ def _by_name(setup: Setup, name: str) -> dict[str, ParameterChange]:
     n = setup.rope.n_links
     match = re.fullmatch(r"([a-z_0-9]+)(?:\[(\d+|:)\])?", name)
     base, index = match.groups() if match else (name, None)
-    if base in LINK_NAMES or base in STATE_NAMES:
-        if index is None and base in LINK_NAMES:
+    if base in DIFFERENTIABLE or base in STATE_NAMES:
+        if index is None and base in DIFFERENTIABLE:
             return {name: {base: np.ones(n)}}
         if index is None or index == ":":
             return {f"{base}[{i}]": {base: row} for i, row in enumerate(np.eye(n))}
@@ -208,7 +208,7 @@ def _gravity(setup: Setup, change: Array) -> ParameterChange:
 def _own(setup: Setup, name: str, given: Mapping[str, npt.ArrayLike]) -> ParameterChange:
     """Direction that the user gives as a mapping, checked."""
     n = setup.rope.n_links
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*STATE_NAMES, *LINK_NAMES), (n,))
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*STATE_NAMES, *DIFFERENTIABLE), (n,))
     shapes |= {"tip_mass": (1,), "gravity": (2,), "arm_length": (1,)}
     if setup.torque_driven:
         shapes |= dict.fromkeys(ARM_NAMES, (1,))
