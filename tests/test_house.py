@@ -5,11 +5,9 @@ from __future__ import annotations
 import ast
 import importlib.util
 import inspect
-import io
 import re
 import subprocess
 import sys
-import tokenize
 import tomllib
 from collections import Counter
 from graphlib import CycleError, TopologicalSorter
@@ -19,6 +17,7 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 import hyperflex
+from tests.names import code_names
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "src" / "hyperflex"
@@ -249,18 +248,6 @@ def test_an_import_from_inside_another_room_is_seen() -> None:
     source = "from hyperflex.model.rope import Rope\nfrom hyperflex.core.chain.chain import Chain\nimport math\n"
     assert cross_room_imports(PACKAGE / "report" / "page.py", source) == ["model.rope"]
     assert cross_room_imports(PACKAGE / "model" / "arm.py", source) == []
-
-
-def code_names() -> set[str]:
-    """Return every name that the sources' code uses: words in comments and docstrings do not count."""
-    found = set()
-    for path in SOURCES:
-        for token in tokenize.generate_tokens(io.StringIO(path.read_text("utf-8")).readline):
-            if token.type == tokenize.NAME:
-                found.add(token.string)
-            elif token.type == tokenize.STRING and re.fullmatch(r"[\"']\w+[\"']", token.string):
-                found.add(token.string[1:-1])
-    return found
 
 
 def stale_names(source: str, known: set[str]) -> list[str]:
