@@ -216,7 +216,7 @@ def _dense() -> None:
     rest = np.zeros(rope.n_links)
     hf.mass_matrix(rope, rest)
     dynamics.bias(rope, rest, rest)
-    MotorTorque(arm).measure(rope, hf.State(0.0, rest, rest))
+    MotorTorque(arm).measure(rope, arm, hf.State(0.0, rest, rest))
 
 
 def _vision() -> None:

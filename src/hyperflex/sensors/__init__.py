@@ -2,6 +2,7 @@
 
 from hyperflex.sensors.accelerometer import Accelerometer
 from hyperflex.sensors.motor_torque import MotorTorque
-from hyperflex.sensors.posture import Angles, Markers, Measurement, Sensor
+from hyperflex.sensors.posture import Angles, Markers, PostureSensor
+from hyperflex.sensors.sensor import Measurement, Sensor
 
-__all__ = ["Accelerometer", "Angles", "Markers", "Measurement", "MotorTorque", "Sensor"]
+__all__ = ["Accelerometer", "Angles", "Markers", "Measurement", "MotorTorque", "PostureSensor", "Sensor"]

@@ -12,7 +12,7 @@ from hyperflex.core.chain.drive import ANGLE, Drive, base_state, segment
 from hyperflex.core.chain.motor_torque import senses
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, Setup
-from hyperflex.sensors.posture import Measurement
+from hyperflex.sensors.sensor import Measurement, angles_and_rates
 from hyperflex.simulation import Interval, acceleration_jacobian, arm_polynomials, set_commands, state_directions
 from hyperflex.trajectory import State
 
@@ -67,20 +67,12 @@ class Accelerometer:
         return Accelerometer(self.link, float(values[2]), values[:2])
 
     def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
-        """Return what is seen in one state of the arm and `rope`, y (2,), with derivatives.
-
-        Parameters
-        ----------
-        rope, arm : Rope, Arm
-        state : State
-            Its ``arm_angle`` and ``arm_rate`` count as 0 where they are not known.
-        acceleration : float
-            Of the arm, rad/s^2.
+        """Return what is seen in one state, y (2,), with derivatives; see :class:`Sensor`.
 
         Raises
         ------
         InvalidInput
-            If the place is not on the link, or a number cannot be used.
+            If the place is not on the link, or an argument cannot be used.
 
         Notes
         -----
@@ -127,9 +119,8 @@ class Accelerometer:
 
 def _moving(rope: Rope, arm: Arm, state: State, acceleration: float) -> tuple[Array, Array, Interval]:
     """Return angles and rates (n + 1,) of the arm and all links, checked, and the interval that drives the arm so."""
-    q, w = (checks.array(f"state {k}", getattr(state, k), (rope.n_links,)) for k in ("q", "qd"))
+    angles, rates = angles_and_rates(rope, arm, state)
     u = checks.number("acceleration", acceleration, unit="rad/s^2")
-    angles, rates = np.append(state.arm_angle or 0.0, q), np.append(state.arm_rate or 0.0, w)
     interval = Interval(Setup(rope, None, arm).drive())
     interval.set(0.0, 1.0, ANGLE, np.array([angles[0], rates[0], u]) @ POWERS)
     return angles, rates, interval

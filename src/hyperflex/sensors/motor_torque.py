@@ -13,7 +13,7 @@ from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import ANGLE, Drive
 from hyperflex.core.read_only import read_only
 from hyperflex.model import LINK_PROPERTIES, PROPERTIES, Arm, Rope, Setup
-from hyperflex.sensors.posture import Measurement
+from hyperflex.sensors.sensor import Measurement, angles_and_rates
 from hyperflex.simulation import Interval, ParameterChange, arm_polynomials
 from hyperflex.trajectory import State
 
@@ -41,27 +41,23 @@ class MotorTorque:
         """Return the same sensor with another inertia and friction (2,)."""
         return MotorTorque(replace(self.arm, inertia=float(values[0]), friction=float(values[1])))
 
-    def measure(self, rope: Rope, state: State, acceleration: float = 0.0) -> Measurement:
-        """Return the torque in one state of the arm and `rope`, y (1,), with derivatives.
+    def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
+        """Return the torque in one state, y (1,), with derivatives; see :class:`Sensor`.
 
-        Parameters
-        ----------
-        rope : Rope
-        state : State
-            Its ``arm_angle`` and ``arm_rate`` count as 0 where they are not known.
-        acceleration : float
-            Of the arm, rad/s^2.
+        Inertia and friction are the sensor's own values, not those of `arm`.
         """
-        n, interval = rope.n_links, Interval(Setup(rope, None, self.arm).drive())
+        angles, rates = angles_and_rates(rope, arm, state)
+        motor = MotorTorque(arm).with_values(self.values)
+        n, interval = rope.n_links, Interval(Setup(rope, None, arm).drive())
         u = checks.number("acceleration", acceleration, unit="rad/s^2")
         rows, _ = arm_polynomials("acceleration", 1.0)
-        interval.set(0.0, 1.0, ANGLE, np.array([state.arm_angle or 0.0, state.arm_rate or 0.0, u]) @ rows)
-        y = np.concatenate([checks.array(f"state {k}", getattr(state, k), (n,)) for k in ("q", "qd")])[None]
+        interval.set(0.0, 1.0, ANGLE, np.array([angles[0], rates[0], u]) @ rows)
+        y = np.concatenate([angles[1:], rates[1:]])[None]
         parts = tuple({"coef": np.pad(row[None, None], ((0, 0), (ANGLE, 3 - ANGLE), (0, 0)))} for row in rows)
         t, chain, moved = np.zeros(1), rope.chain(), np.eye(2 * n, 2 * n + 3)[None]
-        slopes = self.jacobian(chain, interval.drive, parts, t, y, moved)
+        slopes = motor.jacobian(chain, interval.drive, parts, t, y, moved)
         order = [2 * n, *range(n), 2 * n + 1, *range(n, 2 * n)]
-        return Measurement(self.predict(chain, interval.drive, t, y), slopes[:, order], slopes[:, 2 * n + 2 :])
+        return Measurement(motor.predict(chain, interval.drive, t, y), slopes[:, order], slopes[:, 2 * n + 2 :])
 
     def predict(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
         """Return the torque (m,), N m, at times t (m,) and states y (m, 2n or more)."""

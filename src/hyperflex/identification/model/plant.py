@@ -17,7 +17,7 @@ from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import ARM, Parameters
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion, hold_arm
-from hyperflex.sensors import Angles, MotorTorque, Sensor
+from hyperflex.sensors import Angles, MotorTorque, PostureSensor
 from hyperflex.simulation import (
     ParameterDirections,
     finish_rollout,
@@ -38,7 +38,7 @@ class _Evaluation:
     chain: Chain
     motion: Motion
     drive: Drive
-    sensor: Sensor
+    sensor: PostureSensor
     motor: MotorTorque | None
     moving: list[int]  # which parameters move the rope
     parameter_directions: ParameterDirections  # state first, then those
@@ -63,7 +63,7 @@ class Plant:
     def __init__(
         self,
         parameters: Parameters,
-        sensor: Sensor | None = None,
+        sensor: PostureSensor | None = None,
         motion: Motion | None = None,
         arm: Arm | None = None,
         *,
