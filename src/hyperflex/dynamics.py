@@ -168,7 +168,7 @@ def linearize(
     if command == "angle":
         raise InvalidInput("an angle is commanded over an interval", got="no dt", fix="Give dt")
     checks.choice("command", command, ("acceleration", "torque"))
-    setup = setup_for(command, Setup(rope, None, arm, q0=q, qd0=qd, arm_angle0=arm_angle, arm_rate0=arm_rate))  # type: ignore[arg-type]
+    setup = setup_for(command, Setup(rope, None, arm, q0=q, qd0=qd, arm_angle0=arm_angle, arm_rate0=arm_rate))
     chain, interval, powers = setup.chain(), Interval(setup.drive()), arm_polynomials(command, 1.0)[0]
     known = np.array([setup.arm_angle0, setup.arm_rate0, checks.number("u", u)])
     interval.set(0.0, 1.0, TORQUE if command == "torque" else ANGLE, known @ powers)

@@ -80,8 +80,8 @@ class Accelerometer:
         state locked. Where a torque drives the arm, its acceleration depends on the state too: let A, B be those of
         ``linearize(..., command="torque")`` without `dt`; then H + D A[n + 1] and D B[n + 1] are the derivatives.
         """
-        n, beyond = rope.n_links, self._beyond(rope)
         angles, rates, interval = _moving(rope, arm, state, acceleration)
+        n, beyond = rope.n_links, self._beyond(rope)
         chain, start = rope.chain(), (angles[1:], rates[1:])
         by_state, seeds = state_directions("acceleration", chain, interval.drive)
         set_commands("acceleration", seeds, POWERS)
