@@ -28,6 +28,7 @@ ROUNDS = 4  # of Gauss-Newton in an update; more at the start
 FIRST_ROUNDS = 30
 SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
+NEGLIGIBLE = 1e-6  # rad, standard deviation of an angle that is left out; of rates over sqrt(g / L)
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
 GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 
@@ -91,6 +92,8 @@ class RopeFilter:
         n = rope.n_links
         self.x = np.concatenate([np.zeros(2 * n), [each.value for each in self.parameters.all]])
         self.factor = np.zeros((self.x.size, self.x.size))
+        stds = [each.std for each in self.parameters.all]
+        self._least = NEGLIGIBLE * np.concatenate([np.ones(n), np.full(n, turning_rate(rope)), stds])
         self._qdd = np.zeros(n)
         self._last: Array | None = None  # rows of the noise of the step before
 
@@ -106,7 +109,8 @@ class RopeFilter:
             raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
         n = self.n_links
         part = self.factor[:, : 2 * n]
-        return RopeState(self.t, self.x[:n].copy(), self.x[n : 2 * n].copy(), part.T @ part)
+        covariance = part.T @ part + np.diag(self._least[: 2 * n] ** 2)
+        return RopeState(self.t, self.x[:n].copy(), self.x[n : 2 * n].copy(), covariance)
 
     @property
     def values(self) -> dict[str, tuple[float, float]]:
@@ -138,15 +142,14 @@ class RopeFilter:
             raise InvalidInput("time goes backwards", got=t, allowed=f"at least {self.t} s")
         if t == self.t:
             return
-        found = self.process.predict(self.x, self.t, t)
-        self._last = self.process.noise(t - self.t, self.process_noise.value)
         with np.errstate(over="ignore", invalid="ignore"):
-            factor = sr.predicted(self.factor, found.transition, self._last)
-        if not (np.abs(factor).max() < BEYOND and np.abs(found.x).max() < BEYOND):
+            x, rows = self.process.carry(self.x, self.factor, self.t, t)
+        if not (np.abs(rows).max() < BEYOND and np.abs(x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
-        self.factor = factor
+        self._last = self.process.noise(t - self.t, self.process_noise.value)
+        self.factor = sr.compressed(np.concatenate([rows, self._last]), self._least)
         self.age += t - self.t
-        self.x, self.t, self._qdd = found.x, t, found.qdd
+        self.x, self.t, self._qdd = x, t, self.process.accelerations(x, t)
 
     def markers(self, rows: Array | None = None) -> tuple[Array, Array]:
         """Return where the markers should be seen (K, 2), and the covariances (K, 2, 2) of those places.
@@ -219,7 +222,7 @@ class RopeFilter:
         base, camera = self.process.base(seen.t), self.model.camera
         in_metres = seen.places if camera is None else camera.locate(seen.places)
         self.x[:n] = polyline_angles(rope, self.model.arc_lengths, in_metres, base[0])
-        rate = SPEED * np.sqrt(np.hypot(*rope.gravity) / rope.total_length)
+        rate = SPEED * turning_rate(rope)
         shapes = smooth_shapes(rope, START_CORRELATION)
         rows = np.zeros((2 * len(shapes) + 2 * n + len(self.parameters), self.x.size))
         rows[: len(shapes), :n] = BEND * shapes
@@ -228,7 +231,7 @@ class RopeFilter:
         np.fill_diagonal(rest[:n, :n], 0.1 * BEND)
         np.fill_diagonal(rest[n : 2 * n, n : 2 * n], 0.1 * rate)
         np.fill_diagonal(rest[2 * n :, 2 * n :], [each.std for each in self.parameters.all])
-        self.factor = sr.triangular(rows)
+        self.factor = sr.compressed(rows, self._least)
         self._correct(seen, FIRST_ROUNDS)
 
     def _correct(self, seen: Observations, rounds: int) -> None:
@@ -246,11 +249,10 @@ class RopeFilter:
             left = whiten @ (seen.places[good] - found[0][good])[:, :, None]
             return left.ravel(), (whiten @ found[1][good]).reshape(left.size, -1)
 
-        std = np.ones(2 * len(whiten))
-        before, u, cost = self.x, np.zeros(self.x.size), np.inf  # the state is before + factor' u
+        before, u, cost = self.x, np.zeros(len(self.factor)), np.inf  # the state is before + factor' u
         x, (left, jacobian) = before, compared(found)
         for turn in range(rounds):
-            gain, upper = sr.whitened_gain(self.factor, jacobian, std)
+            gain, _, upper = sr.whitened_gain(self.factor, jacobian)
             if turn == 0:
                 self.innovation = sr.compared(upper, left)
                 self.log_likelihood += self.innovation.log_likelihood + np.log(np.linalg.det(whiten)).sum()
@@ -266,7 +268,8 @@ class RopeFilter:
             x, u, cost = tried, u + part * step, now
             if part * np.abs(step).max() < CLOSE:
                 break
-        self.factor = sr.updated(self.factor, jacobian, std)
+        _, across, upper = sr.whitened_gain(self.factor, jacobian)
+        self.factor = sr.updated(self.factor, across, upper)
         first = 2 * self.n_links
         x[first:] = self.parameters.possible(x[first:])
         self.x = x
@@ -288,6 +291,11 @@ class RopeFilter:
             self.process_noise.see(innovation.whitened, half @ half.T)
             half = solve_triangular(upper, np.eye(len(upper)), trans="T", check_finite=False)
             self.measurement_noise.see(innovation.whitened, half @ half.T)
+
+
+def turning_rate(rope: Rope) -> float:
+    """Return sqrt(g / L), rad/s: how fast a rope swings, about."""
+    return float(np.sqrt(np.hypot(*rope.gravity) / rope.total_length))
 
 
 def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:

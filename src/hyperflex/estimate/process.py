@@ -11,12 +11,11 @@ from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.sensitivity.sensitivity import AngleJacobian
+from hyperflex.simulation import Propagator
 
 PRECISION = 1e-5  # tolerance of a prediction over the rope's length: far below any marker's noise
 CORRELATION = 0.15  # of the rope's length, over which its disturbances are alike
 NEGLIGIBLE = 1e-4  # of the largest principal part of the disturbances
-LATELY = 1e-3  # s, over which accelerations are taken
 
 
 class Prediction(NamedTuple):
@@ -52,7 +51,7 @@ class Process:
     ) -> None:
         self.rope, self.parameters = rope, parameters
         setup = Setup(rope, motion, arm, tol=PRECISION * rope.total_length)
-        self._run = AngleJacobian(setup, ["q0", "qd0", *parameters.directions()])
+        self._run = Propagator(setup, parameters.directions(), 2 * rope.n_links + len(parameters) + 1)
         self._rope, self._at = rope, np.zeros(len(parameters))
         self._walk = np.array([each.walk for each in parameters.all])
         self._shapes = self._disturbances(rope)
@@ -65,14 +64,41 @@ class Process:
         SimulationError
             If the rope's motion cannot be computed.
         """
-        n, p = self.rope.n_links, len(self.parameters)
-        rope = self._rope_at(x[2 * n :])
-        late = min(LATELY, 0.5 * (until - t))
-        q, qd, dq, dqd = self._run(np.array([t, until - late, until]), x[:n], x[n : 2 * n], rope)
-        transition = np.eye(2 * n + p)
-        columns = [*range(2 * n), *(2 * n + k for k in self.parameters.dynamic)]
-        transition[:n, columns], transition[n : 2 * n, columns] = dq[-1], dqd[-1]
-        return Prediction(np.concatenate([q[-1], qd[-1], x[2 * n :]]), transition, (qd[-1] - qd[-2]) / late)
+        x, rows = self.carry(x, np.eye(x.size), t, until)
+        return Prediction(x, rows.T, self.accelerations(x, until))
+
+    def carry(self, x: Array, rows: Array, t: float, until: float) -> tuple[Array, Array]:
+        """Return the state at `until`, s, that comes of x (N,) at time t, and what becomes of changes of it.
+
+        Parameters
+        ----------
+        x : (N,) float64
+        rows : (r, N) float64
+            Changes of x, r <= N: with the transition F they become rows F^T.
+        t, until : float
+
+        Raises
+        ------
+        SimulationError
+            If the rope's motion cannot be computed.
+        """
+        n = self.rope.n_links
+        rope, dynamic = self._rope_at(x[2 * n :]), [2 * n + k for k in self.parameters.dynamic]
+        q, qd, moved, by_parameters = self._run(t, until, x[:n], x[n : 2 * n], rows[:, : 2 * n], rope)
+        result = rows.copy()
+        result[:, : 2 * n] = moved
+        if dynamic:
+            result[:, : 2 * n] += rows[:, dynamic] @ by_parameters
+        return np.concatenate([q, qd, x[2 * n :]]), result
+
+    def accelerations(self, x: Array, t: float) -> Array:
+        """Return the links' accelerations (n,), rad/s^2, in the state x (N,) at time t, s."""
+        n = self.rope.n_links
+        return self._run.accelerations(t, x[:n], x[n : 2 * n])
+
+    def set_motion(self, motion: Motion) -> None:
+        """Let the arm move in another way from now on."""
+        self._run.set_motion(motion)
 
     def noise(self, dt: float, density: float) -> Array:
         """Return rows (r, N) whose squares are the covariance that `dt` seconds of disturbances add.

@@ -7,14 +7,14 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.chain.articulated_body import Chain, accelerations
-from hyperflex.core.chain.drive import ANGLE, Drive, base_state, segment
-from hyperflex.core.chain.motor_torque import senses
+
+from hyperflex.core.chain.drive import ANGLE
+
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.sensors.posture import Measurement
 from hyperflex.simulation.commands import arm_polynomials, set_commands, state_directions
-from hyperflex.simulation.rollouts import Interval
+from hyperflex.simulation.rollouts import Interval, link_accelerations
 from hyperflex.simulation.sensitivity.sensitivity import acceleration_jacobian
 from hyperflex.trajectory import State
 
@@ -97,7 +97,7 @@ class Accelerometer:
         set_commands("acceleration", seeds, POWERS)
 
         # the arm counts as a link before the others, and so does its acceleration among theirs
-        alphas, slopes = np.append(acceleration, _alphas(chain, interval.drive, *start)), np.zeros((n + 1, 2 * n + 3))
+        alphas, slopes = np.append(acceleration, link_accelerations(chain, interval.drive, 0.0, *start)), np.zeros((n + 1, 2 * n + 3))
         slopes[0, -1] = 1.0
         slopes[1:] = acceleration_jacobian(chain, interval.drive, start, seeds, by_state)[:, : 2 * n + 3]
         lengths = np.append(arm.length, rope.length)
@@ -108,7 +108,7 @@ class Accelerometer:
         """Return the derivatives (2, 3) by bias and arc length; arguments as of :meth:`measure`."""
         self._beyond(rope)
         angles, rates, interval = _moving(rope, arm, state, acceleration)
-        alphas = _alphas(rope.chain(), interval.drive, angles[1:], rates[1:])
+        alphas = link_accelerations(rope.chain(), interval.drive, 0.0, angles[1:], rates[1:])
         return np.column_stack([np.eye(2), [alphas[self.link], rates[self.link + 1] ** 2]])
 
     def _beyond(self, rope: Rope) -> float:
@@ -135,16 +135,6 @@ def _moving(rope: Rope, arm: Arm, state: State, acceleration: float) -> tuple[Ar
     interval = Interval(Setup(rope, None, arm).drive())
     interval.set(0.0, 1.0, ANGLE, np.array([angles[0], rates[0], u]) @ POWERS)
     return angles, rates, interval
-
-
-def _alphas(chain: Chain, drive: Drive, q: Array, w: Array) -> Array:
-    """Return the links' accelerations (n,) at t = 0, rad/s^2; joints that dry friction holds are locked."""
-    n = q.size
-    base, slip, alphas = np.empty(9), np.ones((1, n)), np.empty(n)
-    torque = base_state(drive, segment(drive, 0.0), 0.0, base)
-    senses(chain, drive, np.zeros(1), np.concatenate([q, w])[None], slip)
-    accelerations(chain, q, w, slip[0], base[:7], torque, 0.0, alphas, np.empty(6 * n))
-    return alphas
 
 
 def _seen(

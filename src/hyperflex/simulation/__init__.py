@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
     from hyperflex.simulation.lyapunov import Predictability, predictability
     from hyperflex.simulation.runs import angles, simulate
+    from hyperflex.simulation.sensitivity.propagation import Propagator
     from hyperflex.simulation.sensitivity.sensitivity import AngleJacobian, Sensitivities, sensitivities
     from hyperflex.simulation.stability import runge_kutta_limit
     from hyperflex.simulation.stepper import Linearization, Stepper
