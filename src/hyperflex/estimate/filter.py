@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -105,12 +104,11 @@ class RopeFilter:
     @property
     def state(self) -> RopeState:
         """The state, with its covariance."""
-        if self.t is None:
-            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
-        n = self.n_links
+        n, t = self.n_links, self._now
         part = self.factor[:, : 2 * n]
-        covariance = part.T @ part + np.diag(self._least[: 2 * n] ** 2)
-        return RopeState(self.t, self.x[:n].copy(), self.x[n : 2 * n].copy(), covariance)
+        covariance = part.T @ part
+        covariance[range(2 * n), range(2 * n)] += self._least[: 2 * n] ** 2
+        return RopeState(t, self.x[:n].copy(), self.x[n : 2 * n].copy(), covariance)
 
     @property
     def values(self) -> dict[str, tuple[float, float]]:
@@ -132,9 +130,7 @@ class RopeFilter:
         SimulationError
             If no rope can move on from this state; :meth:`update` begins anew then.
         """
-        if self.t is None:
-            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
-        self.predict_to(self.t + checks.number("dt", dt, sign="nonnegative", unit="s"))
+        self.predict_to(self._now + checks.number("dt", dt, sign="nonnegative", unit="s"))
 
     def predict_to(self, t: float) -> None:
         """Go on to time t, s."""
@@ -156,32 +152,39 @@ class RopeFilter:
 
         The covariances are of the places themselves: what a detector adds is not in them.
         """
-        if self.t is None:
-            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
+        return self.expected(rows)[:2]
+
+    def expected(self, rows: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return what :meth:`markers` does, and how fast the markers should move (K,), px/s or m/s."""
+        base = self.process.base(self._now)
         rows = np.zeros(len(self.model.arc_lengths)) if rows is None else rows
-        places, slope = self.model.predict(self.x, self.process.base(self.t), rows, self._qdd)
-        spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
-        return places, np.matmul(spread.transpose(0, 2, 1), spread)
+        places, slope = self.model.predict(self.x, base, rows, self._qdd)
+        n, camera = self.n_links, self.model.camera
+        moved = base[1] if camera is None else camera.place_slopes(base[:1])[1][0] @ base[1]
+        velocity = slope[:, :, :n] @ self.x[n : 2 * n] + moved
+        return places, self._spread(slope), np.hypot(velocity[:, 0], velocity[:, 1])
 
     def readout_shift(self, rows: Array) -> tuple[Array, Array]:
         """Return by how much markers move until they are read (K, 2), and the covariances (K, 2, 2) of that.
 
         `rows` (K,) are those of :class:`Observations`.
         """
-        base = self.process.base(self.state.t)
+        if not self.model.reads_rows:
+            return np.zeros((len(rows), 2)), np.zeros((len(rows), 2, 2))
+        base = self.process.base(self._now)
         late, now = (self.model.predict(self.x, base, each, self._qdd) for each in (rows, np.zeros_like(rows)))
-        spread = np.matmul(self.factor, (late[1] - now[1]).transpose(0, 2, 1))
-        return late[0] - now[0], np.matmul(spread.transpose(0, 2, 1), spread)
+        return late[0] - now[0], self._spread(late[1] - now[1])
 
-    def speeds(self) -> Array:
-        """Return how fast the markers should move (K,), px/s or m/s."""
-        n = self.n_links
-        base = self.process.base(self.state.t)
-        _, slope = self.model.predict(self.x, base, np.zeros(len(self.model.arc_lengths)))
-        turning = slope[:, :, :n] @ self.x[n : 2 * n]
-        camera = self.model.camera
-        moved = base[1] if camera is None else camera.linearize(base[:1]).by_point[0] @ base[1]
-        return np.asarray(np.linalg.norm(turning + moved, axis=1))
+    @property
+    def _now(self) -> float:
+        if self.t is None:
+            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
+        return self.t
+
+    def _spread(self, slope: Array) -> Array:
+        """Return the covariances (K, 2, 2) of what has derivatives (K, 2, N) with respect to the state."""
+        spread = (slope.reshape(-1, self.x.size) @ self.factor.T).reshape(len(slope), 2, -1)
+        return np.matmul(spread, spread.transpose(0, 2, 1))
 
     def update(self, seen: Observations) -> None:
         """Look: go on to the time of the observations, and correct.
@@ -276,9 +279,7 @@ class RopeFilter:
 
     def _plausible(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
         """Return which places lie within their gates; all of them where hardly any does, for then it is the state."""
-        spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
-        wide = np.matmul(spread.transpose(0, 2, 1), spread)
-        wide += self.measurement_noise.value**2 * seen.covariances
+        wide = self._spread(slope) + self.measurement_noise.value**2 * seen.covariances
         left = np.nan_to_num(seen.places - places)
         far = np.einsum("kc,kc->k", left, np.linalg.solve(wide, left[:, :, None])[:, :, 0])
         good = far < GATE
@@ -287,9 +288,9 @@ class RopeFilter:
     def _learn(self, innovation: sr.Innovation, jacobian: Array, upper: Array) -> None:
         """Correct the levels of process and measurement noise by the innovation."""
         if self._last is not None:
-            half = solve_triangular(upper, jacobian @ self._last.T, trans="T", check_finite=False)
+            half = sr.solved(upper, jacobian @ self._last.T, transposed=True)
             self.process_noise.see(innovation.whitened, half @ half.T)
-            half = solve_triangular(upper, np.eye(len(upper)), trans="T", check_finite=False)
+            half = sr.solved(upper, np.eye(len(upper)), transposed=True)
             self.measurement_noise.see(innovation.whitened, half @ half.T)
 
 

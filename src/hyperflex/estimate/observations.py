@@ -14,6 +14,8 @@ from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.model import Rope
 from hyperflex.vision import Camera
 
+ADJUSTMENTS = frozenset({"scale", "roll", "offset_x", "offset_y"})  # parameters of the plane's place in the picture
+
 
 @dataclass(frozen=True, eq=False)
 class Observations:
@@ -124,6 +126,11 @@ class MarkerModel:
                 "an arc length is of no marker", got=parameters.names, allowed=f"arc[0..{arcs.size - 1}]"
             )
 
+    @property
+    def reads_rows(self) -> bool:
+        """Whether rows are read one after the other, as far as is known."""
+        return bool(self.readout) or "readout" in self.parameters.names
+
     def predict(self, x: Array, base: Array, rows: Array, qdd: Array | None = None) -> tuple[Array, Array]:
         """Return where the markers are seen (K, 2), and the derivatives (K, 2, 2 n + P) with respect to x.
 
@@ -142,21 +149,39 @@ class MarkerModel:
         q, qd, values = x[:n], x[n : 2 * n], x[2 * n :]
         at = self.parameters.value
         delay, readout = at("delay", values), self.readout + at("readout", values)
-        along = np.stack([np.sin(q), -np.cos(q)])  # (2, n)
-        across = np.stack([np.cos(q), np.sin(q)])
-        arms = self.arms * (1.0 + at("length", values))
+        sin, cos = np.sin(q), np.cos(q)
+        arms = self.arms * (1.0 + at("length", values)) if len(self.parameters) else self.arms
         for k, marker in self._arc_states.items():
             arms[marker, self.link[marker]] += values[k]
         tau = rows * readout - delay  # (K,)
-        slope = arms[:, None, :] * across  # (K, 2, n) of the places by the angles
-        place, velocity = base[0] + arms @ along.T, base[1] + slope @ qd
-        bend = np.zeros_like(place)
+        jacobian = np.zeros((len(arms), 2, 2 * n + len(self.parameters)))
+        slope = jacobian[:, :, :n]  # of the places by the angles
+        np.multiply(arms, cos, out=slope[:, 0])
+        np.multiply(arms, sin, out=slope[:, 1])
+        places = np.stack([base[0, 0] + slope[:, 1].sum(axis=1), base[0, 1] - slope[:, 0].sum(axis=1)], axis=1)
+        if len(self.parameters) or tau.any():
+            places = self._moved(x, base, rows, tau, arms, places, jacobian, qdd)
+        return self._seen(places, jacobian, values)
+
+    def _moved(
+        self,
+        x: Array,
+        base: Array,
+        rows: Array,
+        tau: Array,
+        arms: Array,
+        place: Array,
+        jacobian: Array,
+        qdd: Array | None,
+    ) -> Array:
+        """Return places (K, 2) a time `tau` (K,) later, and complete the derivatives by rates and parameters."""
+        n = self.arms.shape[1]
+        q, qd, values = x[:n], x[n : 2 * n], x[2 * n :]
+        slope, along = jacobian[:, :, :n].copy(), np.stack([np.sin(q), -np.cos(q)])
+        across = np.stack([np.cos(q), np.sin(q)])
+        velocity, bend = base[1] + slope @ qd, np.zeros_like(place)
         if qdd is not None and tau.any():
             bend = base[2] + slope @ qdd - arms @ (along * qd * qd).T
-        size = 2 * n + len(self.parameters)
-        seen = place + tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend
-        jacobian = np.zeros((len(arms), 2, size))
-        jacobian[:, :, :n] = slope
         if tau.any():
             jacobian[:, :, :n] -= (tau[:, None, None] * arms[:, None, :]) * along * qd
             jacobian[:, :, n : 2 * n] = tau[:, None, None] * slope
@@ -173,11 +198,20 @@ class MarkerModel:
                 marker = self._arc_states[k]
                 i = self.link[marker]
                 column[marker] = along[:, i] + tau[marker] * across[:, i] * qd[i]
-        return self._seen(seen, jacobian, values, 2 * n)
+        return place + tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend
 
-    def _seen(self, places: Array, jacobian: Array, values: Array, first: int) -> tuple[Array, Array]:
+    def _seen(self, places: Array, jacobian: Array, values: Array) -> tuple[Array, Array]:
         """Turn places in the rope's plane and their derivatives into what the camera shows."""
-        at, names = self.parameters.value, self.parameters.names
+        names = self.parameters.names
+        shown, moved = (places, jacobian) if ADJUSTMENTS.isdisjoint(names) else self._adjusted(places, jacobian, values)
+        if self.camera is None:
+            return shown, moved
+        pixels, by_place = self.camera.place_slopes(shown)
+        return pixels, by_place @ moved
+
+    def _adjusted(self, places: Array, jacobian: Array, values: Array) -> tuple[Array, Array]:
+        """Turn, stretch and shift places and their derivatives as the estimated parameters of the plane say."""
+        at, names, first = self.parameters.value, self.parameters.names, jacobian.shape[2] - len(self.parameters)
         scale, roll = 1.0 + at("scale", values), at("roll", values)
         turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
         turned = places @ turn.T
@@ -192,7 +226,4 @@ class MarkerModel:
         for name, change in changes.items():
             if name in names:
                 moved[:, :, first + names.index(name)] = change
-        if self.camera is None:
-            return shown, moved
-        found = self.camera.linearize(shown)
-        return found.pixels, found.by_point @ moved
+        return shown, moved

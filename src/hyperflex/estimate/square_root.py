@@ -12,8 +12,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dgeqp3
+from scipy.linalg.lapack import dgeqp3, dgeqrf, dtrtrs
 
 from hyperflex.checks import Array
 
@@ -35,8 +34,13 @@ class Innovation(NamedTuple):
 
 def triangular(rows: Array) -> Array:
     """Return the upper triangular R (n, n), its diagonal not negative, with R^T R = rows^T rows, for rows (m, n)."""
-    upper = np.linalg.qr(rows, mode="r")
+    upper = np.triu(dgeqrf(rows)[0][: rows.shape[1]])
     return np.asarray(upper * np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None])
+
+
+def solved(upper: Array, right: Array, *, transposed: bool = False) -> Array:
+    """Return U^-1 B, or U^-T B, for an upper triangular U (m, m) without zeros on its diagonal (LAPACK's dtrtrs)."""
+    return np.asarray(dtrtrs(upper, right, trans=int(transposed))[0])
 
 
 def compressed(rows: Array, least: Array) -> Array:
@@ -66,9 +70,8 @@ def updated(factor: Array, across: Array, upper: Array) -> Array:
 
     S - A (U + 1)^-1 U^-T A^T S, for A = S H^T and U^T U = A^T A + 1 (Andrews 1968, AIAA Journal 6(6), 1165).
     """
-    half = solve_triangular(upper, across.T @ factor, trans="T", check_finite=False)
-    shifted = upper + np.eye(len(upper))
-    return np.asarray(factor - across @ solve_triangular(shifted, half, check_finite=False))
+    half = solved(upper, across.T @ factor, transposed=True)
+    return np.asarray(factor - across @ solved(upper + np.eye(len(upper)), half))
 
 
 def whitened_gain(factor: Array, jacobian: Array) -> tuple[Array, Array, Array]:
@@ -85,12 +88,11 @@ def whitened_gain(factor: Array, jacobian: Array) -> tuple[Array, Array, Array]:
     """
     across = factor @ jacobian.T
     upper = triangular(np.concatenate([across, np.eye(len(jacobian))]))
-    half = solve_triangular(upper, across.T, trans="T", check_finite=False)
-    return np.asarray(solve_triangular(upper, half, check_finite=False).T), across, upper
+    return solved(upper, solved(upper, across.T, transposed=True)).T, across, upper
 
 
 def compared(upper: Array, innovation: Array) -> Innovation:
     """Return a whitened innovation (m,) and its log-likelihood, for the upper factor of its covariance."""
-    whitened = np.asarray(solve_triangular(upper, innovation, trans="T", check_finite=False))
+    whitened = solved(upper, innovation, transposed=True)
     size = math.log(2.0 * math.pi) * innovation.size + 2.0 * np.log(np.abs(np.diag(upper))).sum()
     return Innovation(whitened, float(-0.5 * (whitened @ whitened + size)))

@@ -107,8 +107,8 @@ class RopeTracker:
         except SimulationError:  # the state is none that a rope has
             self.estimator.restart()
             return self._first(frame.image, t)
-        predicted, spread = self._expected()
-        gates = self._gates(predicted, spread) if self._dark < LOST else None
+        predicted, spread, speeds = self._expected()
+        gates = self._gates(predicted, spread, speeds) if self._dark < LOST else None
         blobs = self._detected(frame.image, gates)
         level = max(1.0, self.estimator.measurement_noise.value)
         found = assign_markers(blobs._replace(covariances=level**2 * blobs.covariances), predicted, spread)
@@ -151,20 +151,16 @@ class RopeTracker:
         pixels[found], wide[found] = blobs.places[order.indices[found]], blobs.covariances[order.indices[found]]
         return pixels, wide
 
-    def _expected(self) -> tuple[Array, Array]:
-        """Return where the markers should be (K, 2), px, each in its own row, and their covariances (K, 2, 2)."""
-        places, spread = self.estimator.markers()
-        if self.camera.readout or "readout" in self.estimator.parameters.names:
-            places, spread = self.estimator.markers(self._rows(places))
-        return places, spread
+    def _expected(self) -> tuple[Array, Array, Array]:
+        """Return where the markers should be (K, 2), px, each in its own row, covariances (K, 2, 2), and speeds (K,)."""
+        found = self.estimator.expected()
+        return self.estimator.expected(self._rows(found[0])) if self.estimator.model.reads_rows else found
 
-    def _gates(self, predicted: Array, spread: Array) -> list[Gate] | None:
+    def _gates(self, predicted: Array, spread: Array, speeds: Array) -> list[Gate] | None:
         """Return where to look; None where that is nearly everywhere."""
         if not np.isfinite(predicted).all() or np.sqrt(np.abs(spread).max()) > WIDEST * self.camera.image_size[1]:
             return None
-        streaks = np.zeros(len(predicted))
-        if self.camera.exposure:
-            streaks = self.estimator.speeds() * self.camera.exposure
+        streaks = speeds * self.camera.exposure
         return [Gate(*each) for each in zip(predicted, spread, streaks.tolist(), strict=True)]
 
     def _rows(self, pixels: Array) -> Array:

@@ -118,7 +118,7 @@ class MarkerDetector:
         if gates is None:
             boxes = self._search(image)
         else:
-            boxes = _joined([self._box(gate, image.shape) for gate in gates])
+            boxes = _joined(self._boxes(gates, image.shape))
         rows, noises = [], []
         for left, top, right, bottom in boxes:
             if right - left < 5 or bottom - top < 5:
@@ -157,16 +157,18 @@ class MarkerDetector:
     def _radius(self) -> float:
         return float(np.sqrt((self.colour.area or 80.0) / np.pi))
 
-    def _box(self, gate: Gate, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-        """Return the part of the picture that a gate asks for: left, top, right, bottom."""
-        centre = np.asarray(gate.centre, dtype=np.float64)
-        spread = np.sqrt(np.diagonal(np.asarray(gate.covariance, dtype=np.float64)))
-        reach = _REACH * spread + 1.2 * self._radius + 0.5 * gate.streak + _MARGIN
-        if not np.isfinite([centre, reach]).all():
-            return 0, 0, 0, 0
-        low = np.clip(np.floor(centre - reach), 0, shape[1::-1]).astype(int)
-        high = np.clip(np.ceil(centre + reach) + 1, 0, shape[1::-1]).astype(int)
-        return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+    def _boxes(self, gates: Sequence[Gate], shape: tuple[int, ...]) -> list[tuple[int, int, int, int]]:
+        """Return the parts of the picture that gates ask for: left, top, right, bottom of each."""
+        centres = np.array([gate.centre for gate in gates], dtype=np.float64).reshape(-1, 2)
+        wide = np.array([gate.covariance for gate in gates], dtype=np.float64).reshape(-1, 2, 2)
+        streaks = np.array([gate.streak for gate in gates], dtype=np.float64)
+        spread = np.sqrt(np.diagonal(wide, axis1=1, axis2=2))
+        reach = _REACH * spread + (1.2 * self._radius + 0.5 * streaks + _MARGIN)[:, None]
+        good = np.isfinite(centres + reach).all(axis=1)
+        centres, reach = centres[good], reach[good]
+        most = shape[1::-1]
+        low, high = np.clip(np.floor(centres - reach), 0, most), np.clip(np.ceil(centres + reach) + 1, 0, most)
+        return [(u, v, a, b) for u, v, a, b in np.hstack([low, high]).astype(int).tolist()]
 
     def _search(self, image: Image) -> list[tuple[int, int, int, int]]:
         """Return the parts of the whole picture where something of the colour is."""
