@@ -45,7 +45,7 @@ def track(
     on each is looked for where the rope's motion says. `hyperflex identify` goes on from the file, with the same
     --arc-lengths and --origin 0,0.
     """
-    from hyperflex.estimate import EstimatedParameter, RopeFilter, RopeTracker, track_video
+    from hyperflex.estimate import RopeFilter, RopeTracker, track_video
     from hyperflex.model import Rope
     from hyperflex.vision import MarkerColour, MarkerDetector, VideoReader, read_camera
 
@@ -56,15 +56,11 @@ def track(
     with VideoReader(video) as reader:
         first = next(iter(reader)).image
     colour = MarkerColour.from_frame(first) if click is None else MarkerColour.from_click(first, click)
-    parameters = [
-        EstimatedParameter(name.strip(), output.numbers("--estimate", [std], "scale=0.01")[0])
-        for name, _, std in (each.partition("=") for each in estimate.split(",") if each)
-    ]
     estimator = RopeFilter(
         Rope.from_toml(rope),
         output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6"),
         camera=lens,
-        parameters=parameters,
+        parameters=output.parameters(estimate),
     )
     with output.spinner(json) as said:
         found = track_video(

@@ -6,6 +6,10 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.estimate.filter import RopeFilter
+    from hyperflex.estimate.live.frames import FrameThread, open_frames
+    from hyperflex.estimate.live.log import WatchLog
+    from hyperflex.estimate.live.state_source import CameraStateSource
+    from hyperflex.estimate.live.watch import LiveEstimate, Watch
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter
     from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, VideoTrack, track_video

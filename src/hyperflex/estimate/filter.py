@@ -147,6 +147,24 @@ class RopeFilter:
         self.age += t - self.t
         self.x, self.t, self._qdd = x, t, self.process.accelerations(x, t)
 
+    def state_at(self, t: float) -> RopeState:
+        """Return what is expected at a time t, s, not earlier than the last; the filter stays as it is.
+
+        Raises
+        ------
+        SimulationError
+            If no rope can move on from this state.
+        """
+        return self.process.state_at(self.x, self.factor, self._now, t, self.process_noise.value)
+
+    def tip(self, state: RopeState) -> tuple[Array, Array]:
+        """Return the place (2,) of the tip in a state, m, and its covariance (2, 2)."""
+        lengths = self.process.rope.length * (1.0 + self.parameters.value("length", self.x[2 * self.n_links :]))
+        sin, cos = lengths * np.sin(state.q), lengths * np.cos(state.q)
+        place, slope = self.process.base(state.t)[0] + [sin.sum(), -cos.sum()], np.stack([cos, sin])
+        wide = np.zeros((2, 2)) if state.covariance is None else state.covariance[: sin.size, : sin.size]
+        return place, slope @ wide @ slope.T
+
     def markers(self, rows: Array | None = None) -> tuple[Array, Array]:
         """Return where the markers should be seen (K, 2), and the covariances (K, 2, 2) of those places.
 

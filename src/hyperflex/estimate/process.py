@@ -9,6 +9,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.estimate.parameters import ParameterStates
+from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation import Propagator
@@ -90,6 +91,28 @@ class Process:
         if dynamic:
             result[:, : 2 * n] += rows[:, dynamic] @ by_parameters
         return np.concatenate([q, qd, x[2 * n :]]), result
+
+    def state_at(self, x: Array, rows: Array, t: float, until: float, density: float) -> RopeState:
+        """Return the state expected at `until`, s, with its covariance, of what is known at time t.
+
+        Parameters
+        ----------
+        x, rows : (N,), (r, N) float64
+            State, and rows whose squares are its covariance.
+        t, until : float
+        density : float
+            As in :meth:`noise`.
+
+        Raises
+        ------
+        SimulationError
+            If the rope's motion cannot be computed.
+        """
+        size = 2 * self.rope.n_links
+        if until > t:
+            x, rows = self.carry(x, rows, t, until)
+            rows = np.concatenate([rows, self.noise(until - t, density)])
+        return RopeState(until, x[: size // 2].copy(), x[size // 2 : size].copy(), rows[:, :size].T @ rows[:, :size])
 
     def accelerations(self, x: Array, t: float) -> Array:
         """Return the links' accelerations (n,), rad/s^2, in the state x (N,) at time t, s."""

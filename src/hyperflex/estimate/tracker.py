@@ -13,6 +13,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.observations import Observations
+from hyperflex.estimate.picture import draw_caption, draw_markers, draw_rope
 from hyperflex.files import PathLike
 from hyperflex.interfaces import RopeState
 from hyperflex.recording import Recording
@@ -51,6 +52,8 @@ class TrackedFrame:
         In the swing plane at `t`, m.
     predicted : (K, 2) float64
         Where they were expected, px; NaN before anything was known.
+    gates : (K, 2, 2) float64
+        Covariances of that, px^2.
     state : RopeState or None
         None while the rope has not been found.
     """
@@ -60,6 +63,7 @@ class TrackedFrame:
     covariances: Array
     places: Array
     predicted: Array
+    gates: Array
     state: RopeState | None
 
     @property
@@ -116,7 +120,7 @@ class RopeTracker:
         rows = self._rows(found.places)
         self.estimator.update(Observations(t, found.places, rows=rows, covariances=found.covariances))
         self._dark = 0 if (found.indices >= 0).any() else self._dark + 1
-        return self._result(t, found.places, found.covariances, predicted, rows)
+        return self._result(t, found.places, found.covariances, predicted, spread, rows)
 
     def _first(self, image: Image, t: float) -> TrackedFrame:
         """Look for the whole rope."""
@@ -124,13 +128,13 @@ class RopeTracker:
         count = len(model.arc_lengths)
         nothing, wide = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
         if not len(blobs.places):
-            return TrackedFrame(t, nothing, wide, nothing, nothing, None)
+            return TrackedFrame(t, nothing, wide, nothing, nothing, wide, None)
         pixels, covariances = self._ordered(blobs, t)
         if pixels is None or covariances is None:
-            return TrackedFrame(t, nothing, wide, nothing, nothing, None)
+            return TrackedFrame(t, nothing, wide, nothing, nothing, wide, None)
         rows = self._rows(pixels)
         self.estimator.update(Observations(t, pixels, rows=rows, covariances=covariances))
-        return self._result(t, pixels, covariances, nothing, rows)
+        return self._result(t, pixels, covariances, nothing, np.full((count, 2, 2), np.nan), rows)
 
     def _detected(self, image: Image, gates: list[Gate] | None = None) -> Blobs:
         """Return what looks like a marker."""
@@ -167,10 +171,25 @@ class RopeTracker:
         """Return when pixels are read, -0.5 in the first row and 0.5 in the last; 0 of what is not seen."""
         return np.nan_to_num(self.camera.readout_share(pixels) - 0.5)
 
-    def _result(self, t: float, pixels: Array, covariances: Array, predicted: Array, rows: Array) -> TrackedFrame:
+    def shape(self, state: RopeState) -> tuple[Array, Array]:
+        """Return the rope's joints in a state as they are seen (n + 1, 2), px, and the covariances (n + 1, 2, 2)."""
+        estimator, n = self.estimator, state.q.size
+        lengths, base = estimator.process.rope.length, estimator.process.base(state.t)[0]
+        steps = lengths * np.stack([np.cos(state.q), np.sin(state.q)])
+        before = np.tril(np.ones((n + 1, n)), -1)
+        slopes = before[:, None, :] * steps
+        wide = np.zeros((n, n)) if state.covariance is None else state.covariance[:n, :n]
+        places = base + before @ np.stack([steps[1], -steps[0]], axis=1)
+        pixels, by_place = self.camera.place_slopes(places)
+        seen = by_place @ slopes
+        return pixels, seen @ wide @ seen.transpose(0, 2, 1)
+
+    def _result(
+        self, t: float, pixels: Array, covariances: Array, predicted: Array, gates: Array, rows: Array
+    ) -> TrackedFrame:
         shift, unsure = self.estimator.readout_shift(rows)
         places = self.camera.locate(pixels - shift)
-        return TrackedFrame(t, pixels, covariances + unsure, places, predicted, self.estimator.state)
+        return TrackedFrame(t, pixels, covariances + unsure, places, predicted, gates, self.estimator.state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,25 +295,26 @@ def _recording(found: list[TrackedFrame], camera: Camera, source: str) -> Record
     return Recording(t[used], data[used], kind="markers", noise=noise[used], source=source)
 
 
-def draw(image: Image, tracker: RopeTracker, result: TrackedFrame) -> Image:
-    """Return a frame with the rope as it is estimated (white), gates (grey), and the markers as they were seen."""
-    import cv2
+def draw(image: Image, tracker: RopeTracker, result: TrackedFrame, caption: list[str] | None = None) -> Image:
+    """Return a frame with the rope as it is estimated, where it may be, gates, and the markers as they were seen.
 
+    Parameters
+    ----------
+    image : (height, width, 3) uint8
+    tracker : RopeTracker
+    result : TrackedFrame
+        What it made of the frame.
+    caption : list of str, optional
+        By default the time and how many markers were seen.
+    """
     shown = image.copy()
+    said = (
+        [f"{result.t:.2f} s   {int(result.seen.sum())} of {result.seen.size} markers"] if caption is None else caption
+    )
     if result.state is None:
-        cv2.putText(shown, "looking for the rope", (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 255, 255), 2)
+        draw_caption(shown, [*said, "looking for the rope"])
         return shown
-    estimator, camera = tracker.estimator, tracker.camera
-    base = estimator.process.base(result.t)[0]
-    line = camera.project(estimator.process.rope.joints(result.state.q, base))
-    cv2.polylines(shown, [np.round(line * 16).astype(np.int32)], False, (255, 255, 255), 1, cv2.LINE_AA, 4)
-    for expected in result.predicted[~np.isnan(result.predicted[:, 0])]:
-        cv2.circle(shown, np.round(expected).astype(int).tolist(), 9, (150, 150, 150), 1, cv2.LINE_AA)
-    for k, place in enumerate(result.pixels):
-        if not np.isnan(place[0]):
-            at = np.round(place).astype(int).tolist()
-            cv2.drawMarker(shown, at, (0, 255, 255), cv2.MARKER_CROSS, 12, 1, cv2.LINE_AA)
-            cv2.putText(shown, str(k), (at[0] + 9, at[1] - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 255), 1)
-    said = f"{result.t:.2f} s  {int(result.seen.sum())} of {result.seen.size} markers"
-    cv2.putText(shown, said, (12, shown.shape[0] - 14), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
+    draw_rope(shown, *tracker.shape(result.state))
+    draw_markers(shown, result.predicted, result.gates, result.pixels, 2.0 * tracker.detector.radius + 2.0)
+    draw_caption(shown, said)
     return shown

@@ -7,9 +7,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-
 from hyperflex.core.chain.drive import ANGLE
-
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.sensors.posture import Measurement
@@ -97,7 +95,10 @@ class Accelerometer:
         set_commands("acceleration", seeds, POWERS)
 
         # the arm counts as a link before the others, and so does its acceleration among theirs
-        alphas, slopes = np.append(acceleration, link_accelerations(chain, interval.drive, 0.0, *start)), np.zeros((n + 1, 2 * n + 3))
+        alphas, slopes = (
+            np.append(acceleration, link_accelerations(chain, interval.drive, 0.0, *start)),
+            np.zeros((n + 1, 2 * n + 3)),
+        )
         slopes[0, -1] = 1.0
         slopes[1:] = acceleration_jacobian(chain, interval.drive, start, seeds, by_state)[:, : 2 * n + 3]
         lengths = np.append(arm.length, rope.length)

@@ -154,7 +154,8 @@ class MarkerDetector:
         return area
 
     @property
-    def _radius(self) -> float:
+    def radius(self) -> float:
+        """Of a marker at rest, px; about 5 where it is not known."""
         return float(np.sqrt((self.colour.area or 80.0) / np.pi))
 
     def _boxes(self, gates: Sequence[Gate], shape: tuple[int, ...]) -> list[tuple[int, int, int, int]]:
@@ -163,7 +164,7 @@ class MarkerDetector:
         wide = np.array([gate.covariance for gate in gates], dtype=np.float64).reshape(-1, 2, 2)
         streaks = np.array([gate.streak for gate in gates], dtype=np.float64)
         spread = np.sqrt(np.diagonal(wide, axis1=1, axis2=2))
-        reach = _REACH * spread + (1.2 * self._radius + 0.5 * streaks + _MARGIN)[:, None]
+        reach = _REACH * spread + (1.2 * self.radius + 0.5 * streaks + _MARGIN)[:, None]
         good = np.isfinite(centres + reach).all(axis=1)
         centres, reach = centres[good], reach[good]
         most = shape[1::-1]
@@ -174,7 +175,7 @@ class MarkerDetector:
         """Return the parts of the whole picture where something of the colour is."""
         import cv2
 
-        step = 2 if self._radius > 2.5 else 1  # larger markers are found on a picture of half the size, too
+        step = 2 if self.radius > 2.5 else 1  # larger markers are found on a picture of half the size, too
         height, width = image.shape[:2]
         if step > 1:
             image = cv2.resize(image, (width // step, height // step), interpolation=cv2.INTER_AREA)
@@ -192,7 +193,7 @@ class MarkerDetector:
         least = max(2.0, 0.1 * (self.colour.area or 30.0) / step**2)
         stats = stats[1:][stats[1:, 4] >= least]
         stats = stats[np.argsort(-stats[:, 4])][:_MOST_REGIONS]
-        pad = int(_MARGIN + self._radius)
+        pad = int(_MARGIN + self.radius)
         corners = step * np.column_stack([stats[:, :2] - 1, stats[:, :2] + stats[:, 2:4] + 1]) + [-pad, -pad, pad, pad]
         inside = np.clip(corners, 0, [width, height, width, height])
         return _joined([(u, v, a, b) for u, v, a, b in inside.tolist()])
@@ -235,12 +236,12 @@ class MarkerDetector:
             merged = share > _MERGED
             covariances += self._covered(share, values, table[:, blobs.BORDER])[:, None, None] * np.eye(2)
         seen = Observations(places, covariances, streaks, streak_stds, share, merged)
-        return _taken_apart(seen, self._radius) if merged.any() else seen
+        return _taken_apart(seen, self.radius) if merged.any() else seen
 
     def _covered(self, share: Array, values: Array, border: Array) -> Array:
         """Return the variance, px^2, that markers covered in part get: the part that is missing pulls the mean away."""
         missing = np.clip(1.0 - share - 0.12, 0.0, 1.0) + 0.3 * border
-        return np.asarray((missing * (self._radius + np.sqrt(3.0 * values[:, 1]))) ** 2)
+        return np.asarray((missing * (self.radius + np.sqrt(3.0 * values[:, 1]))) ** 2)
 
 
 def _taken_apart(seen: Observations, radius: float) -> Observations:

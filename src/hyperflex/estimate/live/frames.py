@@ -69,8 +69,6 @@ class FrameThread:
         Of the frames at the start, px.
     ended : str or None
         Why no more frames come; None while they may.
-    notes : list of str
-        What happened to the source since they were read last: stalls, ends, frames that cannot be used.
     """
 
     def __init__(
@@ -81,9 +79,9 @@ class FrameThread:
         source = open_source()
         self.image_size = source.image_size
         self.ended: str | None = None
-        self.notes: list[str] = []
+        self._notes: list[str] = []
         self._condition, self._waiting = threading.Condition(), deque[Arrival]()
-        self._missed, self._closed = 0, False
+        self._closed = False
         self._thread = threading.Thread(target=self._run, args=(source,), name="frames", daemon=True)
         self._thread.start()
 
@@ -106,9 +104,9 @@ class FrameThread:
             return found
 
     def news(self) -> tuple[str, ...]:
-        """Return what happened to the source since this was asked last."""
+        """Return what happened to the source since this was asked last: stalls, ends, frames that cannot be used."""
         with self._condition:
-            said, self.notes = tuple(self.notes), []
+            said, self._notes = tuple(self._notes), []
             return said
 
     def close(self) -> None:
@@ -119,26 +117,9 @@ class FrameThread:
         self._thread.join(1.0)
 
     def _run(self, source: Source) -> None:
-        """Read until the end, opening a live source again where it breaks off."""
-        reason = "the source ended"
+        """Read until the end, and say why it is one."""
         try:
-            while True:
-                before = self._delivered = False
-                try:
-                    self._deliver(source)
-                finally:
-                    before = self._delivered
-                    source.close()
-                if self._closed or not self.live:
-                    break
-                self._say("no more frames come; the source is opened again")
-                again = self._again()
-                if again is None:
-                    reason = f"the source ended, and could not be opened again within {self.patience:g} s"
-                    break
-                source = again
-                if not before:
-                    time.sleep(_PAUSE)
+            reason = self._read(source)
         except HyperflexError as error:
             reason = str(error)
         except Exception as error:  # noqa: BLE001 whatever a driver does, whoever waits for a frame is to hear of it
@@ -146,6 +127,21 @@ class FrameThread:
         with self._condition:
             self.ended = reason
             self._condition.notify_all()
+
+    def _read(self, source: Source) -> str:
+        """Hand out the frames, opening a live source again where it breaks off; return why no more come."""
+        while True:
+            try:
+                self._deliver(source)
+            finally:
+                source.close()
+            if self._closed or not self.live:
+                return "the source ended"
+            self._say("no more frames come; the source is opened again")
+            found = self._again()
+            if found is None:
+                return f"the source broke off, and could not be opened again within {self.patience:g} s"
+            source = found
 
     def _again(self) -> Source | None:
         """Open the source anew; None where that fails for too long."""
@@ -163,11 +159,9 @@ class FrameThread:
         """Hand out the frames of a source until it breaks off."""
         begin, told = None, 0
         for frame in source:
-            if begin is None:
-                begin = time.monotonic() - frame.time
+            begin = time.monotonic() - frame.time if begin is None else begin
             if self._paced:
-                self._wait_until(begin + frame.time)
-            self._delivered = True
+                self._wait(begin + frame.time)
             self._hand_out(frame)
             told = self._tell(source.notes, told)
             if self._closed:
@@ -176,14 +170,12 @@ class FrameThread:
 
     def _hand_out(self, frame: Frame) -> None:
         with self._condition:
+            missed = 0
             if self.live:
-                self._missed += len(self._waiting)
+                missed = sum(1 + each.missed for each in self._waiting)
                 self._waiting.clear()
-            else:
-                self._condition.wait_for(lambda: len(self._waiting) < _AHEAD or self._closed)
-            self._waiting.append(Arrival(frame, time.monotonic(), self._missed))
-            if not self.live or len(self._waiting) == 1:
-                self._missed = 0 if not self.live else self._missed
+            self._condition.wait_for(lambda: len(self._waiting) < _AHEAD or self._closed)
+            self._waiting.append(Arrival(frame, time.monotonic(), missed))
             self._condition.notify_all()
 
     def _tell(self, notes: list[str], told: int) -> int:
@@ -194,9 +186,9 @@ class FrameThread:
 
     def _say(self, words: str) -> None:
         with self._condition:
-            self.notes.append(words)
+            self._notes.append(words)
 
-    def _wait_until(self, moment: float) -> None:
+    def _wait(self, moment: float) -> None:
         with self._condition:
             self._condition.wait_for(lambda: self._closed, max(0.0, moment - time.monotonic()))
 

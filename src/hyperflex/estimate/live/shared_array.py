@@ -73,7 +73,13 @@ class SharedArray:
             values = self._data[number % 2][: min(max(length, 0), self.size)].copy()
             if head[0] == number and _checksum(number, values) == checksum:
                 return number, values
-        raise HyperflexError("Shared memory is damaged: no slot of it is whole. Start the process that writes it again.")
+        raise HyperflexError(
+            "Shared memory is damaged: no slot of it is whole. Start the process that writes it again."
+        )
+
+    def clear(self) -> None:
+        """Forget what was written; only where no other process writes."""
+        self._last[0] = 0
 
     def close(self) -> None:
         """Let go of the memory; whoever made it also removes it."""
@@ -85,4 +91,4 @@ class SharedArray:
 
 
 def _checksum(number: int, values: Array) -> int:
-    return zlib.crc32(np.ascontiguousarray(values), number & 0xFFFFFFFF)
+    return zlib.crc32(values.tobytes(), number & 0xFFFFFFFF)
