@@ -108,11 +108,11 @@ def watch(
         with _noticing_termination(), WatchLog(out, line.n_links, len(arcs), camera) as log, shown:
             try:
                 _run(follow, until, [log.note, tally.note, shown.draw], json)
+                log.ending = frames.ended or f"stopped after {duration:g} s"
             except KeyboardInterrupt:
-                log.ending = "interrupted"
-    ending = frames.ended or ("interrupted" if log.ending != "ended" else f"stopped after {duration:g} s")
-    result = {"output": out, "ending": ending, "interrupted": log.ending != "ended", **tally.summary(tracker)}
-    if log.ending != "ended":
+                log.interrupted = True
+    result = {"output": out, "ending": log.ending, "interrupted": log.interrupted, **tally.summary(tracker)}
+    if log.interrupted:
         raise typer.Exit(output.interrupted(f"Interrupted; the log is kept in {out}.", result, as_json=json))
     _tell(result, json)
 
@@ -127,22 +127,22 @@ def _run(follow: Watch, until: float, takers: list[Callable[[LiveEstimate], None
             if as_json:
                 output.print_json(_line(estimate), one_line=True)
             else:
-                said(_status(estimate))
+                said("   ".join(_status(estimate)))
                 for words in estimate.news:
                     sys.stderr.write(f"hyperflex: {estimate.t:.2f} s: {words}\n")
             if time.monotonic() - begin > until:
                 return
 
 
-def _status(estimate: LiveEstimate) -> str:
-    """Return the status line."""
+def _status(estimate: LiveEstimate) -> list[str]:
+    """Return the status in two short lines."""
     sure = f"tip ± {1e3 * estimate.tip_std:.1f} mm" if estimate.found else "rope not found"
     late = "no frame" if estimate.frame is None else f"latency {1e3 * estimate.latency:.1f} ms"
     age = "never seen" if math.isinf(estimate.age) else f"seen {1e3 * estimate.age:.0f} ms ago"
-    return (
-        f"{estimate.t:.2f} s   {estimate.rate:.1f} frames/s   {late}   {estimate.seen} of {estimate.markers} markers, "
-        f"{age}   {sure}"
-    )
+    return [
+        f"{estimate.t:.2f} s   {estimate.rate:.1f} frames/s   {late}",
+        f"{estimate.seen} of {estimate.markers} markers, {age}   {sure}",
+    ]
 
 
 def _line(estimate: LiveEstimate) -> dict[str, Any]:
@@ -244,7 +244,7 @@ class _Pictures:
         looked = self.page is not None and self.page.watched
         if estimate.frame is None or estimate.tracked is None or (self.preview is None and not looked):
             return
-        image = draw(estimate.frame.image, self.tracker, estimate.tracked, [_status(estimate)])
+        image = draw(estimate.frame.image, self.tracker, estimate.tracked, _status(estimate))
         if looked:
             self.page.show(image)
         if self.preview is not None:
@@ -259,13 +259,14 @@ def _colour(frames: FrameThread, click: tuple[float, float] | None, patience: fl
     from hyperflex.vision import MarkerColour
 
     until, last = time.monotonic() + patience, InvalidInput("no frame came", fix="Check the camera")
-    while (arrival := frames.take(max(0.0, until - time.monotonic()))) is not None:
+    while (frame := frames.peek(max(0.0, until - time.monotonic()))) is not None:
         if click is not None:
-            return MarkerColour.from_click(arrival.frame.image, click)
+            return MarkerColour.from_click(frame.image, click)
         try:
-            return MarkerColour.from_frame(arrival.frame.image)
+            return MarkerColour.from_frame(frame.image)
         except InvalidInput as error:
             last = error
+            frames.take(0.0)
     raise last
 
 

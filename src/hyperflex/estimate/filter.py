@@ -202,7 +202,7 @@ class RopeFilter:
     def _spread(self, slope: Array) -> Array:
         """Return the covariances (K, 2, 2) of what has derivatives (K, 2, N) with respect to the state."""
         spread = (slope.reshape(-1, self.x.size) @ self.factor.T).reshape(len(slope), 2, -1)
-        return np.matmul(spread, spread.transpose(0, 2, 1))
+        return np.asarray(np.matmul(spread, spread.transpose(0, 2, 1)))
 
     def update(self, seen: Observations) -> None:
         """Look: go on to the time of the observations, and correct.

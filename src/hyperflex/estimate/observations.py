@@ -146,7 +146,7 @@ class MarkerModel:
             Angular accelerations, rad/s^2; where they are left out, markers move uniformly within a readout.
         """
         n = self.arms.shape[1]
-        q, qd, values = x[:n], x[n : 2 * n], x[2 * n :]
+        q, values = x[:n], x[2 * n :]
         at = self.parameters.value
         delay, readout = at("delay", values), self.readout + at("readout", values)
         sin, cos = np.sin(q), np.cos(q)
@@ -176,7 +176,7 @@ class MarkerModel:
     ) -> Array:
         """Return places (K, 2) a time `tau` (K,) later, and complete the derivatives by rates and parameters."""
         n = self.arms.shape[1]
-        q, qd, values = x[:n], x[n : 2 * n], x[2 * n :]
+        q, qd = x[:n], x[n : 2 * n]
         slope, along = jacobian[:, :, :n].copy(), np.stack([np.sin(q), -np.cos(q)])
         across = np.stack([np.cos(q), np.sin(q)])
         velocity, bend = base[1] + slope @ qd, np.zeros_like(place)
@@ -198,7 +198,7 @@ class MarkerModel:
                 marker = self._arc_states[k]
                 i = self.link[marker]
                 column[marker] = along[:, i] + tau[marker] * across[:, i] * qd[i]
-        return place + tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend
+        return np.asarray(place + tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend)
 
     def _seen(self, places: Array, jacobian: Array, values: Array) -> tuple[Array, Array]:
         """Turn places in the rope's plane and their derivatives into what the camera shows."""

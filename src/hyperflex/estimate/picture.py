@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from hyperflex.checks import Array
@@ -39,7 +41,7 @@ def draw_rope(image: Image, line: Array, covariances: Array) -> None:
     if half.max() > _LEAST:
         tinted = image.copy()
         sides = np.stack([line + half * across, line - half * across], axis=1)
-        for one, two in zip(sides[:-1], sides[1:], strict=True):
+        for one, two in pairwise(sides):
             cv2.fillConvexPoly(tinted, cv2.convexHull(_fine(np.concatenate([one, two]))), BLUE, cv2.LINE_AA, _FINE)
         cv2.addWeighted(tinted, 0.35, image, 0.65, 0.0, dst=image)
     cv2.polylines(image, [_fine(line)], False, BLUE, 1, cv2.LINE_AA, _FINE)
@@ -71,7 +73,7 @@ def draw_markers(image: Image, expected: Array, covariances: Array, seen: Array,
             continue
         at = np.round(place).astype(int)
         cv2.drawMarker(image, at.tolist(), YELLOW, cv2.MARKER_CROSS, 8, 1, cv2.LINE_AA)
-        _write(image, str(k + 1), (at + [14, 4]).tolist(), 0.42, YELLOW)
+        _write(image, str(k + 1), [int(at[0]) + 14, int(at[1]) + 4], 0.42, YELLOW)
 
 
 def draw_caption(image: Image, lines: list[str]) -> None:
@@ -98,11 +100,12 @@ def _draw_region(image: Image, place: Array, wide: Array, colour: tuple[int, int
 def _write(
     image: Image, words: str, at: list[int] | tuple[int, int], size: float, colour: tuple[int, int, int]
 ) -> None:
-    """Write words with a dark rim, so that they are read on any picture."""
+    """Write words with a dark shadow, so that they are read on any picture."""
     import cv2
 
-    for shade, width in ((DARK, 3), (colour, 1)):
-        cv2.putText(image, words, at, cv2.FONT_HERSHEY_SIMPLEX, size, shade, width, cv2.LINE_AA)
+    for shade, shift in ((DARK, 1), (colour, 0)):
+        place = (at[0] + shift, at[1] + shift)
+        cv2.putText(image, words, place, cv2.FONT_HERSHEY_SIMPLEX, size, shade, 1, cv2.LINE_AA)
 
 
 def _fine(places: Array) -> np.typing.NDArray[np.int32]:

@@ -66,7 +66,7 @@ def compressed(rows: Array, least: Array) -> Array:
 
 
 def updated(factor: Array, across: Array, upper: Array) -> Array:
-    """Return the factor S after a measurement, with ``S H^T`` (r, m) and the factor of H P H^T + 1 from `whitened_gain`.
+    """Return the factor S after a measurement; ``S H^T`` and the factor of H P H^T + 1 as from :func:`whitened_gain`.
 
     S - A (U + 1)^-1 U^-T A^T S, for A = S H^T and U^T U = A^T A + 1 (Andrews 1968, AIAA Journal 6(6), 1165).
     """

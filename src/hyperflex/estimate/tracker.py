@@ -156,7 +156,7 @@ class RopeTracker:
         return pixels, wide
 
     def _expected(self) -> tuple[Array, Array, Array]:
-        """Return where the markers should be (K, 2), px, each in its own row, covariances (K, 2, 2), and speeds (K,)."""
+        """Return where the markers should be (K, 2), px, each in its own row, their covariances and speeds (K,)."""
         found = self.estimator.expected()
         return self.estimator.expected(self._rows(found[0])) if self.estimator.model.reads_rows else found
 

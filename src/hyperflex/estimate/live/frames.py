@@ -39,7 +39,7 @@ class Arrival(NamedTuple):
     ----------
     frame : Frame
     at : float
-        When, by this machine's monotonic clock, s.
+        When, by this machine's monotonic clock, s; of a file that is not paced: when it was taken.
     missed : int
         Frames since the one before that nobody took in time.
     """
@@ -93,6 +93,12 @@ class FrameThread:
     ) -> None:
         self.close()
 
+    def peek(self, timeout: float) -> Frame | None:
+        """Return the next frame and leave it to be taken; None as of :meth:`take`."""
+        with self._condition:
+            self._condition.wait_for(lambda: self._waiting or self.ended is not None, timeout)
+            return self._waiting[0].frame if self._waiting else None
+
     def take(self, timeout: float) -> Arrival | None:
         """Return the next frame; None where none comes within `timeout`, s, or the source has ended."""
         with self._condition:
@@ -101,7 +107,7 @@ class FrameThread:
                 return None
             found = self._waiting.popleft()
             self._condition.notify_all()
-            return found
+            return found if self.live or self._paced else found._replace(at=time.monotonic())
 
     def news(self) -> tuple[str, ...]:
         """Return what happened to the source since this was asked last: stalls, ends, frames that cannot be used."""

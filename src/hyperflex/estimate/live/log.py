@@ -47,17 +47,20 @@ class WatchLog:
     Attributes
     ----------
     ending : str
-        How the run ended, for the file: "ended", or what interrupted it.
+        Why the run ended, for the file.
+    interrupted : bool
+        Whether it was cut short.
 
     Notes
     -----
     Estimates wait in an unnamed file beside `path`, not in memory, so that a run may last for hours. Where the block
-    ends in an error, what was noted until then is written all the same, and the attribute ``ending`` says so; only a
-    process that is killed leaves nothing.
+    ends in an error or Ctrl-C, what was noted until then is written all the same, and the attributes ``interrupted``
+    and ``ending`` say so; only a process that is killed leaves nothing.
     """
 
     def __init__(self, path: PathLike, links: int, markers: int, source: str) -> None:
-        self.path, self.source, self.ending = as_path(path, "log"), source, "ended"
+        self.path, self.source = as_path(path, "log"), source
+        self.ending, self.interrupted = "interrupted", False
         sizes = {"link": links, "marker": markers, "axis": 2}
         fields = [(name, np.float64, tuple(sizes[dim] for dim in dims)) for name, (dims, _, _) in _COLUMNS.items()]
         self._row = np.zeros(1, dtype=np.dtype(fields))
@@ -77,6 +80,7 @@ class WatchLog:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if kind is not None:
+            self.interrupted = True
             self.ending = "interrupted" if issubclass(kind, KeyboardInterrupt) else f"failed: {error}"
         with self._file:
             if self._count:
@@ -125,7 +129,7 @@ class WatchLog:
             "title": "live estimate of a rope",
             "source": self.source,
             "ending": self.ending,
-            "interrupted": int(self.ending != "ended"),
+            "interrupted": int(self.interrupted),
             "news": "\n".join(f"{t:.3f} s: {words}" for t, words in self._news),
             "hyperflex": __version__,
         }

@@ -122,7 +122,8 @@ class PicturePage:
         try:
             while True:
                 with self._condition:
-                    self._condition.wait_for(lambda: self._closed or self._number != last, _WAIT)
+                    if self._number == last:
+                        self._condition.wait(_WAIT)
                     if self._closed:
                         return
                     last, coded = self._number, self._jpeg

@@ -1,4 +1,4 @@
-"""A rope's state for the closed loop, from a camera: estimated in a process of its own, predicted to now by the reader."""
+"""A rope's state from a camera for the closed loop: estimated in another process, predicted to now by the reader."""
 
 from __future__ import annotations
 
@@ -125,9 +125,10 @@ class CameraStateSource:
             if packet is not None and packet.found:
                 return
             if time.monotonic() > until:
+                frames = "no frame came" if packet is None else f"in {packet.frames:.0f} frames"
                 raise EstimatorLost(
-                    f"The rope was not found within {timeout:g} s ({'no frame yet' if packet is None else 'frames come'}"
-                    "). Check the markers' colour, their arc lengths and the camera."
+                    f"The rope was not found within {timeout:g} s ({frames}). "
+                    "Check the markers' colour, their arc lengths and the camera."
                 )
             time.sleep(_POLL)
 

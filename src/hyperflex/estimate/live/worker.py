@@ -129,7 +129,7 @@ def packet_size(n_links: int, parameters: int) -> int:
 
 
 def packed_motion(motion: Motion, zero: float) -> Array:
-    """Return a motion, and when its t = 0 is by the machine's clock, s, as plain numbers; refuses one of many pieces."""
+    """Return a motion, and when its t = 0 is by the machine's clock, s, as plain numbers; refuses too many pieces."""
     if len(motion.coef) > MOST_PIECES:
         allowed = f"at most {MOST_PIECES} pieces"
         raise InvalidInput("the motion is too long to be handed over", got=len(motion.coef), allowed=allowed)
