@@ -116,6 +116,8 @@ class Watch:
             if arrival is not None:
                 yield self._look(arrival)
             elif self.frames.ended is not None:
+                if self._news:  # of the end itself: it goes with a last estimate
+                    yield self._wait()
                 return
             else:
                 yield self._wait()
