@@ -177,6 +177,7 @@ def _tell(result: dict[str, Any], as_json: bool) -> None:
             ("latency", f"median {1e3 * latency['median']:.1f} ms, of 99 % at most {1e3 * latency['p99']:.1f} ms"),
             *((name, f"{each['value']:.5g} ± {each['std']:.2g}") for name, each in result["estimated"].items()),
             ("events", str(result["news"])),
+            *([("doubt", result["doubt"])] if result["doubt"] else []),
             ("written", str(result["output"])),
         ],
     )
@@ -207,6 +208,8 @@ class _Tally:
             "seen": self.seen / max(self.markers, 1),
             "latency_s": {"median": self._quantile(0.5), "p99": self._quantile(0.99)},
             "news": self.news,
+            "noise_level": tracker.estimator.measurement_noise.value,
+            "doubt": tracker.doubt,
             "estimated": {
                 name: {"value": value, "std": std} for name, (value, std) in tracker.estimator.values.items()
             },

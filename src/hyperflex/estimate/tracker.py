@@ -33,6 +33,7 @@ from hyperflex.vision import Observations as Blobs
 LOST = 8  # frames in a row without a marker, after which the whole picture is searched anew
 WIDEST = 0.25  # of the picture's height, standard deviation of a place beyond which there is no gate to search
 LEAST_STD = 0.2  # px, of a place: what compression and a marker that sits askew add to a detector's own noise
+DOUBTFUL = 3.0  # level of measurement noise from which the model is doubted
 PATIENT = 30  # frames until a first frame is taken whose order is the best, but not certain
 
 
@@ -121,6 +122,17 @@ class RopeTracker:
         self.estimator.update(Observations(t, found.places, rows=rows, covariances=found.covariances))
         self._dark = 0 if (found.indices >= 0).any() else self._dark + 1
         return self._result(t, found.places, found.covariances, predicted, spread, rows)
+
+    @property
+    def doubt(self) -> str:
+        """What speaks against all this: nothing, or that what is seen and what the rope can do are far apart."""
+        level = self.estimator.measurement_noise.value
+        if level < DOUBTFUL:
+            return ""
+        return (
+            f"markers are {level:.1f} times as far from where the rope can be as their detector states: "
+            "check the camera's scale and swing plane, the arc lengths, and the rope"
+        )
 
     def _first(self, image: Image, t: float) -> TrackedFrame:
         """Look for the whole rope."""
@@ -272,7 +284,7 @@ def track_video(
                 allowed="two frames or more in which markers are seen in an order that the rope allows",
                 fix="Check the markers' colour, their arc lengths, and the camera's swing plane",
             )
-    notes = tuple(reader.notes)
+    notes = (*reader.notes, *([tracker.doubt] if tracker.doubt else []))
     return VideoTrack(
         _recording(found, tracker.camera, str(video)),
         count,

@@ -184,6 +184,7 @@ class CameraStateSource:
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._heard, said = context.Pipe(duplex=False)
+        self._said = ""
         arguments = (self._task, self._states.name, self._motions.name, said)
         self._worker = context.Process(target=work, args=arguments, name="rope estimator", daemon=True)
         self._worker.start()
@@ -225,7 +226,7 @@ class CameraStateSource:
         if quiet > self.stalled:
             raise EstimatorLost(
                 f"The estimator's process has given no sign of life for {quiet:.2f} s (allowed: {self.stalled:g} s). "
-                "restart() it."
+                "Call restart()."
             )
         return packet
 
