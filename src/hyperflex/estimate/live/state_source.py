@@ -216,12 +216,12 @@ class CameraStateSource:
             raise InvalidInput("the state source is closed", fix="Use it within its with block")
         found = self._states.read()
         packet = None if found is None else Packet.unpacked(found[1])
-        if not worker.is_alive():
-            words, code = self._words(), worker.exitcode
-            how = f"by signal {-code}" if code is not None and code < 0 else f"with exit code {code}"
-            raise EstimatorLost(
-                f"The estimator's process has ended {how}{': ' + words if words else ''}. restart() it."
-            )
+        alive = worker.is_alive()
+        self._said = self._words() or self._said
+        if self._said or not alive:
+            code = worker.exitcode
+            how = f"its process ended by signal {-code}" if code and code < 0 else f"its process ended with code {code}"
+            raise EstimatorLost(f"The estimator has ended: {(self._said or how).rstrip('.')}. Call restart().")
         quiet = 0.0 if packet is None else time.monotonic() - packet.written
         if quiet > self.stalled:
             raise EstimatorLost(
