@@ -212,8 +212,9 @@ class MarkerDetector:
         if self.colour.area is not None:
             whole &= np.abs(table[:, blobs.AREA] / self.colour.area - 1.0) < 0.3
         if whole.any():
-            seen = np.median(table[whole, blobs.COLOUR : blobs.COLOUR + 3], axis=0)
-            self.colour = self.colour.adapted(seen, _RATE)
+            seen = np.sort(table[whole, blobs.COLOUR : blobs.COLOUR + 3], axis=0)
+            middle = 0.5 * (seen[(len(seen) - 1) // 2] + seen[len(seen) // 2])
+            self.colour = self.colour.adapted(middle, _RATE)
 
     def _observations(self, table: Array, noise: Array) -> Observations:
         """Return blobs as markers, with what is known of each; those of two areas as two."""

@@ -89,7 +89,7 @@ class Propagator:
             self._begin(rope)
         n, first = q.size, self._first
         width = first + len(changes) + len(changes) % 2
-        bounds = limits(self.setup, self.chain, end)
+        bounds = self._limits._replace(stop=end)
         run = record_steps(self.chain, self.drive, (q, qd), bounds, begin, first_step=end - begin)
         y, dy = np.zeros((2, 2 * n + 2)), np.zeros((2, 2 * n, width))
         y[0, :n], y[0, n : 2 * n] = q, qd
@@ -109,6 +109,7 @@ class Propagator:
         """Make what follows from the rope and the motion alone."""
         self.rope = rope
         self.chain = self._all.with_faint_terms(rope.chain())
+        self._limits = limits(self.setup, self.chain, 0.0)
         self._directions = self._all.directions(self.chain, self.drive)
 
     def _seeds(self, pairs: int) -> Directions:
