@@ -9,6 +9,8 @@ One thread: it begins itself anew with 1 for the numbers of BLAS threads, which 
 from __future__ import annotations
 
 import argparse
+import ctypes
+import gc
 import json
 import os
 import sys
@@ -173,7 +175,11 @@ def soak(frames: int) -> dict[str, Any]:
 
 
 def resident() -> float:
-    """Memory of this process, MB."""
+    """Memory of this process, MB, after what is free has been given back: it would hide what grows."""
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
@@ -194,9 +200,9 @@ def text(times: dict[str, Any], long: dict[str, Any] | None) -> str:
         lines.append(f"| {label} | {cells[0]} | {cells[1]} | {aim} |")
     about = (
         f"Simulated video: the paper's cable of {LINKS} links ({FINE} in truth) on its arm, {ARCS.size} markers, "
-        f"{SIZE[0]}x{SIZE[1]} at {RATE:g} frames/s, {times['frames']} frames of a cast tracked {times['rounds']} times; "
-        f"{100.0 * times['seen']:.1f} % of the markers were found. Look: what RopeTracker.look makes of a decoded frame: "
-        "prediction, search in gates, assignment, update. Packet to shared state: demuxing, decoding in one thread, "
+        f"{SIZE[0]}x{SIZE[1]} at {RATE:g} frames/s, {times['frames']} frames of a cast tracked {times['rounds']} "
+        f"times; {100.0 * times['seen']:.1f} % of the markers were found. Look: what RopeTracker.look makes of a decoded "
+        "frame: prediction, search in gates, assignment, update. Packet to shared state: demuxing, decoding in one thread, "
         "conversion of the whole picture to blue, green, red, look, and a write and a read of the shared memory."
     )
     lines += ["", about]
@@ -210,8 +216,8 @@ def _soaked(long: dict[str, Any]) -> str:
     late = long["latency"]
     return (
         f"Soak: {long['frames']} drawn frames ({long['frames'] / RATE / 60.0:.0f} minutes at {RATE:g} frames/s) in "
-        f"{long['seconds']:.0f} s, as fast as they are looked at, through FrameThread, Watch and WatchLog. Memory grew by "
-        f"{long['growth_mb']:.2f} MB from frame {SETTLED} to the end, at most by {long['most_growth_mb']:.2f} MB on the "
+        f"{long['seconds']:.0f} s, as fast as they are looked at, through FrameThread, Watch and WatchLog. Memory grew "
+        f"by {long['growth_mb']:.2f} MB from frame {SETTLED} to the end, at most by {long['most_growth_mb']:.2f} MB on the "
         f"way (aim: less than {AIM['growth']:g}); the log has {long['log_mb']:.0f} MB. Tip {long['tip_rms_mm']:.2f} mm "
         f"rms, {100.0 * long['seen']:.2f} % of the markers found; latency, with the drawing in another thread: median "
         f"{late['median']:.2f} ms, p99 {late['p99']:.2f} ms."
