@@ -12,6 +12,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
+from hyperflex.estimate.changes import SETTLED, TOUCH, Change, ChangeDetector, ChangeTests, Correction
 from hyperflex.estimate.noise import NoiseLevel
 from hyperflex.estimate.observations import MarkerModel, Observations
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
@@ -51,6 +52,14 @@ class RopeFilter:
         corrected by what is seen.
     readout : float
         Known time from the first row of a picture to the last, s, where there is no `camera` to say so.
+    tests : ChangeTests, optional
+        What is tested for changes; by default nothing. Where one is noticed, the state is corrected by what it has done
+        since it happened, and a parameter that has changed is estimated from then on.
+
+    Attributes
+    ----------
+    changes : tuple of Change
+        Those that the last update noticed.
 
     Examples
     --------
@@ -76,8 +85,10 @@ class RopeFilter:
         parameters: Sequence[EstimatedParameter] = (),
         process_noise: float = 1.0,
         readout: float = 0.0,
+        tests: ChangeTests | None = None,
     ) -> None:
-        self.parameters = ParameterStates(parameters, rope)
+        watched = () if tests is None else tests.names_for(rope)
+        self.parameters = ParameterStates(parameters, rope, [name for name in watched if name != TOUCH])
         self.process = Process(rope, self.parameters, motion, arm)
         self.model = MarkerModel(
             rope, arc_lengths, self.parameters, camera, readout if camera is None else camera.readout
@@ -89,10 +100,13 @@ class RopeFilter:
         self.log_likelihood = 0.0
         self.innovation: sr.Innovation | None = None
         n = rope.n_links
-        self.x = np.concatenate([np.zeros(2 * n), [each.value for each in self.parameters.all]])
+        self.x = np.concatenate([np.zeros(2 * n), self.parameters.value_at_start])
         self.factor = np.zeros((self.x.size, self.x.size))
+        self.changes: tuple[Change, ...] = ()
+        self._detector = None if tests is None else ChangeDetector(tests, self.process, self.parameters)
+        self._std = self.parameters.std.copy()
         self._qdd = np.zeros(n)
-        self._last: Array | None = None  # rows of the noise of the step before
+        self._by_noise = np.zeros_like(self.factor)  # derivative of the covariance by log(variance) of process noise
 
     @property
     def n_links(self) -> int:
@@ -110,12 +124,13 @@ class RopeFilter:
 
     @property
     def values(self) -> dict[str, tuple[float, float]]:
-        """Each estimated parameter's value and standard deviation."""
+        """Value and standard deviation of each parameter that is estimated, or has been noticed to have changed."""
         first = 2 * self.n_links
         std = np.linalg.norm(self.factor[:, first:], axis=0)
         return {
             name: (float(value), float(each))
-            for name, value, each in zip(self.parameters.names, self.x[first:], std, strict=True)
+            for name, value, each, open in zip(self.parameters.names, self.x[first:], std, self._std > 0.0, strict=True)
+            if open
         }
 
     def predict(self, dt: float) -> None:
@@ -139,12 +154,15 @@ class RopeFilter:
         if t == self.t:
             return
         found = self.process.predict(self.x, self.t, t)
-        self._last = self.process.noise(t - self.t, self.process_noise.value)
+        noise = self.process.noise(t - self.t, self.process_noise.value)
         with np.errstate(over="ignore", invalid="ignore"):
-            factor = sr.predicted(self.factor, found.transition, self._last)
+            factor = sr.predicted(self.factor, found.transition, noise)
         if not (np.abs(factor).max() < BEYOND and np.abs(found.x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
         self.factor = factor
+        self._by_noise = found.transition @ self._by_noise @ found.transition.T + noise.T @ noise
+        if self._detector is not None:
+            self._detector.predict((self.x, found.x), self.t, t, found.transition)
         self.age += t - self.t
         self.x, self.t, self._qdd = found.x, t, found.qdd
 
@@ -193,6 +211,7 @@ class RopeFilter:
         if len(seen.places) != len(self.model.arc_lengths):
             allowed = f"{len(self.model.arc_lengths)} markers"
             raise InvalidInput("observations are of another number of markers", got=len(seen.places), allowed=allowed)
+        self.changes = ()
         if self.t is None:
             self._begin(seen)
             return
@@ -206,7 +225,7 @@ class RopeFilter:
 
     def restart(self) -> None:
         """Forget the state; what was learnt of parameters and noise stays as a first guess."""
-        self.t, self._last = None, None
+        self.t = None
         self.x[: 2 * self.n_links] = 0.0
         self._qdd[:] = 0.0
 
@@ -227,8 +246,11 @@ class RopeFilter:
         rest = rows[2 * len(shapes) :]
         np.fill_diagonal(rest[:n, :n], 0.1 * BEND)
         np.fill_diagonal(rest[n : 2 * n, n : 2 * n], 0.1 * rate)
-        np.fill_diagonal(rest[2 * n :, 2 * n :], [each.std for each in self.parameters.all])
+        np.fill_diagonal(rest[2 * n :, 2 * n :], self._std)
         self.factor = sr.triangular(rows)
+        self._by_noise = np.zeros_like(self.factor)
+        if self._detector is not None:
+            self._detector.begin(seen.t + SETTLED)
         self._correct(seen, FIRST_ROUNDS)
 
     def _correct(self, seen: Observations, rounds: int) -> None:
@@ -248,13 +270,16 @@ class RopeFilter:
 
         std = np.ones(2 * len(whiten))
         before, u, cost = self.x, np.zeros(self.x.size), np.inf  # the state is before + factor' u
-        x, (left, jacobian) = before, compared(found)
+        x, (left, jacobian), change = before, compared(found), None
         for turn in range(rounds):
             gain, upper = sr.whitened_gain(self.factor, jacobian, std)
             if turn == 0:
                 self.innovation = sr.compared(upper, left)
                 self.log_likelihood += self.innovation.log_likelihood + np.log(np.linalg.det(whiten)).sum()
-                self._learn(self.innovation, jacobian, upper)
+                by_seen = jacobian, self.factor.T @ gain, upper, self.innovation.whitened
+                if rounds == ROUNDS:
+                    self._learn(*by_seen)
+                change = None if self._detector is None else self._detector.update(seen.t, *by_seen)
             step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
             while True:
                 tried = before + self.factor.T @ (u + part * step)
@@ -270,6 +295,19 @@ class RopeFilter:
         first = 2 * self.n_links
         x[first:] = self.parameters.possible(x[first:])
         self.x = x
+        if change is not None:
+            self._adopt(*change)
+
+    def _adopt(self, change: Change, correction: Correction) -> None:
+        """Correct the state by what a change has done; a parameter is estimated from then on."""
+        self.changes = (change,)
+        self.x = self.x + correction.moved
+        self.factor = sr.triangular(np.concatenate([self.factor, correction.rows]))
+        if change.name in self.parameters.names:
+            k = self.parameters.names.index(change.name)
+            self._std[k] = max(self._std[k], abs(change.size))
+            first = 2 * self.n_links
+            self.x[first:] = self.parameters.possible(self.x[first:])
 
     def _plausible(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
         """Return which places lie within their gates; all of them where hardly any does, for then it is the state."""
@@ -281,13 +319,18 @@ class RopeFilter:
         good = far < GATE
         return good if (good & seen.seen).sum() * 2 > seen.seen.sum() else np.ones_like(good)
 
-    def _learn(self, innovation: sr.Innovation, jacobian: Array, upper: Array) -> None:
-        """Correct the levels of process and measurement noise by the innovation."""
-        if self._last is not None:
-            half = solve_triangular(upper, jacobian @ self._last.T, trans="T", check_finite=False)
-            self.process_noise.see(innovation.whitened, half @ half.T)
-            half = solve_triangular(upper, np.eye(len(upper)), trans="T", check_finite=False)
-            self.measurement_noise.see(innovation.whitened, half @ half.T)
+    def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
+        """Correct the levels of process and measurement noise by the innovation.
+
+        The innovation's covariance depends on the process noise of all steps before. Its derivative follows that of the
+        Riccati recursion, in which the derivative of the gain drops out.
+        """
+        part = solve_triangular(upper, jacobian @ self._by_noise @ jacobian.T, trans="T", check_finite=False)
+        self.process_noise.see(whitened, solve_triangular(upper, part.T, trans="T", check_finite=False))
+        half = solve_triangular(upper, np.eye(len(upper)), trans="T", check_finite=False)
+        self.measurement_noise.see(whitened, half @ half.T)
+        left = np.eye(self.x.size) - gain @ jacobian
+        self._by_noise = left @ self._by_noise @ left.T
 
 
 def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:

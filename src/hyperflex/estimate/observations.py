@@ -113,11 +113,7 @@ class MarkerModel:
         if not arcs.size or (arcs < 0.0).any() or (arcs > total * (1.0 + 1e-9)).any():
             raise InvalidInput("a marker is not on the rope", got=arcs, allowed=f"0 to {total:g} m, at least one")
         self.arc_lengths, self.parameters, self.camera, self.readout = arcs, parameters, camera, readout
-        ends = np.cumsum(rope.length)
-        self.link = np.minimum(np.searchsorted(ends, arcs - 1e-12 * total), rope.n_links - 1)
-        before = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[self.link]
-        self.arms = before * rope.length
-        self.arms[np.arange(arcs.size), self.link] = arcs - (ends - rope.length)[self.link]
+        self.link, self.arms = lever_arms(rope, arcs)
         self._arc_states = {k: int(name[4:-1]) for k, name in enumerate(parameters.names) if name.startswith("arc[")}
         if any(marker >= arcs.size for marker in self._arc_states.values()):
             raise InvalidInput(
@@ -196,3 +192,15 @@ class MarkerModel:
             return shown, moved
         found = self.camera.linearize(shown)
         return found.pixels, found.by_point @ moved
+
+
+def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[npt.NDArray[np.intp], Array]:
+    """Return the links (K,) on which points at arc lengths (K,), m, lie, and how much of each link is before them.
+
+    The latter is (K, n), m: times the links' directions it is where the points are.
+    """
+    ends = np.cumsum(rope.length)
+    link = np.minimum(np.searchsorted(ends, arc_lengths - 1e-12 * ends[-1]), rope.n_links - 1)
+    arms = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[link] * rope.length
+    arms[np.arange(arc_lengths.size), link] = arc_lengths - (ends - rope.length)[link]
+    return link, arms

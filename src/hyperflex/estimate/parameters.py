@@ -68,11 +68,24 @@ class ParameterStates:
     wanted : sequence of EstimatedParameter
     rope : Rope
         As it is taken to be where all are 0.
+    watched : sequence of str
+        What is held at 0 until a change of it is noticed, where it is not estimated anyway.
+
+    Attributes
+    ----------
+    names : tuple of str
+    value_at_start, std, walk : (P,) float64
+        Mean and standard deviation of the priors, 0 of what is held, and the random walks.
     """
 
-    def __init__(self, wanted: Sequence[EstimatedParameter], rope: Rope) -> None:
-        self.all, self.rope = tuple(wanted), rope
-        self.names = tuple(each.name for each in self.all)
+    def __init__(self, wanted: Sequence[EstimatedParameter], rope: Rope, watched: Sequence[str] = ()) -> None:
+        self.rope = rope
+        names = [each.name for each in wanted]
+        held = [EstimatedParameter(name, 1.0) for name in watched if name not in names]
+        self.names = (*names, *(each.name for each in held))
+        self.value_at_start = np.array([each.value for each in (*wanted, *held)])
+        self.walk = np.array([each.walk for each in (*wanted, *held)])
+        self.std = np.array([*(each.std for each in wanted), *(0.0 for _ in held)])
         if len(set(self.names)) != len(self.names):
             raise InvalidInput("parameters name something twice", got=self.names, allowed="each name once")
         for name in ("friction", "drag"):
@@ -83,7 +96,7 @@ class ParameterStates:
 
     def __len__(self) -> int:
         """Number of parameters."""
-        return len(self.all)
+        return len(self.names)
 
     def value(self, name: str, values: Array) -> float:
         """Return one parameter's value; 0 where it is not estimated."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from hyperflex.checks import Array
+from hyperflex.core.chain.articulated_body import mass_matrix
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.model import Arm, Rope, Setup
@@ -51,11 +53,16 @@ class Process:
         self, rope: Rope, parameters: ParameterStates, motion: Motion | None = None, arm: Arm | None = None
     ) -> None:
         self.rope, self.parameters = rope, parameters
+        self._motion, self._arm = motion, arm
         setup = Setup(rope, motion, arm, tol=PRECISION * rope.total_length)
         self._run = AngleJacobian(setup, ["q0", "qd0", *parameters.directions()])
         self._rope, self._at = rope, np.zeros(len(parameters))
-        self._walk = np.array([each.walk for each in parameters.all])
+        self._walk = parameters.walk
         self._shapes = self._disturbances(rope)
+
+    def copy(self) -> Process:
+        """Return another one, for other values of the parameters."""
+        return Process(self.rope, self.parameters, self._motion, self._arm)
 
     def predict(self, x: Array, t: float, until: float) -> Prediction:
         """Return the state at `until`, s, that comes of x (N,) at time t.
@@ -90,6 +97,23 @@ class Process:
         rows[r : 2 * r, :n] = dt / np.sqrt(12.0) * shapes
         rows[2 * r :, 2 * n :] = np.diag(self._walk * np.sqrt(dt))
         return rows[: 2 * r] if not self._walk.any() else rows
+
+    def kicks(self, q: Array, arms: Array) -> Array:
+        """Return by how much unit impulses change the links' rates, (n, 2 P), rad/s per N s.
+
+        Parameters
+        ----------
+        q : (n,) float64
+            Angles, rad.
+        arms : (P, n) float64
+            How much of each link lies between the first joint and the point that is pushed, m; the columns are of
+            impulses along x and y at the first point, at the second, and so on.
+        """
+        mass = np.empty((q.size, q.size))
+        mass_matrix(self._run.chain, q, mass)
+        across = np.stack([np.cos(q), np.sin(q)])
+        moments = (arms[:, None, :] * across).reshape(-1, q.size)
+        return np.asarray(cho_solve(cho_factor(mass, check_finite=False), moments.T, check_finite=False))
 
     def base(self, t: float) -> Array:
         """Return place, velocity and acceleration (3, 2) of the first joint, m, m/s and m/s^2."""
