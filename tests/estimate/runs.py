@@ -219,7 +219,7 @@ def _velocities(q: Array, qd: Array, joints: Array, run: hf.Trajectory | Truth, 
 
 
 def _seen(tracker: RopeFilter, arcs: Array, ends: Array, truth: Array) -> dict[str, tuple[Array, Array]]:
-    """Errors of the markers' places and velocities, and covariances of these, by name."""
+    """Errors of the markers' places and velocities (k, 2), and covariances of these (k, 2, 2), by name."""
     state, n = tracker.state, tracker.n_links
     assert state.covariance is not None
     arms = tracker.model.arms
@@ -230,16 +230,15 @@ def _seen(tracker: RopeFilter, arcs: Array, ends: Array, truth: Array) -> dict[s
     turned = np.concatenate([-(arms[:, None, :] * along) * state.qd, slope], axis=2)
     by_state = np.concatenate([np.concatenate([slope, np.zeros_like(slope)], axis=2), turned], axis=1)  # (K, 4, 2 n)
     true = np.stack([np.interp(arcs, ends, truth[:, c]) for c in range(4)], axis=1)
-    result = {}
-    for name, rows, columns in (
-        ("places", slice(None), slice(0, 2)),
-        ("velocities", slice(None), slice(2, 4)),
-        ("tip", slice(-1, None), slice(0, 2)),
-        ("tip velocity", slice(-1, None), slice(2, 4)),
-    ):
-        j = by_state[rows, columns].reshape(-1, 2 * n)
-        result[name] = (found - true)[rows, columns].ravel(), j @ state.covariance @ j.T
-    return result
+    error = found - true
+    covariance = by_state @ state.covariance @ by_state.transpose(0, 2, 1)  # (K, 4, 4)
+    places, velocities = (error[:, :2], covariance[:, :2, :2]), (error[:, 2:], covariance[:, 2:, 2:])
+    return {
+        "places": places,
+        "velocities": velocities,
+        "tip": (places[0][-1:], places[1][-1:]),
+        "tip velocity": (velocities[0][-1:], velocities[1][-1:]),
+    }
 
 
 def _at(joints: Array, ends: Array, s: float) -> Array:

@@ -106,7 +106,8 @@ class RopeFilter:
         self._detector = None if tests is None else ChangeDetector(tests, self.process, self.parameters)
         self._std = self.parameters.std.copy()
         self._qdd = np.zeros(n)
-        self._by_noise = np.zeros_like(self.factor)  # derivative of the covariance by log(variance) of process noise
+        # derivatives of the state and of its covariance by log(variance) of the process noise
+        self._x_by_noise, self._by_noise = np.zeros_like(self.x), np.zeros_like(self.factor)
 
     @property
     def n_links(self) -> int:
@@ -160,6 +161,7 @@ class RopeFilter:
         if not (np.abs(factor).max() < BEYOND and np.abs(found.x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
         self.factor = factor
+        self._x_by_noise = found.transition @ self._x_by_noise
         self._by_noise = found.transition @ self._by_noise @ found.transition.T + noise.T @ noise
         if self._detector is not None:
             self._detector.predict((self.x, found.x), self.t, t, found.transition)
@@ -248,7 +250,7 @@ class RopeFilter:
         np.fill_diagonal(rest[n : 2 * n, n : 2 * n], 0.1 * rate)
         np.fill_diagonal(rest[2 * n :, 2 * n :], self._std)
         self.factor = sr.triangular(rows)
-        self._by_noise = np.zeros_like(self.factor)
+        self._x_by_noise, self._by_noise = np.zeros_like(self.x), np.zeros_like(self.factor)
         if self._detector is not None:
             self._detector.begin(seen.t + SETTLED)
         self._correct(seen, FIRST_ROUNDS)
@@ -322,14 +324,20 @@ class RopeFilter:
     def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
         """Correct the levels of process and measurement noise by the innovation.
 
-        The innovation's covariance depends on the process noise of all steps before. Its derivative follows that of the
-        Riccati recursion, in which the derivative of the gain drops out.
+        The innovation and its covariance depend on the process noise of all steps before. Their derivatives follow
+        those of the filter's own recursion (Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, 774-783).
         """
-        part = solve_triangular(upper, jacobian @ self._by_noise @ jacobian.T, trans="T", check_finite=False)
-        self.process_noise.see(whitened, solve_triangular(upper, part.T, trans="T", check_finite=False))
+        across = jacobian @ self._by_noise
+        part = solve_triangular(upper, across @ jacobian.T, trans="T", check_finite=False)
+        part = solve_triangular(upper, part.T, trans="T", check_finite=False)
+        moved = solve_triangular(upper, jacobian @ self._x_by_noise, trans="T", check_finite=False)
+        self.process_noise.see(whitened, part, moved)
         half = solve_triangular(upper, np.eye(len(upper)), trans="T", check_finite=False)
         self.measurement_noise.see(whitened, half @ half.T)
         left = np.eye(self.x.size) - gain @ jacobian
+        self._x_by_noise = left @ (
+            self._x_by_noise + across.T @ solve_triangular(upper, whitened, check_finite=False)
+        )
         self._by_noise = left @ self._by_noise @ left.T
 
 

@@ -26,15 +26,16 @@ class NoiseLevel:
 
     Notes
     -----
-    With innovations nu of covariance S, of which this noise alone makes the part T, the score of log(variance) is
-    ``(nu' S^-1 T S^-1 nu - tr S^-1 T) / 2`` and its information ``tr (S^-1 T)^2 / 2``.
+    Innovations nu have the covariance S. Where log(variance) of this noise changes, S changes by T, and the prediction
+    by m. The score is ``nu' S^-1 m + (nu' S^-1 T S^-1 nu - tr S^-1 T) / 2`` and its information ``m' S^-1 m +
+    tr (S^-1 T)^2 / 2``.
     """
 
     def __init__(self, value: float, memory: float = 60.0, doubt: float = 2.0) -> None:
         self._first, self.value, self._keep = value, value, math.exp(-1.0 / memory)
         self._information = self._prior = 1.0 / (2.0 * doubt) ** 2
 
-    def see(self, whitened: Array, part: Array) -> None:
+    def see(self, whitened: Array, part: Array, moved: Array | None = None) -> None:
         """Correct the level.
 
         Parameters
@@ -42,9 +43,15 @@ class NoiseLevel:
         whitened : (m,) float64
             The innovation over its standard deviation.
         part : (m, m) float64
-            ``S^-1/2 T S^-T/2``: what part of its variance this noise makes.
+            ``S^-1/2 T S^-T/2``.
+        moved : (m,) float64, optional
+            ``S^-1/2 m``, where that counts.
         """
         score = 0.5 * (whitened @ part @ whitened - np.trace(part))
-        self._information = self._keep * self._information + 0.5 * float((part * part).sum())
+        information = 0.5 * float((part * part).sum())
+        if moved is not None:
+            score += whitened @ moved
+            information += float(moved @ moved)
+        self._information = self._keep * self._information + information
         change = min(max(score / (self._information + self._prior), -LONGEST), LONGEST)
         self.value = min(max(self.value * math.exp(0.5 * change), LEAST * self._first), MOST * self._first)
