@@ -11,7 +11,8 @@ import numpy as np
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.estimate import Change, ChangeTests, EstimatedParameter, Observations, RopeFilter
-from hyperflex.estimate.process import smooth_shapes
+from hyperflex.estimate.parameters import ParameterStates
+from hyperflex.estimate.process import Process
 from hyperflex.simulation.rollouts import finish, limits, prepare
 
 LENGTH, FINE, RATE = 2.0, 100, 600.0  # m; links of the truth; samples a second
@@ -72,7 +73,7 @@ def disturbed(
     tip_mass: float = 0.0,
     change: dict[str, float] | None = None,
     touch: tuple[float, float, float, float] | None = None,
-    noise: float = 0.0,
+    noise: Sequence[float] = (),
     seed: int = 0,
     rate: float = RATE,
 ) -> Truth:
@@ -83,7 +84,7 @@ def disturbed(
     at : when, s
     tip_mass, change : kg more at the tip; properties of the rope and by what they are multiplied
     touch : arc length, m, force along x and y, N, and how long, s
-    noise : rad/s^2 per square root of Hz of disturbances all the time, shaped as those that a filter assumes
+    noise : densities of disturbances at every frame (30 a second) that are those that a filter assumes
     """
     rng, s = np.random.default_rng((seed, 3)), np.linspace(0.0, 1.0, n)
     bend = 0.15 * rng.normal() * np.sin(np.pi * s) + 0.1 * rng.normal() * np.sin(2.0 * np.pi * s)
@@ -91,19 +92,22 @@ def disturbed(
     cable = rope(n)
     changed = cable.replace(tip_mass=tip_mass, **{k: getattr(cable, k) * v for k, v in (change or {}).items()})
     t = np.arange(round(duration * rate) + 1) / rate
-    shapes = smooth_shapes(cable, 0.15)
+    process = Process(cable, ParameterStates((), cable))
+    frames = np.arange(round(0.1 * rate), t.size, round(rate / 30.0))
     cuts = [0, t.size - 1, round(min(at, duration) * rate)]
     if touch is not None:
         cuts += range(round(at * rate), round((at + touch[3]) * rate))
     if noise:
-        cuts += range(0, t.size, 5)
+        cuts += frames.tolist()
     setup = hf.Setup(cable, SWINGS if moved else None, ARM if moved else None)
     drive, rows = setup.drive(), [np.concatenate([q, qd])[None]]
     cuts = sorted(set(cuts))
     for first, last in zip(cuts, cuts[1:], strict=False):
         now = changed if t[first] >= at - 1e-9 else cable
-        if noise:
-            qd = qd + noise * np.sqrt(t[last] - t[first]) * rng.normal(size=len(shapes)) @ shapes
+        if noise and first in frames:
+            kicks = process.noise(1.0 / 30.0, noise)
+            q, qd = np.split(np.concatenate([q, qd]) + rng.normal(size=len(kicks)) @ kicks, 2)
+            rows[-1][-1] = np.concatenate([q, qd])
         if touch is not None and at - 1e-9 <= t[first] < at + touch[3] - 1e-9:
             qd = qd + pushed_rates(now, q, touch[0], (touch[1] / rate, touch[2] / rate))
         chain = now.chain()

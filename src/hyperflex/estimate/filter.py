@@ -93,7 +93,7 @@ class RopeFilter:
         self.model = MarkerModel(
             rope, arc_lengths, self.parameters, camera, readout if camera is None else camera.readout
         )
-        self.process_noise = NoiseLevel(checks.number("process_noise", process_noise, sign="positive"))
+        self.process_noise = NoiseLevel(np.full(2, checks.number("process_noise", process_noise, sign="positive")))
         self.measurement_noise = NoiseLevel(1.0, doubt=0.7)
         self.t: float | None = None
         self.age = 0.0
@@ -106,8 +106,9 @@ class RopeFilter:
         self._detector = None if tests is None else ChangeDetector(tests, self.process, self.parameters)
         self._std = self.parameters.std.copy()
         self._qdd = np.zeros(n)
-        # derivatives of the state and of its covariance by log(variance) of the process noise
-        self._x_by_noise, self._by_noise = np.zeros_like(self.x), np.zeros_like(self.factor)
+        size = self.x.size
+        # derivatives of the state and of its covariance by log(variance) of both kinds of process noise
+        self._x_by_noise, self._by_noise = np.zeros((2, size)), np.zeros((2, size, size))
 
     @property
     def n_links(self) -> int:
@@ -161,8 +162,11 @@ class RopeFilter:
         if not (np.abs(factor).max() < BEYOND and np.abs(found.x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
         self.factor = factor
-        self._x_by_noise = found.transition @ self._x_by_noise
-        self._by_noise = found.transition @ self._by_noise @ found.transition.T + noise.T @ noise
+        self._x_by_noise = self._x_by_noise @ found.transition.T
+        self._by_noise = found.transition @ self._by_noise @ found.transition.T
+        for k, level in enumerate(self.process_noise.value.tolist()):
+            rows = self.process.noise_of(t - self.t, k, level)
+            self._by_noise[k] += rows.T @ rows
         if self._detector is not None:
             self._detector.predict((self.x, found.x), self.t, t, found.transition)
         self.age += t - self.t
@@ -250,7 +254,7 @@ class RopeFilter:
         np.fill_diagonal(rest[n : 2 * n, n : 2 * n], 0.1 * rate)
         np.fill_diagonal(rest[2 * n :, 2 * n :], self._std)
         self.factor = sr.triangular(rows)
-        self._x_by_noise, self._by_noise = np.zeros_like(self.x), np.zeros_like(self.factor)
+        self._x_by_noise[:], self._by_noise[:] = 0.0, 0.0
         if self._detector is not None:
             self._detector.begin(seen.t + SETTLED)
         self._correct(seen, FIRST_ROUNDS)
@@ -327,17 +331,14 @@ class RopeFilter:
         The innovation and its covariance depend on the process noise of all steps before. Their derivatives follow
         those of the filter's own recursion (Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, 774-783).
         """
-        across = jacobian @ self._by_noise
-        part = solve_triangular(upper, across @ jacobian.T, trans="T", check_finite=False)
-        part = solve_triangular(upper, part.T, trans="T", check_finite=False)
-        moved = solve_triangular(upper, jacobian @ self._x_by_noise, trans="T", check_finite=False)
-        self.process_noise.see(whitened, part, moved)
+        half = solve_triangular(upper, jacobian, trans="T", check_finite=False)
+        across = half @ self._by_noise
+        moved = self._x_by_noise @ half.T
+        self.process_noise.see(whitened, across @ half.T, moved)
         half = solve_triangular(upper, np.eye(len(upper)), trans="T", check_finite=False)
-        self.measurement_noise.see(whitened, half @ half.T)
+        self.measurement_noise.see(whitened, (half @ half.T)[None])
         left = np.eye(self.x.size) - gain @ jacobian
-        self._x_by_noise = left @ (
-            self._x_by_noise + across.T @ solve_triangular(upper, whitened, check_finite=False)
-        )
+        self._x_by_noise = (self._x_by_noise + whitened @ across) @ left.T
         self._by_noise = left @ self._by_noise @ left.T
 
 

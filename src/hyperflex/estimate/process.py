@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
 from hyperflex.checks import Array
@@ -17,6 +18,9 @@ from hyperflex.simulation.sensitivity.sensitivity import AngleJacobian
 
 PRECISION = 1e-5  # tolerance of a prediction over the rope's length: far below any marker's noise
 CORRELATION = 0.15  # of the rope's length, over which its disturbances are alike
+# Towards the free end the tension falls to nothing and motion is quick: there rigid links are least true to a rope.
+END = 0.08  # of the rope's length: disturbances of the end fall with the distance d to the tip as (END / (d + END))^1.5
+END_CORRELATION = 0.05
 NEGLIGIBLE = 1e-4  # of the largest principal part of the disturbances
 LATELY = 1e-3  # s, over which accelerations are taken
 
@@ -58,7 +62,9 @@ class Process:
         self._run = AngleJacobian(setup, ["q0", "qd0", *parameters.directions()])
         self._rope, self._at = rope, np.zeros(len(parameters))
         self._walk = parameters.walk
-        self._shapes = self._disturbances(rope)
+        beyond = (np.cumsum(rope.length[::-1])[::-1] - 0.5 * rope.length) / rope.total_length
+        end = (END / (beyond + END)) ** 1.5
+        self._shapes = smooth_shapes(rope, CORRELATION), smooth_shapes(rope, END_CORRELATION, end)
 
     def copy(self) -> Process:
         """Return another one, for other values of the parameters."""
@@ -81,22 +87,31 @@ class Process:
         transition[:n, columns], transition[n : 2 * n, columns] = dq[-1], dqd[-1]
         return Prediction(np.concatenate([q[-1], qd[-1], x[2 * n :]]), transition, (qd[-1] - qd[-2]) / late)
 
-    def noise(self, dt: float, density: float) -> Array:
+    def noise(self, dt: float, density: npt.ArrayLike) -> Array:
         """Return rows (r, N) whose squares are the covariance that `dt` seconds of disturbances add.
 
         Parameters
         ----------
         dt : float
-        density : float
-            Of the links' angular accelerations, rad/s^2 per square root of Hz.
+        density : (2,) array_like or float
+            Of the links' angular accelerations, rad/s^2 per square root of Hz: of disturbances along the whole rope,
+            and of those at its free end (one number: for both).
         """
-        n, r = self.rope.n_links, len(self._shapes)
-        shapes = density * np.sqrt(dt) * self._shapes
-        rows = np.zeros((2 * r + self._walk.size, 2 * n + self._walk.size))
+        both = np.broadcast_to(density, (2,))
+        rows = [self.noise_of(dt, k, level) for k, level in enumerate(both.tolist())]
+        if self._walk.any():
+            rows.append(np.zeros((self._walk.size, rows[0].shape[1])))
+            rows[-1][:, 2 * self.rope.n_links :] = np.diag(self._walk * np.sqrt(dt))
+        return np.concatenate(rows)
+
+    def noise_of(self, dt: float, kind: int, density: float) -> Array:
+        """Return the same rows of one kind of disturbances: 0 along the whole rope, 1 at its free end."""
+        n, r = self.rope.n_links, len(self._shapes[kind])
+        shapes = density * np.sqrt(dt) * self._shapes[kind]
+        rows = np.zeros((2 * r, 2 * n + self._walk.size))
         rows[:r, :n], rows[:r, n : 2 * n] = 0.5 * dt * shapes, shapes
-        rows[r : 2 * r, :n] = dt / np.sqrt(12.0) * shapes
-        rows[2 * r :, 2 * n :] = np.diag(self._walk * np.sqrt(dt))
-        return rows[: 2 * r] if not self._walk.any() else rows
+        rows[r:, :n] = dt / np.sqrt(12.0) * shapes
+        return rows
 
     def kicks(self, q: Array, arms: Array) -> Array:
         """Return by how much unit impulses change the links' rates, (n, 2 P), rad/s per N s.
@@ -128,22 +143,21 @@ class Process:
             self._rope, self._at = self.parameters.rope_at(values), values.copy()
         return self._rope
 
-    def _disturbances(self, rope: Rope) -> Array:
-        """Return the principal shapes (r, n) of disturbances that are alike where links are near one another."""
-        return smooth_shapes(rope, CORRELATION)
 
-
-def smooth_shapes(rope: Rope, correlation: float) -> Array:
-    """Return rows (r, n) whose squares are a correlation of links: 1 of each, less the further they are apart.
+def smooth_shapes(rope: Rope, correlation: float, size: npt.ArrayLike = 1.0) -> Array:
+    """Return rows (r, n) whose squares are a covariance of links that are the less alike the further they are apart.
 
     Parameters
     ----------
     rope : Rope
     correlation : float
         Distance, as a part of the rope's length, over which it falls to exp(-1/2).
+    size : (n,) array_like or float
+        Standard deviation of each link.
     """
     middle = (np.cumsum(rope.length) - 0.5 * rope.length) / rope.total_length
     likeness = np.exp(-0.5 * ((middle[:, None] - middle) / correlation) ** 2)
-    values, vectors = np.linalg.eigh(likeness)
+    scale = np.broadcast_to(size, middle.shape)
+    values, vectors = np.linalg.eigh(scale[:, None] * likeness * scale)
     large = values > NEGLIGIBLE * values[-1]
     return np.asarray(np.sqrt(values[large])[:, None] * vectors[:, large].T)
