@@ -194,9 +194,10 @@ def track(
         result.foretold.append(_tip(tracker)[0] - joints[i, -1] if tracker.t is not None else np.full(2, np.nan))
         tracker.update(Observations(t, places, noise, rows if readout else None))
         place, speed, covariance = _tip(tracker)
-        q, qd = np.asarray(run.q[i]), np.asarray(run.qd[i])
-        true_speed = np.asarray(run.tip_velocity[i])
-        error = place - joints[i, -1]
+        j = round(tracker.state.t * RATE)  # of an estimated delay
+        q, qd = np.asarray(run.q[j]), np.asarray(run.qd[j])
+        true_speed = np.asarray(run.tip_velocity[j])
+        error = place - joints[j, -1] - (tracker.state.t - run.t[j]) * true_speed
         result.t.append(t)
         result.tip.append(error)
         result.velocity.append(speed - true_speed)

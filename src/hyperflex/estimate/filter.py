@@ -88,7 +88,9 @@ class RopeFilter:
         tests: ChangeTests | None = None,
     ) -> None:
         watched = () if tests is None else tests.names_for(rope)
-        self.parameters = ParameterStates(parameters, rope, [name for name in watched if name != TOUCH])
+        self.parameters = ParameterStates(
+            parameters, rope, [name for name in watched if name != TOUCH], motion is not None
+        )
         self.process = Process(rope, self.parameters, motion, arm)
         self.model = MarkerModel(
             rope, arc_lengths, self.parameters, camera, readout if camera is None else camera.readout
@@ -117,12 +119,13 @@ class RopeFilter:
 
     @property
     def state(self) -> RopeState:
-        """The state, with its covariance."""
+        """The state, with its covariance: at the time of the last picture, before which an estimated delay lies."""
         if self.t is None:
             raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
         n = self.n_links
         part = self.factor[:, : 2 * n]
-        return RopeState(self.t, self.x[:n].copy(), self.x[n : 2 * n].copy(), part.T @ part)
+        t = self.t - self.parameters.value("delay", self.x[2 * n :])
+        return RopeState(t, self.x[:n].copy(), self.x[n : 2 * n].copy(), part.T @ part)
 
     @property
     def values(self) -> dict[str, tuple[float, float]]:
@@ -177,10 +180,8 @@ class RopeFilter:
 
         The covariances are of the places themselves: what a detector adds is not in them.
         """
-        if self.t is None:
-            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
         rows = np.zeros(len(self.model.arc_lengths)) if rows is None else rows
-        places, slope = self.model.predict(self.x, self.process.base(self.t), rows, self._qdd)
+        places, slope = self.model.predict(self.x, self._base(), rows, self._qdd)
         spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
         return places, np.matmul(spread.transpose(0, 2, 1), spread)
 
@@ -189,7 +190,7 @@ class RopeFilter:
 
         `rows` (K,) are those of :class:`Observations`.
         """
-        base = self.process.base(self.state.t)
+        base = self._base()
         late, now = (self.model.predict(self.x, base, each, self._qdd) for each in (rows, np.zeros_like(rows)))
         spread = np.matmul(self.factor, (late[1] - now[1]).transpose(0, 2, 1))
         return late[0] - now[0], np.matmul(spread.transpose(0, 2, 1), spread)
@@ -197,12 +198,18 @@ class RopeFilter:
     def speeds(self) -> Array:
         """Return how fast the markers should move (K,), px/s or m/s."""
         n = self.n_links
-        base = self.process.base(self.state.t)
+        base = self._base()
         _, slope = self.model.predict(self.x, base, np.zeros(len(self.model.arc_lengths)))
         turning = slope[:, :, :n] @ self.x[n : 2 * n]
         camera = self.model.camera
         moved = base[1] if camera is None else camera.linearize(base[:1]).by_point[0] @ base[1]
         return np.asarray(np.linalg.norm(turning + moved, axis=1))
+
+    def _base(self) -> Array:
+        """Return place, velocity and acceleration (3, 2) of the first joint now."""
+        if self.t is None:
+            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
+        return self.process.base(self.t, self.x)
 
     def update(self, seen: Observations) -> None:
         """Look: go on to the time of the observations, and correct.
@@ -241,7 +248,7 @@ class RopeFilter:
         if not seen.seen.any():
             return
         self.t = seen.t
-        base, camera = self.process.base(seen.t), self.model.camera
+        base, camera = self.process.base(seen.t, self.x), self.model.camera
         in_metres = seen.places if camera is None else camera.locate(seen.places)
         self.x[:n] = polyline_angles(rope, self.model.arc_lengths, in_metres, base[0])
         rate = SPEED * np.sqrt(np.hypot(*rope.gravity) / rope.total_length)
@@ -261,8 +268,12 @@ class RopeFilter:
 
     def _correct(self, seen: Observations, rounds: int) -> None:
         """Correct by Gauss-Newton on the posterior, and the covariance about where that ends."""
-        base = self.process.base(seen.t)
-        found = self.model.predict(self.x, base, seen.rows, self._qdd)
+
+        def predicted(x: Array) -> tuple[Array, Array]:
+            """Return what is seen of a state, with the derivatives."""
+            return self.model.predict(x, self.process.base(seen.t, x), seen.rows, self._qdd)
+
+        found = predicted(self.x)
         good = seen.seen & (self._plausible(seen, *found) if rounds == ROUNDS else True)
         if not good.any():
             return
@@ -289,7 +300,7 @@ class RopeFilter:
             step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
             while True:
                 tried = before + self.factor.T @ (u + part * step)
-                left, jacobian = compared(self.model.predict(tried, base, seen.rows, self._qdd))
+                left, jacobian = compared(predicted(tried))
                 now = float(((u + part * step) ** 2).sum() + (left**2).sum())
                 if now <= cost or part < SHORTEST:
                     break

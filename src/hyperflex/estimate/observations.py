@@ -97,7 +97,8 @@ class MarkerModel:
     Notes
     -----
     A marker that is read tau before or after the state's time is seen at ``r + tau v + tau^2 a / 2``. The derivatives
-    leave out those of the last term.
+    leave out those of the last term. The state is as it was when the picture was taken, so that a delay of the pictures
+    counts for the first joint alone: that was where it is known to have been then.
     """
 
     def __init__(
@@ -128,7 +129,7 @@ class MarkerModel:
         x : (2 n + P,) float64
             Angles, rad, rates, rad/s, and parameters.
         base : (3, 2) float64
-            Place, velocity and acceleration of the first joint, m, m/s, m/s^2.
+            Place, velocity and acceleration of the first joint when the picture was taken, m, m/s, m/s^2.
         rows : (K,) float64
             As in :class:`Observations`.
         qdd : (n,) float64, optional
@@ -137,13 +138,13 @@ class MarkerModel:
         n = self.arms.shape[1]
         q, qd, values = x[:n], x[n : 2 * n], x[2 * n :]
         at = self.parameters.value
-        delay, readout = at("delay", values), self.readout + at("readout", values)
+        readout = self.readout + at("readout", values)
         along = np.stack([np.sin(q), -np.cos(q)])  # (2, n)
         across = np.stack([np.cos(q), np.sin(q)])
         arms = self.arms * (1.0 + at("length", values))
         for k, marker in self._arc_states.items():
             arms[marker, self.link[marker]] += values[k]
-        tau = rows * readout - delay  # (K,)
+        tau = rows * readout  # (K,)
         slope = arms[:, None, :] * across  # (K, 2, n) of the places by the angles
         place, velocity = base[0] + arms @ along.T, base[1] + slope @ qd
         bend = np.zeros_like(place)
@@ -162,7 +163,7 @@ class MarkerModel:
             if name == "length":
                 column[:] = self.arms @ along.T + tau[:, None] * ((self.arms[:, None, :] * across) @ qd)
             elif name == "delay":
-                column[:] = -now
+                column[:] = -(base[1] + tau[:, None] * base[2])
             elif name == "readout":
                 column[:] = rows[:, None] * now
             elif k in self._arc_states:

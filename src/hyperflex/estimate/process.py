@@ -81,7 +81,8 @@ class Process:
         n, p = self.rope.n_links, len(self.parameters)
         rope = self._rope_at(x[2 * n :])
         late = min(LATELY, 0.5 * (until - t))
-        q, qd, dq, dqd = self._run(np.array([t, until - late, until]), x[:n], x[n : 2 * n], rope)
+        times = np.array([t, until - late, until]) - self.parameters.value("delay", x[2 * n :])
+        q, qd, dq, dqd = self._run(times, x[:n], x[n : 2 * n], rope)
         transition = np.eye(2 * n + p)
         columns = [*range(2 * n), *(2 * n + k for k in self.parameters.dynamic)]
         transition[:n, columns], transition[n : 2 * n, columns] = dq[-1], dqd[-1]
@@ -130,16 +131,24 @@ class Process:
         moments = (arms[:, None, :] * across).reshape(-1, q.size)
         return np.asarray(cho_solve(cho_factor(mass, check_finite=False), moments.T, check_finite=False))
 
-    def base(self, t: float) -> Array:
-        """Return place, velocity and acceleration (3, 2) of the first joint, m, m/s and m/s^2."""
+    def base(self, t: float, x: Array | None = None) -> Array:
+        """Return place, velocity and acceleration (3, 2) of the first joint, m, m/s and m/s^2.
+
+        Parameters
+        ----------
+        t : float
+            Of a picture, s.
+        x : (N,) float64, optional
+            State with the pictures' delay; by default there is none.
+        """
         drive, now = self._run.drive, np.empty(9)
-        base_state(drive, segment(drive, t), t, now)
+        moment = t if x is None else t - self.parameters.value("delay", x[2 * self.rope.n_links :])
+        base_state(drive, segment(drive, moment), moment, now)
         return np.array([now[7:9], now[5:7], now[0:2]])
 
     def _rope_at(self, values: Array) -> Rope:
         """Return the rope with its estimated values, made anew only when they have changed."""
-        dynamic = self.parameters.dynamic
-        if dynamic and not np.array_equal(values[dynamic], self._at[dynamic]):
+        if not self.parameters.same_rope(values, self._at):
             self._rope, self._at = self.parameters.rope_at(values), values.copy()
         return self._rope
 
