@@ -45,6 +45,7 @@ LONGEST = 10.0  # s, the oldest of them
 TOUCH_SPACING = 0.03  # s between the moments at which a touch may have begun
 TOUCH_LONGEST = 0.35  # s, the oldest of them
 LIKELY_MASS = 0.04  # of the rope's mass: at what size the effect of a mass at the tip is computed
+CALM = 0.5  # s without a sign of a touch after which the next one is another touch
 DOUBT = 2.0  # by which the standard deviation of a noticed change is widened: its moment was chosen among many
 
 
@@ -109,7 +110,7 @@ class Change:
         By how much the parameter has changed, and the standard deviation of that, in its unit; of a touch its impulse
         until it was noticed, N s.
     probability : float
-        That it is this and none of the other changes that are tested for, all equally likely before.
+        That it is this and none of the other changes that are tested for, all names equally likely before.
     log_false_alarm : float
         Logarithm of the probability of so clear a sign, in this test at one time, where nothing has changed.
     arc_length : float or None
@@ -181,7 +182,7 @@ class ChangeDetector:
         self.places = np.arange(1, PLACES + 1) * (rope.total_length / PLACES) if TOUCH in names else np.zeros(0)
         self._arms = lever_arms(rope, self.places)[1]
         self._force_tolerance = tests.tolerance(TOUCH, rope)
-        self._latest = -math.inf
+        self._latest = self._touched = -math.inf
         self.begin(math.inf)
 
     def begin(self, t: float) -> None:
@@ -230,8 +231,8 @@ class ChangeDetector:
         else:
             self._touches.states[:, -pushed.shape[1] :] += pushed
 
-    def update(self, t: float, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> tuple[Change, Correction] | None:
-        """Take in an innovation; returns a change that it shows, and what that does to the state.
+    def update(self, t: float, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> tuple[Change, Correction | None] | None:
+        """Take in an innovation; returns a change that it shows, and what one of a parameter has done to the state.
 
         Parameters
         ----------
@@ -262,7 +263,7 @@ class ChangeDetector:
         good = self._begun > t - TOUCH_LONGEST
         self._touches.keep(np.repeat(good, 2 * self.places.size))
         self._begun = self._begun[good]
-        if found is not None:
+        if found is not None and found[1] is not None:
             self.begin(t)
         return found
 
@@ -288,23 +289,25 @@ class ChangeDetector:
         doublings = np.floor(np.log2(np.maximum(age / (PER_DOUBLING * SPACING), 1.0))).astype(int)
         return np.asarray((age < LONGEST) & (self._indices % 2**doublings == 0))
 
-    def _evaluate(self, t: float, dt: float) -> tuple[Change, Correction] | None:
+    def _evaluate(self, t: float, dt: float) -> tuple[Change, Correction | None] | None:
         """Return the clearest sign of a change, if it is clear enough."""
         scores, theta = self._parameter_scores()
         touch, forces = self._touch_scores()
         count = scores.size + 2 * touch.size
         if not count:
             return None
-        log_p = np.concatenate([log_ndtr(-scores).ravel() + math.log(2.0), -0.5 * touch.ravel() ** 2])
-        best = int(np.argmin(log_p))
-        if not log_p[best] < math.log(dt / self.tests.false_alarm_interval / count):
+        log_p = [log_ndtr(-each) + math.log(2.0) for each in scores.T] + ([-0.5 * touch.ravel() ** 2] if touch.size else [])
+        least = np.array([each.min() for each in log_p])
+        if not least.min() < math.log(dt / self.tests.false_alarm_interval / count):
             return None
-        by_name = [*(0.5 * scores.max(axis=0) ** 2), *([0.5 * touch.max() ** 2] if touch.size else [])]
-        mine = scores.shape[1] if best >= scores.size else best % scores.shape[1]
-        sure = 1.0 / float(np.exp(np.array(by_name) - by_name[mine]).sum())
-        if best < scores.size:
-            return self._parameter_change(best, float(theta.ravel()[best]), t, sure, float(log_p[best]))
-        return self._touch_change(best - scores.size, forces, t, sure, float(log_p[best]))
+        evidence = -least - np.log([each.size for each in log_p])
+        name = int(evidence.argmax())
+        sure = 1.0 / float(np.exp(evidence - evidence[name]).sum())
+        best = int(log_p[name].argmin())
+        if name < len(self.names):
+            return self._parameter_change(best, name, float(theta[best, name]), t, sure, float(least[name]))
+        again, self._touched = t - self._touched < CALM, t
+        return None if again else (self._touch_change(best, forces, t, sure, float(least[name])), None)
 
     def _parameter_scores(self) -> tuple[Array, Array]:
         """Return by how many standard deviations each parameter (p) has changed since each moment (w, p), and sizes."""
@@ -343,39 +346,23 @@ class ChangeDetector:
         return np.asarray(self._force_tolerance * np.maximum(0.1 / lasted, 1.0))
 
     def _parameter_change(
-        self, best: int, theta: float, t: float, sure: float, log_p: float
+        self, moment: int, k: int, theta: float, t: float, sure: float, log_p: float
     ) -> tuple[Change, Correction]:
-        moment, k = divmod(best, len(self.names))
         bank = self._parameters[k]
         std = 1.0 / math.sqrt(bank.information[moment, moment])
         change = Change(self.names[k], t, float(self._moments[moment]), theta, std, sure, log_p)
         return change, Correction(theta * bank.states[:, moment], DOUBT * std * bank.states[:, moment][None])
 
-    def _touch_change(
-        self, best: int, forces: tuple[Array, Array], t: float, sure: float, log_p: float
-    ) -> tuple[Change, Correction]:
-        bank, p, w = self._touches, self.places.size, self._begun.size
-        lasting, since, place = np.unravel_index(best, (2, w, p))
+    def _touch_change(self, best: int, forces: tuple[Array, Array], t: float, sure: float, log_p: float) -> Change:
+        lasting, since, place = np.unravel_index(best, (2, self._begun.size, self.places.size))
         force, covariance = forces[0][lasting, since, place], forces[1][lasting, since, place]
-        by_force = bank.states.reshape(-1, w, p, 2)[:, since:, place]
-        direction = by_force.sum(axis=1) if lasting else by_force[:, 0]
-        ends = np.append(self._begun[1:], t)
-        lasted = float((t if lasting else ends[since]) - self._begun[since])
+        begun = float(self._begun[since])
+        lasted = (t if lasting else float(np.append(self._begun[1:], t)[since])) - begun
         size = float(np.linalg.norm(force))
-        along = force / size
-        change = Change(
-            TOUCH,
-            t,
-            float(self._begun[since]),
-            size * lasted,
-            lasted * math.sqrt(along @ covariance @ along),
-            sure,
-            log_p,
-            float(self.places[place]),
-            (float(force[0] * lasted), float(force[1] * lasted)),
-        )
-        rows = DOUBT * np.linalg.cholesky(covariance).T @ direction.T
-        return change, Correction(direction @ force, rows)
+        std = math.sqrt(force @ covariance @ force) / size
+        impulse = float(force[0] * lasted), float(force[1] * lasted)
+        where = float(self.places[place])
+        return Change(TOUCH, t, begun, size * lasted, std * lasted, sure, log_p, where, impulse)
 
 
 class _Signatures:

@@ -53,8 +53,8 @@ class RopeFilter:
     readout : float
         Known time from the first row of a picture to the last, s, where there is no `camera` to say so.
     tests : ChangeTests, optional
-        What is tested for changes; by default nothing. Where one is noticed, the state is corrected by what it has done
-        since it happened, and a parameter that has changed is estimated from then on.
+        What is tested for changes; by default nothing. Where one of a parameter is noticed, the state is corrected by
+        what it has done since it happened, and the parameter is estimated from then on.
 
     Attributes
     ----------
@@ -313,18 +313,17 @@ class RopeFilter:
         x[first:] = self.parameters.possible(x[first:])
         self.x = x
         if change is not None:
-            self._adopt(*change)
+            self.changes = (change[0],)
+            if change[1] is not None:
+                self._adopt(change[0], change[1])
 
     def _adopt(self, change: Change, correction: Correction) -> None:
-        """Correct the state by what a change has done; a parameter is estimated from then on."""
-        self.changes = (change,)
+        """Correct the state by what the change of a parameter has done; it is estimated from then on."""
         self.x = self.x + correction.moved
         self.factor = sr.triangular(np.concatenate([self.factor, correction.rows]))
-        if change.name in self.parameters.names:
-            k = self.parameters.names.index(change.name)
-            self._std[k] = max(self._std[k], abs(change.size))
-            first = 2 * self.n_links
-            self.x[first:] = self.parameters.possible(self.x[first:])
+        k, first = self.parameters.names.index(change.name), 2 * self.n_links
+        self._std[k] = max(self._std[k], abs(change.size))
+        self.x[first:] = self.parameters.possible(self.x[first:])
 
     def _plausible(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
         """Return which places lie within their gates; all of them where hardly any does, for then it is the state."""
