@@ -45,7 +45,9 @@ LONGEST = 10.0  # s, the oldest of them
 TOUCH_SPACING = 0.03  # s between the moments at which a touch may have begun
 TOUCH_LONGEST = 0.35  # s, the oldest of them
 LIKELY_MASS = 0.04  # of the rope's mass: at what size the effect of a mass at the tip is computed
+SHARED = 0.25  # s after a touch was noticed in which what was seen may yet turn out to be the change of a parameter
 CALM = 0.5  # s without a sign of a touch after which the next one is another touch
+POSSIBLE = 2.0  # standard deviations by which a size may lie beyond what a rope can have
 DOUBT = 2.0  # by which the standard deviation of a noticed change is widened: its moment was chosen among many
 
 
@@ -178,11 +180,14 @@ class ChangeDetector:
         self._columns = [first + states.names.index(name) for name in self.names]
         self._heavier, self._mass = process.copy(), LIKELY_MASS * rope.total_mass
         self._tolerances = np.array([tests.tolerance(name, rope) for name in self.names])
+        least = states.possible(np.full(len(states), -np.inf))
+        self._least = least[[states.names.index(name) for name in self.names]]
+        self._values = np.zeros(len(self.names))
         self._size = first + len(states)
         self.places = np.arange(1, PLACES + 1) * (rope.total_length / PLACES) if TOUCH in names else np.zeros(0)
         self._arms = lever_arms(rope, self.places)[1]
         self._force_tolerance = tests.tolerance(TOUCH, rope)
-        self._latest = self._touched = -math.inf
+        self._latest = self._touched = self._touch_noticed = -math.inf
         self.begin(math.inf)
 
     def begin(self, t: float) -> None:
@@ -208,6 +213,7 @@ class ChangeDetector:
         if t < self._since:
             return
         n = self._arms.shape[1]
+        self._values = x[1][self._columns]
         fresh = not self._moments.size or t >= self._moments[-1] + SPACING * (1.0 - 1e-6)
         for name, column, each in zip(self.names, self._columns, self._parameters, strict=True):
             by_change = self._with_mass(x, t, until, transition, column) if name == "tip_mass" else transition
@@ -257,6 +263,8 @@ class ChangeDetector:
         self._kicks = None  # the state has changed
         found = self._evaluate(t, dark)
         good = self._lasting(t)
+        if self._touch_noticed + SHARED < t < self._touched + TOUCH_LONGEST:
+            good[:] = False  # it was a touch: what it did to the innovations is none of a parameter
         for each in self._parameters:
             each.keep(good)
         self._moments, self._indices = self._moments[good], self._indices[good]
@@ -307,6 +315,8 @@ class ChangeDetector:
         if name < len(self.names):
             return self._parameter_change(best, name, float(theta[best, name]), t, sure, float(least[name]))
         again, self._touched = t - self._touched < CALM, t
+        if not again:
+            self._touch_noticed = t
         return None if again else (self._touch_change(best, forces, t, sure, float(least[name])), None)
 
     def _parameter_scores(self) -> tuple[Array, Array]:
@@ -315,7 +325,10 @@ class ChangeDetector:
         information = np.array([np.diag(each.information) for each in self._parameters]).reshape(p, w).T
         information = np.maximum(information, 1e-300)
         theta = np.array([each.score for each in self._parameters]).reshape(p, w).T / information
-        return np.maximum(np.abs(theta) - self._tolerances, 0.0) * np.sqrt(information), theta
+        std = 1.0 / np.sqrt(information)
+        score = np.maximum(np.abs(theta) - self._tolerances, 0.0) / std
+        score[self._values + theta + POSSIBLE * std < self._least] = 0.0
+        return score, theta
 
     def _touch_scores(self) -> tuple[Array, tuple[Array, Array]]:
         """Return the same of touches (2, w, places), the first of a single interval and then until now, with forces.
