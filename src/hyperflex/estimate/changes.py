@@ -142,9 +142,20 @@ class Change:
         )
 
 
-class Correction(NamedTuple):
-    """What a change does to the state: by how much its mean moves (N,), and rows (r, N) that widen its covariance."""
+class Found(NamedTuple):
+    """What a frame showed.
 
+    Attributes
+    ----------
+    change : Change or None
+        None of a touch that goes on.
+    moved : (N,) float64
+        By how much the mean of the state moves.
+    rows : (r, N) float64
+        Rows that widen its covariance.
+    """
+
+    change: Change | None
     moved: Array
     rows: Array
 
@@ -237,8 +248,8 @@ class ChangeDetector:
         else:
             self._touches.states[:, -pushed.shape[1] :] += pushed
 
-    def update(self, t: float, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> tuple[Change, Correction | None] | None:
-        """Take in an innovation; returns a change that it shows, and what one of a parameter has done to the state.
+    def update(self, t: float, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> Found | None:
+        """Take in an innovation; returns what change it shows, and what that has done to the state.
 
         Parameters
         ----------
@@ -271,7 +282,7 @@ class ChangeDetector:
         good = self._begun > t - TOUCH_LONGEST
         self._touches.keep(np.repeat(good, 2 * self.places.size))
         self._begun = self._begun[good]
-        if found is not None and found[1] is not None:
+        if found is not None and found.moved.any():
             self.begin(t)
         return found
 
@@ -297,7 +308,7 @@ class ChangeDetector:
         doublings = np.floor(np.log2(np.maximum(age / (PER_DOUBLING * SPACING), 1.0))).astype(int)
         return np.asarray((age < LONGEST) & (self._indices % 2**doublings == 0))
 
-    def _evaluate(self, t: float, dt: float) -> tuple[Change, Correction | None] | None:
+    def _evaluate(self, t: float, dt: float) -> Found | None:
         """Return the clearest sign of a change, if it is clear enough."""
         scores, theta = self._parameter_scores()
         touch, forces = self._touch_scores()
@@ -317,7 +328,8 @@ class ChangeDetector:
         again, self._touched = t - self._touched < CALM, t
         if not again:
             self._touch_noticed = t
-        return None if again else (self._touch_change(best, forces, t, sure, float(least[name])), None)
+        change, rows = self._touch_change(best, forces, t, sure, float(least[name]), again)
+        return Found(None if again else change, np.zeros(self._size), rows)
 
     def _parameter_scores(self) -> tuple[Array, Array]:
         """Return by how many standard deviations each parameter (p) has changed since each moment (w, p), and sizes."""
@@ -358,24 +370,28 @@ class ChangeDetector:
         lasted = np.stack([ends - self._begun, self._latest - self._begun])
         return np.asarray(self._force_tolerance * np.maximum(0.1 / lasted, 1.0))
 
-    def _parameter_change(
-        self, moment: int, k: int, theta: float, t: float, sure: float, log_p: float
-    ) -> tuple[Change, Correction]:
+    def _parameter_change(self, moment: int, k: int, theta: float, t: float, sure: float, log_p: float) -> Found:
         bank = self._parameters[k]
         std = 1.0 / math.sqrt(bank.information[moment, moment])
         change = Change(self.names[k], t, float(self._moments[moment]), theta, std, sure, log_p)
-        return change, Correction(theta * bank.states[:, moment], DOUBT * std * bank.states[:, moment][None])
+        return Found(change, theta * bank.states[:, moment], DOUBT * std * bank.states[:, moment][None])
 
-    def _touch_change(self, best: int, forces: tuple[Array, Array], t: float, sure: float, log_p: float) -> Change:
-        lasting, since, place = np.unravel_index(best, (2, self._begun.size, self.places.size))
+    def _touch_change(
+        self, best: int, forces: tuple[Array, Array], t: float, sure: float, log_p: float, again: bool
+    ) -> tuple[Change, Array]:
+        """Return a touch, and rows by which the covariance widens: by all of it, or `again` by its last interval."""
+        w, p = self._begun.size, self.places.size
+        lasting, since, place = np.unravel_index(best, (2, w, p))
         force, covariance = forces[0][lasting, since, place], forces[1][lasting, since, place]
         begun = float(self._begun[since])
         lasted = (t if lasting else float(np.append(self._begun[1:], t)[since])) - begun
         size = float(np.linalg.norm(force))
         std = math.sqrt(force @ covariance @ force) / size
         impulse = float(force[0] * lasted), float(force[1] * lasted)
-        where = float(self.places[place])
-        return Change(TOUCH, t, begun, size * lasted, std * lasted, sure, log_p, where, impulse)
+        change = Change(TOUCH, t, begun, size * lasted, std * lasted, sure, log_p, float(self.places[place]), impulse)
+        of_interval = self._touches.states.reshape(-1, w, p, 2)[:, :, place]
+        whole = of_interval[:, since:].sum(axis=1) if lasting else of_interval[:, since]
+        return change, size * (of_interval[:, -1] if again else whole).T
 
 
 class _Signatures:

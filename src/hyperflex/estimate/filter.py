@@ -12,7 +12,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
-from hyperflex.estimate.changes import SETTLED, TOUCH, Change, ChangeDetector, ChangeTests, Correction
+from hyperflex.estimate.changes import SETTLED, TOUCH, Change, ChangeDetector, ChangeTests, Found
 from hyperflex.estimate.noise import NoiseLevel
 from hyperflex.estimate.observations import MarkerModel, Observations
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
@@ -313,17 +313,19 @@ class RopeFilter:
         x[first:] = self.parameters.possible(x[first:])
         self.x = x
         if change is not None:
-            self.changes = (change[0],)
-            if change[1] is not None:
-                self._adopt(change[0], change[1])
+            self._adopt(change)
 
-    def _adopt(self, change: Change, correction: Correction) -> None:
-        """Correct the state by what the change of a parameter has done; it is estimated from then on."""
-        self.x = self.x + correction.moved
-        self.factor = sr.triangular(np.concatenate([self.factor, correction.rows]))
-        k, first = self.parameters.names.index(change.name), 2 * self.n_links
-        self._std[k] = max(self._std[k], abs(change.size))
-        self.x[first:] = self.parameters.possible(self.x[first:])
+    def _adopt(self, found: Found) -> None:
+        """Correct the state by what a change has done; a parameter is estimated from then on."""
+        self.factor = sr.triangular(np.concatenate([self.factor, found.rows]))
+        if found.change is None:
+            return
+        self.changes = (found.change,)
+        if found.change.name in self.parameters.names:
+            k, first = self.parameters.names.index(found.change.name), 2 * self.n_links
+            self._std[k] = max(self._std[k], abs(found.change.size))
+            self.x = self.x + found.moved
+            self.x[first:] = self.parameters.possible(self.x[first:])
 
     def _plausible(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
         """Return which places lie within their gates; all of them where hardly any does, for then it is the state."""
