@@ -88,7 +88,7 @@ def disturbed(
     """
     rng, s = np.random.default_rng((seed, 3)), np.linspace(0.0, 1.0, n)
     bend = 0.15 * rng.normal() * np.sin(np.pi * s) + 0.1 * rng.normal() * np.sin(2.0 * np.pi * s)
-    q, qd = (np.zeros(n) if moved else np.arcsin(1.2 / LENGTH) + bend), np.zeros(n)
+    q, qd = (0.3 * bend if moved else bend + np.arcsin(1.2 / LENGTH)), np.zeros(n)
     cable = rope(n)
     changed = cable.replace(tip_mass=tip_mass, **{k: getattr(cable, k) * v for k, v in (change or {}).items()})
     t = np.arange(round(duration * rate) + 1) / rate

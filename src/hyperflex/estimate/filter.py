@@ -30,6 +30,7 @@ FIRST_ROUNDS = 30
 SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
+PERSISTENT = 3  # frames in a row in which a place is outside of its gate, until it is believed
 GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 
 
@@ -107,7 +108,7 @@ class RopeFilter:
         self.changes: tuple[Change, ...] = ()
         self._detector = None if tests is None else ChangeDetector(tests, self.process, self.parameters)
         self._std = self.parameters.std.copy()
-        self._qdd = np.zeros(n)
+        self._qdd, self._outside = np.zeros(n), np.zeros(len(self.model.arc_lengths), dtype=int)
         size = self.x.size
         # derivatives of the state and of its covariance by log(variance) of both kinds of process noise
         self._x_by_noise, self._by_noise = np.zeros((2, size)), np.zeros((2, size, size))
@@ -328,13 +329,18 @@ class RopeFilter:
             self.x[first:] = self.parameters.possible(self.x[first:])
 
     def _plausible(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
-        """Return which places lie within their gates; all of them where hardly any does, for then it is the state."""
+        """Return which places lie within their gates.
+
+        All of them do where hardly any does, and so does one that has not for some frames: then it is the state.
+        """
         spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
         wide = np.matmul(spread.transpose(0, 2, 1), spread)
         wide += self.measurement_noise.value**2 * seen.covariances
         left = np.nan_to_num(seen.places - places)
         far = np.einsum("kc,kc->k", left, np.linalg.solve(wide, left[:, :, None])[:, :, 0])
         good = far < GATE
+        self._outside = np.where(good | ~seen.seen, 0, self._outside + 1)
+        good |= self._outside > PERSISTENT
         return good if (good & seen.seen).sum() * 2 > seen.seen.sum() else np.ones_like(good)
 
     def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
