@@ -137,9 +137,11 @@ def changes(seed: int) -> Iterator[Row]:
         at = round(at * RATE) / RATE
         touch = None
         if "force" in what:
-            angle = rng.uniform(0.0, 2.0 * np.pi)
-            push = what["force"] * np.array([np.cos(angle), np.sin(angle)])
-            touch = (float(rng.uniform(0.2, 1.0) * LENGTH), float(push[0]), float(push[1]), what.get("lasting", 0.1))
+            arc = float(rng.uniform(0.2, 1.0) * LENGTH)
+            before = disturbed(moved=moved, duration=at, at=at, seed=seed)
+            angle = float(before.q[-1][min(int(arc / LENGTH * FINE), FINE - 1)])  # it pushes across the rope
+            push = rng.choice([-1.0, 1.0]) * what["force"] * np.array([np.cos(angle), np.sin(angle)])
+            touch = (arc, float(push[0]), float(push[1]), what.get("lasting", 0.1))
         mass = what.get("tip_mass", 0.0)
         after = 5.2 if mass else 1.2
         truth = disturbed(moved=moved, duration=at + after, at=at, tip_mass=mass, touch=touch, seed=seed)

@@ -36,7 +36,7 @@ TOLERANCES = {
 }
 PART_OF_MASS = 4e-3  # of the rope's mass: the same for a mass at the tip
 PART_OF_WEIGHT = 1e-3  # of the rope's weight: the same for the force of a touch
-PLACES = 8  # along the rope, at which a touch is tried
+PLACES = 10  # along the rope, at which a touch is tried
 SETTLED = 1.0  # s after the first frame from which on is tested
 DARK = 0.25  # s without any marker after which all tests begin anew
 SPACING = 0.1  # s between the moments at which a parameter may have changed; twice as far for each doubling of their age

@@ -30,7 +30,7 @@ FIRST_ROUNDS = 30
 SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
-PERSISTENT = 3  # frames in a row in which a place is outside of its gate, until it is believed
+PERSISTENT = 2  # frames in a row in which a place is outside of its gate: then it is believed
 GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 
 
@@ -340,7 +340,7 @@ class RopeFilter:
         far = np.einsum("kc,kc->k", left, np.linalg.solve(wide, left[:, :, None])[:, :, 0])
         good = far < GATE
         self._outside = np.where(good | ~seen.seen, 0, self._outside + 1)
-        good |= self._outside > PERSISTENT
+        good |= self._outside >= PERSISTENT
         return good if (good & seen.seen).sum() * 2 > seen.seen.sum() else np.ones_like(good)
 
     def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
