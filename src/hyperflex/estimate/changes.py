@@ -198,7 +198,8 @@ class ChangeDetector:
         self.places = np.arange(1, PLACES + 1) * (rope.total_length / PLACES) if TOUCH in names else np.zeros(0)
         self._arms = lever_arms(rope, self.places)[1]
         self._force_tolerance = tests.tolerance(TOUCH, rope)
-        self._latest = self._touched = self._touch_noticed = -math.inf
+        self._latest = self._touched = -math.inf
+        self._shared_until = math.inf
         self.begin(math.inf)
 
     def begin(self, t: float) -> None:
@@ -263,19 +264,21 @@ class ChangeDetector:
         whitened : (m,) float64
             The innovation over its standard deviation.
         """
-        dark, self._latest = t - self._latest, t
+        latest, self._latest = self._latest, t
         if t < self._since:
             return None
-        if dark > DARK:
+        if t - latest > DARK:
             self.begin(t)
             return None
         for each in (*self._parameters, self._touches):
             each.update(jacobian, gain, upper, whitened)
         self._kicks = None  # the state has changed
-        found = self._evaluate(t, dark)
+        found = self._evaluate(t, t - latest)
         good = self._lasting(t)
-        if self._touch_noticed + SHARED < t < self._touched + TOUCH_LONGEST:
-            good[:] = False  # it was a touch: what it did to the innovations is none of a parameter
+        if self._touched == latest:  # it is over
+            self._shared_until = t
+        if self._shared_until <= t:  # it was a touch: what it did to the innovations is none of a parameter's doing
+            good[:], self._shared_until = False, math.inf
         for each in self._parameters:
             each.keep(good)
         self._moments, self._indices = self._moments[good], self._indices[good]
@@ -327,7 +330,7 @@ class ChangeDetector:
             return self._parameter_change(best, name, float(theta[best, name]), t, sure, float(least[name]))
         again, self._touched = t - self._touched < CALM, t
         if not again:
-            self._touch_noticed = t
+            self._shared_until = t + SHARED
         change, rows = self._touch_change(best, forces, t, sure, float(least[name]), again)
         return Found(None if again else change, np.zeros(self._size), rows)
 
