@@ -227,8 +227,6 @@ def friction_bound(truth: Truth, moved: bool, noise: float = NOISE) -> float:
     first = int(0.1 * RATE)
     at = np.arange(first, truth.t.size - first, round(RATE / FRAMES))
     places, by_friction = marker_sensitivities(truth, cable, at, moved, SWINGS, ARM)
-    prior = RopeFilter(cable, np.linspace(0.2, LENGTH, 10))
-    prior.process_noise.value = 0.0
     jacobian = np.concatenate([places, by_friction[:, None]], axis=1) / noise
     information = jacobian.T @ jacobian
     information[: 2 * n, : 2 * n] += start_information(cable)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -166,6 +166,7 @@ def track(
     moved: bool = False,
     seed: int = 0,
     seen: bool = False,
+    view: Callable[[float, Array], Array] | None = None,
 ) -> Tracked:
     """Let a filter with n links follow a run of the finer rope; the picture is late, rolled or read row by row."""
     rng = np.random.default_rng((seed, 7))
@@ -185,6 +186,8 @@ def track(
         part = at - low
         shapes = [np.stack([_at(joints[k], ends, s) for s, k in zip(arcs, low + d, strict=True)]) for d in (0, 1)]
         places = (1.0 - part)[:, None] * shapes[0] + part[:, None] * shapes[1]
+        if view is not None:
+            places = view(t, places)
         places = (places + noise * rng.normal(size=places.shape)) @ turn.T
         places[rng.random(markers) < occluded] = np.nan
         if blackout[0] <= t < blackout[1]:

@@ -20,7 +20,7 @@ from hyperflex.estimate.parameters import DYNAMIC, OPTICAL, ParameterStates
 from hyperflex.estimate.process import Process
 from hyperflex.model import Rope
 
-TOUCH = "touch"
+TOUCH, MISFIT = "touch", "misfit"
 UNITS = {"tip_mass": "kg", "roll": "rad", "offset_x": "m", "offset_y": "m", "delay": "s", "readout": "s", TOUCH: "N s"}
 # sizes that do not count as a change: a rope of rigid links and its table of values are never quite true
 TOLERANCES = {
@@ -38,6 +38,7 @@ PART_OF_MASS = 4e-3  # of the rope's mass: the same for a mass at the tip
 PART_OF_WEIGHT = 1e-3  # of the rope's weight: the same for the force of a touch
 PLACES = 10  # along the rope, at which a touch is tried
 SETTLED = 1.0  # s after the first frame from which on is tested
+MISFITTING = 1.25  # times the declared noise of the markers that does not count
 DARK = 0.25  # s without any marker after which all tests begin anew
 SPACING = 0.1  # s between the moments at which a parameter may have changed; twice as far for each doubling of their age
 PER_DOUBLING = 4
@@ -85,7 +86,8 @@ class ChangeTests:
         """Return what is tested of a rope."""
         if self.names is not None:
             return tuple(dict.fromkeys(self.names))
-        return tuple(name for name in (*DYNAMIC, TOUCH) if name in ("length", "tip_mass", TOUCH) or getattr(rope, name).any())
+        always = ("length", "tip_mass", TOUCH)
+        return tuple(name for name in (*DYNAMIC, TOUCH) if name in always or getattr(rope, name).any())
 
     def tolerance(self, name: str, rope: Rope) -> float:
         """Return the largest size of a parameter's change, or of a touch's force, that does not count."""
@@ -105,12 +107,13 @@ class Change:
     Attributes
     ----------
     name : str
-        Of the parameter, or ``"touch"``.
+        Of the parameter, or ``"touch"``; or ``"misfit"``: the markers are off by more than was declared, and no other
+        change explains it. The rope swings out of its plane, say, or the camera is not where it is taken to be.
     noticed, time : float
         When it was noticed, and when it is most likely to have happened (begun), s.
     size, std : float
         By how much the parameter has changed, and the standard deviation of that, in its unit; of a touch its impulse
-        until it was noticed, N s.
+        until it was noticed, N s; of a misfit the markers' noise over what was declared.
     probability : float
         That it is this and none of the other changes that are tested for, all names equally likely before.
     log_false_alarm : float
@@ -133,6 +136,8 @@ class Change:
 
     def __str__(self) -> str:
         """Return a sentence."""
+        if self.name == MISFIT:
+            return f"misfit: markers are off by {self.size:.2g} times what was declared, noticed at {self.noticed:.2f} s"
         unit = UNITS.get(self.name, "" if self.name[:4] != "arc[" else "m")
         at = "" if self.arc_length is None else f" at {self.arc_length:.2f} m"
         size = f"{self.size:+.3g}" if self.arc_length is None else f"{self.size:.3g}"
@@ -199,7 +204,9 @@ class ChangeDetector:
         self._arms = lever_arms(rope, self.places)[1]
         self._force_tolerance = tests.tolerance(TOUCH, rope)
         self._latest = self._touched = -math.inf
+        self._interval = math.inf
         self._shared_until = math.inf
+        self._misfits = False
         self.begin(math.inf)
 
     def begin(self, t: float) -> None:
@@ -267,13 +274,14 @@ class ChangeDetector:
         latest, self._latest = self._latest, t
         if t < self._since:
             return None
-        if t - latest > DARK:
+        self._interval = t - latest
+        if self._interval > DARK:
             self.begin(t)
             return None
         for each in (*self._parameters, self._touches):
             each.update(jacobian, gain, upper, whitened)
         self._kicks = None  # the state has changed
-        found = self._evaluate(t, t - latest)
+        found = self._evaluate(t, self._interval)
         good = self._lasting(t)
         if self._touched == latest:  # it is over
             self._shared_until = t
@@ -288,6 +296,22 @@ class ChangeDetector:
         if found is not None and found.moved.any():
             self.begin(t)
         return found
+
+    def misfit(self, t: float, level: float, log_std: float) -> Change | None:
+        """Return whether markers are off by more than they should: by `level` times the declared noise.
+
+        Nothing that is tested for explains that: the rope swings out of its plane, the camera is not where it is taken
+        to be, or the noise is not as declared. It is told once, until it is over.
+        """
+        excess = (math.log(max(level, 1e-300)) - math.log(MISFITTING)) / log_std
+        if t < self._since or excess < 0.0:
+            self._misfits = self._misfits and t < self._since
+            return None
+        log_p = float(log_ndtr(-excess))
+        if self._misfits or not log_p < math.log(self._interval / self.tests.false_alarm_interval):
+            return None
+        self._misfits = True
+        return Change(MISFIT, t, t, level, level * log_std, 1.0, log_p)
 
     def _with_mass(self, x: tuple[Array, Array], t: float, until: float, transition: Array, column: int) -> Array:
         """Return the derivatives as they are with a mass at the tip.
@@ -318,11 +342,13 @@ class ChangeDetector:
         count = scores.size + 2 * touch.size
         if not count:
             return None
-        log_p = [log_ndtr(-each) + math.log(2.0) for each in scores.T] + ([-0.5 * touch.ravel() ** 2] if touch.size else [])
-        least = np.array([each.min() for each in log_p])
+        log_p = [log_ndtr(-each) + math.log(2.0) for each in scores.T]
+        if touch.size:
+            log_p.append(-0.5 * touch.ravel() ** 2)
+        least = np.array([each.min(initial=0.0) for each in log_p])
         if not least.min() < math.log(dt / self.tests.false_alarm_interval / count):
             return None
-        evidence = -least - np.log([each.size for each in log_p])
+        evidence = -least - np.log([max(each.size, 1) for each in log_p])
         name = int(evidence.argmax())
         sure = 1.0 / float(np.exp(evidence - evidence[name]).sum())
         best = int(log_p[name].argmin())

@@ -297,7 +297,11 @@ class RopeFilter:
                 by_seen = jacobian, self.factor.T @ gain, upper, self.innovation.whitened
                 if rounds == ROUNDS:
                     self._learn(*by_seen)
-                change = None if self._detector is None else self._detector.update(seen.t, *by_seen)
+                if self._detector is not None:
+                    change = self._detector.update(seen.t, *by_seen)
+                    noise = self.measurement_noise
+                    misfit = self._detector.misfit(seen.t, noise.value, noise.log_std)
+                    self.changes = () if misfit is None else (misfit,)
             step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
             while True:
                 tried = before + self.factor.T @ (u + part * step)
@@ -321,7 +325,7 @@ class RopeFilter:
         self.factor = sr.triangular(np.concatenate([self.factor, found.rows]))
         if found.change is None:
             return
-        self.changes = (found.change,)
+        self.changes = (*self.changes, found.change)
         if found.change.name in self.parameters.names:
             k, first = self.parameters.names.index(found.change.name), 2 * self.n_links
             self._std[k] = max(self._std[k], abs(found.change.size))

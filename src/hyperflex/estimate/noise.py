@@ -39,11 +39,18 @@ class NoiseLevel:
         self._values, self._single = self._first.copy(), np.ndim(value) == 0
         self._keep, self._prior = math.exp(-1.0 / memory), np.eye(self._first.size) / (2.0 * doubt) ** 2
         self._information, self._weight, self._count = np.zeros_like(self._prior), 0.0, 0.0
+        self._known = self._prior
 
     @property
     def value(self) -> Any:
         """The standard deviation, a float or (c,) as the first guess was."""
         return float(self._values[0]) if self._single else self._values
+
+    @property
+    def log_std(self) -> Any:
+        """Standard deviation of the value's logarithm, from what was seen lately; float or (c,)."""
+        found = 0.5 * np.sqrt(np.diag(np.linalg.inv(self._known)))
+        return float(found[0]) if self._single else found
 
     def see(self, whitened: Array, parts: Array, moved: Array | None = None) -> None:
         """Correct the levels.
@@ -65,6 +72,6 @@ class NoiseLevel:
         keep = math.exp(-1.0 / LATELY)
         self._information, self._weight = keep * self._information + information, keep * self._weight + 1.0
         self._count = self._keep * self._count + 1.0
-        known = self._count * self._information / self._weight + self._prior
-        change = np.clip(np.linalg.solve(known, score), -LONGEST, LONGEST)
+        self._known = self._count * self._information / self._weight + self._prior
+        change = np.clip(np.linalg.solve(self._known, score), -LONGEST, LONGEST)
         self._values = np.clip(self._values * np.exp(0.5 * change), LEAST * self._first, MOST * self._first)
