@@ -38,6 +38,7 @@ PART_OF_MASS = 4e-3  # of the rope's mass: the same for a mass at the tip
 PART_OF_WEIGHT = 1e-3  # of the rope's weight: the same for the force of a touch
 PLACES = 10  # along the rope, at which a touch is tried
 SETTLED = 1.0  # s after the first frame from which on is tested
+MISFIT_LONGEST = 2.0  # s that a misfit lasts until it is told: noise levels remember a touch for about as long
 MISFITTING = 1.25  # times the declared noise of the markers that does not count
 DARK = 0.25  # s without any marker after which all tests begin anew
 SPACING = 0.1  # s between the moments at which a parameter may have changed; twice as far for each doubling of their age
@@ -206,7 +207,7 @@ class ChangeDetector:
         self._latest = self._touched = -math.inf
         self._interval = math.inf
         self._shared_until = math.inf
-        self._misfits = False
+        self._misfits, self._fitted = False, math.inf
         self.begin(math.inf)
 
     def begin(self, t: float) -> None:
@@ -301,17 +302,17 @@ class ChangeDetector:
         """Return whether markers are off by more than they should: by `level` times the declared noise.
 
         Nothing that is tested for explains that: the rope swings out of its plane, the camera is not where it is taken
-        to be, or the noise is not as declared. It is told once, until it is over.
+        to be, or the noise is not as declared. It is told once, after two seconds, until it is over.
         """
         excess = (math.log(max(level, 1e-300)) - math.log(MISFITTING)) / log_std
-        if t < self._since or excess < 0.0:
-            self._misfits = self._misfits and t < self._since
-            return None
         log_p = float(log_ndtr(-excess))
-        if self._misfits or not log_p < math.log(self._interval / self.tests.false_alarm_interval):
+        clear = self._interval > 0.0 and log_p < math.log(self._interval / self.tests.false_alarm_interval)
+        if excess < 0.0 or t < self._since:
+            self._fitted, self._misfits = t, False
+        if not clear or self._misfits or t - self._fitted < MISFIT_LONGEST:
             return None
         self._misfits = True
-        return Change(MISFIT, t, t, level, level * log_std, 1.0, log_p)
+        return Change(MISFIT, t, self._fitted, level, level * log_std, 1.0, log_p)
 
     def _with_mass(self, x: tuple[Array, Array], t: float, until: float, transition: Array, column: int) -> Array:
         """Return the derivatives as they are with a mass at the tip.
@@ -340,7 +341,7 @@ class ChangeDetector:
         scores, theta = self._parameter_scores()
         touch, forces = self._touch_scores()
         count = scores.size + 2 * touch.size
-        if not count:
+        if not count or not dt:
             return None
         log_p = [log_ndtr(-each) + math.log(2.0) for each in scores.T]
         if touch.size:
