@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -172,13 +170,9 @@ def test_motion_out_of_the_plane_is_told(view: object, moved: bool) -> None:
     assert track(truth, frames=30.0, moved=moved, tests=ChangeTests()).changes == []
 
 
-@pytest.fixture
-def quick() -> Iterator[RopeFilter]:
-    yield RopeFilter(rope(5), [1.0, 2.0], tests=ChangeTests(("touch",)))
-
-
-def test_only_touches(quick: RopeFilter) -> None:
+def test_only_touches() -> None:
     """No parameter is tested; frames without a marker, or at the same time, or after half a second, are no matter."""
+    quick = RopeFilter(rope(5), [1.0, 2.0], tests=ChangeTests(("touch",)))
     run = hf.simulate(rope(5), duration=3.0, q0=np.full(5, 0.3), t_eval=np.arange(0.0, 3.0, 0.05))
     for k, (t, joints) in enumerate(zip(run.t, np.asarray(run.joints), strict=True)):
         if 30 <= k < 40:

@@ -41,7 +41,9 @@ SETTLED = 1.0  # s after the first frame from which on is tested
 MISFIT_LONGEST = 2.0  # s that a misfit lasts until it is told: noise levels remember a touch for about as long
 MISFITTING = 1.25  # times the declared noise of the markers that does not count
 DARK = 0.25  # s without any marker after which all tests begin anew
-SPACING = 0.1  # s between the moments at which a parameter may have changed; twice as far for each doubling of their age
+SPACING = (
+    0.1  # s between the moments at which a parameter may have changed; twice as far for each doubling of their age
+)
 PER_DOUBLING = 4
 LONGEST = 10.0  # s, the oldest of them
 TOUCH_SPACING = 0.03  # s between the moments at which a touch may have begun
@@ -138,7 +140,9 @@ class Change:
     def __str__(self) -> str:
         """Return a sentence."""
         if self.name == MISFIT:
-            return f"misfit: markers are off by {self.size:.2g} times what was declared, noticed at {self.noticed:.2f} s"
+            return (
+                f"misfit: markers are off by {self.size:.2g} times what was declared, noticed at {self.noticed:.2f} s"
+            )
         unit = UNITS.get(self.name, "" if self.name[:4] != "arc[" else "m")
         at = "" if self.arc_length is None else f" at {self.arc_length:.2f} m"
         size = f"{self.size:+.3g}" if self.arc_length is None else f"{self.size:.3g}"
@@ -201,7 +205,7 @@ class ChangeDetector:
         self._least = least[[states.names.index(name) for name in self.names]]
         self._values = np.zeros(len(self.names))
         self._size = first + len(states)
-        self.places = np.arange(1, PLACES + 1) * (rope.total_length / PLACES) if TOUCH in names else np.zeros(0)
+        self.places: Array = np.arange(1.0, (PLACES if TOUCH in names else 0) + 1.0) * (rope.total_length / PLACES)
         self._arms = lever_arms(rope, self.places)[1]
         self._force_tolerance = tests.tolerance(TOUCH, rope)
         self._latest = self._touched = -math.inf
@@ -447,7 +451,7 @@ class _Signatures:
         self.states = np.concatenate([self.states, columns], axis=1)
         self.information, self.score = np.pad(self.information, (0, k)), np.pad(self.score, (0, k))
 
-    def keep(self, good: Array) -> None:
+    def keep(self, good: npt.NDArray[np.bool_]) -> None:
         """Keep some (c,) of the changes."""
         if not good.all():
             self.states, self.score = self.states[:, good], self.score[good]

@@ -135,8 +135,8 @@ class RopeFilter:
         std = np.linalg.norm(self.factor[:, first:], axis=0)
         return {
             name: (float(value), float(each))
-            for name, value, each, open in zip(self.parameters.names, self.x[first:], std, self._std > 0.0, strict=True)
-            if open
+            for name, value, each, free in zip(self.parameters.names, self.x[first:], std, self._std > 0.0, strict=True)
+            if free
         }
 
     def predict(self, dt: float) -> None:
