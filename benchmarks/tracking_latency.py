@@ -102,7 +102,7 @@ def _pass(path: Path, each: RopeTracker) -> dict[str, list[float]]:
                 found["processor"].append(1e3 * (time.process_time() - processor))
                 looked = time.perf_counter()
                 found["clock"].append(1e3 * (looked - decoded))
-                noise = estimator.process_noise.value
+                noise = estimator.process_noise.value.copy()
                 values = (looked, result.t, result.t, 1.0, 1.0, 10.0, noise, estimator.x, estimator.factor)
                 shared.write(Packet(*values).packed())
                 shared.read()
@@ -201,9 +201,10 @@ def text(times: dict[str, Any], long: dict[str, Any] | None) -> str:
     about = (
         f"Simulated video: the paper's cable of {LINKS} links ({FINE} in truth) on its arm, {ARCS.size} markers, "
         f"{SIZE[0]}x{SIZE[1]} at {RATE:g} frames/s, {times['frames']} frames of a cast tracked {times['rounds']} "
-        f"times; {100.0 * times['seen']:.1f} % of the markers were found. Look: what RopeTracker.look makes of a decoded "
-        "frame: prediction, search in gates, assignment, update. Packet to shared state: demuxing, decoding in one thread, "
-        "conversion of the whole picture to blue, green, red, look, and a write and a read of the shared memory."
+        f"times; {100.0 * times['seen']:.1f} % of the markers were found. Look: what RopeTracker.look makes of a "
+        "decoded frame: prediction, search in gates, assignment, update. Packet to shared state: demuxing, decoding in "
+        "one thread, conversion of the whole picture to blue, green, red, look, and a write and a read of the shared "
+        "memory."
     )
     lines += ["", about]
     if long is not None:
@@ -217,10 +218,10 @@ def _soaked(long: dict[str, Any]) -> str:
     return (
         f"Soak: {long['frames']} drawn frames ({long['frames'] / RATE / 60.0:.0f} minutes at {RATE:g} frames/s) in "
         f"{long['seconds']:.0f} s, as fast as they are looked at, through FrameThread, Watch and WatchLog. Memory grew "
-        f"by {long['growth_mb']:.2f} MB from frame {SETTLED} to the end, at most by {long['most_growth_mb']:.2f} MB on the "
-        f"way (aim: less than {AIM['growth']:g}); the log has {long['log_mb']:.0f} MB. Tip {long['tip_rms_mm']:.2f} mm "
-        f"rms, {100.0 * long['seen']:.2f} % of the markers found; latency, with the drawing in another thread: median "
-        f"{late['median']:.2f} ms, p99 {late['p99']:.2f} ms."
+        f"by {long['growth_mb']:.2f} MB from frame {SETTLED} to the end, at most by {long['most_growth_mb']:.2f} MB on "
+        f"the way (aim: less than {AIM['growth']:g}); the log has {long['log_mb']:.0f} MB. "
+        f"Tip {long['tip_rms_mm']:.2f} mm rms, {100.0 * long['seen']:.2f} % of the markers found; latency, with the "
+        f"drawing in another thread: median {late['median']:.2f} ms, p99 {late['p99']:.2f} ms."
     )
 
 

@@ -281,9 +281,10 @@ def test_motions_and_packets_come_through_unchanged() -> None:
     moved = unpacked_motion(packed_motion(SWINGS, 100.0))
     t = np.linspace(0.0, 3.0, 50)
     np.testing.assert_allclose(moved.angle(t + 100.0), SWINGS.angle(t), atol=1e-9)
-    packet = Packet(1.0, 2.0, 3.0, 1.0, 5.0, 6.0, 7.0, np.arange(4.0), np.arange(12.0).reshape(3, 4))
+    packet = Packet(1.0, 2.0, 3.0, 1.0, 5.0, 6.0, np.array([7.0, 8.0]), np.arange(4.0), np.arange(12.0).reshape(3, 4))
     again = Packet.unpacked(packet.packed())
-    assert again[:7] == packet[:7]
+    assert again[:6] == packet[:6]
+    np.testing.assert_array_equal(again.noise, packet.noise)
     np.testing.assert_array_equal(again.rows, packet.rows)
     long = hf.sampled_motion(np.linspace(0.0, 10.0, 700), np.zeros(700))
     with pytest.raises(InvalidInput, match="too long"):
@@ -431,8 +432,8 @@ def test_the_motion_reaches_the_estimator() -> None:
 
     x = np.concatenate([np.full(20, 0.3), np.zeros(20)])
     cable = rope(20)
-    known = Process(cable, ParameterStates((), cable), SWINGS, ARM)
-    told = Process(cable, ParameterStates((), cable), None, ARM)
+    known = Process(cable, ParameterStates((), cable, (), True), SWINGS, ARM)
+    told = Process(cable, ParameterStates((), cable, (), True), hf.hold_arm(0.0), ARM)
     assert not np.allclose(told.carry(x, np.eye(40), 0.2, 0.4)[0], known.carry(x, np.eye(40), 0.2, 0.4)[0])
     told.set_motion(SWINGS)
     for one, two in zip(told.carry(x, np.eye(40), 0.2, 0.4), known.carry(x, np.eye(40), 0.2, 0.4), strict=True):

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.estimate.changes import Change
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.observations import Observations
 from hyperflex.estimate.picture import draw_caption, draw_markers, draw_rope
@@ -57,6 +58,8 @@ class TrackedFrame:
         Covariances of that, px^2.
     state : RopeState or None
         None while the rope has not been found.
+    changes : tuple of Change
+        What was noticed in this frame to have changed, where the filter tests for that.
     """
 
     t: float
@@ -66,6 +69,7 @@ class TrackedFrame:
     predicted: Array
     gates: Array
     state: RopeState | None
+    changes: tuple[Change, ...] = ()
 
     @property
     def seen(self) -> npt.NDArray[np.bool_]:
@@ -201,7 +205,8 @@ class RopeTracker:
     ) -> TrackedFrame:
         shift, unsure = self.estimator.readout_shift(rows)
         places = self.camera.locate(pixels - shift)
-        return TrackedFrame(t, pixels, covariances + unsure, places, predicted, gates, self.estimator.state)
+        now = self.estimator.state, self.estimator.changes
+        return TrackedFrame(t, pixels, covariances + unsure, places, predicted, gates, *now)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,6 +227,8 @@ class VideoTrack:
         What was estimated beside the state, and its standard deviation.
     notes : tuple of str
         What was wrong with the video.
+    changes : tuple of Change
+        What was noticed to have changed, where the filter tests for that.
     """
 
     recording: Recording
@@ -230,6 +237,7 @@ class VideoTrack:
     seen: float
     parameters: dict[str, tuple[float, float]]
     notes: tuple[str, ...]
+    changes: tuple[Change, ...] = ()
 
 
 def track_video(
@@ -292,6 +300,7 @@ def track_video(
         float(np.mean([each.seen.mean() for each in found])),
         tracker.estimator.values,
         notes,
+        tuple(change for each in found for change in each.changes),
     )
 
 

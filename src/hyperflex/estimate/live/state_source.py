@@ -19,7 +19,7 @@ from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.process import Process
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
-from hyperflex.motion import Motion
+from hyperflex.motion import Motion, hold_arm
 from hyperflex.vision import Camera, MarkerColour
 
 _POLL = 0.005  # s, between two looks while something is waited for
@@ -80,7 +80,9 @@ class CameraStateSource:
         self.stalled = checks.number("stalled", stalled, sign="positive", unit="s")
         self.start_timeout = checks.number("start_timeout", start_timeout, sign="positive", unit="s")
         self._arm = arm
-        self._model = Process(rope, ParameterStates(self._task.parameters, rope), None, arm)
+        motion = None if arm is None else hold_arm(0.0)
+        states = ParameterStates(self._task.parameters, rope, (), motion is not None)
+        self._model = Process(rope, states, motion, arm)
         self._motion: Motion | None = None
         self._zero = 0.0
         self._worker: multiprocessing.process.BaseProcess | None = None
@@ -159,8 +161,9 @@ class CameraStateSource:
             raise EstimatorLost(
                 f"No marker has been seen for {age:.2f} s (allowed: {self.longest:g} s). Check camera, light and view."
             )
-        begin = packet.t - self._zero
-        return self._model.state_at(packet.x, packet.rows, begin, max(moment, begin), packet.noise)
+        begin, n = packet.t - self._zero, self._task.rope.n_links
+        until = moment + self._model.parameters.value("delay", packet.x[2 * n :])
+        return self._model.state_at(packet.x, packet.rows, begin, max(until, begin), packet.noise)
 
     def restart(self) -> None:
         """End the process, if it still runs, and begin another; the shared memory and t = 0 stay.

@@ -22,7 +22,7 @@ from hyperflex.estimate.live.watch import LiveEstimate, Watch
 from hyperflex.estimate.parameters import EstimatedParameter
 from hyperflex.estimate.tracker import RopeTracker
 from hyperflex.model import Arm, Rope
-from hyperflex.motion import Motion
+from hyperflex.motion import Motion, hold_arm
 from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector
 
 READY = "ready"
@@ -41,7 +41,7 @@ class Task:
     source : int or str
         Camera, stream or file.
     rope, arc_lengths, camera, arm, parameters
-        As of :class:`RopeFilter`.
+        As of :class:`RopeFilter`; an arm is at rest until :meth:`Process.set_motion`.
     colour : MarkerColour
     """
 
@@ -56,7 +56,12 @@ class Task:
     def tracker(self) -> RopeTracker:
         """Return what is to follow the rope."""
         estimator = RopeFilter(
-            self.rope, self.arc_lengths, arm=self.arm, camera=self.camera, parameters=self.parameters
+            self.rope,
+            self.arc_lengths,
+            motion=None if self.arm is None else hold_arm(0.0),
+            arm=self.arm,
+            camera=self.camera,
+            parameters=self.parameters,
         )
         return RopeTracker(estimator, MarkerDetector(self.colour))
 
@@ -83,7 +88,7 @@ class Packet(NamedTuple):
     written : float
         When it was written.
     t : float
-        Instant of the state.
+        Of the last picture; an estimated delay lies between it and the instant of the state.
     seen_at : float
         When a marker was last seen.
     found : float
@@ -92,8 +97,8 @@ class Packet(NamedTuple):
         Looked at until now.
     seen : float
         Markers seen in the last one.
-    noise : float
-        Density of the links' disturbances, as of :class:`RopeFilter`.
+    noise : (2,) float64
+        Densities of the links' disturbances, as of :meth:`Process.noise`.
     x : (N,) float64
     rows : (r, N) float64
         Their squares are the covariance of x.
@@ -105,27 +110,27 @@ class Packet(NamedTuple):
     found: float
     frames: float
     seen: float
-    noise: float
+    noise: Array
     x: Array
     rows: Array
 
     def packed(self) -> Array:
         """Return it as plain numbers."""
-        return np.concatenate([self[:7], [self.x.size, len(self.rows)], self.x, self.rows.ravel()])
+        return np.concatenate([self[:6], self.noise, [self.x.size, len(self.rows)], self.x, self.rows.ravel()])
 
     @classmethod
     def unpacked(cls, values: Array) -> Packet:
         """Return what :meth:`packed` has made plain numbers."""
-        size, count = int(values[7]), int(values[8])
-        x, rows = values[9 : 9 + size], values[9 + size : 9 + size * (1 + count)]
-        written, t, seen_at, found, frames, seen, noise = values[:7].tolist()
-        return cls(written, t, seen_at, found, frames, seen, noise, x, rows.reshape(count, size))
+        size, count = int(values[8]), int(values[9])
+        x, rows = values[10 : 10 + size], values[10 + size : 10 + size * (1 + count)]
+        written, t, seen_at, found, frames, seen = values[:6].tolist()
+        return cls(written, t, seen_at, found, frames, seen, values[6:8], x, rows.reshape(count, size))
 
 
 def packet_size(n_links: int, parameters: int) -> int:
     """Return the most numbers that a :class:`Packet` has."""
     size = 2 * n_links + parameters
-    return 9 + size * (1 + size)
+    return 10 + size * (1 + size)
 
 
 def packed_motion(motion: Motion, zero: float) -> Array:

@@ -30,8 +30,8 @@ class Propagator:
     ----------
     setup : Setup
         Rope, arm, motion and tolerance; no torque-driven arm.
-    wrt : sequence of mappings
-        Directions of the rope's parameters, as ``sensitivities`` takes them; may be empty.
+    wrt : sequence of str and mappings
+        Directions of parameters of rope and motion, as ``sensitivities`` takes them; may be empty.
     most : int
         Number of changes that a call may have.
 
@@ -43,19 +43,13 @@ class Propagator:
 
     def __init__(self, setup: Setup, wrt: Wrt, most: int) -> None:
         check_smooth(setup)
-        self.setup, self.drive = setup, setup.drive()
-        own = parameter_directions(setup, wrt).parts if wrt else ()
-        self.count = len(own)
-        self._first = self.count + self.count % 2  # of the directions of a state's changes
-        parts = [*own, *[{}] * (self._first - self.count + most)]
-        self._all = ParameterDirections(tuple(map(str, range(len(parts)))), tuple(parts))
-        self._begin(setup.rope)
+        self.setup, self.rope, self._wrt, self._most = setup, setup.rope, wrt, most
+        self._set_up()
 
     def set_motion(self, motion: Motion) -> None:
         """Let the arm move in another way from now on."""
         self.setup = replace(self.setup, motion=motion)
-        self.drive = self.setup.drive()
-        self._begin(self.rope)
+        self._set_up()
 
     def __call__(
         self, begin: float, end: float, q: Array, qd: Array, changes: Array, rope: Rope
@@ -104,6 +98,16 @@ class Propagator:
     def accelerations(self, t: float, q: Array, qd: Array) -> Array:
         """Return the links' accelerations (n,), rad/s^2, at time t, s, of the rope used last."""
         return link_accelerations(self.chain, self.drive, t, q, qd)
+
+    def _set_up(self) -> None:
+        """Make what follows from the set-up."""
+        self.drive = self.setup.drive()
+        own = parameter_directions(self.setup, self._wrt).parts if self._wrt else ()
+        self.count = len(own)
+        self._first = self.count + self.count % 2  # of the directions of a state's changes
+        parts = [*own, *[{}] * (self._first - self.count + self._most)]
+        self._all = ParameterDirections(tuple(map(str, range(len(parts)))), tuple(parts))
+        self._begin(self.rope)
 
     def _begin(self, rope: Rope) -> None:
         """Make what follows from the rope and the motion alone."""
