@@ -69,7 +69,7 @@ class Observations:
         else:
             wide[:] = covariances
         wide[~seen] = np.eye(2)
-        if not np.isfinite(wide).all() or (np.linalg.eigvalsh(wide) <= 0.0).any():
+        if not np.isfinite(wide).all() or not _positive(wide):
             raise InvalidInput("the uncertainty of an observation is not positive", got=std, allowed="> 0")
         late = np.zeros(k) if rows is None else np.nan_to_num(np.broadcast_to(np.asarray(rows, float), (k,)))
         values = {"t": checks.number("time of an observation", t, unit="s"), "places": found, "covariances": wide}
@@ -80,6 +80,12 @@ class Observations:
     def seen(self) -> npt.NDArray[np.bool_]:
         """Which markers were seen (K,)."""
         return ~np.isnan(self.places[:, 0])
+
+
+def _positive(wide: Array) -> bool:
+    """Whether symmetric matrices (K, 2, 2) are positive definite."""
+    determinant = wide[:, 0, 0] * wide[:, 1, 1] - wide[:, 0, 1] * wide[:, 1, 0]
+    return bool((wide[:, 0, 0] > 0.0).all() and (determinant > 0.0).all())
 
 
 class MarkerModel:

@@ -185,6 +185,8 @@ class RopeTracker:
 
     def _rows(self, pixels: Array) -> Array:
         """Return when pixels are read, -0.5 in the first row and 0.5 in the last; 0 of what is not seen."""
+        if not self.estimator.model.reads_rows:
+            return np.zeros(len(pixels))
         return np.nan_to_num(self.camera.readout_share(pixels) - 0.5)
 
     def shape(self, state: RopeState) -> tuple[Array, Array]:
