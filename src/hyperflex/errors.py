@@ -56,6 +56,10 @@ class IdentificationError(HyperflexError, RuntimeError):
     """A fit could not be made, or did not converge to anything that may be reported."""
 
 
+class EstimatorLost(HyperflexError, RuntimeError):
+    """The process that estimates a rope's state has ended or stalled, or has seen nothing for too long."""
+
+
 class MissingExtra(HyperflexError, ImportError):
     """An optional package is needed; the message names the pip command."""
 

@@ -230,6 +230,20 @@ def _vision() -> None:
     MarkerDetector(MarkerColour.from_click(image, camera.project([[0.0, -0.5]])[0])).find(image)
 
 
+def _estimate() -> None:
+    import numpy as np
+
+    from hyperflex.estimate import TrackingTask
+    from hyperflex.vision import Camera, MarkerColour
+
+    _, rope, arm, _ = _parts()
+    camera = Camera.facing((320, 240), pixels_per_metre=150.0, origin=(160.0, 20.0), exposure=0.01, readout=0.01)
+    task = TrackingTask(
+        "0", rope, np.array([0.25, 0.5, 0.75, 1.0]), camera, MarkerColour(np.array([40.0, 30.0, 210.0]), area=40.0), arm
+    )
+    task.rehearse()
+
+
 def _parts() -> tuple[Any, Any, Any, Any]:
     """Return hyperflex, and a small rope, arm and peg."""
     import hyperflex as hf
@@ -246,6 +260,7 @@ CALLS: dict[str, Callable[[], None]] = {
     "dense": _dense,
     "wound": _wound,
     "vision": _vision,
+    "estimate": _estimate,
 }
 # What one process compiles while another does the other: they share little, and "wound" needs what "simulate" has made.
-LANES = (("simulate", "sensitivities"), ("contact", "batch", "dense", "wound", "vision"))
+LANES = (("simulate", "sensitivities", "estimate"), ("contact", "batch", "dense", "wound", "vision"))

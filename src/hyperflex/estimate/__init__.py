@@ -6,9 +6,16 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.estimate.bar_tracker import BarTracker, bar_arc_lengths
+    from hyperflex.estimate.changes import Change, ChangeTests
     from hyperflex.estimate.filter import RopeFilter
+    from hyperflex.estimate.live.frames import FrameThread, open_frames
+    from hyperflex.estimate.live.log import WatchLog
+    from hyperflex.estimate.live.page import PicturePage
+    from hyperflex.estimate.live.state_source import CameraStateSource
+    from hyperflex.estimate.live.watch import LiveEstimate, Watch
+    from hyperflex.estimate.live.worker import TrackingTask
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter
-    from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, VideoTrack, track_video
+    from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, VideoTrack, draw_frame, track_video
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -63,15 +63,16 @@ class BarTracker:
     def look(self, frame: Frame) -> TrackedFrame:
         """Take a frame, in the order of their times, and return what was made of it."""
         t = frame.time - self.camera.delay + 0.5 * self.camera.readout
-        predicted = np.full((len(self.estimator.model.arc_lengths), 2), np.nan)
+        count = len(self.estimator.model.arc_lengths)
+        predicted, gates = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
         if self.estimator.t is not None:
             self.estimator.predict_to(t)
-            predicted = self.estimator.markers()[0]
+            predicted, gates = self.estimator.markers()
         _, pixels, covariances = self.points(frame.image, predicted)
         rows = np.nan_to_num(self.camera.readout_share(pixels) - 0.5)
         self.estimator.update(Observations(t, pixels, rows=rows, covariances=covariances))
         state = None if self.estimator.t is None else self.estimator.state
-        return TrackedFrame(t, pixels, covariances, self.camera.locate(pixels), predicted, state)
+        return TrackedFrame(t, pixels, covariances, self.camera.locate(pixels), predicted, gates, state)
 
     def points(self, image: Image, expected: Array) -> tuple[BarObservations, Array, Array]:
         """Return the bars in a frame, two points (2 J, 2) of each, px, NaN: not seen, and covariances (2 J, 2, 2).

@@ -11,8 +11,10 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.estimate.changes import Change
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.observations import Observations
+from hyperflex.estimate.picture import draw_caption, draw_markers, draw_rope
 from hyperflex.files import PathLike
 from hyperflex.interfaces import RopeState
 from hyperflex.recording import Recording
@@ -32,6 +34,7 @@ from hyperflex.vision import Observations as Blobs
 LOST = 8  # frames in a row without a marker, after which the whole picture is searched anew
 WIDEST = 0.25  # of the picture's height, standard deviation of a place beyond which there is no gate to search
 LEAST_STD = 0.2  # px, of a place: what compression and a marker that sits askew add to a detector's own noise
+DOUBTFUL = 3.0  # level of measurement noise from which the model is doubted
 PATIENT = 30  # frames until a first frame is taken whose order is the best, but not certain
 
 
@@ -51,8 +54,12 @@ class TrackedFrame:
         In the swing plane at `t`, m.
     predicted : (K, 2) float64
         Where they were expected, px; NaN before anything was known.
+    gates : (K, 2, 2) float64
+        Covariances of that, px^2.
     state : RopeState or None
         None while the rope has not been found.
+    changes : tuple of Change
+        What was noticed in this frame to have changed, where the filter tests for that.
     """
 
     t: float
@@ -60,7 +67,9 @@ class TrackedFrame:
     covariances: Array
     places: Array
     predicted: Array
+    gates: Array
     state: RopeState | None
+    changes: tuple[Change, ...] = ()
 
     @property
     def seen(self) -> npt.NDArray[np.bool_]:
@@ -107,8 +116,8 @@ class RopeTracker:
         except SimulationError:  # the state is none that a rope has
             self.estimator.restart()
             return self._first(frame.image, t)
-        predicted, spread = self._expected()
-        gates = self._gates(predicted, spread) if self._dark < LOST else None
+        predicted, spread, speeds = self._expected()
+        gates = self._gates(predicted, spread, speeds) if self._dark < LOST else None
         blobs = self._detected(frame.image, gates)
         level = max(1.0, self.estimator.measurement_noise.value)
         found = assign_markers(blobs._replace(covariances=level**2 * blobs.covariances), predicted, spread)
@@ -116,7 +125,18 @@ class RopeTracker:
         rows = self._rows(found.places)
         self.estimator.update(Observations(t, found.places, rows=rows, covariances=found.covariances))
         self._dark = 0 if (found.indices >= 0).any() else self._dark + 1
-        return self._result(t, found.places, found.covariances, predicted, rows)
+        return self._result(t, found.places, found.covariances, predicted, spread, rows)
+
+    @property
+    def doubt(self) -> str:
+        """What speaks against all this: nothing, or that what is seen and what the rope can do are far apart."""
+        level = self.estimator.measurement_noise.value
+        if level < DOUBTFUL:
+            return ""
+        return (
+            f"markers are {level:.1f} times as far from where the rope can be as their detector states: "
+            "check the camera's scale and swing plane, the arc lengths, and the rope"
+        )
 
     def _first(self, image: Image, t: float) -> TrackedFrame:
         """Look for the whole rope."""
@@ -124,13 +144,13 @@ class RopeTracker:
         count = len(model.arc_lengths)
         nothing, wide = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
         if not len(blobs.places):
-            return TrackedFrame(t, nothing, wide, nothing, nothing, None)
+            return TrackedFrame(t, nothing, wide, nothing, nothing, wide, None)
         pixels, covariances = self._ordered(blobs, t)
         if pixels is None or covariances is None:
-            return TrackedFrame(t, nothing, wide, nothing, nothing, None)
+            return TrackedFrame(t, nothing, wide, nothing, nothing, wide, None)
         rows = self._rows(pixels)
         self.estimator.update(Observations(t, pixels, rows=rows, covariances=covariances))
-        return self._result(t, pixels, covariances, nothing, rows)
+        return self._result(t, pixels, covariances, nothing, np.full((count, 2, 2), np.nan), rows)
 
     def _detected(self, image: Image, gates: list[Gate] | None = None) -> Blobs:
         """Return what looks like a marker."""
@@ -151,30 +171,44 @@ class RopeTracker:
         pixels[found], wide[found] = blobs.places[order.indices[found]], blobs.covariances[order.indices[found]]
         return pixels, wide
 
-    def _expected(self) -> tuple[Array, Array]:
-        """Return where the markers should be (K, 2), px, each in its own row, and their covariances (K, 2, 2)."""
-        places, spread = self.estimator.markers()
-        if self.camera.readout or "readout" in self.estimator.parameters.names:
-            places, spread = self.estimator.markers(self._rows(places))
-        return places, spread
+    def _expected(self) -> tuple[Array, Array, Array]:
+        """Return where the markers should be (K, 2), px, each in its own row, their covariances and speeds (K,)."""
+        found = self.estimator.expected()
+        return self.estimator.expected(self._rows(found[0])) if self.estimator.model.reads_rows else found
 
-    def _gates(self, predicted: Array, spread: Array) -> list[Gate] | None:
+    def _gates(self, predicted: Array, spread: Array, speeds: Array) -> list[Gate] | None:
         """Return where to look; None where that is nearly everywhere."""
         if not np.isfinite(predicted).all() or np.sqrt(np.abs(spread).max()) > WIDEST * self.camera.image_size[1]:
             return None
-        streaks = np.zeros(len(predicted))
-        if self.camera.exposure:
-            streaks = self.estimator.speeds() * self.camera.exposure
+        streaks = speeds * self.camera.exposure
         return [Gate(*each) for each in zip(predicted, spread, streaks.tolist(), strict=True)]
 
     def _rows(self, pixels: Array) -> Array:
         """Return when pixels are read, -0.5 in the first row and 0.5 in the last; 0 of what is not seen."""
+        if not self.estimator.model.reads_rows:
+            return np.zeros(len(pixels))
         return np.nan_to_num(self.camera.readout_share(pixels) - 0.5)
 
-    def _result(self, t: float, pixels: Array, covariances: Array, predicted: Array, rows: Array) -> TrackedFrame:
+    def shape(self, state: RopeState) -> tuple[Array, Array]:
+        """Return the rope's joints in a state as they are seen (n + 1, 2), px, and the covariances (n + 1, 2, 2)."""
+        estimator, n = self.estimator, state.q.size
+        lengths, base = estimator.process.rope.length, estimator.process.base(state.t)[0]
+        steps = lengths * np.stack([np.cos(state.q), np.sin(state.q)])
+        before = np.tril(np.ones((n + 1, n)), -1)
+        slopes = before[:, None, :] * steps
+        wide = np.zeros((n, n)) if state.covariance is None else state.covariance[:n, :n]
+        places = base + before @ np.stack([steps[1], -steps[0]], axis=1)
+        pixels, by_place = self.camera.place_slopes(places)
+        seen = by_place @ slopes
+        return pixels, seen @ wide @ seen.transpose(0, 2, 1)
+
+    def _result(
+        self, t: float, pixels: Array, covariances: Array, predicted: Array, gates: Array, rows: Array
+    ) -> TrackedFrame:
         shift, unsure = self.estimator.readout_shift(rows)
         places = self.camera.locate(pixels - shift)
-        return TrackedFrame(t, pixels, covariances + unsure, places, predicted, self.estimator.state)
+        now = self.estimator.state, self.estimator.changes
+        return TrackedFrame(t, pixels, covariances + unsure, places, predicted, gates, *now)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +229,8 @@ class VideoTrack:
         What was estimated beside the state, and its standard deviation.
     notes : tuple of str
         What was wrong with the video.
+    changes : tuple of Change
+        What was noticed to have changed, where the filter tests for that.
     """
 
     recording: Recording
@@ -203,6 +239,7 @@ class VideoTrack:
     seen: float
     parameters: dict[str, tuple[float, float]]
     notes: tuple[str, ...]
+    changes: tuple[Change, ...] = ()
 
 
 def track_video(
@@ -247,7 +284,7 @@ def track_video(
             if result.state is not None:
                 found.append(result)
             if writer is not None:
-                writer.write(draw(frame.image, tracker, result), frame.time)
+                writer.write(draw_frame(frame.image, tracker, result), frame.time)
             if progress is not None:
                 progress(count)
         if len(found) < 2:
@@ -257,7 +294,7 @@ def track_video(
                 allowed="two frames or more in which markers are seen in an order that the rope allows",
                 fix="Check the markers' colour, their arc lengths, and the camera's swing plane",
             )
-    notes = tuple(reader.notes)
+    notes = (*reader.notes, *([tracker.doubt] if tracker.doubt else []))
     return VideoTrack(
         _recording(found, tracker.camera, str(video)),
         count,
@@ -265,6 +302,7 @@ def track_video(
         float(np.mean([each.seen.mean() for each in found])),
         tracker.estimator.values,
         notes,
+        tuple(change for each in found for change in each.changes),
     )
 
 
@@ -280,25 +318,26 @@ def _recording(found: list[TrackedFrame], camera: Camera, source: str) -> Record
     return Recording(t[used], data[used], kind="markers", noise=noise[used], source=source)
 
 
-def draw(image: Image, tracker: RopeTracker, result: TrackedFrame) -> Image:
-    """Return a frame with the rope as it is estimated (white), gates (grey), and the markers as they were seen."""
-    import cv2
+def draw_frame(image: Image, tracker: RopeTracker, result: TrackedFrame, caption: list[str] | None = None) -> Image:
+    """Return a frame with the rope as it is estimated, where it may be, gates, and the markers as they were seen.
 
+    Parameters
+    ----------
+    image : (height, width, 3) uint8
+    tracker : RopeTracker
+    result : TrackedFrame
+        What it made of the frame.
+    caption : list of str, optional
+        By default the time and how many markers were seen.
+    """
     shown = image.copy()
+    said = (
+        [f"{result.t:.2f} s   {int(result.seen.sum())} of {result.seen.size} markers"] if caption is None else caption
+    )
     if result.state is None:
-        cv2.putText(shown, "looking for the rope", (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 255, 255), 2)
+        draw_caption(shown, [*said, "looking for the rope"])
         return shown
-    estimator, camera = tracker.estimator, tracker.camera
-    base = estimator.process.base(result.t)[0]
-    line = camera.project(estimator.process.rope.joints(result.state.q, base))
-    cv2.polylines(shown, [np.round(line * 16).astype(np.int32)], False, (255, 255, 255), 1, cv2.LINE_AA, 4)
-    for expected in result.predicted[~np.isnan(result.predicted[:, 0])]:
-        cv2.circle(shown, np.round(expected).astype(int).tolist(), 9, (150, 150, 150), 1, cv2.LINE_AA)
-    for k, place in enumerate(result.pixels):
-        if not np.isnan(place[0]):
-            at = np.round(place).astype(int).tolist()
-            cv2.drawMarker(shown, at, (0, 255, 255), cv2.MARKER_CROSS, 12, 1, cv2.LINE_AA)
-            cv2.putText(shown, str(k), (at[0] + 9, at[1] - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 255, 255), 1)
-    said = f"{result.t:.2f} s  {int(result.seen.sum())} of {result.seen.size} markers"
-    cv2.putText(shown, said, (12, shown.shape[0] - 14), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (255, 255, 255), 1, cv2.LINE_AA)
+    draw_rope(shown, *tracker.shape(result.state))
+    draw_markers(shown, result.predicted, result.gates, result.pixels, 2.0 * tracker.detector.radius + 2.0)
+    draw_caption(shown, said)
     return shown

@@ -14,9 +14,17 @@ if TYPE_CHECKING:
     from hyperflex.simulation.contact.start import check_outside
     from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
     from hyperflex.simulation.lyapunov import Predictability, predictability
-    from hyperflex.simulation.rollouts import Interval, finish_rollout, prepare_rollout, progress_bar, rollout_limits
+    from hyperflex.simulation.rollouts import (
+        Interval,
+        finish_rollout,
+        link_accelerations,
+        prepare_rollout,
+        progress_bar,
+        rollout_limits,
+    )
     from hyperflex.simulation.runs import angles, simulate
     from hyperflex.simulation.sensitivity.directions import ParameterChange, ParameterDirections
+    from hyperflex.simulation.sensitivity.propagation import Propagator
     from hyperflex.simulation.sensitivity.sensitivity import (
         AngleJacobian,
         Sensitivities,

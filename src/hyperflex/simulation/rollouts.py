@@ -12,8 +12,9 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import joint_law, status
-from hyperflex.core.chain.articulated_body import Chain
-from hyperflex.core.chain.drive import TORQUE, Drive
+from hyperflex.core.chain.articulated_body import Chain, accelerations, can_stick
+from hyperflex.core.chain.drive import TORQUE, Drive, base_state, segment
+from hyperflex.core.chain.motor_torque import senses
 from hyperflex.core.integrate import rollout
 from hyperflex.core.integrate.end_conditions import NEVER, Until
 from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
@@ -103,6 +104,17 @@ def starting_clock(t: float) -> Array:
     clock = np.zeros(MARK)
     clock[T], clock[STEP], clock[AFTER], clock[UNDECIDED] = t, FIRST_STEP, np.inf, 1.0
     return clock
+
+
+def link_accelerations(chain: Chain, drive: Drive, t: float, q: Array, qd: Array) -> Array:
+    """Return the links' accelerations (n,), rad/s^2, at time t, s; joints that dry friction holds are locked."""
+    n = q.size
+    base, slip, alphas = np.empty(9), np.ones((1, n)), np.empty(n)
+    torque = base_state(drive, segment(drive, t), t, base)
+    if can_stick(chain):
+        senses(chain, drive, np.array([t]), np.concatenate([q, qd])[None], slip)
+    accelerations(chain, q, qd, slip[0], base[:7], torque, 0.0, alphas, np.empty(6 * n))
+    return alphas
 
 
 def lever(chain: Chain) -> Array:

@@ -158,10 +158,9 @@ def _innovation(
     seen: Observations, mean: Array, prior: Array, indices: npt.NDArray[np.int64], found: npt.NDArray[np.intp]
 ) -> tuple[Array, Array]:
     """Return the innovation (2 F,) of the markers found, and its covariance (2 F, 2 F)."""
-    rows = np.concatenate([[2 * k, 2 * k + 1] for k in found])
-    S = prior[np.ix_(rows, rows)].copy()
-    for i, k in enumerate(found):
-        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += seen.covariances[indices[k]]
+    rows, count = (2 * found[:, None] + [0, 1]).ravel(), np.arange(found.size)
+    S = prior[np.ix_(rows, rows)]
+    S.reshape(found.size, 2, found.size, 2)[count, :, count] += seen.covariances[indices[found]]
     return (seen.places[indices[found]] - mean[found]).ravel(), S
 
 
@@ -182,7 +181,7 @@ def _settle(
     count, many = forbidden.shape
     indices = np.full(count, -1)
     m, P = mean.ravel().copy(), prior.copy()
-    taken = np.zeros(many, bool)
+    taken, correlated = np.zeros(many, bool), _correlated(prior)
     while True:
         cost = _costs(seen, m.reshape(-1, 2), P, gate)
         cost[forbidden] = _FORBIDDEN
@@ -193,6 +192,8 @@ def _settle(
             given = None
         cost[indices >= 0] = _FORBIDDEN
         cost[:, taken] = _FORBIDDEN
+        if not (cost < _FORBIDDEN).any():
+            return indices
         full = np.full((count, many + count), _FORBIDDEN)
         full[:, :many] = cost
         full[np.arange(count), many + np.arange(count)] = 0.0  # not seen
@@ -205,6 +206,8 @@ def _settle(
         for i in clear if clear.size else [int(np.argmax(margins))]:
             k, j = pairs[i]
             indices[k], taken[j] = j, True
+            if not correlated:
+                continue
             own = slice(2 * k, 2 * k + 2)
             gain = np.linalg.solve(P[own, own] + seen.covariances[j], P[own]).T
             m = m + gain @ (seen.places[j] - m[own])
@@ -240,16 +243,14 @@ def _check_reach(
     seen: Observations, indices: npt.NDArray[np.int64], mean: Array, prior: Array, limits: Array | None
 ) -> tuple[Array, int]:
     """Return squared distances (K,), and which marker is to be given up since the rope is too short for it (or -1)."""
-    count = len(indices)
+    count, found = len(indices), np.flatnonzero(indices >= 0)
     distances = np.full(count, np.nan)
-    for k in np.flatnonzero(indices >= 0):
-        off = seen.places[indices[k]] - mean[k]
-        own = slice(2 * k, 2 * k + 2)
-        distances[k] = off @ np.linalg.solve(prior[own, own] + seen.covariances[indices[k]], off)
+    off = seen.places[indices[found]] - mean[found]
+    S = prior.reshape(count, 2, count, 2)[found, :, found] + seen.covariances[indices[found]]
+    distances[found] = (off * np.linalg.solve(S, off[:, :, None])[:, :, 0]).sum(axis=1)
     if limits is None:
         return distances, -1
     along = np.concatenate([[0.0], np.cumsum(limits)])
-    found = np.flatnonzero(indices >= 0)
     for one, two in pairwise(found.tolist()):
         i, j = indices[one], indices[two]
         doubt = 3.0 * math.sqrt(np.trace(seen.covariances[i]) + np.trace(seen.covariances[j]))

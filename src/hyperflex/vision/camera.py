@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -212,7 +213,7 @@ class Camera:
             )
         return replace(self, rotation=pose[0], translation=pose[1])
 
-    @property
+    @cached_property
     def axes(self) -> tuple[Array, Array]:
         """Rotation matrix (3, 3) and translation (3,), m, from the plane to the camera; InvalidInput without a pose."""
         if self.rotation is None or self.translation is None:
@@ -260,6 +261,11 @@ class Camera:
         by_adjustment[:, :, 1] = adjustment.scale * np.einsum("kij,kj->ki", slopes[:, :, :2], across)
         by_adjustment[:, :, 2:] = slopes[:, :, :2]
         return Projection(pixels, by_point, by_adjustment)
+
+    def place_slopes(self, places: Array) -> tuple[Array, Array]:
+        """Return the pixels (K, 2) of places (K, 2) in the swing plane, m, and the derivatives (K, 2, 2), px/m."""
+        pixels, slopes = self._project(np.column_stack([places, np.zeros(len(places))]))
+        return pixels, slopes[:, :, :2]
 
     def locate(self, pixels: npt.ArrayLike, adjustment: PlaneAdjustment = AS_CALIBRATED) -> Array:
         """Return places (K, 2) in the swing plane, m, of pixels (K, 2); NaN where a pixel shows no point of it.

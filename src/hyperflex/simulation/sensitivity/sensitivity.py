@@ -12,7 +12,8 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import Drive, base_state, segment
 from hyperflex.core.chain.lanes import COLUMNS, set_slip
-from hyperflex.core.integrate.progress import JOINT, MODES, REJECTED, TAKEN, Limits
+from hyperflex.core.integrate.progress import JOINT, MODES, REJECTED, STEP, TAKEN, Limits
+from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
 from hyperflex.core.stiction.slip_modes import find_modes
 from hyperflex.core.tangent import forward_sensitivity as core
@@ -212,11 +213,19 @@ class AngleJacobian:
         return y[:, :n], y[:, n : 2 * n], dy[:, :n, :p], dy[:, n:, :p]
 
 
-def record_steps(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Limits, begin: float = 0.0) -> Rollout:
-    """Run to the end, noting every step; raises where that fails."""
+def record_steps(
+    chain: Chain,
+    drive: Drive,
+    start: tuple[Array, Array],
+    bounds: Limits,
+    begin: float = 0.0,
+    first_step: float = FIRST_STEP,
+) -> Rollout:
+    """Run to the end, noting every step, `first_step` (s) being tried first; raises where that fails."""
     count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
     while True:
         run = prepare_rollout(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
+        run.progress.clock[STEP] = first_step
         refuse_failure(finish_rollout(run), run)
         steps = int(run.progress.clock[TAKEN] - run.progress.clock[REJECTED])
         if steps <= count:
