@@ -153,12 +153,21 @@ class RopeFilter:
 
         The covariances are of the places themselves: what a detector adds is not in them.
         """
+        places, joint = self.expected(rows)
+        each = np.arange(len(places))
+        return places, joint.reshape(len(places), 2, len(places), 2)[each, :, each]
+
+    def expected(self, rows: Array | None = None) -> tuple[Array, Array]:
+        """Return where the markers should be seen (K, 2), and the covariance (2 K, 2 K) of all those places together.
+
+        `rows` (K,) are those of :class:`Observations`.
+        """
         if self.t is None:
             raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
         rows = np.zeros(len(self.model.arc_lengths)) if rows is None else rows
         places, slope = self.model.predict(self.x, self.process.base(self.t), rows, self._qdd)
-        spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
-        return places, np.matmul(spread.transpose(0, 2, 1), spread)
+        spread = self.factor @ slope.reshape(places.size, -1).T
+        return places, spread.T @ spread
 
     def readout_shift(self, rows: Array) -> tuple[Array, Array]:
         """Return by how much markers move until they are read (K, 2), and the covariances (K, 2, 2) of that.

@@ -18,6 +18,7 @@ from hyperflex.interfaces import RopeState
 from hyperflex.recording import Recording
 from hyperflex.vision import (
     Camera,
+    ClutterMap,
     Frame,
     Gate,
     Image,
@@ -92,6 +93,7 @@ class RopeTracker:
             raise InvalidInput("a tracker needs a camera that knows the swing plane", fix="See Camera.with_plane")
         self.estimator, self.detector, self.camera = estimator, detector, camera
         self._dark = self._waited = 0
+        self._clutter = ClutterMap(self.camera.image_size)
 
     def look(self, frame: Frame) -> TrackedFrame:
         """Take a frame, in the order of their times, and return what was made of it."""
@@ -111,8 +113,15 @@ class RopeTracker:
         gates = self._gates(predicted, spread) if self._dark < LOST else None
         blobs = self._detected(frame.image, gates)
         level = max(1.0, self.estimator.measurement_noise.value)
-        found = assign_markers(blobs._replace(covariances=level**2 * blobs.covariances), predicted, spread)
+        found = assign_markers(
+            blobs._replace(covariances=level**2 * blobs.covariances),
+            predicted,
+            spread,
+            reach=self._reach(predicted),
+            clutter=self._clutter.density(blobs),
+        )
         found = found._replace(covariances=found.covariances / level**2)
+        self._clutter.learn(blobs, np.isin(np.arange(len(blobs.places)), found.indices))
         rows = self._rows(found.places)
         self.estimator.update(Observations(t, found.places, rows=rows, covariances=found.covariances))
         self._dark = 0 if (found.indices >= 0).any() else self._dark + 1
@@ -149,23 +158,33 @@ class RopeTracker:
         found = order.indices >= 0
         pixels, wide = np.full((arcs.size, 2), np.nan), np.full((arcs.size, 2, 2), np.nan)
         pixels[found], wide[found] = blobs.places[order.indices[found]], blobs.covariances[order.indices[found]]
+        self._clutter.learn(blobs, np.isin(np.arange(len(blobs.places)), order.indices))
         return pixels, wide
 
     def _expected(self) -> tuple[Array, Array]:
-        """Return where the markers should be (K, 2), px, each in its own row, and their covariances (K, 2, 2)."""
-        places, spread = self.estimator.markers()
+        """Return where the markers should be (K, 2), px, each in its own row, and their covariance (2 K, 2 K)."""
+        places, spread = self.estimator.expected()
         if self.camera.readout or "readout" in self.estimator.parameters.names:
-            places, spread = self.estimator.markers(self._rows(places))
+            places, spread = self.estimator.expected(self._rows(places))
         return places, spread
+
+    def _reach(self, predicted: Array) -> Array | None:
+        """Return how far apart markers that follow each other can be seen (K - 1,), px."""
+        if not np.isfinite(predicted).all():
+            return None
+        scale = np.linalg.norm(self.camera.linearize(self.camera.locate(predicted)).by_point, ord=2, axis=(1, 2))
+        apart = np.abs(np.diff(self.estimator.model.arc_lengths)) * np.maximum(scale[1:], scale[:-1])
+        return np.maximum(apart, 1.0)
 
     def _gates(self, predicted: Array, spread: Array) -> list[Gate] | None:
         """Return where to look; None where that is nearly everywhere."""
         if not np.isfinite(predicted).all() or np.sqrt(np.abs(spread).max()) > WIDEST * self.camera.image_size[1]:
             return None
-        streaks = np.zeros(len(predicted))
+        streaks, each = np.zeros(len(predicted)), np.arange(len(predicted))
         if self.camera.exposure:
             streaks = self.estimator.speeds() * self.camera.exposure
-        return [Gate(*each) for each in zip(predicted, spread, streaks.tolist(), strict=True)]
+        own = spread.reshape(len(predicted), 2, len(predicted), 2)[each, :, each]
+        return [Gate(*gate) for gate in zip(predicted, own, streaks.tolist(), strict=True)]
 
     def _rows(self, pixels: Array) -> Array:
         """Return when pixels are read, -0.5 in the first row and 0.5 in the last; 0 of what is not seen."""
