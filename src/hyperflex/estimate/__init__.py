@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
+    from hyperflex.estimate.changes import Change, ChangeTests
     from hyperflex.estimate.filter import RopeFilter
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter

@@ -12,6 +12,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
+from hyperflex.estimate.changes import SETTLED, TOUCH, Change, ChangeDetector, ChangeTests, Found
 from hyperflex.estimate.noise import NoiseLevel
 from hyperflex.estimate.observations import MarkerModel, Observations
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
@@ -29,6 +30,7 @@ FIRST_ROUNDS = 30
 SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
+PERSISTENT = 3  # frames in a row in which a place is outside of its gate, until it is believed
 GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 
 
@@ -51,6 +53,14 @@ class RopeFilter:
         corrected by what is seen.
     readout : float
         Known time from the first row of a picture to the last, s, where there is no `camera` to say so.
+    tests : ChangeTests, optional
+        What is tested for changes; by default nothing. Where one of a parameter is noticed, the state is corrected by
+        what it has done since it happened, and the parameter is estimated from then on.
+
+    Attributes
+    ----------
+    changes : tuple of Change
+        Those that the last update noticed.
 
     Examples
     --------
@@ -76,23 +86,32 @@ class RopeFilter:
         parameters: Sequence[EstimatedParameter] = (),
         process_noise: float = 1.0,
         readout: float = 0.0,
+        tests: ChangeTests | None = None,
     ) -> None:
-        self.parameters = ParameterStates(parameters, rope)
+        watched = () if tests is None else tests.names_for(rope)
+        self.parameters = ParameterStates(
+            parameters, rope, [name for name in watched if name != TOUCH], motion is not None
+        )
         self.process = Process(rope, self.parameters, motion, arm)
         self.model = MarkerModel(
             rope, arc_lengths, self.parameters, camera, readout if camera is None else camera.readout
         )
-        self.process_noise = NoiseLevel(checks.number("process_noise", process_noise, sign="positive"))
+        self.process_noise = NoiseLevel(np.full(2, checks.number("process_noise", process_noise, sign="positive")))
         self.measurement_noise = NoiseLevel(1.0, doubt=0.7)
         self.t: float | None = None
         self.age = 0.0
         self.log_likelihood = 0.0
         self.innovation: sr.Innovation | None = None
         n = rope.n_links
-        self.x = np.concatenate([np.zeros(2 * n), [each.value for each in self.parameters.all]])
+        self.x = np.concatenate([np.zeros(2 * n), self.parameters.value_at_start])
         self.factor = np.zeros((self.x.size, self.x.size))
-        self._qdd = np.zeros(n)
-        self._last: Array | None = None  # rows of the noise of the step before
+        self.changes: tuple[Change, ...] = ()
+        self._detector = None if tests is None else ChangeDetector(tests, self.process, self.parameters)
+        self._std = self.parameters.std.copy()
+        self._qdd, self._outside = np.zeros(n), np.zeros(len(self.model.arc_lengths), dtype=int)
+        size = self.x.size
+        # derivatives of the state and of its covariance by log(variance) of both kinds of process noise
+        self._x_by_noise, self._by_noise = np.zeros((2, size)), np.zeros((2, size, size))
 
     @property
     def n_links(self) -> int:
@@ -101,21 +120,23 @@ class RopeFilter:
 
     @property
     def state(self) -> RopeState:
-        """The state, with its covariance."""
+        """The state, with its covariance: at the time of the last picture, before which an estimated delay lies."""
         if self.t is None:
             raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
         n = self.n_links
         part = self.factor[:, : 2 * n]
-        return RopeState(self.t, self.x[:n].copy(), self.x[n : 2 * n].copy(), part.T @ part)
+        t = self.t - self.parameters.value("delay", self.x[2 * n :])
+        return RopeState(t, self.x[:n].copy(), self.x[n : 2 * n].copy(), part.T @ part)
 
     @property
     def values(self) -> dict[str, tuple[float, float]]:
-        """Each estimated parameter's value and standard deviation."""
+        """Value and standard deviation of each parameter that is estimated, or has been noticed to have changed."""
         first = 2 * self.n_links
         std = np.linalg.norm(self.factor[:, first:], axis=0)
         return {
             name: (float(value), float(each))
-            for name, value, each in zip(self.parameters.names, self.x[first:], std, strict=True)
+            for name, value, each, open in zip(self.parameters.names, self.x[first:], std, self._std > 0.0, strict=True)
+            if open
         }
 
     def predict(self, dt: float) -> None:
@@ -139,12 +160,19 @@ class RopeFilter:
         if t == self.t:
             return
         found = self.process.predict(self.x, self.t, t)
-        self._last = self.process.noise(t - self.t, self.process_noise.value)
+        noise = self.process.noise(t - self.t, self.process_noise.value)
         with np.errstate(over="ignore", invalid="ignore"):
-            factor = sr.predicted(self.factor, found.transition, self._last)
+            factor = sr.predicted(self.factor, found.transition, noise)
         if not (np.abs(factor).max() < BEYOND and np.abs(found.x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
         self.factor = factor
+        self._x_by_noise = self._x_by_noise @ found.transition.T
+        self._by_noise = found.transition @ self._by_noise @ found.transition.T
+        for k, level in enumerate(self.process_noise.value.tolist()):
+            rows = self.process.noise_of(t - self.t, k, level)
+            self._by_noise[k] += rows.T @ rows
+        if self._detector is not None:
+            self._detector.predict((self.x, found.x), self.t, t, found.transition)
         self.age += t - self.t
         self.x, self.t, self._qdd = found.x, t, found.qdd
 
@@ -162,10 +190,8 @@ class RopeFilter:
 
         `rows` (K,) are those of :class:`Observations`.
         """
-        if self.t is None:
-            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
         rows = np.zeros(len(self.model.arc_lengths)) if rows is None else rows
-        places, slope = self.model.predict(self.x, self.process.base(self.t), rows, self._qdd)
+        places, slope = self.model.predict(self.x, self._base(), rows, self._qdd)
         spread = self.factor @ slope.reshape(places.size, -1).T
         return places, spread.T @ spread
 
@@ -174,7 +200,7 @@ class RopeFilter:
 
         `rows` (K,) are those of :class:`Observations`.
         """
-        base = self.process.base(self.state.t)
+        base = self._base()
         late, now = (self.model.predict(self.x, base, each, self._qdd) for each in (rows, np.zeros_like(rows)))
         spread = np.matmul(self.factor, (late[1] - now[1]).transpose(0, 2, 1))
         return late[0] - now[0], np.matmul(spread.transpose(0, 2, 1), spread)
@@ -182,12 +208,18 @@ class RopeFilter:
     def speeds(self) -> Array:
         """Return how fast the markers should move (K,), px/s or m/s."""
         n = self.n_links
-        base = self.process.base(self.state.t)
+        base = self._base()
         _, slope = self.model.predict(self.x, base, np.zeros(len(self.model.arc_lengths)))
         turning = slope[:, :, :n] @ self.x[n : 2 * n]
         camera = self.model.camera
         moved = base[1] if camera is None else camera.linearize(base[:1]).by_point[0] @ base[1]
         return np.asarray(np.linalg.norm(turning + moved, axis=1))
+
+    def _base(self) -> Array:
+        """Return place, velocity and acceleration (3, 2) of the first joint now."""
+        if self.t is None:
+            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
+        return self.process.base(self.t, self.x)
 
     def update(self, seen: Observations) -> None:
         """Look: go on to the time of the observations, and correct.
@@ -202,6 +234,7 @@ class RopeFilter:
         if len(seen.places) != len(self.model.arc_lengths):
             allowed = f"{len(self.model.arc_lengths)} markers"
             raise InvalidInput("observations are of another number of markers", got=len(seen.places), allowed=allowed)
+        self.changes = ()
         if self.t is None:
             self._begin(seen)
             return
@@ -215,7 +248,7 @@ class RopeFilter:
 
     def restart(self) -> None:
         """Forget the state; what was learnt of parameters and noise stays as a first guess."""
-        self.t, self._last = None, None
+        self.t = None
         self.x[: 2 * self.n_links] = 0.0
         self._qdd[:] = 0.0
 
@@ -225,7 +258,7 @@ class RopeFilter:
         if not seen.seen.any():
             return
         self.t = seen.t
-        base, camera = self.process.base(seen.t), self.model.camera
+        base, camera = self.process.base(seen.t, self.x), self.model.camera
         in_metres = seen.places if camera is None else camera.locate(seen.places)
         self.x[:n] = polyline_angles(rope, self.model.arc_lengths, in_metres, base[0])
         rate = SPEED * np.sqrt(np.hypot(*rope.gravity) / rope.total_length)
@@ -236,14 +269,21 @@ class RopeFilter:
         rest = rows[2 * len(shapes) :]
         np.fill_diagonal(rest[:n, :n], 0.1 * BEND)
         np.fill_diagonal(rest[n : 2 * n, n : 2 * n], 0.1 * rate)
-        np.fill_diagonal(rest[2 * n :, 2 * n :], [each.std for each in self.parameters.all])
+        np.fill_diagonal(rest[2 * n :, 2 * n :], self._std)
         self.factor = sr.triangular(rows)
+        self._x_by_noise[:], self._by_noise[:] = 0.0, 0.0
+        if self._detector is not None:
+            self._detector.begin(seen.t + SETTLED)
         self._correct(seen, FIRST_ROUNDS)
 
     def _correct(self, seen: Observations, rounds: int) -> None:
         """Correct by Gauss-Newton on the posterior, and the covariance about where that ends."""
-        base = self.process.base(seen.t)
-        found = self.model.predict(self.x, base, seen.rows, self._qdd)
+
+        def predicted(x: Array) -> tuple[Array, Array]:
+            """Return what is seen of a state, with the derivatives."""
+            return self.model.predict(x, self.process.base(seen.t, x), seen.rows, self._qdd)
+
+        found = predicted(self.x)
         good = seen.seen & (self._plausible(seen, *found) if rounds == ROUNDS else True)
         if not good.any():
             return
@@ -257,17 +297,20 @@ class RopeFilter:
 
         std = np.ones(2 * len(whiten))
         before, u, cost = self.x, np.zeros(self.x.size), np.inf  # the state is before + factor' u
-        x, (left, jacobian) = before, compared(found)
+        x, (left, jacobian), change = before, compared(found), None
         for turn in range(rounds):
             gain, upper = sr.whitened_gain(self.factor, jacobian, std)
             if turn == 0:
                 self.innovation = sr.compared(upper, left)
                 self.log_likelihood += self.innovation.log_likelihood + np.log(np.linalg.det(whiten)).sum()
-                self._learn(self.innovation, jacobian, upper)
+                by_seen = jacobian, self.factor.T @ gain, upper, self.innovation.whitened
+                if rounds == ROUNDS:
+                    self._learn(*by_seen)
+                change = None if self._detector is None else self._detector.update(seen.t, *by_seen)
             step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
             while True:
                 tried = before + self.factor.T @ (u + part * step)
-                left, jacobian = compared(self.model.predict(tried, base, seen.rows, self._qdd))
+                left, jacobian = compared(predicted(tried))
                 now = float(((u + part * step) ** 2).sum() + (left**2).sum())
                 if now <= cost or part < SHORTEST:
                     break
@@ -279,24 +322,51 @@ class RopeFilter:
         first = 2 * self.n_links
         x[first:] = self.parameters.possible(x[first:])
         self.x = x
+        if change is not None:
+            self._adopt(change)
+
+    def _adopt(self, found: Found) -> None:
+        """Correct the state by what a change has done; a parameter is estimated from then on."""
+        self.factor = sr.triangular(np.concatenate([self.factor, found.rows]))
+        if found.change is None:
+            return
+        self.changes = (found.change,)
+        if found.change.name in self.parameters.names:
+            k, first = self.parameters.names.index(found.change.name), 2 * self.n_links
+            self._std[k] = max(self._std[k], abs(found.change.size))
+            self.x = self.x + found.moved
+            self.x[first:] = self.parameters.possible(self.x[first:])
 
     def _plausible(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
-        """Return which places lie within their gates; all of them where hardly any does, for then it is the state."""
+        """Return which places lie within their gates.
+
+        All of them do where hardly any does, and so does one that has not for some frames: then it is the state.
+        """
         spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
         wide = np.matmul(spread.transpose(0, 2, 1), spread)
         wide += self.measurement_noise.value**2 * seen.covariances
         left = np.nan_to_num(seen.places - places)
         far = np.einsum("kc,kc->k", left, np.linalg.solve(wide, left[:, :, None])[:, :, 0])
         good = far < GATE
+        self._outside = np.where(good | ~seen.seen, 0, self._outside + 1)
+        good |= self._outside > PERSISTENT
         return good if (good & seen.seen).sum() * 2 > seen.seen.sum() else np.ones_like(good)
 
-    def _learn(self, innovation: sr.Innovation, jacobian: Array, upper: Array) -> None:
-        """Correct the levels of process and measurement noise by the innovation."""
-        if self._last is not None:
-            half = solve_triangular(upper, jacobian @ self._last.T, trans="T", check_finite=False)
-            self.process_noise.see(innovation.whitened, half @ half.T)
-            half = solve_triangular(upper, np.eye(len(upper)), trans="T", check_finite=False)
-            self.measurement_noise.see(innovation.whitened, half @ half.T)
+    def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
+        """Correct the levels of process and measurement noise by the innovation.
+
+        The innovation and its covariance depend on the process noise of all steps before. Their derivatives follow
+        those of the filter's own recursion (Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, 774-783).
+        """
+        half = solve_triangular(upper, jacobian, trans="T", check_finite=False)
+        across = half @ self._by_noise
+        moved = self._x_by_noise @ half.T
+        self.process_noise.see(whitened, across @ half.T, moved)
+        half = solve_triangular(upper, np.eye(len(upper)), trans="T", check_finite=False)
+        self.measurement_noise.see(whitened, (half @ half.T)[None])
+        left = np.eye(self.x.size) - gain @ jacobian
+        self._x_by_noise = (self._x_by_noise + whitened @ across) @ left.T
+        self._by_noise = left @ self._by_noise @ left.T
 
 
 def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:

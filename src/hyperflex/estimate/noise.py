@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 
 LEAST, MOST = 1e-4, 1e4  # times the first guess of a noise level
+LATELY = 10.0  # frames over which the information of one is averaged: it falls with the level
 LONGEST = 1.0  # largest change of a logarithm in one frame
 
 
 class NoiseLevel:
-    """One standard deviation, corrected frame by frame.
+    """Standard deviations, corrected frame by frame.
 
     Parameters
     ----------
-    value : float
+    value : (c,) array_like or float
         First guess.
     memory : float
         Number of frames after which what was seen counts exp(-1).
@@ -26,25 +29,42 @@ class NoiseLevel:
 
     Notes
     -----
-    With innovations nu of covariance S, of which this noise alone makes the part T, the score of log(variance) is
-    ``(nu' S^-1 T S^-1 nu - tr S^-1 T) / 2`` and its information ``tr (S^-1 T)^2 / 2``.
+    Innovations nu have the covariance S. Where log(variance) of a noise changes, S changes by T, and the prediction by
+    m. The score is ``nu' S^-1 m + (nu' S^-1 T S^-1 nu - tr S^-1 T) / 2``, and the information of noises i and j
+    ``m_i' S^-1 m_j + tr (S^-1 T_i S^-1 T_j) / 2``.
     """
 
-    def __init__(self, value: float, memory: float = 60.0, doubt: float = 2.0) -> None:
-        self._first, self.value, self._keep = value, value, math.exp(-1.0 / memory)
-        self._information = self._prior = 1.0 / (2.0 * doubt) ** 2
+    def __init__(self, value: npt.ArrayLike, memory: float = 60.0, doubt: float = 2.0) -> None:
+        self._first = np.atleast_1d(np.asarray(value, dtype=np.float64))
+        self._values, self._single = self._first.copy(), np.ndim(value) == 0
+        self._keep, self._prior = math.exp(-1.0 / memory), np.eye(self._first.size) / (2.0 * doubt) ** 2
+        self._information, self._weight, self._count = np.zeros_like(self._prior), 0.0, 0.0
 
-    def see(self, whitened: Array, part: Array) -> None:
-        """Correct the level.
+    @property
+    def value(self) -> Any:
+        """The standard deviation, a float or (c,) as the first guess was."""
+        return float(self._values[0]) if self._single else self._values
+
+    def see(self, whitened: Array, parts: Array, moved: Array | None = None) -> None:
+        """Correct the levels.
 
         Parameters
         ----------
         whitened : (m,) float64
             The innovation over its standard deviation.
-        part : (m, m) float64
-            ``S^-1/2 T S^-T/2``: what part of its variance this noise makes.
+        parts : (c, m, m) float64
+            ``S^-1/2 T S^-T/2`` of each noise.
+        moved : (c, m) float64, optional
+            ``S^-1/2 m`` of each, where that counts.
         """
-        score = 0.5 * (whitened @ part @ whitened - np.trace(part))
-        self._information = self._keep * self._information + 0.5 * float((part * part).sum())
-        change = min(max(score / (self._information + self._prior), -LONGEST), LONGEST)
-        self.value = min(max(self.value * math.exp(0.5 * change), LEAST * self._first), MOST * self._first)
+        score = 0.5 * (whitened @ parts @ whitened - np.trace(parts, axis1=1, axis2=2))
+        information = 0.5 * np.einsum("aij,bij->ab", parts, parts)
+        if moved is not None:
+            score += moved @ whitened
+            information += moved @ moved.T
+        keep = math.exp(-1.0 / LATELY)
+        self._information, self._weight = keep * self._information + information, keep * self._weight + 1.0
+        self._count = self._keep * self._count + 1.0
+        known = self._count * self._information / self._weight + self._prior
+        change = np.clip(np.linalg.solve(known, score), -LONGEST, LONGEST)
+        self._values = np.clip(self._values * np.exp(0.5 * change), LEAST * self._first, MOST * self._first)

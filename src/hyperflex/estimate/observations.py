@@ -97,7 +97,8 @@ class MarkerModel:
     Notes
     -----
     A marker that is read tau before or after the state's time is seen at ``r + tau v + tau^2 a / 2``. The derivatives
-    leave out those of the last term.
+    leave out those of the last term. The state is as it was when the picture was taken, so that a delay of the pictures
+    counts for the first joint alone: that was where it is known to have been then.
     """
 
     def __init__(
@@ -113,11 +114,7 @@ class MarkerModel:
         if not arcs.size or (arcs < 0.0).any() or (arcs > total * (1.0 + 1e-9)).any():
             raise InvalidInput("a marker is not on the rope", got=arcs, allowed=f"0 to {total:g} m, at least one")
         self.arc_lengths, self.parameters, self.camera, self.readout = arcs, parameters, camera, readout
-        ends = np.cumsum(rope.length)
-        self.link = np.minimum(np.searchsorted(ends, arcs - 1e-12 * total), rope.n_links - 1)
-        before = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[self.link]
-        self.arms = before * rope.length
-        self.arms[np.arange(arcs.size), self.link] = arcs - (ends - rope.length)[self.link]
+        self.link, self.arms = lever_arms(rope, arcs)
         self._arc_states = {k: int(name[4:-1]) for k, name in enumerate(parameters.names) if name.startswith("arc[")}
         if any(marker >= arcs.size for marker in self._arc_states.values()):
             raise InvalidInput(
@@ -132,7 +129,7 @@ class MarkerModel:
         x : (2 n + P,) float64
             Angles, rad, rates, rad/s, and parameters.
         base : (3, 2) float64
-            Place, velocity and acceleration of the first joint, m, m/s, m/s^2.
+            Place, velocity and acceleration of the first joint when the picture was taken, m, m/s, m/s^2.
         rows : (K,) float64
             As in :class:`Observations`.
         qdd : (n,) float64, optional
@@ -141,13 +138,13 @@ class MarkerModel:
         n = self.arms.shape[1]
         q, qd, values = x[:n], x[n : 2 * n], x[2 * n :]
         at = self.parameters.value
-        delay, readout = at("delay", values), self.readout + at("readout", values)
+        readout = self.readout + at("readout", values)
         along = np.stack([np.sin(q), -np.cos(q)])  # (2, n)
         across = np.stack([np.cos(q), np.sin(q)])
         arms = self.arms * (1.0 + at("length", values))
         for k, marker in self._arc_states.items():
             arms[marker, self.link[marker]] += values[k]
-        tau = rows * readout - delay  # (K,)
+        tau = rows * readout  # (K,)
         slope = arms[:, None, :] * across  # (K, 2, n) of the places by the angles
         place, velocity = base[0] + arms @ along.T, base[1] + slope @ qd
         bend = np.zeros_like(place)
@@ -166,7 +163,7 @@ class MarkerModel:
             if name == "length":
                 column[:] = self.arms @ along.T + tau[:, None] * ((self.arms[:, None, :] * across) @ qd)
             elif name == "delay":
-                column[:] = -now
+                column[:] = -(base[1] + tau[:, None] * base[2])
             elif name == "readout":
                 column[:] = rows[:, None] * now
             elif k in self._arc_states:
@@ -196,3 +193,15 @@ class MarkerModel:
             return shown, moved
         found = self.camera.linearize(shown)
         return found.pixels, found.by_point @ moved
+
+
+def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[npt.NDArray[np.intp], Array]:
+    """Return the links (K,) on which points at arc lengths (K,), m, lie, and how much of each link is before them.
+
+    The latter is (K, n), m: times the links' directions it is where the points are.
+    """
+    ends = np.cumsum(rope.length)
+    link = np.minimum(np.searchsorted(ends, arc_lengths - 1e-12 * ends[-1]), rope.n_links - 1)
+    arms = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[link] * rope.length
+    arms[np.arange(arc_lengths.size), link] = arc_lengths - (ends - rope.length)[link]
+    return link, arms

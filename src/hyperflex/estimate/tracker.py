@@ -308,7 +308,7 @@ def draw(image: Image, tracker: RopeTracker, result: TrackedFrame) -> Image:
         cv2.putText(shown, "looking for the rope", (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 255, 255), 2)
         return shown
     estimator, camera = tracker.estimator, tracker.camera
-    base = estimator.process.base(result.t)[0]
+    base = estimator.process.base(result.state.t)[0]
     line = camera.project(estimator.process.rope.joints(result.state.q, base))
     cv2.polylines(shown, [np.round(line * 16).astype(np.int32)], False, (255, 255, 255), 1, cv2.LINE_AA, 4)
     for expected in result.predicted[~np.isnan(result.predicted[:, 0])]:
