@@ -31,6 +31,8 @@ SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
 PERSISTENT = 3  # frames in a row in which a place is outside of its gate, until it is believed
+QUIET = 0.05  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
+AT_REST = 0.5  # of the declared noise of places: where a rope rests, it is the same in each frame, and does not show
 GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 
 
@@ -96,8 +98,9 @@ class RopeFilter:
         self.model = MarkerModel(
             rope, arc_lengths, self.parameters, camera, readout if camera is None else camera.readout
         )
-        self.process_noise = NoiseLevel(np.full(2, checks.number("process_noise", process_noise, sign="positive")))
-        self.measurement_noise = NoiseLevel(1.0, doubt=0.7)
+        density = checks.number("process_noise", process_noise, sign="positive")
+        self.process_noise = NoiseLevel(np.full(2, density), least=QUIET)
+        self.measurement_noise = NoiseLevel(1.0, doubt=0.7, least=AT_REST)
         self.t: float | None = None
         self.age = 0.0
         self.log_likelihood = 0.0

@@ -26,6 +26,8 @@ class NoiseLevel:
         Number of frames after which what was seen counts exp(-1).
     doubt : float
         Standard deviation of the first guess's logarithm.
+    least : float
+        Part of the first guess below which no level falls.
 
     Notes
     -----
@@ -34,10 +36,13 @@ class NoiseLevel:
     ``m_i' S^-1 m_j + tr (S^-1 T_i S^-1 T_j) / 2``.
     """
 
-    def __init__(self, value: npt.ArrayLike, memory: float = 60.0, doubt: float = 2.0) -> None:
+    def __init__(
+        self, value: npt.ArrayLike, memory: float = 60.0, doubt: float = 2.0, least: float = LEAST
+    ) -> None:
         self._first = np.atleast_1d(np.asarray(value, dtype=np.float64))
         self._values, self._single = self._first.copy(), np.ndim(value) == 0
         self._keep, self._prior = math.exp(-1.0 / memory), np.eye(self._first.size) / (2.0 * doubt) ** 2
+        self._least = least * self._first
         self._information, self._weight, self._count = np.zeros_like(self._prior), 0.0, 0.0
 
     @property
@@ -67,4 +72,4 @@ class NoiseLevel:
         self._count = self._keep * self._count + 1.0
         known = self._count * self._information / self._weight + self._prior
         change = np.clip(np.linalg.solve(known, score), -LONGEST, LONGEST)
-        self._values = np.clip(self._values * np.exp(0.5 * change), LEAST * self._first, MOST * self._first)
+        self._values = np.clip(self._values * np.exp(0.5 * change), self._least, MOST * self._first)

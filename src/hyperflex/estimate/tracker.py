@@ -32,6 +32,7 @@ from hyperflex.vision import Observations as Blobs
 
 LOST = 8  # frames in a row without a marker, after which the whole picture is searched anew
 WIDEST = 0.25  # of the picture's height, standard deviation of a place beyond which there is no gate to search
+DOUBT = 2.0  # px, of a prediction beyond what the filter says of itself: where to look, and which blob is which
 LEAST_STD = 0.2  # px, of a place: what compression and a marker that sits askew add to a detector's own noise
 PATIENT = 30  # frames until a first frame is taken whose order is the best, but not certain
 
@@ -166,7 +167,7 @@ class RopeTracker:
         places, spread = self.estimator.expected()
         if self.camera.readout or "readout" in self.estimator.parameters.names:
             places, spread = self.estimator.expected(self._rows(places))
-        return places, spread
+        return places, spread + DOUBT**2 * np.eye(len(spread))
 
     def _reach(self, predicted: Array) -> Array | None:
         """Return how far apart markers that follow each other can be seen (K - 1,), px."""
