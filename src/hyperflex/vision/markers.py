@@ -259,7 +259,7 @@ class MarkerDetector:
         """
         missing = np.clip(1.0 - share - 0.12, 0.0, 1.0) + 0.3 * border
         merged = 0.25 * np.pi * np.clip(share - 1.12, 0.0, None) * self._radius
-        return np.asarray((missing * (self._radius + np.sqrt(3.0 * values[:, 1]))) ** 2 + merged**2)
+        return np.asarray((missing * (self._radius + np.sqrt(3.0 * np.maximum(values[:, 1], 0.0)))) ** 2 + merged**2)
 
 
 def _taken_apart(seen: Observations, radius: float) -> Observations:
