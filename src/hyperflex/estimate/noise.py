@@ -36,9 +36,7 @@ class NoiseLevel:
     ``m_i' S^-1 m_j + tr (S^-1 T_i S^-1 T_j) / 2``.
     """
 
-    def __init__(
-        self, value: npt.ArrayLike, memory: float = 60.0, doubt: float = 2.0, least: float = LEAST
-    ) -> None:
+    def __init__(self, value: npt.ArrayLike, memory: float = 60.0, doubt: float = 2.0, least: float = LEAST) -> None:
         self._first = np.atleast_1d(np.asarray(value, dtype=np.float64))
         self._values, self._single = self._first.copy(), np.ndim(value) == 0
         self._keep, self._prior = math.exp(-1.0 / memory), np.eye(self._first.size) / (2.0 * doubt) ** 2

@@ -233,11 +233,10 @@ def _by_windows(subject: Seen, name: str) -> Followed:
         ahead = tracker.predict(times[k] + T_SIM)
         if k + 1 < times.size:
             result.expected[k + 1] = ahead
-        if isinstance(tracker, OnlineEstimator):
-            assert tracker.ahead is not None
+        if isinstance(tracker, OnlineEstimator) and tracker.ahead is not None:
             result.tip[k] = tracker.ahead.tip
             result.velocity[k], result.rates[k] = tracker.ahead.tip_velocity[0], tracker.qd
-        elif subject.swing.on_tip:
+        elif isinstance(tracker, NearestBlob) and subject.swing.on_tip:
             result.tip[k] = tracker.places[-1] + np.outer(np.linspace(0.0, T_SIM, SAMPLES + 1), tracker.velocity[-1])
             result.velocity[k] = tracker.velocity[-1]
         if k:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
@@ -138,8 +139,15 @@ class OnlineEstimator:
         return self.places(np.asarray(self.ahead.q[-1]))
 
     def correct(self, t: float, seen: Array) -> None:
-        """Take what was found (K, 2), m, at the time, s, of the prediction; NaN: not found, the prediction is taken."""
-        assert self.ahead is not None
+        """Take what was found (K, 2), m, at the time, s, of the prediction; NaN: not found, the prediction is taken.
+
+        Raises
+        ------
+        InvalidInput
+            If nothing was predicted.
+        """
+        if self.ahead is None:
+            raise InvalidInput("nothing was predicted yet", fix="Call predict first")
         q, qd = np.asarray(self.ahead.q[-1]), np.asarray(self.ahead.qd[-1])
         self.q = self._turned(q, np.where(np.isnan(seen), self.places(q), seen))
         self.qd = qd + (self.q - q) / (t - self.t)

@@ -74,17 +74,17 @@ def _sections(_: list[Section], pictures: tuple[Picture, ...]) -> list[Section]:
     text = (
         f"Means over {len(SWINGS)} swings, the worst in brackets. After {SINCE:g} s; errors are rms, those of velocity "
         "and rates over the rms of the true ones; between frames the tip is foretold. A tracker that finds fewer than "
-        "70 % of the markers in their windows searches the whole picture, which counts as a loss in that frame.",
+        "70 % of the markers in their windows searches the whole picture, which counts as a loss in that frame."
     )
     return [
         Section("Figure 8", pictures=pictures),
-        Section("Trackers compared", text=text, table=trackers_table()),
+        Section("Trackers compared", text=(text,), table=trackers_table()),
     ]
 
 
 _CAPTION = (
-    "Above: the tip as the paper's estimator (Fig. 7) has it, at all times; the rope is first seen in the middle of its "
-    "swing, when rates are not known. Middle: the part of the visible markers found where they were looked for, and "
+    "Above: the tip as the paper's estimator (Fig. 7) has it, at all times; the rope is first seen in the middle of "
+    "its swing, when rates are not known. Middle: the part of the visible markers found where they were looked for, and "
     "rightly named. Below: how far markers were from where they were expected. Beside it our own filter and two "
     "trackers without dynamics."
 )
