@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.estimate import Change, ChangeTests, EstimatedParameter, Observations, RopeFilter
+from hyperflex.estimate.filter import BEND, SPEED, START_CORRELATION
+from hyperflex.estimate.observations import lever_arms
 from hyperflex.estimate.parameters import ParameterStates
-from hyperflex.estimate.process import Process
+from hyperflex.estimate.process import Process, smooth_shapes
 from hyperflex.simulation.rollouts import finish, limits, prepare
+from hyperflex.simulation.sensitivity.sensitivity import AngleJacobian
 
 LENGTH, FINE, RATE = 2.0, 100, 600.0  # m; links of the truth; samples a second
 ARM = hf.Arm(length=0.105)
@@ -102,7 +106,7 @@ def disturbed(
     setup = hf.Setup(cable, SWINGS if moved else None, ARM if moved else None)
     drive, rows = setup.drive(), [np.concatenate([q, qd])[None]]
     cuts = sorted(set(cuts))
-    for first, last in zip(cuts, cuts[1:], strict=False):
+    for first, last in pairwise(cuts):
         now = changed if t[first] >= at - 1e-9 else cable
         if noise and first in frames:
             kicks = process.noise(1.0 / 30.0, noise)
@@ -166,6 +170,7 @@ def track(
     moved: bool = False,
     seed: int = 0,
     seen: bool = False,
+    view: Callable[[float, Array], Array] | None = None,
 ) -> Tracked:
     """Let a filter with n links follow a run of the finer rope; the picture is late, rolled or read row by row."""
     rng = np.random.default_rng((seed, 7))
@@ -185,6 +190,8 @@ def track(
         part = at - low
         shapes = [np.stack([_at(joints[k], ends, s) for s, k in zip(arcs, low + d, strict=True)]) for d in (0, 1)]
         places = (1.0 - part)[:, None] * shapes[0] + part[:, None] * shapes[1]
+        if view is not None:
+            places = view(t, places)
         places = (places + noise * rng.normal(size=places.shape)) @ turn.T
         places[rng.random(markers) < occluded] = np.nan
         if blackout[0] <= t < blackout[1]:
@@ -210,7 +217,7 @@ def track(
             result.whitened.append(tracker.innovation.whitened)
         if seen:
             truth = np.concatenate([joints[i], _velocities(q, qd, joints[i], run, i)], axis=1)
-            result.seen.append(_seen(tracker, arcs, ends, truth))
+            result.seen.append(seen_errors(tracker, arcs, ends, truth))
         assert np.isfinite(q).all()
     return result
 
@@ -223,9 +230,9 @@ def _velocities(q: Array, qd: Array, joints: Array, run: hf.Trajectory | Truth, 
     return np.asarray(np.asarray(run.tip_velocity[i]) - beyond)
 
 
-def _seen(tracker: RopeFilter, arcs: Array, ends: Array, truth: Array) -> dict[str, tuple[Array, Array]]:
+def seen_errors(tracker: RopeFilter, arcs: Array, ends: Array, truth: Array) -> dict[str, tuple[Array, Array]]:
     """Errors of the markers' places and velocities (k, 2), and covariances of these (k, 2, 2), by name."""
-    state, n = tracker.state, tracker.n_links
+    state = tracker.state
     assert state.covariance is not None
     arms = tracker.model.arms
     along, across = np.stack([np.sin(state.q), -np.cos(state.q)]), np.stack([np.cos(state.q), np.sin(state.q)])
@@ -262,3 +269,23 @@ def _tip(tracker: RopeFilter) -> tuple[Array, Array, Array]:
     slope = np.concatenate([across * length, np.zeros_like(across)], axis=1)
     assert state.covariance is not None
     return place + along @ length, speed + across @ (length * state.qd), slope @ state.covariance @ slope.T
+
+
+def friction_bound(truth: Truth, moved: bool, noise: float, frames: float = 30.0) -> float:
+    """Cramer-Rao bound of the relative friction, the start being unknown but for the filter's own prior."""
+    n, cable = truth.q.shape[1], rope(truth.q.shape[1])
+    first = int(0.1 * RATE)
+    at = np.arange(first, truth.t.size - first, round(RATE / frames))
+    setup = hf.Setup(cable, SWINGS if moved else None, ARM if moved else None, tol=1e-6)
+    run = AngleJacobian(setup, ["q0", "qd0", {"friction": {"friction": cable.friction}}])
+    q, _, dq, _ = run(truth.t[at], truth.q[at[0]].copy(), truth.qd[at[0]].copy())
+    arms = lever_arms(cable, np.linspace(LENGTH / 10, LENGTH, 10))[1]
+    slope = arms[None, :, None, :] * np.stack([np.cos(q), np.sin(q)], axis=1)[:, None]  # (T, K, 2, n)
+    jacobian = np.matmul(slope.reshape(len(at), -1, n), dq).reshape(-1, 2 * n + 1) / noise
+    information = jacobian.T @ jacobian
+    shapes = smooth_shapes(cable, START_CORRELATION)
+    for k, size in enumerate((BEND, SPEED * np.sqrt(9.81 / LENGTH))):
+        prior = size**2 * (shapes.T @ shapes + 0.01 * np.eye(n))
+        information[k * n : (k + 1) * n, k * n : (k + 1) * n] += np.linalg.inv(prior)
+    left = information[-1, -1] - information[-1, :-1] @ np.linalg.solve(information[:-1, :-1], information[:-1, -1])
+    return float(1.0 / np.sqrt(left))

@@ -91,9 +91,7 @@ def test_derivatives_of_what_is_seen() -> None:
         step = np.zeros(x.size)
         step[k] = 1e-6
         earlier = step[late] * np.array([base[1], base[2], np.zeros(2)])  # a delay: where the first joint was then
-        high, low = (
-            tracker.model.predict(x + side * step, base - side * earlier, rows)[0] for side in (1.0, -1.0)
-        )
+        high, low = (tracker.model.predict(x + side * step, base - side * earlier, rows)[0] for side in (1.0, -1.0))
         np.testing.assert_allclose((high - low) / 2e-6, slope[:, :, k], atol=1e-7)
 
 

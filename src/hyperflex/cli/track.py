@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,6 +38,16 @@ def track(
         str,
         typer.Option(help="What is estimated beside the rope's state: scale=0.01,delay=0.02 (standard deviations)."),
     ] = "",
+    changes: Annotated[
+        str,
+        typer.Option(
+            help="What is tested for changes: tip_mass,touch; none. [default: length, tip_mass, friction, drag, touch]",
+            show_default=False,
+        ),
+    ] = "",
+    false_alarm_interval: Annotated[
+        float, typer.Option(help="Mean time between two false alarms of these tests, s, at least.")
+    ] = 600.0,
     json: output.Json = False,
 ) -> None:
     """Track a rope in a video by its markers and its dynamics.
@@ -45,7 +56,7 @@ def track(
     on each is looked for where the rope's motion says. `hyperflex identify` goes on from the file, with the same
     --arc-lengths and --origin 0,0.
     """
-    from hyperflex.estimate import EstimatedParameter, RopeFilter, RopeTracker, track_video
+    from hyperflex.estimate import ChangeTests, EstimatedParameter, RopeFilter, RopeTracker, track_video
     from hyperflex.model import Rope
     from hyperflex.vision import MarkerColour, MarkerDetector, VideoReader, read_camera
 
@@ -60,11 +71,13 @@ def track(
         EstimatedParameter(name.strip(), output.numbers("--estimate", [std], "scale=0.01")[0])
         for name, _, std in (each.partition("=") for each in estimate.split(",") if each)
     ]
+    names = tuple(name.strip() for name in changes.split(",") if name.strip())
     estimator = RopeFilter(
         Rope.from_toml(rope),
         output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6"),
         camera=lens,
         parameters=parameters,
+        tests=None if changes == "none" else ChangeTests(names or None, false_alarm_interval),
     )
     with output.spinner(json) as said:
         found = track_video(
@@ -83,6 +96,7 @@ def track(
         "seen": found.seen,
         "noise_level": estimator.measurement_noise.value,
         "estimated": {name: {"value": value, "std": std} for name, (value, std) in found.parameters.items()},
+        "changes": [asdict(change) for change in found.changes],
         "notes": list(found.notes),
     }
     if json:
@@ -94,6 +108,7 @@ def track(
             ("found at", f"{found.found_at:.3f} s"),
             ("seen", f"{100.0 * found.seen:.1f} % of all markers in {found.recording.duration:.2f} s"),
             *((name, f"{value:.5g} ± {std:.2g}") for name, (value, std) in found.parameters.items()),
+            *(("change", str(change)) for change in found.changes),
             *(("note", note) for note in found.notes),
             ("written", str(out)),
         ],

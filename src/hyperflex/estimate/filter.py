@@ -12,9 +12,10 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
-from hyperflex.estimate.changes import SETTLED, TOUCH, Change, ChangeDetector, ChangeTests, Found
-from hyperflex.estimate.noise import NoiseLevel
-from hyperflex.estimate.observations import MarkerModel, Observations
+from hyperflex.estimate.change_detection import SETTLED, ChangeDetector, Found
+from hyperflex.estimate.changes import TOUCH, Change, ChangeTests
+from hyperflex.estimate.noise import NoiseDerivatives, NoiseLevel
+from hyperflex.estimate.observations import MarkerModel, Observations, polyline_angles
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.process import Process, smooth_shapes
 from hyperflex.interfaces import RopeState
@@ -30,7 +31,7 @@ FIRST_ROUNDS = 30
 SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
-PERSISTENT = 3  # frames in a row in which a place is outside of its gate, until it is believed
+PERSISTENT = 2  # frames in a row in which a place is outside of its gate: then it is believed
 QUIET = 0.05  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
 AT_REST = 0.5  # of the declared noise of places: where a rope rests, it is the same in each frame, and does not show
 GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
@@ -112,9 +113,7 @@ class RopeFilter:
         self._detector = None if tests is None else ChangeDetector(tests, self.process, self.parameters)
         self._std = self.parameters.std.copy()
         self._qdd, self._outside = np.zeros(n), np.zeros(len(self.model.arc_lengths), dtype=int)
-        size = self.x.size
-        # derivatives of the state and of its covariance by log(variance) of both kinds of process noise
-        self._x_by_noise, self._by_noise = np.zeros((2, size)), np.zeros((2, size, size))
+        self._by_noise = NoiseDerivatives(2, self.x.size)
 
     @property
     def n_links(self) -> int:
@@ -138,8 +137,8 @@ class RopeFilter:
         std = np.linalg.norm(self.factor[:, first:], axis=0)
         return {
             name: (float(value), float(each))
-            for name, value, each, open in zip(self.parameters.names, self.x[first:], std, self._std > 0.0, strict=True)
-            if open
+            for name, value, each, free in zip(self.parameters.names, self.x[first:], std, self._std > 0.0, strict=True)
+            if free
         }
 
     def predict(self, dt: float) -> None:
@@ -169,11 +168,9 @@ class RopeFilter:
         if not (np.abs(factor).max() < BEYOND and np.abs(found.x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
         self.factor = factor
-        self._x_by_noise = self._x_by_noise @ found.transition.T
-        self._by_noise = found.transition @ self._by_noise @ found.transition.T
-        for k, level in enumerate(self.process_noise.value.tolist()):
-            rows = self.process.noise_of(t - self.t, k, level)
-            self._by_noise[k] += rows.T @ rows
+        levels = enumerate(self.process_noise.value.tolist())
+        noises = [self.process.noise_of(t - self.t, kind, level) for kind, level in levels]
+        self._by_noise.predict(found.transition, noises)
         if self._detector is not None:
             self._detector.predict((self.x, found.x), self.t, t, found.transition)
         self.age += t - self.t
@@ -274,7 +271,7 @@ class RopeFilter:
         np.fill_diagonal(rest[n : 2 * n, n : 2 * n], 0.1 * rate)
         np.fill_diagonal(rest[2 * n :, 2 * n :], self._std)
         self.factor = sr.triangular(rows)
-        self._x_by_noise[:], self._by_noise[:] = 0.0, 0.0
+        self._by_noise.reset()
         if self._detector is not None:
             self._detector.begin(seen.t + SETTLED)
         self._correct(seen, FIRST_ROUNDS)
@@ -309,7 +306,9 @@ class RopeFilter:
                 by_seen = jacobian, self.factor.T @ gain, upper, self.innovation.whitened
                 if rounds == ROUNDS:
                     self._learn(*by_seen)
-                change = None if self._detector is None else self._detector.update(seen.t, *by_seen)
+                if self._detector is not None:
+                    change = self._detector.update(seen.t, *by_seen)
+                    self.changes = self._detector.misfit(seen.t, self.measurement_noise)
             step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
             while True:
                 tried = before + self.factor.T @ (u + part * step)
@@ -333,7 +332,7 @@ class RopeFilter:
         self.factor = sr.triangular(np.concatenate([self.factor, found.rows]))
         if found.change is None:
             return
-        self.changes = (found.change,)
+        self.changes = (*self.changes, found.change)
         if found.change.name in self.parameters.names:
             k, first = self.parameters.names.index(found.change.name), 2 * self.n_links
             self._std[k] = max(self._std[k], abs(found.change.size))
@@ -352,37 +351,11 @@ class RopeFilter:
         far = np.einsum("kc,kc->k", left, np.linalg.solve(wide, left[:, :, None])[:, :, 0])
         good = far < GATE
         self._outside = np.where(good | ~seen.seen, 0, self._outside + 1)
-        good |= self._outside > PERSISTENT
+        good |= self._outside >= PERSISTENT
         return good if (good & seen.seen).sum() * 2 > seen.seen.sum() else np.ones_like(good)
 
     def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
-        """Correct the levels of process and measurement noise by the innovation.
-
-        The innovation and its covariance depend on the process noise of all steps before. Their derivatives follow
-        those of the filter's own recursion (Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, 774-783).
-        """
-        half = solve_triangular(upper, jacobian, trans="T", check_finite=False)
-        across = half @ self._by_noise
-        moved = self._x_by_noise @ half.T
-        self.process_noise.see(whitened, across @ half.T, moved)
+        """Correct the levels of process and measurement noise by the innovation."""
+        self.process_noise.see(whitened, *self._by_noise.update(jacobian, gain, upper, whitened))
         half = solve_triangular(upper, np.eye(len(upper)), trans="T", check_finite=False)
         self.measurement_noise.see(whitened, (half @ half.T)[None])
-        left = np.eye(self.x.size) - gain @ jacobian
-        self._x_by_noise = (self._x_by_noise + whitened @ across) @ left.T
-        self._by_noise = left @ self._by_noise @ left.T
-
-
-def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:
-    """Return link angles (n,), rad, along the line from the first joint through markers, NaN where not seen."""
-    seen = ~np.isnan(places[:, 0])
-    arcs = np.concatenate([[0.0], arc_lengths[seen]])
-    points = np.concatenate([base[None], places[seen]])
-    order = np.argsort(arcs, kind="stable")
-    arcs, points = arcs[order], points[order]
-    apart = np.diff(arcs) > 1e-9
-    ends, sides = arcs[1:][apart], np.diff(points, axis=0)[apart]
-    if not len(sides):
-        return np.full(rope.n_links, rope.hanging_angle)
-    angles = np.unwrap(np.arctan2(sides[:, 0], -sides[:, 1]))
-    middle = np.cumsum(rope.length) - 0.5 * rope.length
-    return np.asarray(angles[np.minimum(np.searchsorted(ends, middle), len(angles) - 1)])

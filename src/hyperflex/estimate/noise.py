@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solve_triangular
 
 from hyperflex.checks import Array
 
@@ -42,11 +44,18 @@ class NoiseLevel:
         self._keep, self._prior = math.exp(-1.0 / memory), np.eye(self._first.size) / (2.0 * doubt) ** 2
         self._least = least * self._first
         self._information, self._weight, self._count = np.zeros_like(self._prior), 0.0, 0.0
+        self._known = self._prior
 
     @property
     def value(self) -> Any:
         """The standard deviation, a float or (c,) as the first guess was."""
         return float(self._values[0]) if self._single else self._values
+
+    @property
+    def log_std(self) -> Any:
+        """Standard deviation of the value's logarithm, from what was seen lately; float or (c,)."""
+        found = 0.5 * np.sqrt(np.diag(np.linalg.inv(self._known)))
+        return float(found[0]) if self._single else found
 
     def see(self, whitened: Array, parts: Array, moved: Array | None = None) -> None:
         """Correct the levels.
@@ -68,6 +77,56 @@ class NoiseLevel:
         keep = math.exp(-1.0 / LATELY)
         self._information, self._weight = keep * self._information + information, keep * self._weight + 1.0
         self._count = self._keep * self._count + 1.0
-        known = self._count * self._information / self._weight + self._prior
-        change = np.clip(np.linalg.solve(known, score), -LONGEST, LONGEST)
+        self._known = self._count * self._information / self._weight + self._prior
+        change = np.clip(np.linalg.solve(self._known, score), -LONGEST, LONGEST)
         self._values = np.clip(self._values * np.exp(0.5 * change), self._least, MOST * self._first)
+
+
+class NoiseDerivatives:
+    """Derivatives of a filter's state and covariance by log(variance) of each kind of process noise.
+
+    The innovation and its covariance depend on the noise of all steps before; their derivatives follow those of the
+    filter's own recursion (Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, 774-783).
+
+    Parameters
+    ----------
+    kinds : int
+    size : int
+        Of the state, N.
+    """
+
+    def __init__(self, kinds: int, size: int) -> None:
+        self._x, self._covariance = np.zeros((kinds, size)), np.zeros((kinds, size, size))
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self._x[:], self._covariance[:] = 0.0, 0.0
+
+    def predict(self, transition: Array, noises: Sequence[Array]) -> None:
+        """Go on: `transition` (N, N), and rows (r, N) of each noise, whose squares it adds to the covariance."""
+        self._x = self._x @ transition.T
+        self._covariance = transition @ self._covariance @ transition.T
+        for covariance, rows in zip(self._covariance, noises, strict=True):
+            covariance += rows.T @ rows
+
+    def update(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> tuple[Array, Array]:
+        """Look; returns `parts` and `moved` as :meth:`NoiseLevel.see` takes them.
+
+        Parameters
+        ----------
+        jacobian : (m, N) float64
+            Derivatives H of the observations.
+        gain : (N, m) float64
+            K, by which the state is corrected.
+        upper : (m, m) float64
+            Factor of the innovation's covariance.
+        whitened : (m,) float64
+            The innovation over its standard deviation.
+        """
+        half = solve_triangular(upper, jacobian, trans="T", check_finite=False)
+        across, moved = half @ self._covariance, self._x @ half.T
+        parts = across @ half.T
+        left = np.eye(len(gain)) - gain @ jacobian
+        self._x = (self._x + whitened @ across) @ left.T
+        self._covariance = left @ self._covariance @ left.T
+        return parts, moved

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.estimate.changes import Change
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.observations import Observations
 from hyperflex.files import PathLike
@@ -55,6 +56,8 @@ class TrackedFrame:
         Where they were expected, px; NaN before anything was known.
     state : RopeState or None
         None while the rope has not been found.
+    changes : tuple of Change
+        What was noticed in this frame to have changed, where the filter tests for that.
     """
 
     t: float
@@ -63,6 +66,7 @@ class TrackedFrame:
     places: Array
     predicted: Array
     state: RopeState | None
+    changes: tuple[Change, ...] = ()
 
     @property
     def seen(self) -> npt.NDArray[np.bool_]:
@@ -194,7 +198,8 @@ class RopeTracker:
     def _result(self, t: float, pixels: Array, covariances: Array, predicted: Array, rows: Array) -> TrackedFrame:
         shift, unsure = self.estimator.readout_shift(rows)
         places = self.camera.locate(pixels - shift)
-        return TrackedFrame(t, pixels, covariances + unsure, places, predicted, self.estimator.state)
+        now = self.estimator.state, self.estimator.changes
+        return TrackedFrame(t, pixels, covariances + unsure, places, predicted, *now)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +220,8 @@ class VideoTrack:
         What was estimated beside the state, and its standard deviation.
     notes : tuple of str
         What was wrong with the video.
+    changes : tuple of Change
+        What was noticed to have changed, where the filter tests for that.
     """
 
     recording: Recording
@@ -223,6 +230,7 @@ class VideoTrack:
     seen: float
     parameters: dict[str, tuple[float, float]]
     notes: tuple[str, ...]
+    changes: tuple[Change, ...] = ()
 
 
 def track_video(
@@ -285,6 +293,7 @@ def track_video(
         float(np.mean([each.seen.mean() for each in found])),
         tracker.estimator.values,
         notes,
+        tuple(change for each in found for change in each.changes),
     )
 
 
