@@ -179,7 +179,7 @@ class RopeTracker:
             return None
         scale = np.linalg.norm(self.camera.linearize(self.camera.locate(predicted)).by_point, ord=2, axis=(1, 2))
         apart = np.abs(np.diff(self.estimator.model.arc_lengths)) * np.maximum(scale[1:], scale[:-1])
-        return np.maximum(apart, 1.0)
+        return np.asarray(np.maximum(apart, 1.0))
 
     def _gates(self, predicted: Array, spread: Array) -> list[Gate] | None:
         """Return where to look; None where that is nearly everywhere."""

@@ -7,8 +7,7 @@ rates are not known. Pictures are rendered, 5 mm a pixel; each marker is 1.5 mm 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -153,7 +152,7 @@ class Followed:
         true = self.seen.truth.places[:, :, :2]
         apart = np.linalg.norm(true[:, None] - self.places[:, :, None], axis=3)
         found = ~np.isnan(self.places[:, :, 0])
-        return found & (np.nan_to_num(apart).argmin(axis=2) == np.arange(true.shape[1]))
+        return np.asarray(found & (np.nan_to_num(apart).argmin(axis=2) == np.arange(true.shape[1])))
 
     @property
     def captured_share(self) -> Array:
@@ -217,12 +216,12 @@ def _by_windows(subject: Seen, name: str) -> Followed:
     known, along = ~np.isnan(first[:, 0]), np.concatenate([[0.0], arcs])
     ends = along[np.append(True, known)]
     start = np.stack([np.interp(arcs, ends, np.append(0.0, first[known, c])) for c in (0, 1)], axis=1)
-    begin: Callable[[], OnlineEstimator | NearestBlob] = {
-        "paper": lambda: OnlineEstimator(cable(), arcs, times[0], start),
-        "constant velocity": lambda: ConstantVelocity(times[0], start),
-        "nearest blob": lambda: NearestBlob(times[0], start),
-    }[name]
-    tracker, result, took = begin(), _nothing(subject), []
+    tracker: OnlineEstimator | NearestBlob
+    if name == "paper":
+        tracker = OnlineEstimator(cable(), arcs, times[0], start)
+    else:
+        tracker = (ConstantVelocity if name == "constant velocity" else NearestBlob)(times[0], start)
+    result, took = _nothing(subject), []
     result.places[0] = first
     for k, frame in enumerate(subject.frames):
         if k:
@@ -271,15 +270,20 @@ def _ordered(subject: Seen, frame: Frame, detector: MarkerDetector) -> Array:
 def _nothing(subject: Seen) -> Followed:
     """Return a result that is still empty."""
     frames, markers = subject.truth.visible.shape
-    empty = [np.full(shape, np.nan) for shape in ((frames, markers, 2), (frames, markers, 2))]
-    rest = [np.full(shape, np.nan) for shape in ((frames, SAMPLES + 1, 2), (frames, 2), (frames, cable().n_links))]
-    return Followed(subject, *empty, *rest, (np.nan, np.nan))
+    return Followed(
+        subject,
+        places=np.full((frames, markers, 2), np.nan),
+        expected=np.full((frames, markers, 2), np.nan),
+        tip=np.full((frames, SAMPLES + 1, 2), np.nan),
+        velocity=np.full((frames, 2), np.nan),
+        rates=np.full((frames, cable().n_links), np.nan),
+        seconds=(np.nan, np.nan),
+    )
 
 
 def _timed(result: Followed, took: list[tuple[float, float]]) -> Followed:
     looking, simulating = np.median(np.array(took), axis=0)
-    own = (result.seen, result.places, result.expected, result.tip, result.velocity, result.rates)
-    return Followed(*own, (float(looking), float(simulating)))
+    return replace(result, seconds=(float(looking), float(simulating)))
 
 
 def _rms(values: Array) -> float | None:

@@ -84,7 +84,7 @@ def _sections(_: list[Section], pictures: tuple[Picture, ...]) -> list[Section]:
 
 _CAPTION = (
     "Above: the tip as the paper's estimator (Fig. 7) has it, at all times; the rope is first seen in the middle of "
-    "its swing, when rates are not known. Middle: the part of the visible markers found where they were looked for, and "
+    "its swing, when rates are not known. Middle: the part of the visible markers found where they were looked for and "
     "rightly named. Below: how far markers were from where they were expected. Beside it our own filter and two "
     "trackers without dynamics."
 )
