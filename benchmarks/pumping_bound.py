@@ -38,7 +38,7 @@ SAMPLE_TIME, TOL = 0.02, 1e-4  # s, m
 NEAR = 2e-3  # m
 
 
-class TrackingTask:
+class Task:
     """The greatest |x| of the tip before a deadline, and how often it was asked for."""
 
     def __init__(self, deadline: float) -> None:
@@ -86,7 +86,7 @@ LONG, SHORT, LAST = (
 
 
 def climb(
-    task: TrackingTask, begin: Array, spread: float, rng: np.random.Generator, members: int, manner: Manner
+    task: Task, begin: Array, spread: float, rng: np.random.Generator, members: int, manner: Manner
 ) -> tuple[float, Array]:
     """CMA-ES until it is old enough or idle."""
     search, best, idle = cma_es(begin, spread, np.ones(begin.size), members, rng), (-1.0, begin), 0
@@ -103,7 +103,7 @@ def climb(
     return best
 
 
-def restart(task: TrackingTask, seed: int) -> tuple[float, Array]:
+def restart(task: Task, seed: int) -> tuple[float, Array]:
     """One CMA-ES of 4 to 8 rests, from the best of 200 random points."""
     rng = np.random.default_rng([77, seed])
     size, members = int(rng.integers(4, 9)), int(rng.choice([16, 30, 60]))
@@ -112,7 +112,7 @@ def restart(task: TrackingTask, seed: int) -> tuple[float, Array]:
     return climb(task, begin, float(rng.choice([0.1, 0.25])), rng, members, LONG)
 
 
-def crowd(task: TrackingTask, seed: int) -> tuple[float, Array]:
+def crowd(task: Task, seed: int) -> tuple[float, Array]:
     """Differential evolution of 150 members on 5 to 7 rests for 120 generations, then a climb."""
     from scipy.optimize import differential_evolution
 
@@ -136,7 +136,7 @@ def crowd(task: TrackingTask, seed: int) -> tuple[float, Array]:
     return max((-float(found.fun), found.x), climb(task, found.x, 0.03, rng, 12, LAST), key=lambda one: one[0])
 
 
-def starts(task: TrackingTask, seed: int) -> tuple[float, Array]:
+def starts(task: Task, seed: int) -> tuple[float, Array]:
     """The 24 best of 2,500 random points that are not alike, a short climb from each, a longer one from the best 5."""
     rng = np.random.default_rng([91, seed])
     points = rng.uniform(0.0, 0.9, (2500, int(rng.integers(5, 8))))
@@ -148,11 +148,7 @@ def starts(task: TrackingTask, seed: int) -> tuple[float, Array]:
     return max((climb(task, one, 0.03, rng, 12, LAST) for _, one in short[:5]), key=lambda one: one[0])
 
 
-KINDS: dict[str, Callable[[TrackingTask, int], tuple[float, Array]]] = {
-    "CMA-ES": restart,
-    "DE": crowd,
-    "starts": starts,
-}
+KINDS: dict[str, Callable[[Task, int], tuple[float, Array]]] = {"CMA-ES": restart, "DE": crowd, "starts": starts}
 WORDS = {
     "CMA-ES": "CMA-ES, 4 to 8 rests, each from the best of 200 random points",
     "DE": "differential evolution, 5 to 7 rests, 150 members",
@@ -213,7 +209,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.kind != "page":
         for seed in range(options.first, options.first + options.count):
-            task, begin = TrackingTask(options.deadline), time.perf_counter()
+            task, begin = Task(options.deadline), time.perf_counter()
             reach, rests = KINDS[options.kind](task, seed)
             row = {"kind": options.kind, "seed": seed, "deadline": options.deadline, "reach": round(reach, 4)}
             row |= {"rests": np.round(rests, 4).tolist(), "rollouts": task.rollouts, "kernels": SOURCE_HASH}

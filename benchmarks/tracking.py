@@ -263,8 +263,9 @@ def consistency_page(found: list[Row]) -> list[str]:
     words = (
         "The model right: with disturbances as the filter assumes them, whose size it has to find. NEES over "
         "dimension, part of the frames in which the stated 90 % regions hold, and rms over the posterior "
-        f"Cramer-Rao bound, after {SINCE:g} s of 8 s. To each covariance the square of {FLOOR:g} ({FINE_FLOOR:g} with "
-        "the finer truth) of a marker's noise is added, in 0.1 s for velocities: along a taut rope covariances vanish, and links of 4 cm "
+        f"Cramer-Rao bound, after {SINCE:g} s of 8 s. "
+        f"To each covariance the square of {FLOOR:g} ({FINE_FLOOR:g} with the finer truth) of a "
+        "marker's noise is added, in 0.1 s for velocities: along a taut rope covariances vanish, and links of 4 cm "
         "lie that far from those of 2 cm."
     )
     lines = [

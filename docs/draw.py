@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import hyperflex as hf
-from hyperflex.paper.report import casting, identification
+from hyperflex.paper.report import casting, estimation, identification
 from hyperflex.report.animation import animate
 from hyperflex.report.identification.figures import prediction_figure
 from hyperflex.report.identification.fitted import fitted_channels
@@ -79,7 +79,7 @@ def main() -> None:
     speed = np.linalg.norm(cracked.tip_velocity, axis=1)
     print(f"whip: {speed.max():.0f} m/s at t = {cracked.t[speed.argmax()]:.2f} s")
     save_png(growth(), IMAGES / "growth.png", dpi=2 * DPI)
-    for figure in (identification.fig3, identification.fig5, identification.fig6):
+    for figure in (identification.fig3, identification.fig5, identification.fig6, estimation.fig8):
         save_png(figure(), IMAGES / f"{figure.__name__}.png", dpi=DPI)
     save_png(identified(), IMAGES / "identified.png", dpi=DPI)
     for draw in (casting.fig10, casting.fig11, casting.fig12):

@@ -59,8 +59,8 @@ def test_a_touch(moved: bool, force: float, allowed: float) -> None:
 
 
 def test_nothing_has_changed() -> None:
-    """A finer rope, swinging freely and pumped: no alarm in 24 s, where one in 600 s is allowed."""
-    for moved, duration in ((False, 16.0), (True, 9.0)):
+    """A finer rope, swinging freely and pumped: no alarm in 15 s, where one in 600 s is allowed."""
+    for moved, duration in ((False, 10.0), (True, 7.0)):
         found = track(disturbed(moved=moved, duration=duration, at=1.0), frames=30.0, moved=moved, tests=ChangeTests())
         assert found.changes == []
 

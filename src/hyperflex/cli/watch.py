@@ -236,7 +236,7 @@ class _Pictures:
     def __exit__(self, *error: Any) -> None:
         self._stack.__exit__(*error)
 
-    def draw_frame(self, estimate: LiveEstimate) -> None:
+    def draw(self, estimate: LiveEstimate) -> None:
         """Draw an estimate, if its frame can be used and somebody wants it."""
         from hyperflex.estimate import draw_frame
         from hyperflex.vision import VideoWriter

@@ -11,9 +11,10 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
-from hyperflex.estimate.changes import SETTLED, TOUCH, Change, ChangeDetector, ChangeTests, Found
-from hyperflex.estimate.noise import NoiseLevel
-from hyperflex.estimate.observations import MarkerModel, Observations
+from hyperflex.estimate.change_detection import SETTLED, ChangeDetector, Found
+from hyperflex.estimate.changes import TOUCH, Change, ChangeTests
+from hyperflex.estimate.noise import NoiseDerivatives, NoiseLevel
+from hyperflex.estimate.observations import MarkerModel, Observations, polyline_angles
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.process import Process, smooth_shapes
 from hyperflex.interfaces import RopeState
@@ -32,6 +33,8 @@ NEGLIGIBLE = 1e-5  # rad, standard deviation of an angle that is left out; of ra
 ROUGHLY = 30.0  # times that, of what tells of noise levels alone
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
 PERSISTENT = 2  # frames in a row in which a place is outside of its gate: then it is believed
+QUIET = 0.05  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
+AT_REST = 0.5  # of the declared noise of places: where a rope rests, it is the same in each frame, and does not show
 GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 
 
@@ -97,8 +100,9 @@ class RopeFilter:
         self.model = MarkerModel(
             rope, arc_lengths, self.parameters, camera, readout if camera is None else camera.readout
         )
-        self.process_noise = NoiseLevel(np.full(2, checks.number("process_noise", process_noise, sign="positive")))
-        self.measurement_noise = NoiseLevel(1.0, doubt=0.7)
+        density = checks.number("process_noise", process_noise, sign="positive")
+        self.process_noise = NoiseLevel(np.full(2, density), least=QUIET)
+        self.measurement_noise = NoiseLevel(1.0, doubt=0.7, least=AT_REST)
         self.t: float | None = None
         self.age = 0.0
         self.log_likelihood = 0.0
@@ -112,9 +116,7 @@ class RopeFilter:
         self._qdd, self._outside = np.zeros(n), np.zeros(len(self.model.arc_lengths), dtype=int)
         sizes = np.where(self._std > 0.0, self._std, 1.0)
         self._least = NEGLIGIBLE * np.concatenate([np.ones(n), np.full(n, turning_rate(rope)), sizes])
-        # derivatives of the state by log(variance) of both kinds of process noise, and rows whose squares are those of
-        # its covariance
-        self._x_by_noise, self._by_noise = np.zeros((2, self.x.size)), [np.zeros((0, self.x.size))] * 2
+        self._by_noise = NoiseDerivatives(2, self.x.size)
 
     @property
     def n_links(self) -> int:
@@ -159,7 +161,7 @@ class RopeFilter:
             raise InvalidInput("time goes backwards", got=t, allowed=f"at least {self.t} s")
         if t == self.t:
             return
-        carried = [self.factor, *self._by_noise, self._x_by_noise]
+        carried = [self.factor, *self._by_noise.rows]
         with np.errstate(over="ignore", invalid="ignore"):
             x, rows = self.process.carry(self.x, np.concatenate(carried), self.t, t)
         if not (np.abs(rows).max() < BEYOND and np.abs(x).max() < BEYOND):
@@ -167,12 +169,12 @@ class RopeFilter:
         if self._detector is not None:
             transition = self.process.predict(self.x, self.t, t).transition
             self._detector.predict((self.x, x), self.t, t, transition)
-        factor, *by_noise, self._x_by_noise = np.split(rows, np.cumsum([len(each) for each in carried])[:-1])
+        factor, *by_noise = np.split(rows, np.cumsum([len(each) for each in carried])[:-1])
         noise = self.process.noise(t - self.t, self.process_noise.value)
         self.factor = sr.compressed(np.concatenate([factor, noise]), self._least)
-        for k, level in enumerate(self.process_noise.value.tolist()):
-            added = np.concatenate([by_noise[k], self.process.noise_of(t - self.t, k, level)])
-            self._by_noise[k] = sr.compressed(added, ROUGHLY * self._least)
+        levels = enumerate(self.process_noise.value.tolist())
+        noises = [self.process.noise_of(t - self.t, kind, level) for kind, level in levels]
+        self._by_noise.predict(by_noise, noises, ROUGHLY * self._least)
         self.age += t - self.t
         self.x, self.t, self._qdd = x, t, self.process.accelerations(x, t)
 
@@ -199,17 +201,23 @@ class RopeFilter:
 
         The covariances are of the places themselves: what a detector adds is not in them.
         """
-        return self.expected(rows)[:2]
+        places, joint, _ = self.expected(rows)
+        each = np.arange(len(places))
+        return places, joint.reshape(len(places), 2, len(places), 2)[each, :, each]
 
     def expected(self, rows: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return what :meth:`markers` does, and how fast the markers should move (K,), px/s or m/s."""
+        """Return where the markers should be seen (K, 2), the covariance (2 K, 2 K) of all places together, and speeds.
+
+        The speeds (K,) are in px/s or m/s; `rows` (K,) are those of :class:`Observations`.
+        """
         base = self._base()
         rows = np.zeros(len(self.model.arc_lengths)) if rows is None else rows
         places, slope = self.model.predict(self.x, base, rows, self._qdd)
         n, camera = self.n_links, self.model.camera
         moved = base[1] if camera is None else camera.place_slopes(base[:1])[1][0] @ base[1]
         velocity = slope[:, :, :n] @ self.x[n : 2 * n] + moved
-        return places, self._spread(slope), np.hypot(velocity[:, 0], velocity[:, 1])
+        spread = self.factor @ slope.reshape(places.size, -1).T
+        return places, spread.T @ spread, np.hypot(velocity[:, 0], velocity[:, 1])
 
     def readout_shift(self, rows: Array) -> tuple[Array, Array]:
         """Return by how much markers move until they are read (K, 2), and the covariances (K, 2, 2) of that.
@@ -287,7 +295,7 @@ class RopeFilter:
         np.fill_diagonal(rest[n : 2 * n, n : 2 * n], 0.1 * rate)
         np.fill_diagonal(rest[2 * n :, 2 * n :], self._std)
         self.factor = sr.compressed(rows, self._least)
-        self._x_by_noise, self._by_noise = np.zeros((2, self.x.size)), [np.zeros((0, self.x.size))] * 2
+        self._by_noise.reset()
         if self._detector is not None:
             self._detector.begin(seen.t + SETTLED)
         self._correct(seen, FIRST_ROUNDS)
@@ -323,9 +331,7 @@ class RopeFilter:
                     self._learn(*by_seen)
                 if self._detector is not None:
                     change = self._detector.update(seen.t, *by_seen)
-                    noise = self.measurement_noise
-                    misfit = self._detector.misfit(seen.t, noise.value, noise.log_std)
-                    self.changes = () if misfit is None else (misfit,)
+                    self.changes = self._detector.misfit(seen.t, self.measurement_noise)
             step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
             while True:
                 tried = before + self.factor.T @ (u + part * step)
@@ -372,39 +378,12 @@ class RopeFilter:
         return good if (good & seen.seen).sum() * 2 > seen.seen.sum() else np.ones_like(good)
 
     def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
-        """Correct the levels of process and measurement noise by the innovation.
-
-        The innovation and its covariance depend on the process noise of all steps before. Their derivatives follow
-        those of the filter's own recursion (Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, 774-783).
-        """
-        half = sr.solved(upper, jacobian, transposed=True)
-        seen = [rows @ half.T for rows in self._by_noise]
-        moved = self._x_by_noise @ half.T
-        self.process_noise.see(whitened, np.stack([each.T @ each for each in seen]), moved)
+        """Correct the levels of process and measurement noise by the innovation."""
+        self.process_noise.see(whitened, *self._by_noise.update(jacobian, gain, upper, whitened))
         half = sr.solved(upper, np.eye(len(upper)), transposed=True)
         self.measurement_noise.see(whitened, (half @ half.T)[None])
-        by_gain = np.stack([(each @ whitened) @ rows for each, rows in zip(seen, self._by_noise, strict=True)])
-        shifted = self._x_by_noise + by_gain
-        self._x_by_noise = shifted - (shifted @ jacobian.T) @ gain.T
-        self._by_noise = [rows - (rows @ jacobian.T) @ gain.T for rows in self._by_noise]
 
 
 def turning_rate(rope: Rope) -> float:
     """Return sqrt(g / L), rad/s: how fast a rope swings, about."""
     return float(np.sqrt(np.hypot(*rope.gravity) / rope.total_length))
-
-
-def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:
-    """Return link angles (n,), rad, along the line from the first joint through markers, NaN where not seen."""
-    seen = ~np.isnan(places[:, 0])
-    arcs = np.concatenate([[0.0], arc_lengths[seen]])
-    points = np.concatenate([base[None], places[seen]])
-    order = np.argsort(arcs, kind="stable")
-    arcs, points = arcs[order], points[order]
-    apart = np.diff(arcs) > 1e-9
-    ends, sides = arcs[1:][apart], np.diff(points, axis=0)[apart]
-    if not len(sides):
-        return np.full(rope.n_links, rope.hanging_angle)
-    angles = np.unwrap(np.arctan2(sides[:, 0], -sides[:, 1]))
-    middle = np.cumsum(rope.length) - 0.5 * rope.length
-    return np.asarray(angles[np.minimum(np.searchsorted(ends, middle), len(angles) - 1)])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
+from hyperflex.estimate import square_root as sr
 
 LEAST, MOST = 1e-4, 1e4  # times the first guess of a noise level
 LATELY = 10.0  # frames over which the information of one is averaged: it falls with the level
@@ -26,6 +28,8 @@ class NoiseLevel:
         Number of frames after which what was seen counts exp(-1).
     doubt : float
         Standard deviation of the first guess's logarithm.
+    least : float
+        Part of the first guess below which no level falls.
 
     Notes
     -----
@@ -34,10 +38,11 @@ class NoiseLevel:
     ``m_i' S^-1 m_j + tr (S^-1 T_i S^-1 T_j) / 2``.
     """
 
-    def __init__(self, value: npt.ArrayLike, memory: float = 60.0, doubt: float = 2.0) -> None:
+    def __init__(self, value: npt.ArrayLike, memory: float = 60.0, doubt: float = 2.0, least: float = LEAST) -> None:
         self._first = np.atleast_1d(np.asarray(value, dtype=np.float64))
         self._values, self._single = self._first.copy(), np.ndim(value) == 0
         self._keep, self._prior = math.exp(-1.0 / memory), np.eye(self._first.size) / (2.0 * doubt) ** 2
+        self._least = least * self._first
         self._information, self._weight, self._count = np.zeros_like(self._prior), 0.0, 0.0
         self._known = self._prior
 
@@ -74,4 +79,70 @@ class NoiseLevel:
         self._count = self._keep * self._count + 1.0
         self._known = self._count * self._information / self._weight + self._prior
         change = np.clip(np.linalg.solve(self._known, score), -LONGEST, LONGEST)
-        self._values = np.clip(self._values * np.exp(0.5 * change), LEAST * self._first, MOST * self._first)
+        self._values = np.clip(self._values * np.exp(0.5 * change), self._least, MOST * self._first)
+
+
+class NoiseDerivatives:
+    """Derivatives of a filter's state and covariance by log(variance) of each kind of process noise.
+
+    The innovation and its covariance depend on the noise of all steps before; their derivatives follow those of the
+    filter's own recursion (Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, 774-783).
+
+    They are carried as the filter's own covariance is, as rows whose squares add up.
+
+    Parameters
+    ----------
+    kinds : int
+    size : int
+        Of the state, N.
+    """
+
+    def __init__(self, kinds: int, size: int) -> None:
+        self._x, self._covariance = np.zeros((kinds, size)), [np.zeros((0, size))] * kinds
+
+    @property
+    def rows(self) -> list[Array]:
+        """What a prediction carries on: rows (r, N) of each kind's covariance, and those of the state (kinds, N)."""
+        return [*self._covariance, self._x]
+
+    def reset(self) -> None:
+        """Begin anew."""
+        kinds, size = self._x.shape
+        self._x, self._covariance = np.zeros((kinds, size)), [np.zeros((0, size))] * kinds
+
+    def predict(self, carried: Sequence[Array], noises: Sequence[Array], least: Array) -> None:
+        """Go on.
+
+        Parameters
+        ----------
+        carried : list of arrays
+            The `rows`, carried to the new time.
+        noises : list of (r, N) arrays
+            Rows of each kind of noise.
+        least : (N,) float64
+            What is negligible.
+        """
+        *covariance, self._x = carried
+        self._covariance = [sr.compressed(np.concatenate(each), least) for each in zip(covariance, noises, strict=True)]
+
+    def update(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> tuple[Array, Array]:
+        """Look; returns `parts` and `moved` as :meth:`NoiseLevel.see` takes them.
+
+        Parameters
+        ----------
+        jacobian : (m, N) float64
+            Derivatives H of the observations.
+        gain : (N, m) float64
+            K, by which the state is corrected.
+        upper : (m, m) float64
+            Factor of the innovation's covariance.
+        whitened : (m,) float64
+            The innovation over its standard deviation.
+        """
+        half = sr.solved(upper, jacobian, transposed=True)
+        seen = [rows @ half.T for rows in self._covariance]
+        moved = self._x @ half.T
+        shifted = self._x + np.stack([(a @ whitened) @ rows for a, rows in zip(seen, self._covariance, strict=True)])
+        self._x = shifted - (shifted @ jacobian.T) @ gain.T
+        self._covariance = [rows - (rows @ jacobian.T) @ gain.T for rows in self._covariance]
+        return np.stack([each.T @ each for each in seen]), moved

@@ -242,3 +242,19 @@ def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[npt.NDArray[np.intp], Ar
     arms = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[link] * rope.length
     arms[np.arange(arc_lengths.size), link] = arc_lengths - (ends - rope.length)[link]
     return link, arms
+
+
+def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:
+    """Return link angles (n,), rad, along the line from the first joint through markers, NaN where not seen."""
+    seen = ~np.isnan(places[:, 0])
+    arcs = np.concatenate([[0.0], arc_lengths[seen]])
+    points = np.concatenate([base[None], places[seen]])
+    order = np.argsort(arcs, kind="stable")
+    arcs, points = arcs[order], points[order]
+    apart = np.diff(arcs) > 1e-9
+    ends, sides = arcs[1:][apart], np.diff(points, axis=0)[apart]
+    if not len(sides):
+        return np.full(rope.n_links, rope.hanging_angle)
+    angles = np.unwrap(np.arctan2(sides[:, 0], -sides[:, 1]))
+    middle = np.cumsum(rope.length) - 0.5 * rope.length
+    return np.asarray(angles[np.minimum(np.searchsorted(ends, middle), len(angles) - 1)])

@@ -20,6 +20,7 @@ from hyperflex.interfaces import RopeState
 from hyperflex.recording import Recording
 from hyperflex.vision import (
     Camera,
+    ClutterMap,
     Frame,
     Gate,
     Image,
@@ -33,6 +34,7 @@ from hyperflex.vision import Observations as Blobs
 
 LOST = 8  # frames in a row without a marker, after which the whole picture is searched anew
 WIDEST = 0.25  # of the picture's height, standard deviation of a place beyond which there is no gate to search
+DOUBT = 2.0  # px, of a prediction beyond what the filter says of itself: where to look, and which blob is which
 LEAST_STD = 0.2  # px, of a place: what compression and a marker that sits askew add to a detector's own noise
 DOUBTFUL = 3.0  # level of measurement noise from which the model is doubted
 PATIENT = 30  # frames until a first frame is taken whose order is the best, but not certain
@@ -101,6 +103,7 @@ class RopeTracker:
             raise InvalidInput("a tracker needs a camera that knows the swing plane", fix="See Camera.with_plane")
         self.estimator, self.detector, self.camera = estimator, detector, camera
         self._dark = self._waited = 0
+        self._clutter = ClutterMap(self.camera.image_size)
 
     def look(self, frame: Frame) -> TrackedFrame:
         """Take a frame, in the order of their times, and return what was made of it."""
@@ -120,12 +123,19 @@ class RopeTracker:
         gates = self._gates(predicted, spread, speeds) if self._dark < LOST else None
         blobs = self._detected(frame.image, gates)
         level = max(1.0, self.estimator.measurement_noise.value)
-        found = assign_markers(blobs._replace(covariances=level**2 * blobs.covariances), predicted, spread)
+        found = assign_markers(
+            blobs._replace(covariances=level**2 * blobs.covariances),
+            predicted,
+            spread,
+            reach=self._reach(predicted),
+            clutter=self._clutter.density(blobs),
+        )
         found = found._replace(covariances=found.covariances / level**2)
+        self._clutter.learn(blobs, np.isin(np.arange(len(blobs.places)), found.indices))
         rows = self._rows(found.places)
         self.estimator.update(Observations(t, found.places, rows=rows, covariances=found.covariances))
         self._dark = 0 if (found.indices >= 0).any() else self._dark + 1
-        return self._result(t, found.places, found.covariances, predicted, spread, rows)
+        return self._result(t, found.places, found.covariances, predicted, _of_each(spread), rows)
 
     @property
     def doubt(self) -> str:
@@ -169,19 +179,30 @@ class RopeTracker:
         found = order.indices >= 0
         pixels, wide = np.full((arcs.size, 2), np.nan), np.full((arcs.size, 2, 2), np.nan)
         pixels[found], wide[found] = blobs.places[order.indices[found]], blobs.covariances[order.indices[found]]
+        self._clutter.learn(blobs, np.isin(np.arange(len(blobs.places)), order.indices))
         return pixels, wide
 
     def _expected(self) -> tuple[Array, Array, Array]:
-        """Return where the markers should be (K, 2), px, each in its own row, their covariances and speeds (K,)."""
-        found = self.estimator.expected()
-        return self.estimator.expected(self._rows(found[0])) if self.estimator.model.reads_rows else found
+        """Return where markers should be (K, 2), px, each in its row, the covariance (2 K, 2 K), and speeds (K,)."""
+        places, spread, speeds = self.estimator.expected()
+        if self.estimator.model.reads_rows:
+            places, spread, speeds = self.estimator.expected(self._rows(places))
+        return places, spread + DOUBT**2 * np.eye(len(spread)), speeds
+
+    def _reach(self, predicted: Array) -> Array | None:
+        """Return how far apart markers that follow each other can be seen (K - 1,), px."""
+        if not np.isfinite(predicted).all():
+            return None
+        scale = np.linalg.norm(self.camera.linearize(self.camera.locate(predicted)).by_point, ord=2, axis=(1, 2))
+        apart = np.abs(np.diff(self.estimator.model.arc_lengths)) * np.maximum(scale[1:], scale[:-1])
+        return np.asarray(np.maximum(apart, 1.0))
 
     def _gates(self, predicted: Array, spread: Array, speeds: Array) -> list[Gate] | None:
         """Return where to look; None where that is nearly everywhere."""
         if not np.isfinite(predicted).all() or np.sqrt(np.abs(spread).max()) > WIDEST * self.camera.image_size[1]:
             return None
         streaks = speeds * self.camera.exposure
-        return [Gate(*each) for each in zip(predicted, spread, streaks.tolist(), strict=True)]
+        return [Gate(*gate) for gate in zip(predicted, _of_each(spread), streaks.tolist(), strict=True)]
 
     def _rows(self, pixels: Array) -> Array:
         """Return when pixels are read, -0.5 in the first row and 0.5 in the last; 0 of what is not seen."""
@@ -341,3 +362,10 @@ def draw_frame(image: Image, tracker: RopeTracker, result: TrackedFrame, caption
     draw_markers(shown, result.predicted, result.gates, result.pixels, 2.0 * tracker.detector.radius + 2.0)
     draw_caption(shown, said)
     return shown
+
+
+def _of_each(spread: Array) -> Array:
+    """Return the covariance (K, 2, 2) of each of K places from that of all together (2 K, 2 K)."""
+    count = len(spread) // 2
+    each = np.arange(count)
+    return np.asarray(spread.reshape(count, 2, count, 2)[each, :, each])

@@ -20,7 +20,7 @@ class Case(Protocol):
 class Claim:
     """A claim of the paper: its threshold, and the measured value."""
 
-    name: str  # "C1" to "C7"
+    name: str  # "C1" to "C8"
     statement: str
     case: Case
     measured: float

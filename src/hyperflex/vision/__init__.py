@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from hyperflex.vision.calibration import Calibration, calibrate_camera
     from hyperflex.vision.camera import Camera, Projection
     from hyperflex.vision.camera_file import read_camera
+    from hyperflex.vision.clutter import ClutterMap
     from hyperflex.vision.colour import MarkerColour
     from hyperflex.vision.live import LiveCamera
     from hyperflex.vision.markers import Gate, MarkerDetector, Observations

@@ -276,6 +276,8 @@ class Camera:
 
         seen = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
         rotation, translation = self.axes
+        if not len(seen):  # OpenCV takes no empty arrays
+            return np.empty((0, 2))
         ideal = cv2.undistortPoints(np.ascontiguousarray(seen)[:, None], self.matrix, self.distortion)
         plane = np.column_stack([rotation[:, :2], translation])  # homography from the plane to the ideal picture
         rays = np.linalg.solve(plane, np.column_stack([ideal.reshape(-1, 2), np.ones(len(seen))]).T).T

@@ -119,29 +119,45 @@ class MarkerDetector:
             boxes = self._search(image)
         else:
             boxes = _joined(self._boxes(gates, image.shape))
-        rows, noises = [], []
-        for left, top, right, bottom in boxes:
-            if right - left < 5 or bottom - top < 5:
-                continue
-            region = np.ascontiguousarray(image[top:bottom, left:right])
-            functional, noise = self.colour.functional(region)
-            if noise == 0.0:
-                continue
-            weights = np.empty(region.shape[:2])
-            blobs.weigh(region, functional, weights)
-            found = np.empty((blobs.LARGEST, blobs.COLUMNS))
-            count = blobs.blob_moments(region, weights, max(_SIGMAS * noise, _LEAST_SHARE), found)
-            found = found[:count]
-            found[:, blobs.MEAN_U] += left
-            found[:, blobs.MEAN_V] += top
-            rows.append(found)
-            noises.append(np.full(count, noise))
-        table = np.concatenate(rows) if rows else np.empty((0, blobs.COLUMNS))
-        noise_of = np.concatenate(noises) if noises else np.empty(0)
+        measured = {box: self._measure(image, box) for box in boxes}
+        whole = _joined([self._around(box, found[0], image.shape) for box, found in measured.items()])
+        blobs_of = [measured.get(box) or self._measure(image, box) for box in whole]
+        rows = [found for found, _ in blobs_of]
+        noises = [np.full(len(found), noise) for found, noise in blobs_of]
+        table = np.concatenate([np.empty((0, blobs.COLUMNS)), *rows])
+        noise_of = np.concatenate([np.empty(0), *noises])
         kept = self._plausible(table, noise_of)
         if self.adapt:
             self._follow(table[kept])
         return self._observations(table[kept], noise_of[kept])
+
+    def _measure(self, image: Image, box: tuple[int, int, int, int]) -> tuple[Array, float]:
+        """Return the blobs in a part of the picture (M, columns), and the noise of a pixel's share there."""
+        left, top, right, bottom = box
+        found = np.empty((blobs.LARGEST, blobs.COLUMNS))
+        if right - left < 5 or bottom - top < 5:
+            return found[:0], 0.0
+        region = np.ascontiguousarray(image[top:bottom, left:right])
+        functional, noise = self.colour.functional(region)
+        if noise == 0.0:
+            return found[:0], 0.0
+        weights = np.empty(region.shape[:2])
+        blobs.weigh(region, functional, weights)
+        count = blobs.blob_moments(region, weights, max(_SIGMAS * noise, _LEAST_SHARE), found)
+        found = found[:count]
+        found[:, blobs.MEAN_U] += left
+        found[:, blobs.MEAN_V] += top
+        return found, noise
+
+    def _around(
+        self, box: tuple[int, int, int, int], found: Array, shape: tuple[int, ...]
+    ) -> tuple[int, int, int, int]:
+        """Return a part of the picture, wider where its edge cuts a blob."""
+        if not (found[:, blobs.BORDER] > 0.0).any():
+            return box
+        more = int(np.ceil(2.0 * self.radius + 2.0 * _MARGIN))
+        left, top, right, bottom = box
+        return max(left - more, 0), max(top - more, 0), min(right + more, shape[1]), min(bottom + more, shape[0])
 
     def measure_area(self, image: Image) -> float:
         """Set the markers' area to the median of those seen at rest in a frame, px^2, and return it."""
@@ -240,9 +256,14 @@ class MarkerDetector:
         return _taken_apart(seen, self.radius) if merged.any() else seen
 
     def _covered(self, share: Array, values: Array, border: Array) -> Array:
-        """Return the variance, px^2, that markers covered in part get: the part that is missing pulls the mean away."""
+        """Return the variance, px^2, that markers covered in part get, and those that touch something of their colour.
+
+        The part that is missing, or is too much, pulls the mean away: two discs of radius r that are a distance d apart
+        have 1 + 2 d / (pi r) times the area of one, and their mean lies d / 2 off each.
+        """
         missing = np.clip(1.0 - share - 0.12, 0.0, 1.0) + 0.3 * border
-        return np.asarray((missing * (self.radius + np.sqrt(3.0 * values[:, 1]))) ** 2)
+        merged = 0.25 * np.pi * np.clip(share - 1.12, 0.0, None) * self.radius
+        return np.asarray((missing * (self.radius + np.sqrt(3.0 * np.maximum(values[:, 1], 0.0)))) ** 2 + merged**2)
 
 
 def _taken_apart(seen: Observations, radius: float) -> Observations:
