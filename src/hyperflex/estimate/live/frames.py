@@ -59,7 +59,7 @@ class FrameThread:
     live : bool
         Keep only the newest frame, and open the source again where it breaks off; else give out all, and end.
     paced : bool
-        Give the frames out at the distances of their time stamps.
+        Give the frames out at the distances of their time stamps, from when the first one is taken.
     patience : float
         How long a source that broke off is tried again, s.
 
@@ -81,7 +81,7 @@ class FrameThread:
         self.ended: str | None = None
         self._notes: list[str] = []
         self._condition, self._waiting = threading.Condition(), deque[Arrival]()
-        self._closed = False
+        self._closed = self._played = False
         self._thread = threading.Thread(target=self._run, args=(source,), name="frames", daemon=True)
         self._thread.start()
 
@@ -107,7 +107,8 @@ class FrameThread:
                 return None
             found = self._waiting.popleft()
             self._condition.notify_all()
-            return found if self.live or self._paced else found._replace(at=time.monotonic())
+            played, self._played = self.live or (self._paced and self._played), True
+            return found if played else found._replace(at=time.monotonic())
 
     def news(self) -> tuple[str, ...]:
         """Return what happened to the source since this was asked last: stalls, ends, frames that cannot be used."""
@@ -163,12 +164,14 @@ class FrameThread:
 
     def _deliver(self, source: Source) -> None:
         """Hand out the frames of a source until it breaks off."""
-        begin, told = None, 0
+        begin: float | None = None
+        told = 0
         for frame in source:
-            begin = time.monotonic() - frame.time if begin is None else begin
-            if self._paced:
+            if self._paced and begin is not None:
                 self._wait(begin + frame.time)
             self._hand_out(frame)
+            if self._paced and begin is None:
+                begin = self._taken_at() - frame.time
             told = self._tell(source.notes, told)
             if self._closed:
                 return
@@ -183,6 +186,12 @@ class FrameThread:
             self._condition.wait_for(lambda: len(self._waiting) < _AHEAD or self._closed)
             self._waiting.append(Arrival(frame, time.monotonic(), missed))
             self._condition.notify_all()
+
+    def _taken_at(self) -> float:
+        """Wait until all frames are taken, and return when that is."""
+        with self._condition:
+            self._condition.wait_for(lambda: not self._waiting or self._closed)
+            return time.monotonic()
 
     def _tell(self, notes: list[str], told: int) -> int:
         """Pass on what a source has noted since; return how many notes there are."""
