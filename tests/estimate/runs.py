@@ -12,11 +12,10 @@ import numpy as np
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.estimate import Change, ChangeTests, EstimatedParameter, Observations, RopeFilter
-from hyperflex.estimate.filter import BEND, SPEED, START_CORRELATION
 from hyperflex.estimate.observations import lever_arms
 from hyperflex.estimate.parameters import ParameterStates
-from hyperflex.estimate.process import Process, smooth_shapes
-from hyperflex.simulation.rollouts import finish, limits, prepare
+from hyperflex.estimate.process import BEND, SPEED, START_CORRELATION, Process, smooth_shapes
+from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.sensitivity.sensitivity import AngleJacobian
 
 LENGTH, FINE, RATE = 2.0, 100, 600.0  # m; links of the truth; samples a second
@@ -115,8 +114,9 @@ def disturbed(
         if touch is not None and at - 1e-9 <= t[first] < at + touch[3] - 1e-9:
             qd = qd + pushed_rates(now, q, touch[0], (touch[1] / rate, touch[2] / rate))
         chain = now.chain()
-        run = prepare(chain, drive, (q, qd), t[first : last + 1], limits(setup, chain, float(t[last])))
-        assert finish(run) == 0
+        bounds = rollout_limits(setup, chain, float(t[last]))
+        run = prepare_rollout(chain, drive, (q, qd), t[first : last + 1], bounds)
+        assert finish_rollout(run) == 0
         rows.append(run.y[1:, : 2 * n])
         q, qd = rows[-1][-1, :n].copy(), rows[-1][-1, n:].copy()
     y = np.concatenate(rows)

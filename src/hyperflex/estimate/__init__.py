@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hyperflex.estimate.live.worker import TrackingTask
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter
-    from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, VideoTrack, draw_frame, track_video
+    from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, draw_frame
+    from hyperflex.estimate.video_track import VideoTrack, track_video
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

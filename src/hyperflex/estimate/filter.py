@@ -13,29 +13,23 @@ from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.change_detection import SETTLED, ChangeDetector, Found
 from hyperflex.estimate.changes import TOUCH, Change, ChangeTests
+from hyperflex.estimate.gate import ValidationGate
 from hyperflex.estimate.noise import NoiseDerivatives, NoiseLevel
 from hyperflex.estimate.observations import MarkerModel, Observations, polyline_angles
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
-from hyperflex.estimate.process import Process, smooth_shapes
+from hyperflex.estimate.process import Process, starting_rows, turning_rate
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.vision import Camera
 
-BEND = 0.6  # rad, standard deviation of a link's angle about the line through the markers, before any is seen
-SPEED = 6.0  # rad/s, of its rate, in units of sqrt(g / L)
-START_CORRELATION = 0.1  # of the rope's length
 ROUNDS = 4  # of Gauss-Newton in an update; more at the start
 FIRST_ROUNDS = 30
-SHORTEST = 1e-2  # part of a Gauss-Newton step
-CLOSE = 0.03  # of a standard deviation: an update has converged
 NEGLIGIBLE = 1e-5  # rad, standard deviation of an angle that is left out; of rates over sqrt(g / L)
 ROUGHLY = 30.0  # times that, of what tells of noise levels alone
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
-PERSISTENT = 2  # frames in a row in which a place is outside of its gate: then it is believed
 QUIET = 0.05  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
 AT_REST = 0.5  # of the declared noise of places: where a rope rests, it is the same in each frame, and does not show
-GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 
 
 class RopeFilter:
@@ -113,7 +107,7 @@ class RopeFilter:
         self.changes: tuple[Change, ...] = ()
         self._detector = None if tests is None else ChangeDetector(tests, self.process, self.parameters)
         self._std = self.parameters.std.copy()
-        self._qdd, self._outside = np.zeros(n), np.zeros(len(self.model.arc_lengths), dtype=int)
+        self._qdd, self._gate = np.zeros(n), ValidationGate(len(self.model.arc_lengths))
         sizes = np.where(self._std > 0.0, self._std, 1.0)
         self._least = NEGLIGIBLE * np.concatenate([np.ones(n), np.full(n, turning_rate(rope)), sizes])
         self._by_noise = NoiseDerivatives(2, self.x.size)
@@ -285,16 +279,7 @@ class RopeFilter:
         base, camera = self.process.base(seen.t, self.x), self.model.camera
         in_metres = seen.places if camera is None else camera.locate(seen.places)
         self.x[:n] = polyline_angles(rope, self.model.arc_lengths, in_metres, base[0])
-        rate = SPEED * turning_rate(rope)
-        shapes = smooth_shapes(rope, START_CORRELATION)
-        rows = np.zeros((2 * len(shapes) + 2 * n + len(self.parameters), self.x.size))
-        rows[: len(shapes), :n] = BEND * shapes
-        rows[len(shapes) : 2 * len(shapes), n : 2 * n] = rate * shapes
-        rest = rows[2 * len(shapes) :]
-        np.fill_diagonal(rest[:n, :n], 0.1 * BEND)
-        np.fill_diagonal(rest[n : 2 * n, n : 2 * n], 0.1 * rate)
-        np.fill_diagonal(rest[2 * n :, 2 * n :], self._std)
-        self.factor = sr.compressed(rows, self._least)
+        self.factor = sr.compressed(starting_rows(rope, self._std), self._least)
         self._by_noise.reset()
         if self._detector is not None:
             self._detector.begin(seen.t + SETTLED)
@@ -307,49 +292,42 @@ class RopeFilter:
             """Return what is seen of a state, with the derivatives."""
             return self.model.predict(x, self.process.base(seen.t, x), seen.rows, self._qdd)
 
-        found = predicted(self.x)
-        good = seen.seen & (self._plausible(seen, *found) if rounds == ROUNDS else True)
+        good = seen.seen & (self._believed(seen, *predicted(self.x)) if rounds == ROUNDS else True)
         if not good.any():
             return
         self.age = 0.0
         whiten = np.linalg.inv(np.linalg.cholesky(seen.covariances[good])) / self.measurement_noise.value
+        adopted: list[Found] = []
 
-        def compared(found: tuple[Array, Array]) -> tuple[Array, Array]:
-            """Return whitened differences (m,) from a prediction, and the whitened derivatives (m, N) of that."""
-            left = whiten @ (seen.places[good] - found[0][good])[:, :, None]
-            return left.ravel(), (whiten @ found[1][good]).reshape(left.size, -1)
+        def compared(x: Array) -> tuple[Array, Array]:
+            """Return whitened differences (m,) from what is seen of a state, and the whitened derivatives (m, N)."""
+            places, slope = predicted(x)
+            left = whiten @ (seen.places[good] - places[good])[:, :, None]
+            return left.ravel(), (whiten @ slope[good]).reshape(left.size, -1)
 
-        before, u, cost = self.x, np.zeros(len(self.factor)), np.inf  # the state is before + factor' u
-        x, (left, jacobian), change = before, compared(found), None
-        for turn in range(rounds):
-            gain, _, upper = sr.whitened_gain(self.factor, jacobian)
-            if turn == 0:
-                self.innovation = sr.compared(upper, left)
-                self.log_likelihood += self.innovation.log_likelihood + np.log(np.linalg.det(whiten)).sum()
-                by_seen = jacobian, self.factor.T @ gain, upper, self.innovation.whitened
-                if rounds == ROUNDS:
-                    self._learn(*by_seen)
-                if self._detector is not None:
-                    change = self._detector.update(seen.t, *by_seen)
-                    self.changes = self._detector.misfit(seen.t, self.measurement_noise)
-            step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
-            while True:
-                tried = before + self.factor.T @ (u + part * step)
-                left, jacobian = compared(predicted(tried))
-                now = float(((u + part * step) ** 2).sum() + (left**2).sum())
-                if now <= cost or part < SHORTEST:
-                    break
-                part *= 0.5
-            x, u, cost = tried, u + part * step, now
-            if part * np.abs(step).max() < CLOSE:
-                break
-        _, across, upper = sr.whitened_gain(self.factor, jacobian)
-        self.factor = sr.updated(self.factor, across, upper)
+        def look(left: Array, jacobian: Array, gain: Array, upper: Array) -> None:
+            """Take in the innovation, before anything is corrected."""
+            self.innovation = sr.compared(upper, left)
+            self.log_likelihood += self.innovation.log_likelihood + np.log(np.linalg.det(whiten)).sum()
+            by_seen = jacobian, self.factor.T @ gain, upper, self.innovation.whitened
+            if rounds == ROUNDS:
+                self._learn(*by_seen)
+            if self._detector is not None:
+                change = self._detector.update(seen.t, *by_seen)
+                self.changes = self._detector.misfit(seen.t, self.measurement_noise)
+                adopted.extend([] if change is None else [change])
+
+        x, self.factor = sr.iterated_update(self.x, self.factor, compared, rounds, look)
         first = 2 * self.n_links
         x[first:] = self.parameters.possible(x[first:])
         self.x = x
-        if change is not None:
+        for change in adopted:
             self._adopt(change)
+
+    def _believed(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
+        """Return which places are near enough to where they should be (K,)."""
+        wide = self._spread(slope) + self.measurement_noise.value**2 * seen.covariances
+        return self._gate.holds(seen.places - places, wide)
 
     def _adopt(self, found: Found) -> None:
         """Correct the state by what a change has done; a parameter is estimated from then on."""
@@ -364,26 +342,8 @@ class RopeFilter:
             self.x = self.x + found.moved
             self.x[first:] = self.parameters.possible(self.x[first:])
 
-    def _plausible(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
-        """Return which places lie within their gates.
-
-        All of them do where hardly any does, and so does one that has not for some frames: then it is the state.
-        """
-        wide = self._spread(slope) + self.measurement_noise.value**2 * seen.covariances
-        left = np.nan_to_num(seen.places - places)
-        far = np.einsum("kc,kc->k", left, np.linalg.solve(wide, left[:, :, None])[:, :, 0])
-        good = far < GATE
-        self._outside = np.where(good | ~seen.seen, 0, self._outside + 1)
-        good |= self._outside >= PERSISTENT
-        return good if (good & seen.seen).sum() * 2 > seen.seen.sum() else np.ones_like(good)
-
     def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
         """Correct the levels of process and measurement noise by the innovation."""
         self.process_noise.see(whitened, *self._by_noise.update(jacobian, gain, upper, whitened))
         half = sr.solved(upper, np.eye(len(upper)), transposed=True)
         self.measurement_noise.see(whitened, (half @ half.T)[None])
-
-
-def turning_rate(rope: Rope) -> float:
-    """Return sqrt(g / L), rad/s: how fast a rope swings, about."""
-    return float(np.sqrt(np.hypot(*rope.gravity) / rope.total_length))

@@ -23,6 +23,9 @@ CORRELATION = 0.15  # of the rope's length, over which its disturbances are alik
 END = 0.08  # of the rope's length: disturbances of the end fall with the distance d to the tip as (END / (d + END))^1.5
 END_CORRELATION = 0.05
 NEGLIGIBLE = 1e-4  # of the largest principal part of the disturbances
+BEND = 0.6  # rad, standard deviation of a link's angle about the line through the markers, before any is seen
+SPEED = 6.0  # rad/s, of its rate, in units of sqrt(g / L)
+START_CORRELATION = 0.1  # of the rope's length
 
 
 class Prediction(NamedTuple):
@@ -222,3 +225,18 @@ def smooth_shapes(rope: Rope, correlation: float, size: npt.ArrayLike = 1.0) -> 
     values, vectors = np.linalg.eigh(scale[:, None] * likeness * scale)
     large = values > NEGLIGIBLE * values[-1]
     return np.asarray(np.sqrt(values[large])[:, None] * vectors[:, large].T)
+
+
+def turning_rate(rope: Rope) -> float:
+    """Return sqrt(g / L), rad/s: how fast a rope swings, about."""
+    return float(np.sqrt(np.hypot(*rope.gravity) / rope.total_length))
+
+
+def starting_rows(rope: Rope, parameter_std: Array) -> Array:
+    """Return rows whose squares are the covariance of angles, rates and parameters before anything was seen of them."""
+    n, shapes = rope.n_links, smooth_shapes(rope, START_CORRELATION)
+    rate, count = SPEED * turning_rate(rope), len(shapes)
+    rows = np.zeros((2 * count + 2 * n + len(parameter_std), 2 * n + len(parameter_std)))
+    rows[:count, :n], rows[count : 2 * count, n : 2 * n] = BEND * shapes, rate * shapes
+    np.fill_diagonal(rows[2 * count :], np.concatenate([np.full(n, 0.1 * BEND), np.full(n, 0.1 * rate), parameter_std]))
+    return rows

@@ -9,12 +9,16 @@ what is carried through its equations is those few (Verlaan and Heemink 1997, St
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dgeqp3, dgeqrf, dtrtrs
 
 from hyperflex.checks import Array
+
+SHORTEST = 1e-2  # part of a Gauss-Newton step
+CLOSE = 0.03  # of a standard deviation: an update has converged
 
 
 class Innovation(NamedTuple):
@@ -96,3 +100,50 @@ def compared(upper: Array, innovation: Array) -> Innovation:
     whitened = solved(upper, innovation, transposed=True)
     size = math.log(2.0 * math.pi) * innovation.size + 2.0 * np.log(np.abs(np.diag(upper))).sum()
     return Innovation(whitened, float(-0.5 * (whitened @ whitened + size)))
+
+
+def iterated_update(
+    before: Array,
+    factor: Array,
+    compared: Callable[[Array], tuple[Array, Array]],
+    rounds: int,
+    look: Callable[[Array, Array, Array, Array], None],
+) -> tuple[Array, Array]:
+    """Return the mode of the posterior, by Gauss-Newton with a line search, and rows of the covariance about it.
+
+    Parameters
+    ----------
+    before : (N,) float64
+        The state before.
+    factor : (r, N) float64
+        Rows of its covariance.
+    compared : callable
+        Of a state, returns whitened differences (m,) and the whitened derivatives (m, N).
+    rounds : int
+        At most.
+    look : callable
+        Is called once, with the differences, derivatives, gain and factor of the innovation.
+
+    Notes
+    -----
+    Bell, Cathey 1993, IEEE Transactions on Automatic Control 38, 294-297: the iterated extended Kalman filter.
+    """
+    u, cost = np.zeros(len(factor)), np.inf  # the state is before + factor' u
+    x, (left, jacobian) = before, compared(before)
+    for turn in range(rounds):
+        gain, _, upper = whitened_gain(factor, jacobian)
+        if turn == 0:
+            look(left, jacobian, gain, upper)
+        step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
+        while True:
+            tried = before + factor.T @ (u + part * step)
+            left, jacobian = compared(tried)
+            now = float(((u + part * step) ** 2).sum() + (left**2).sum())
+            if now <= cost or part < SHORTEST:
+                break
+            part *= 0.5
+        x, u, cost = tried, u + part * step, now
+        if part * np.abs(step).max() < CLOSE:
+            break
+    _, across, upper = whitened_gain(factor, jacobian)
+    return x, updated(factor, across, upper)
