@@ -42,9 +42,9 @@ def test_where_a_prediction_is_wide_clutter_is_not_taken_for_a_marker() -> None:
     """A blackout: one marker is expected within 60 px. A blob there is it if blobs are rare, not if there are many."""
     mean, seen = np.array([[100.0, 100.0]]), observed([[150.0, 100.0]])
     assert assign_markers(seen, mean, each(60.0, 1)).indices.tolist() == [0]
-    assert assign_markers(seen, mean, each(60.0, 1), clutter=1e-4).indices.tolist() == [-1]
-    assert assign_markers(seen, mean, each(60.0, 1), clutter=[1e-4]).indices.tolist() == [-1]
-    assert assign_markers(seen, np.array([[149.0, 100.0]]), each(2.0, 1), clutter=1e-4).indices.tolist() == [0]
+    assert assign_markers(seen, mean, each(60.0, 1), clutter=1e-3).indices.tolist() == [-1]
+    assert assign_markers(seen, mean, each(60.0, 1), clutter=[1e-3]).indices.tolist() == [-1]
+    assert assign_markers(seen, np.array([[149.0, 100.0]]), each(2.0, 1), clutter=1e-3).indices.tolist() == [0]
 
 
 def test_a_marker_before_known_clutter_is_still_seen() -> None:

@@ -84,7 +84,8 @@ class RopeTracker:
 
     Notes
     -----
-    The first frame is searched as a whole, and its blobs are put in order by the rope between them (``order_markers``).
+    The first frame is searched as a whole, and its blobs are put in order by the rope between them (``order_markers``);
+    where that is not certain, those that move, and then the next frame.
     From then on each marker is looked for where the dynamics say, as far around as they are unsure; all are assigned
     together. Where several frames in a row show nothing, the whole picture is searched again, with what the dynamics
     still say.
@@ -165,14 +166,23 @@ class RopeTracker:
         places, covariances = blobs.in_plane(self.camera)
         noise = float(np.sqrt(np.median(np.trace(covariances, axis1=1, axis2=2) / 2.0)))
         arcs = self.estimator.model.arc_lengths
-        order = order_markers(places, np.maximum(arcs, 1e-6), self.estimator.process.base(t)[0], noise=max(noise, 1e-4))
+        origin, along = self.estimator.process.base(t)[0], np.maximum(arcs, 1e-6)
+        used = np.arange(len(places))
+        order = order_markers(places, along, origin, noise=max(noise, 1e-4))
+        moving = np.flatnonzero(~self._clutter.still(blobs))
+        if not order.certain and 2 <= moving.size < len(places):
+            order, used = order_markers(places[moving], along, origin, noise=max(noise, 1e-4)), moving
         self._waited += 1
-        if (not order.certain and self._waited < PATIENT) or not (order.indices >= 0).any():
-            return None, None
         found = order.indices >= 0
+        if (not order.certain and self._waited < PATIENT) or not found.any():
+            self._clutter.learn(blobs, np.zeros(len(places), bool))
+            return None, None
+        taken = used[order.indices[found]]
         pixels, wide = np.full((arcs.size, 2), np.nan), np.full((arcs.size, 2, 2), np.nan)
-        pixels[found], wide[found] = blobs.places[order.indices[found]], blobs.covariances[order.indices[found]]
-        self._clutter.learn(blobs, np.isin(np.arange(len(blobs.places)), order.indices))
+        pixels[found], wide[found] = blobs.places[taken], blobs.covariances[taken]
+        if used.size == len(places):
+            self._clutter = ClutterMap(self.camera.image_size)  # what lay still may have been the rope
+        self._clutter.learn(blobs, np.isin(np.arange(len(places)), taken))
         return pixels, wide
 
     def _expected(self) -> tuple[Array, Array, Array]:

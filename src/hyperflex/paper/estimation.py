@@ -66,8 +66,8 @@ class FreeSwing:
         return np.linspace(spacing, LENGTH, MARKERS) - (0.0 if self.on_tip else 0.5 * spacing)
 
 
-SWINGS = tuple(FreeSwing(seed) for seed in range(5))
-DRAWN = SWINGS[2]  # whose first two frames are lost, as the paper's were
+SWINGS = tuple(FreeSwing(seed) for seed in range(7))
+DRAWN = SWINGS[6]  # where two frames lose markers at first, as the paper's did
 
 
 def finer_cable() -> Rope:

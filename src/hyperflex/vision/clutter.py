@@ -10,6 +10,7 @@ from hyperflex.vision.markers import Observations
 
 NEAR = 2.0  # px, within which something seen again has not moved
 MEMORY = 30.0  # frames, of the mean number of blobs that are no markers
+STILL = 3  # frames in which something lay at the same place
 FORGOTTEN = 60  # frames after which something that was seen there once is forgotten
 
 
@@ -47,6 +48,12 @@ class ClutterMap:
         variance = np.sqrt(np.linalg.det(seen.covariances[known]))
         result[known] += n / (n + 1.0) / (2.0 * np.pi * variance)
         return result
+
+    def still(self, seen: Observations) -> npt.NDArray[np.bool_]:
+        """Return which of M blobs lie where something was seen in `STILL` frames or more (M,)."""
+        nearest, known = self._known(seen.places)
+        known[known] = self._sightings[nearest[known]] >= STILL
+        return known
 
     def learn(self, seen: Observations, markers: npt.NDArray[np.bool_]) -> None:
         """Take a frame's blobs, of which some were `markers` (M,)."""
