@@ -171,6 +171,7 @@ def track(
     seed: int = 0,
     seen: bool = False,
     view: Callable[[float, Array], Array] | None = None,
+    process_noise: float = 1.0,
 ) -> Tracked:
     """Let a filter with n links follow a run of the finer rope; the picture is late, rolled or read row by row."""
     rng = np.random.default_rng((seed, 7))
@@ -179,7 +180,13 @@ def track(
     ends = np.linspace(0.0, LENGTH, links + 1)
     base = {"motion": SWINGS, "arm": ARM} if moved else {}
     tracker = RopeFilter(
-        rope(n, scale), arcs * scale, parameters=parameters, tests=tests, readout=known_readout, **base
+        rope(n, scale),
+        arcs * scale,
+        parameters=parameters,
+        tests=tests,
+        readout=known_readout,
+        process_noise=process_noise,
+        **base,
     )
     result, rows = Tracked(tracker), np.linspace(-0.5, 0.5, markers)
     turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
