@@ -12,6 +12,7 @@ from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
 
 if TYPE_CHECKING:
+    from hyperflex.estimate import RopeFilter, VideoTrack
     from hyperflex.vision import BarDetector
 
 
@@ -110,6 +111,11 @@ def track(
             progress=lambda count: said(f"frame {count}"),
         )
     found.recording.to_netcdf(out)
+    _show(found, estimator, out, json)
+
+
+def _show(found: VideoTrack, estimator: RopeFilter, out: Path, as_json: bool) -> None:
+    """Print what was tracked."""
     result: dict[str, Any] = {
         "output": out,
         "frames": found.frames,
@@ -122,7 +128,7 @@ def track(
         "changes": [asdict(change) for change in found.changes],
         "notes": list(found.notes),
     }
-    if json:
+    if as_json:
         output.print_json(result)
         return
     output.print_pairs(
