@@ -78,6 +78,8 @@ def array(
     """
     want = "x".join("any" if k < 0 else str(k) for k in shape)
     try:
+        if np.asarray(value).dtype.kind in "SU":  # which numpy would read as numbers
+            raise ValueError
         result = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise InvalidInput(f"{name} is not an array of numbers", got=value, allowed=f"numbers, shape {want}") from None

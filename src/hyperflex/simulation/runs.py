@@ -266,7 +266,8 @@ def angles(
 def _ending(until: Event | None, setup: Setup) -> Until:
     """Return the event that may end the run, as kernels take it."""
     if until is not None and not isinstance(until, Event):
-        raise InvalidInput("until is not an event", got=until, allowed="tip_crosses(...), tip_speed_peak(...), ...")
+        allowed = "tip_crosses, tip_speed_peak, phase_reached or angle_reached"
+        raise InvalidInput("until is not an event", got=until, allowed=allowed)
     if setup.pegs and until is not None:
         raise InvalidInput("events are not there yet with pegs", fix="Leave out until or pegs")
     return NEVER if until is None else until.packed(setup)
