@@ -14,7 +14,7 @@ from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.change_detection import SETTLED, ChangeDetector, Found
 from hyperflex.estimate.changes import TOUCH, Change, ChangeTests
-from hyperflex.estimate.noise import NoiseDerivatives, NoiseLevel
+from hyperflex.estimate.noise import AT_REST, QUIET, NoiseDerivatives, NoiseLevel
 from hyperflex.estimate.observations import MarkerModel, Observations, polyline_angles
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.process import Process, smooth_shapes
@@ -32,8 +32,6 @@ SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
 PERSISTENT = 2  # frames in a row in which a place is outside of its gate: then it is believed
-QUIET = 0.05  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
-AT_REST = 0.5  # of the declared noise of places: where a rope rests, it is the same in each frame, and does not show
 GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 
 
@@ -177,29 +175,19 @@ class RopeFilter:
         self.x, self.t, self._qdd = found.x, t, found.qdd
 
     def markers(self, rows: Array | None = None) -> tuple[Array, Array]:
-        """Return where the markers should be seen (K, 2), and the covariances (K, 2, 2) of those places.
-
-        The covariances are of the places themselves: what a detector adds is not in them.
-        """
+        """Return where the markers should be seen (K, 2), and covariances (K, 2, 2) without a detector's own noise."""
         places, joint = self.expected(rows)
-        each = np.arange(len(places))
-        return places, joint.reshape(len(places), 2, len(places), 2)[each, :, each]
+        return places, np.einsum("kikj->kij", joint.reshape(len(places), 2, len(places), 2))
 
     def expected(self, rows: Array | None = None) -> tuple[Array, Array]:
-        """Return where the markers should be seen (K, 2), and the covariance (2 K, 2 K) of all those places together.
-
-        `rows` (K,) are those of :class:`Observations`.
-        """
+        """Return the places (K, 2) that :meth:`markers` returns, and the covariance (2 K, 2 K) of all together."""
         rows = np.zeros(len(self.model.arc_lengths)) if rows is None else rows
         places, slope = self.model.predict(self.x, self._base(), rows, self._qdd)
         spread = self.factor @ slope.reshape(places.size, -1).T
         return places, spread.T @ spread
 
     def readout_shift(self, rows: Array) -> tuple[Array, Array]:
-        """Return by how much markers move until they are read (K, 2), and the covariances (K, 2, 2) of that.
-
-        `rows` (K,) are those of :class:`Observations`.
-        """
+        """Return by how much markers move until their `rows` (K,) are read (K, 2), and covariances (K, 2, 2)."""
         base = self._base()
         late, now = (self.model.predict(self.x, base, each, self._qdd) for each in (rows, np.zeros_like(rows)))
         spread = np.matmul(self.factor, (late[1] - now[1]).transpose(0, 2, 1))
