@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperflex.errors import InvalidInput
-from hyperflex.vision import ClutterMap, assign_markers
+from hyperflex.vision import ClutterMap, Gate, assign_markers
 from tests.vision.test_assignment import NOISE, each, observed
 
 SIZE = (1000, 500)
@@ -22,6 +22,20 @@ def test_a_place_that_was_no_marker_is_known_again() -> None:
     assert density[0] < 1e-5  # a marker's place is not remembered
     assert density[1] == pytest.approx(0.75 / (2.0 * np.pi * NOISE**2), rel=1e-3)  # n / (n + 1), n = 3
     assert clutter.density(observed([[304.0, 300.0]]))[0] < 1e-5  # it has moved
+    assert clutter.still(blobs).tolist() == [False, True]
+    for _ in range(4):  # it is looked for there, and no longer found
+        clutter.learn(observed(np.zeros((0, 2))), np.zeros(0, bool), [Gate([302.0, 300.0], 4.0 * np.eye(2))])
+    assert clutter.density(blobs)[1] == pytest.approx(0.375 / (2.0 * np.pi * NOISE**2), rel=1e-3)  # 3 / (3 + 4 + 1)
+
+
+def test_what_passed_by_once_is_forgotten() -> None:
+    """A marker that was not recognised must not be refused when it comes by again."""
+    clutter, blobs = ClutterMap(SIZE), observed([[300.0, 300.0]])
+    clutter.learn(blobs, np.zeros(1, bool))
+    assert clutter.density(blobs)[0] > 0.1
+    for _ in range(3):
+        clutter.learn(observed(np.zeros((0, 2))), np.zeros(0, bool), [])
+    assert clutter.density(blobs)[0] < 1e-5
 
 
 def test_moving_clutter_makes_a_density() -> None:

@@ -14,7 +14,7 @@ from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.change_detection import SETTLED, ChangeDetector, Found
 from hyperflex.estimate.changes import TOUCH, Change, ChangeTests
 from hyperflex.estimate.gate import ValidationGate
-from hyperflex.estimate.noise import NoiseDerivatives, NoiseLevel
+from hyperflex.estimate.noise import AT_REST, QUIET, NoiseDerivatives, NoiseLevel
 from hyperflex.estimate.observations import MarkerModel, Observations, polyline_angles
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.process import Process, starting_rows, turning_rate
@@ -28,8 +28,6 @@ FIRST_ROUNDS = 30
 NEGLIGIBLE = 1e-5  # rad, standard deviation of an angle that is left out; of rates over sqrt(g / L)
 ROUGHLY = 30.0  # times that, of what tells of noise levels alone
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
-QUIET = 0.05  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
-AT_REST = 0.5  # of the declared noise of places: where a rope rests, it is the same in each frame, and does not show
 
 
 class RopeFilter:

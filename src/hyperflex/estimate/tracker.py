@@ -125,7 +125,7 @@ class RopeTracker:
             clutter=self._clutter.density(blobs),
         )
         found = found._replace(covariances=found.covariances / level**2)
-        self._clutter.learn(blobs, np.isin(np.arange(len(blobs.places)), found.indices))
+        self._clutter.learn(blobs, np.isin(np.arange(len(blobs.places)), found.indices), gates)
         rows = self._rows(found.places)
         self.estimator.update(Observations(t, found.places, rows=rows, covariances=found.covariances))
         self._dark = 0 if (found.indices >= 0).any() else self._dark + 1
