@@ -121,11 +121,11 @@ def _of_plan(path: Path) -> dict[str, Any]:
 
     plan = read_plan(path)
     known = plan.cast_setup
-    wound = isinstance(plan, CastPlan)
-    setup = Setup(known.rope, None, known.arm, pegs=(plan.target,) if wound else ())
+    pegs = (plan.target,) if isinstance(plan, CastPlan) else ()
+    setup = Setup(known.rope, None, known.arm, pegs=pegs)
     tables: dict[str, Any] = tomllib.loads(setup.dumps())
     tables["limits"] = {field.name: getattr(known.limits, field.name) for field in fields(known.limits)}
-    return tables if wound else tables | {"target": {f.name: getattr(plan.target, f.name) for f in fields(plan.target)}}
+    return tables if pegs else tables | {"target": {f.name: getattr(plan.target, f.name) for f in fields(plan.target)}}
 
 
 def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, mu: float | None) -> Peg:
