@@ -1,7 +1,5 @@
 """The command-line application: all commands, and the exit codes of errors."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """``hyperflex warm``: compile all kernels in advance, in several processes."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import pkgutil

@@ -1,7 +1,5 @@
 """``hyperflex whip``: a rope, an arm and a point in, strokes after which the tip passes it fast out."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict
 from typing import Annotated

@@ -5,8 +5,6 @@ it 7.5 times a second; whoever follows it has 50 links or none. It is first seen
 rates are not known. Pictures are rendered, 5 mm a pixel; each marker is 1.5 mm off by chance in each frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 

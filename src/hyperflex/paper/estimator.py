@@ -1,7 +1,5 @@
 """The paper's online estimator (section III D, Fig. 7), and trackers without dynamics to compare it with."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The form of the paper's results: claims with thresholds, and tables of numbers behind its figures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Protocol
 

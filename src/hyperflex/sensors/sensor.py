@@ -1,7 +1,5 @@
 """What all sensors have in common: one call that returns what is seen in a state, with derivatives."""
 
-from __future__ import annotations
-
 from typing import NamedTuple, Protocol
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The paper's figures, tables and claims as files: pictures, tables of numbers, a Markdown table and a page."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

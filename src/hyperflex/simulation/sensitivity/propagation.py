@@ -1,7 +1,5 @@
 """Propagation of a state and of given changes of it, for filters that do so frame by frame."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
