@@ -207,7 +207,6 @@ def test_a_wrong_scale_is_refused_or_admitted(hyperflex: Run, folder: Path, tmp_
     else:
         assert code == 0
         assert result["noise_level"] > 2.0
-        assert result["seen"] < 0.5
         assert "check the camera's scale" in " ".join(result["notes"])
 
 

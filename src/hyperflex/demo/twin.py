@@ -32,6 +32,7 @@ BENDING_FRICTION = 1e-4  # N m^2 s, joint friction times link length; between th
 RATE, SECONDS = 30.0, 10.0  # frames a second, s
 ARC_LENGTHS = LENGTH * np.arange(1, COARSE + 1) / COARSE  # m, of the markers: at the joints of the coarse chain
 HIDDEN, HIDDEN_TIME = 0.03, 0.3  # part of the markers that is covered, and for how long at a time, s
+SEED = 2007
 NAME = "demo swing (simulated)"
 TRAIN, WINDOW = 7.0, 3.5  # s, fitted part of the recording and length of its windows
 FREE = ("friction:shared", "inertia:shared")
@@ -85,7 +86,8 @@ def film(path: Path, seconds: float = SECONDS) -> Truth:
         clutter=3,
         light_drift=0.1,
         noise=1.5,
-        hidden=random_occlusion(COARSE, HIDDEN, HIDDEN_TIME, until=seconds),
+        hidden=random_occlusion(COARSE, HIDDEN, HIDDEN_TIME, until=seconds, seed=SEED),
+        seed=SEED,
     )
     motion = RopeMotion(run.t, run.q, run.qd, fine_rope().length)
     return Renderer(camera(), motion, scene).write(path, frame_times(0.0, seconds, RATE), quality=24)

@@ -96,7 +96,10 @@ class RopeFilter:
         self.process_noise = NoiseLevel(np.full(2, density), least=QUIET)
         self.measurement_noise = NoiseLevel(1.0, doubt=0.7, least=AT_REST)
         self.t: float | None = None
-        self.age = 0.0
+        self.age, self.used = (
+            0.0,
+            np.zeros(len(self.model.arc_lengths), dtype=bool),
+        )  # which markers the last update used
         self.log_likelihood = 0.0
         self.innovation: sr.Innovation | None = None
         n = rope.n_links
@@ -291,6 +294,7 @@ class RopeFilter:
             return self.model.predict(x, self.process.base(seen.t, x), seen.rows, self._qdd)
 
         good = seen.seen & (self._believed(seen, *predicted(self.x)) if rounds == ROUNDS else True)
+        self.used = good
         if not good.any():
             return
         self.age = 0.0

@@ -13,7 +13,7 @@ from hyperflex.checks import Array
 from hyperflex.estimate import square_root as sr
 
 LEAST, MOST = 1e-4, 1e4  # times the first guess of a noise level
-QUIET = 0.05  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
+QUIET = 0.02  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
 AT_REST = 0.5  # of the declared noise of places: where a rope rests, it is the same in each frame, and does not show
 LATELY = 10.0  # frames over which the information of one is averaged: it falls with the level
 LONGEST = 1.0  # largest change of a logarithm in one frame

@@ -128,6 +128,7 @@ class RopeTracker:
         self._clutter.learn(blobs, np.isin(np.arange(len(blobs.places)), found.indices), gates)
         rows = self._rows(found.places)
         self.estimator.update(Observations(t, found.places, rows=rows, covariances=found.covariances))
+        found.places[~self.estimator.used] = np.nan  # outside of its gate: something else
         self._dark = 0 if (found.indices >= 0).any() else self._dark + 1
         return self._result(t, found.places, found.covariances, predicted, _of_each(spread), rows)
 
