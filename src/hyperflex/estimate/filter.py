@@ -96,11 +96,8 @@ class RopeFilter:
         self.process_noise = NoiseLevel(np.full(2, density), least=QUIET)
         self.measurement_noise = NoiseLevel(1.0, doubt=0.7, least=AT_REST)
         self.t: float | None = None
-        self.age, self.used = (
-            0.0,
-            np.zeros(len(self.model.arc_lengths), dtype=bool),
-        )  # which markers the last update used
-        self.log_likelihood = 0.0
+        self.age, self.log_likelihood = 0.0, 0.0
+        self.used = np.zeros(len(self.model.arc_lengths), dtype=bool)  # which markers the last update used
         self.innovation: sr.Innovation | None = None
         n = rope.n_links
         self.x = np.concatenate([np.zeros(2 * n), self.parameters.value_at_start])
