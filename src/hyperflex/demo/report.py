@@ -64,7 +64,7 @@ _TRACKED = (
     "friction, is enough to track it. swing.mp4, camera.toml and guess.toml are what hyperflex track was given."
 )
 _CAPTIONS = {
-    "seen": "Four frames as they were tracked: crosses are markers as they were seen, white is the rope as estimated.",
+    "seen": "Four frames as tracked: crosses are markers seen, circles where they were expected, blue the rope.",
     "film": "The identified rope, cast from rest by the paper's motion; simulated.",
     "strobe": "One stroke of the arm late in the cast, early instants dark, late ones bright.",
     "casts": "Tip to the side: the identified chain beside the rope that made the recording.",
