@@ -6,6 +6,7 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.estimate.filter import RopeFilter
+    from hyperflex.estimate.moving_horizon import MovingHorizon, SmoothedTrack, smooth
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter
     from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, VideoTrack, track_video

@@ -231,13 +231,13 @@ class RopeFilter:
         self.factor = sr.triangular(rows)
         self._correct(seen, FIRST_ROUNDS)
 
-    def _correct(self, seen: Observations, rounds: int) -> None:
-        """Correct by Gauss-Newton on the posterior, and the covariance about where that ends."""
+    def _correct(self, seen: Observations, rounds: int) -> npt.NDArray[np.bool_]:
+        """Correct by Gauss-Newton on the posterior, and the covariance about where that ends; return what was used."""
         base = self.process.base(seen.t)
         found = self.model.predict(self.x, base, seen.rows, self._qdd)
         good = seen.seen & (self._plausible(seen, *found) if rounds == ROUNDS else True)
         if not good.any():
-            return
+            return good
         self.age = 0.0
         whiten = np.linalg.inv(np.linalg.cholesky(seen.covariances[good])) / self.measurement_noise.value
 
@@ -270,6 +270,7 @@ class RopeFilter:
         first = 2 * self.n_links
         x[first:] = self.parameters.possible(x[first:])
         self.x = x
+        return good
 
     def _plausible(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
         """Return which places lie within their gates; all of them where hardly any does, for then it is the state."""

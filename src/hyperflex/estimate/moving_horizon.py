@@ -1,0 +1,307 @@
+"""Moving-horizon estimator: Gauss-Newton over the last frames, from several starts where one may be wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.estimate import square_root as sr
+from hyperflex.estimate.filter import RopeFilter
+from hyperflex.estimate.observations import Observations
+from hyperflex.estimate.smoother import InputFrame, Interval
+from hyperflex.interfaces import RopeState
+from hyperflex.model import Rope
+
+ROUNDS = 3  # of Gauss-Newton, at each frame
+FIRST_ROUNDS = 12  # where there are several starts
+WHOLE_ROUNDS = 30  # over a whole recording
+AMBIGUOUS = 0.5  # rad, standard deviation of a link's angle beyond which what is seen may have several explanations
+DIMENSIONS = 4  # in which starts differ
+NEGLIGIBLE = 7.0  # by how much a logarithm of a likelihood is below the best where its start is dropped
+ALIKE = 0.1  # of a standard deviation: two starts have come to the same
+
+
+class Prior(NamedTuple):
+    """What was known of a state before its frame was seen.
+
+    Attributes
+    ----------
+    mean : (N,) float64
+    rows : (r, N) float64
+        Their squares are its covariance.
+    """
+
+    mean: Array
+    rows: Array
+
+
+class MovingHorizon(RopeFilter):
+    """Estimates a rope's state from its markers in the last frames, all fitted at once.
+
+    It is used as the filter is. Where that corrects the last state alone, about derivatives that were taken at worse
+    estimates, this corrects the states of the last frames together, and takes all derivatives anew. What was seen
+    before goes on as the prior of the first of them (arrival cost), from the square root of the same factorisation.
+
+    Parameters
+    ----------
+    rope : Rope
+    arc_lengths : (K,) array_like
+        How far along the rope each marker sits, m from the first joint.
+    frames : int
+        How many frames are fitted together, at least 2.
+    starts : int
+        How many start states are tried where the state may have several explanations: after the first frame, and after
+        a blackout. Each is fitted to the next frames; the most likely one goes on, and others are dropped as they
+        become unlikely. 1: none but the expected one.
+    **options
+        As of :class:`RopeFilter`.
+
+    Attributes
+    ----------
+    begun : Prior or None
+        Of the frame with which the horizon began, or began anew.
+
+    Notes
+    -----
+    The prior of the second frame when the first leaves is the filter's, linearised at what the horizon has made of it
+    (Rao, Rawlings and Mayne 2003, IEEE Trans. Automatic Control 48(2), 246; smoothing update). Cost: some ROUNDS times
+    `frames` times that of the filter.
+
+    While several explanations are alive, the covariance is that of their mixture about the most likely one.
+    """
+
+    def __init__(
+        self, rope: Rope, arc_lengths: npt.ArrayLike, *, frames: int = 8, starts: int = 12, **options: Any
+    ) -> None:
+        super().__init__(rope, arc_lengths, **options)
+        self.frames = checks.count("frames", frames, least=2)
+        self.starts = checks.count("starts", starts)
+        self._explanations: list[Interval] = []
+        self.begun: Prior | None = None
+
+    @property
+    def horizon(self) -> Interval | None:
+        """The frames of the horizon, as the most likely explanation fits them; None before anything was seen."""
+        return self._explanations[0] if self._explanations else None
+
+    @property
+    def smoothed(self) -> tuple[RopeState, ...]:
+        """The states of the frames of the horizon, with covariances, the oldest first."""
+        return () if self.horizon is None else _states(self.horizon, self.n_links)
+
+    @property
+    def explanations(self) -> Array:
+        """Weights of the explanations that are alive, the most likely first; their sum is 1."""
+        if not self._explanations:
+            return np.zeros(0)
+        known = np.array([each.log_likelihood for each in self._explanations])
+        weights = np.exp(known - known[0])
+        return np.asarray(weights / weights.sum())
+
+    def restart(self) -> None:
+        """Forget the state; what was learnt of parameters and noise stays as a first guess."""
+        super().restart()
+        self._explanations = []
+
+    def _correct(self, seen: Observations, rounds: int) -> npt.NDArray[np.bool_]:
+        """Let the filter say which markers are plausible, and fit the horizon."""
+        predicted, unsure = (self.x.copy(), self.factor), self._unsure()
+        used = super()._correct(seen, rounds)
+        frame = InputFrame(seen, used, self.measurement_noise.value, self._noise_until(seen.t))
+        if not self._explanations:
+            self.begun = Prior(*predicted)
+            self._explanations = [Interval(self.process, self.model, *predicted, frame, self._qdd)]
+            self._fit(FIRST_ROUNDS)
+        elif unsure and self.starts > 1 and used.any() and len(self._explanations) == 1:
+            self._explanations = self._started(frame)
+            self._fit(0)
+        else:
+            self._explanations = [each for each in self._explanations if _appended(each, frame)]
+            self._fit(ROUNDS if used.any() else 0)
+        if self._explanations:
+            self._take()
+        return used
+
+    def _unsure(self) -> bool:
+        """Return whether what was expected is too wide to be linear."""
+        return bool(np.linalg.norm(self.factor[:, : self.n_links], axis=0).max() > AMBIGUOUS)
+
+    def _noise_until(self, t: float) -> Array:
+        """Return rows of the process noise since the last frame."""
+        if not self._explanations:
+            return np.zeros((0, self.x.size))
+        return self.process.noise(t - self._explanations[0].frames[-1].seen.t, self.process_noise.value)
+
+    def _started(self, frame: InputFrame) -> list[Interval]:
+        """Return fits from several starts, spread where the angles expected now are uncertain."""
+        last = self._explanations[0]
+        nothing = InputFrame(
+            last.frames[-1].seen, np.zeros_like(frame.used), frame.level, np.zeros((0, self.x.size))
+        )
+        begun = Interval(self.process, self.model, last.x, last.factor, nothing, last.qdd)
+        try:
+            begun.append(frame)
+        except SimulationError:
+            return []
+        angles = last.factor @ begun.path.predictions[-1].transition[: self.n_links].T
+        ways, sizes, _ = np.linalg.svd(angles, full_matrices=False)
+        ways = ways[:, sizes > AMBIGUOUS][:, :DIMENSIONS]
+        found = [begun]
+        if ways.size:
+            points = ndtri(qmc.Halton(ways.shape[1], scramble=True, rng=0).random(self.starts - 1))
+            for point in points:
+                twin = begun.copy()
+                if twin.begin_at(ways @ point):
+                    found.append(twin)
+        for each in found:
+            each.solve(FIRST_ROUNDS)
+        return found
+
+    def _fit(self, rounds: int) -> None:
+        """Improve all explanations, order them, and drop those that are negligible or alike."""
+        for each in self._explanations:
+            each.solve(rounds)
+            while len(each.frames) > self.frames:
+                each.forget()
+        kept: list[Interval] = []
+        for each in sorted(self._explanations, key=lambda one: -one.log_likelihood):
+            unlikely = kept and each.log_likelihood < kept[0].log_likelihood - NEGLIGIBLE
+            if not unlikely and not any(_alike(each, other) for other in kept):
+                kept.append(each)
+        self._explanations = kept
+
+    def _take(self) -> None:
+        """Hand out the most likely explanation, as unsure as all of them."""
+        best, weights = self._explanations[0], self.explanations
+        rows = [np.sqrt(weight) * each.factor for weight, each in zip(weights, self._explanations, strict=True)]
+        rows += [np.sqrt(weight) * (each.x - best.x)[None] for weight, each in zip(weights, self._explanations, strict=True)]
+        self.factor = sr.triangular(np.concatenate(rows)) if len(weights) > 1 else best.factor
+        first = 2 * self.n_links
+        x = best.x.copy()
+        x[first:] = self.parameters.possible(x[first:])
+        self.x, self._qdd = x, best.qdd
+
+
+def _appended(each: Interval, frame: InputFrame) -> bool:
+    try:
+        each.append(frame)
+    except SimulationError:
+        return False
+    return True
+
+
+def _alike(one: Interval, other: Interval) -> bool:
+    """Return whether two fits have come to the same path."""
+    if len(one.frames) != len(other.frames):
+        return False
+    return all(
+        np.abs(a - b).max(initial=0.0) < ALIKE
+        for a, b in zip([one.path.start, *one.path.noises], [other.path.start, *other.path.noises], strict=True)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedTrack:
+    """The states of all frames, each given what was seen in all (made by :func:`smooth`).
+
+    Attributes
+    ----------
+    states : tuple of RopeState
+        Of each frame, with its covariance.
+    places : (T, K, 2) float64
+        Where the markers are seen, m or px, also where they were not.
+    values : dict of str to (float, float)
+        Each estimated parameter's value and standard deviation.
+    log_likelihood : float
+        Of all that was seen.
+    """
+
+    states: tuple[RopeState, ...]
+    places: Array
+    values: dict[str, tuple[float, float]]
+    log_likelihood: float
+
+
+def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> SmoothedTrack:
+    """Estimate the states of all frames of a recording from all of it.
+
+    The estimator goes through the recording; then Gauss-Newton over all frames begins at what it found, with the levels
+    of noise that it learnt. Where it had to begin anew, the result begins there.
+
+    Parameters
+    ----------
+    estimator : MovingHorizon
+    observations : iterable of Observations
+        In the order of time.
+
+    Raises
+    ------
+    InvalidInput
+        If nothing is seen in any of them.
+    SimulationError
+        If no rope can move along what was found.
+
+    Notes
+    -----
+    Maximum a posteriori, with covariances of Laplace's approximation; cost O(T) per round (see :func:`smooth_linear`).
+    """
+    frames: list[InputFrame] = []
+    states: list[tuple[Array, Array]] = []
+    for seen in observations:
+        begun = estimator.begun
+        estimator.update(seen)
+        if estimator.horizon is None:
+            continue
+        if estimator.begun is not begun:
+            frames, states = [], []
+        found = estimator.horizon
+        frames.append(found.frames[-1])
+        states.append((found.x, found.factor))
+        known = min(len(found.frames), len(states))
+        states[-known:] = zip(found.states[-known:], found.smoothed.rows[-known:], strict=True)
+    if estimator.begun is None:
+        raise InvalidInput("no marker was seen", allowed="observations of at least one")
+    level, density = estimator.measurement_noise.value, estimator.process_noise.value
+    times = [each.seen.t for each in frames]
+    frames = [replace(each, level=level) for each in frames]
+    for k, gap in enumerate(np.diff(times).tolist(), start=1):
+        frames[k] = replace(frames[k], noise=estimator.process.noise(gap, density))
+    prior = estimator.begun
+    whole = Interval(estimator.process, estimator.model, prior.mean, prior.rows, frames[0], np.zeros(estimator.n_links))
+    if len(frames) > 1:
+        whole.follow(frames[1:], states)
+    whole.solve(WHOLE_ROUNDS)
+    return _track(whole, estimator)
+
+
+def _track(whole: Interval, estimator: MovingHorizon) -> SmoothedTrack:
+    """Return what a fit of all frames says."""
+    n, model, process = estimator.n_links, estimator.model, estimator.process
+    qdds = [np.zeros(n), *(each.qdd for each in whole.path.predictions)]
+    places = [
+        model.predict(x, process.base(frame.seen.t), np.zeros(len(model.arc_lengths)), qdd)[0]
+        for x, frame, qdd in zip(whole.states, whole.frames, qdds, strict=True)
+    ]
+    last, std = whole.x[2 * n :], np.linalg.norm(whole.factor[:, 2 * n :], axis=0)
+    values = {
+        name: (float(value), float(each))
+        for name, value, each in zip(estimator.parameters.names, last, std, strict=True)
+    }
+    return SmoothedTrack(_states(whole, n), np.array(places), values, whole.log_likelihood)
+
+
+def _states(fitted: Interval, n: int) -> tuple[RopeState, ...]:
+    """Return the states of all frames of an interval."""
+    return tuple(
+        RopeState(frame.seen.t, x[:n], x[n : 2 * n], rows[:, : 2 * n].T @ rows[:, : 2 * n])
+        for frame, x, rows in zip(fitted.frames, fitted.states, fitted.smoothed.rows, strict=True)
+    )
