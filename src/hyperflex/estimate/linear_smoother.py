@@ -53,23 +53,26 @@ class Smoothed(NamedTuple):
     means : (T, N) float64
     rows : list of (r, N) float64
         Of each frame; their squares are its covariance.
-    start : (r,) float64
-        The first state over the factor of its prior: ``x = mean + rows^T start``.
+    priors : list of tuple of (N,) float64 and (r, N) float64
+        Mean and rows of each frame, given those before it alone.
+    coordinates : list of (r,) float64
+        v of each state over its prior: ``x = mean + rows^T v``.
     noises : list of (r,) float64
         Of the steps: w.
-    second : tuple of (N,) float64, (r, N) float64 and (r,) float64
-        Prior mean and rows of the second frame, given the first alone, and the second state over them; None of a single
-        frame.
     log_likelihoods : (T,) float64
         Of each frame's measurement, given those before.
     """
 
     means: Array
     rows: list[Array]
-    start: Array
+    priors: list[tuple[Array, Array]]
+    coordinates: list[Array]
     noises: list[Array]
-    second: tuple[Array, Array, Array] | None
     log_likelihoods: Array
+
+    def without_first(self) -> Smoothed:
+        """Return the same of all frames but the first."""
+        return Smoothed(*(each[1:] for each in self))
 
 
 class _Filtered(NamedTuple):
@@ -142,8 +145,8 @@ def _backward(passes: list[_Filtered], turns: list[Array], likelihoods: Array) -
         coordinates.append(v)
         means.append(_mean(each, v))
         rows.append(spread @ each.rows)
-    second = (passes[1].mean, passes[1].rows, coordinates[-2]) if len(passes) > 1 else None
-    return Smoothed(np.array(means[::-1]), rows[::-1], v, noises[::-1], second, likelihoods)
+    priors = [(each.mean, each.rows) for each in passes]
+    return Smoothed(np.array(means[::-1]), rows[::-1], priors, coordinates[::-1], noises[::-1], likelihoods)
 
 
 def _mean(each: _Filtered, v: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.filter import RopeFilter
+from hyperflex.estimate.noise import NoiseLevel
 from hyperflex.estimate.observations import Observations
 from hyperflex.estimate.smoother import InputFrame, Interval
 from hyperflex.interfaces import RopeState
@@ -27,6 +29,8 @@ WHOLE_ROUNDS = 30  # over a whole recording
 AMBIGUOUS = 0.5  # rad, standard deviation of a link's angle beyond which what is seen may have several explanations
 DIMENSIONS = 4  # in which starts differ
 NEGLIGIBLE = 7.0  # by how much a logarithm of a likelihood is below the best where its start is dropped
+LOST = 10.0  # how many times too large what is squared is where no explanation is right
+DOUBT = 1.5  # by which process noise is raised then
 ALIKE = 0.1  # of a standard deviation: two starts have come to the same
 
 
@@ -76,17 +80,22 @@ class MovingHorizon(RopeFilter):
     (Rao, Rawlings and Mayne 2003, IEEE Trans. Automatic Control 48(2), 246; smoothing update). Cost: some ROUNDS times
     `frames` times that of the filter.
 
+    Levels of noise are learnt once an explanation has held for a whole horizon. Where all of them fit badly (a wrong
+    start is off by hundreds of standard deviations after two or three frames), the estimator begins anew at the frame,
+    with the parameters and levels of before.
+
     While several explanations are alive, the covariance is that of their mixture about the most likely one.
     """
 
     def __init__(
-        self, rope: Rope, arc_lengths: npt.ArrayLike, *, frames: int = 8, starts: int = 12, **options: Any
+        self, rope: Rope, arc_lengths: npt.ArrayLike, *, frames: int = 8, starts: int = 16, **options: Any
     ) -> None:
         super().__init__(rope, arc_lengths, **options)
         self.frames = checks.count("frames", frames, least=2)
         self.starts = checks.count("starts", starts)
         self._explanations: list[Interval] = []
         self.begun: Prior | None = None
+        self._trusted = self._learnt()
 
     @property
     def horizon(self) -> Interval | None:
@@ -114,22 +123,51 @@ class MovingHorizon(RopeFilter):
 
     def _correct(self, seen: Observations, rounds: int) -> npt.NDArray[np.bool_]:
         """Let the filter say which markers are plausible, and fit the horizon."""
-        predicted, unsure = (self.x.copy(), self.factor), self._unsure()
+        prior, unsure = Prior(self.x.copy(), self.factor), self._unsure()
         used = super()._correct(seen, rounds)
         frame = InputFrame(seen, used, self.measurement_noise.value, self._noise_until(seen.t))
         if not self._explanations:
-            self.begun = Prior(*predicted)
-            self._explanations = [Interval(self.process, self.model, *predicted, frame, self._qdd)]
+            self.begun = prior
+            self._explanations = [Interval(self.process, self.model, *prior, frame, self._qdd)]
             self._fit(FIRST_ROUNDS)
-        elif unsure and self.starts > 1 and used.any() and len(self._explanations) == 1:
+            self._take()
+            return used
+        if unsure and self.starts > 1 and used.any() and len(self._explanations) == 1:
             self._explanations = self._started(frame)
             self._fit(0)
         else:
             self._explanations = [each for each in self._explanations if _appended(each, frame)]
             self._fit(ROUNDS if used.any() else 0)
+        if not self._explanations or (used.any() and self._explanations[0].misfit > LOST):
+            self._begin_anew(seen)
+        elif self._settled():
+            self._trusted = self._learnt()
         if self._explanations:
             self._take()
         return used
+
+    def _learn(self, *innovation: Any) -> None:
+        """Correct the levels of noise, where the horizon is known to be right."""
+        if self._settled():
+            super()._learn(*innovation)
+
+    def _settled(self) -> bool:
+        """Return whether one explanation has held for a whole horizon."""
+        return len(self._explanations) == 1 and len(self._explanations[0].frames) == self.frames
+
+    def _learnt(self) -> tuple[Array, NoiseLevel, NoiseLevel]:
+        """Return copies of the parameters' values and the levels of noise."""
+        return self.x[2 * self.n_links :].copy(), copy(self.process_noise), copy(self.measurement_noise)
+
+    def _begin_anew(self, seen: Observations) -> None:
+        """Begin at this frame, with what was learnt while an explanation held, and allow for more noise."""
+        self.restart()
+        values, *levels = self._trusted
+        self.process_noise, self.measurement_noise = map(copy, levels)
+        self.process_noise.value = self.process_noise.value * DOUBT
+        self._trusted = values, copy(self.process_noise), self._trusted[2]
+        self.x[2 * self.n_links :] = values
+        self._begin(seen)
 
     def _unsure(self) -> bool:
         """Return whether what was expected is too wide to be linear."""

@@ -16,6 +16,7 @@ from hyperflex.estimate.process import Prediction, Process
 CLOSE = 0.03  # of a standard deviation: converged
 SHORTEST = 1.0 / 64.0  # part of a Gauss-Newton step
 BEYOND = 1e6  # rad, rad/s: a state that no rope has
+ROOM = 6  # squares that are allowed beside one for each measurement
 RIDGE = 1e-9  # of a covariance's diagonal, added to it where it is inverted
 
 
@@ -146,6 +147,11 @@ class Interval:
         """Of all that was seen since the interval began, about the best path (Laplace's approximation)."""
         return self._forgotten + float(self.smoothed.log_likelihoods.sum())
 
+    @property
+    def misfit(self) -> float:
+        """What is left of the posterior's squares for each that a right model would leave: about 1, with some room."""
+        return self.path.cost / (ROOM + sum(len(each.z) for each in self.path.measurements))
+
     def append(self, frame: InputFrame) -> None:
         """Take one more frame; its state is at first the one predicted.
 
@@ -181,18 +187,15 @@ class Interval:
         self._smoothe()
 
     def forget(self) -> None:
-        """Leave out the first frame: what it told goes on in the prior of the second."""
-        if self.smoothed.second is None:
-            return
-        mean, rows, u = self.smoothed.second
-        left = self.smoothed.means[1]  # the path is not at its best quite
+        """Leave out the first of two frames or more: what it told goes on in the prior of the second."""
         self._forgotten += float(self.smoothed.log_likelihoods[0])
-        self.mean, self.rows, self._qdd = self.path.x[1] + mean, rows, self.path.predictions[0].qdd
-        path = self.path
-        u = u - np.linalg.lstsq(rows.T, left, rcond=RIDGE)[0]
-        self.path = Path(u, path.noises[1:], path.x[1:], path.predictions[1:], path.measurements[1:])
+        self.smoothed, path = self.smoothed.without_first(), self.path
+        mean, rows = self.smoothed.priors[0]
+        self.mean, self.rows, self._qdd = path.x[1] + mean, rows, path.predictions[0].qdd
+        # where the path is not at its best quite, its start is not the smoothed one
+        start = self.smoothed.coordinates[0] - np.linalg.lstsq(rows.T, self.smoothed.means[0], rcond=RIDGE)[0]
+        self.path = Path(start, path.noises[1:], path.x[1:], path.predictions[1:], path.measurements[1:])
         del self.frames[0]
-        self._smoothe()
 
     def solve(self, rounds: int) -> None:
         """Improve the path by at most `rounds` steps of Gauss-Newton."""
@@ -233,7 +236,7 @@ class Interval:
 
     def _largest(self, step: Smoothed) -> float:
         """Return by how many standard deviations a step moves a noise or the start at most."""
-        changes = [step.start - self.path.start, *map(np.subtract, step.noises, self.path.noises)]
+        changes = [step.coordinates[0] - self.path.start, *map(np.subtract, step.noises, self.path.noises)]
         return max(float(np.abs(each).max(initial=0.0)) for each in changes)
 
     def _steered(self, part: float) -> Path | None:
@@ -241,7 +244,7 @@ class Interval:
         step, path = self.smoothed, self.path
         noises = [w + part * (new - w) for w, new in zip(path.noises, step.noises, strict=True)]
         states = [(x + part * change, rows) for x, change, rows in zip(path.x, step.means, step.rows, strict=True)]
-        return self._run(path.start + part * (step.start - path.start), noises, states)
+        return self._run(path.start + part * (step.coordinates[0] - path.start), noises, states)
 
     def _run(
         self, start: Array, noises: list[Array] | None, states: Sequence[tuple[Array, Array]] | None
