@@ -24,10 +24,12 @@ from hyperflex.interfaces import RopeState
 from hyperflex.model import Rope
 
 ROUNDS = 3  # of Gauss-Newton, at each frame
-FIRST_ROUNDS = 12  # where there are several starts
+FIRST_ROUNDS = 12  # at the first frame, and from the expected state where there are other starts
 WHOLE_ROUNDS = 30  # over a whole recording
 AMBIGUOUS = 0.5  # rad, standard deviation of a link's angle beyond which what is seen may have several explanations
 DIMENSIONS = 4  # in which starts differ
+START_ROUNDS = 6  # from each of several starts
+REPEATED = 5  # starts in a row that come to nothing new, after which no more are tried
 NEGLIGIBLE = 7.0  # by how much a logarithm of a likelihood is below the best where its start is dropped
 LOST = 10.0  # how many times too large what is squared is where no explanation is right
 DOUBT = 1.5  # by which process noise is raised then
@@ -63,7 +65,7 @@ class MovingHorizon(RopeFilter):
     frames : int
         How many frames are fitted together, at least 2.
     starts : int
-        How many start states are tried where the state may have several explanations: after the first frame, and after
+        How many start states are tried at most where the state may have several explanations: after the first frame, and after
         a blackout. Each is fitted to the next frames; the most likely one goes on, and others are dropped as they
         become unlikely. 1: none but the expected one.
     **options
@@ -192,16 +194,21 @@ class MovingHorizon(RopeFilter):
             return []
         angles = last.factor @ begun.path.predictions[-1].transition[: self.n_links].T
         ways, sizes, _ = np.linalg.svd(angles, full_matrices=False)
-        ways = ways[:, sizes > AMBIGUOUS][:, :DIMENSIONS]
-        found = [begun]
-        if ways.size:
-            points = ndtri(qmc.Halton(ways.shape[1], scramble=True, rng=0).random(self.starts - 1))
-            for point in points:
-                twin = begun.copy()
-                if twin.begin_at(ways @ point):
-                    found.append(twin)
-        for each in found:
-            each.solve(FIRST_ROUNDS)
+        ways, fresh = ways[:, sizes > AMBIGUOUS][:, :DIMENSIONS], begun.copy()
+        begun.solve(FIRST_ROUNDS)
+        found, repeated = [begun], 0
+        if not ways.size:
+            return found
+        for point in ndtri(qmc.Halton(ways.shape[1], rng=0).random(self.starts - 1)):
+            twin = fresh.copy()
+            if twin.begin_at(ways @ point):
+                twin.solve(START_ROUNDS)
+            if twin.misfit < LOST and not any(_alike(twin, each) for each in found):
+                found, repeated = [*found, twin], 0
+            else:
+                repeated += 1
+            if repeated == REPEATED:
+                break
         return found
 
     def _fit(self, rounds: int) -> None:
