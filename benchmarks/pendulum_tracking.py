@@ -38,7 +38,9 @@ SETTLED = 1.0  # s
 LENGTHS = np.array([0.0917, 0.0701])  # m
 INERTIA, MOMENT = np.array([0.0905, 0.00686]), 0.1019  # J/p1 of both links and p2/p1
 FRICTION = (2.3e-3, 9.8e-4)  # over p1
-SPREAD = {"friction": 0.5, "roll": 0.02, "length": 0.01} | dict.fromkeys(("arc[0]", "arc[1]", "offset_x", "offset_y"), 5e-4)
+SPREAD = {"friction": 0.5, "roll": 0.02, "length": 0.01} | dict.fromkeys(
+    ("arc[0]", "arc[1]", "offset_x", "offset_y"), 5e-4
+)
 ESTIMATORS: dict[str, Callable[..., RopeFilter]] = {"filter": RopeFilter, "moving horizon": MovingHorizon}
 
 
@@ -122,7 +124,8 @@ def measure(folder: Path, run: int, rate: float, duration: float, seed: int) -> 
 
 
 def _row(name: str, errors: Array, used: Array, whole: Array) -> dict[str, Any]:
-    found = {"withheld_mm": used, "samples_mm": used & ~whole, "frames_mm": whole}
+    used = used & np.isfinite(errors)
+    found = {"withheld_mm": used, "samples_mm": used & ~whole, "frames_mm": used & whole}
     return {
         "estimator": name,
         **{key: 1e3 * rms(errors[which]) for key, which in found.items()},
@@ -133,22 +136,33 @@ def _row(name: str, errors: Array, used: Array, whole: Array) -> dict[str, Any]:
 
 def text(rows: list[dict[str, Any]]) -> str:
     """Results as Markdown."""
-    lines = [
-        "| run | frames/s | estimator | withheld, mm rms | single samples | whole frames | greatest | asked | ms a frame |",
-        "|---" * 9 + "|",
-    ]
+    heads = (
+        "run",
+        "frames/s",
+        "estimator",
+        "withheld",
+        "single samples",
+        "whole frames",
+        "greatest",
+        "asked",
+        "ms a frame",
+    )
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     settings = sorted({(row["run"], -row["rate"], list(_NAMES).index(row["estimator"])) for row in rows})
     for run, rate, which in settings:
         name = list(_NAMES)[which]
         same = [row for row in rows if (row["run"], row["rate"], row["estimator"]) == (run, -rate, name)]
-        cells = [_range([row[key] for row in same]) for key in ("withheld_mm", "samples_mm", "frames_mm", "greatest_mm")]
+        cells = [
+            _range([row[key] for row in same]) for key in ("withheld_mm", "samples_mm", "frames_mm", "greatest_mm")
+        ]
         cells += [f"{1e3 * ASKED[-rate]:g}", f"{np.median([row['ms'] for row in same]):.1f}"]
         lines.append(f"| {run:02d} | {-rate:g} | {name} | {' | '.join(cells)} |")
     return "\n".join(lines) + (
-        "\n\nRoot mean square of the distance between what was expected and what was measured, least to greatest of the "
-        f"seeds that say what is withheld ({SAMPLES:.0%} of the samples, and {FRAMES:.0%} of the frames besides); the first "
-        f"{SETTLED:g} s are left out. Filter and moving horizon tell it before they see anything later; the smoother has seen all "
-        "else. Time is the processor's, of one frame; of the smoother it holds the horizon that goes before."
+        "\n\nWithheld markers: root mean square of the distance between what was expected and what was measured, mm, "
+        f"from the least to the greatest of the seeds that say what is withheld ({SAMPLES:.0%} of the samples, and "
+        f"{FRAMES:.0%} of the frames besides); the first {SETTLED:g} s are left out. Filter and moving horizon tell it "
+        "before they see anything later; the smoother has seen all else. Time is the processor's; the smoother's holds "
+        "that of the moving horizon, which goes before."
     )
 
 

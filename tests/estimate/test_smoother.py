@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -9,8 +11,8 @@ from scipy.optimize import least_squares
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.estimate import EstimatedParameter, MovingHorizon, Observations, RopeFilter, smooth
+from hyperflex.estimate.interval import InputFrame, Interval
 from hyperflex.estimate.linear_smoother import Measurement, Smoothed, Step, smooth_linear
-from hyperflex.estimate.smoother import InputFrame, Interval
 
 SIZE = 5  # of the state
 PENDULUM = hf.Rope.uniform(length=0.5, mass=0.1, n_links=2, radius=0.004, friction=2e-3)
@@ -106,7 +108,7 @@ def interval(observations: list[Observations], density: float = 2.0) -> Interval
     nothing = np.zeros((0, 5))
     frames = [InputFrame(seen, seen.seen, 1.0, nothing) for seen in observations]
     fitted = Interval(model.process, model.model, mean, rows, frames[0], np.zeros(2))
-    for before, seen in zip(observations[:-1], observations[1:], strict=True):
+    for before, seen in itertools.pairwise(observations):
         fitted.append(InputFrame(seen, seen.seen, 1.0, model.process.noise(seen.t - before.t, density)))
     return fitted
 
@@ -119,7 +121,12 @@ def residuals(variables: Array, fitted: Interval) -> Array:
         if seen_before is not None:
             rope = PENDULUM.replace(friction=PENDULUM.friction * (1.0 + x[4]))
             run = hf.simulate(
-                rope, duration=frame.seen.t - seen_before, q0=x[:2], qd0=x[2:4], tol=1e-9, t_eval=[frame.seen.t - seen_before]
+                rope,
+                duration=frame.seen.t - seen_before,
+                q0=x[:2],
+                qd0=x[2:4],
+                tol=1e-9,
+                t_eval=[frame.seen.t - seen_before],
             )
             x = np.concatenate([run.q[-1], run.qd[-1], x[4:]]) + frame.noise.T @ noises[k - 1]
         place = PENDULUM.joints(x[:2], np.zeros(2))[1:]

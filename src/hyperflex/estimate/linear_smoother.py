@@ -72,7 +72,8 @@ class Smoothed(NamedTuple):
 
     def without_first(self) -> Smoothed:
         """Return the same of all frames but the first."""
-        return Smoothed(*(each[1:] for each in self))
+        priors, coordinates = self.priors[1:], self.coordinates[1:]
+        return Smoothed(self.means[1:], self.rows[1:], priors, coordinates, self.noises[1:], self.log_likelihoods[1:])
 
 
 class _Filtered(NamedTuple):
@@ -84,9 +85,7 @@ class _Filtered(NamedTuple):
     spread: Array
 
 
-def smooth_linear(
-    mean: Array, rows: Array, steps: Sequence[Step], measurements: Sequence[Measurement]
-) -> Smoothed:
+def smooth_linear(mean: Array, rows: Array, steps: Sequence[Step], measurements: Sequence[Measurement]) -> Smoothed:
     """Return the posterior of the states of T frames.
 
     Parameters

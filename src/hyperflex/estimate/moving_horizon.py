@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from copy import copy
-from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,18 +12,17 @@ from scipy.stats import qmc
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.errors import SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.filter import RopeFilter
+from hyperflex.estimate.interval import InputFrame, Interval
 from hyperflex.estimate.noise import NoiseLevel
 from hyperflex.estimate.observations import Observations
-from hyperflex.estimate.smoother import InputFrame, Interval
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Rope
 
 ROUNDS = 3  # of Gauss-Newton, at each frame
 FIRST_ROUNDS = 12  # at the first frame, and from the expected state where there are other starts
-WHOLE_ROUNDS = 30  # over a whole recording
 AMBIGUOUS = 0.5  # rad, standard deviation of a link's angle beyond which what is seen may have several explanations
 DIMENSIONS = 4  # in which starts differ
 START_ROUNDS = 6  # from each of several starts
@@ -65,9 +62,9 @@ class MovingHorizon(RopeFilter):
     frames : int
         How many frames are fitted together, at least 2.
     starts : int
-        How many start states are tried at most where the state may have several explanations: after the first frame, and after
-        a blackout. Each is fitted to the next frames; the most likely one goes on, and others are dropped as they
-        become unlikely. 1: none but the expected one.
+        How many start states are tried at most where the state may have several explanations: after the first frame,
+        and after a blackout. Each is fitted to the next frames; the most likely one goes on, and others are dropped as
+        they become unlikely. 1: none but the expected one.
     **options
         As of :class:`RopeFilter`.
 
@@ -78,7 +75,7 @@ class MovingHorizon(RopeFilter):
 
     Notes
     -----
-    The prior of the second frame when the first leaves is the filter's, linearised at what the horizon has made of it
+    The prior of the second frame when the first leaves is the filter's, linearised where the horizon has come to
     (Rao, Rawlings and Mayne 2003, IEEE Trans. Automatic Control 48(2), 246; smoothing update). Cost: some ROUNDS times
     `frames` times that of the filter.
 
@@ -107,7 +104,7 @@ class MovingHorizon(RopeFilter):
     @property
     def smoothed(self) -> tuple[RopeState, ...]:
         """The states of the frames of the horizon, with covariances, the oldest first."""
-        return () if self.horizon is None else _states(self.horizon, self.n_links)
+        return () if self.horizon is None else self.horizon.rope_states
 
     @property
     def explanations(self) -> Array:
@@ -184,9 +181,7 @@ class MovingHorizon(RopeFilter):
     def _started(self, frame: InputFrame) -> list[Interval]:
         """Return fits from several starts, spread where the angles expected now are uncertain."""
         last = self._explanations[0]
-        nothing = InputFrame(
-            last.frames[-1].seen, np.zeros_like(frame.used), frame.level, np.zeros((0, self.x.size))
-        )
+        nothing = InputFrame(last.frames[-1].seen, np.zeros_like(frame.used), frame.level, np.zeros((0, self.x.size)))
         begun = Interval(self.process, self.model, last.x, last.factor, nothing, last.qdd)
         try:
             begun.append(frame)
@@ -194,13 +189,13 @@ class MovingHorizon(RopeFilter):
             return []
         angles = last.factor @ begun.path.predictions[-1].transition[: self.n_links].T
         ways, sizes, _ = np.linalg.svd(angles, full_matrices=False)
-        ways, fresh = ways[:, sizes > AMBIGUOUS][:, :DIMENSIONS], begun.copy()
+        ways, fresh = ways[:, sizes > AMBIGUOUS][:, :DIMENSIONS], copy(begun)
         begun.solve(FIRST_ROUNDS)
         found, repeated = [begun], 0
         if not ways.size:
             return found
         for point in ndtri(qmc.Halton(ways.shape[1], rng=0).random(self.starts - 1)):
-            twin = fresh.copy()
+            twin = copy(fresh)
             if twin.begin_at(ways @ point):
                 twin.solve(START_ROUNDS)
             if twin.misfit < LOST and not any(_alike(twin, each) for each in found):
@@ -228,7 +223,9 @@ class MovingHorizon(RopeFilter):
         """Hand out the most likely explanation, as unsure as all of them."""
         best, weights = self._explanations[0], self.explanations
         rows = [np.sqrt(weight) * each.factor for weight, each in zip(weights, self._explanations, strict=True)]
-        rows += [np.sqrt(weight) * (each.x - best.x)[None] for weight, each in zip(weights, self._explanations, strict=True)]
+        rows += [
+            np.sqrt(weight) * (each.x - best.x)[None] for weight, each in zip(weights, self._explanations, strict=True)
+        ]
         self.factor = sr.triangular(np.concatenate(rows)) if len(weights) > 1 else best.factor
         first = 2 * self.n_links
         x = best.x.copy()
@@ -251,102 +248,4 @@ def _alike(one: Interval, other: Interval) -> bool:
     return all(
         np.abs(a - b).max(initial=0.0) < ALIKE
         for a, b in zip([one.path.start, *one.path.noises], [other.path.start, *other.path.noises], strict=True)
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class SmoothedTrack:
-    """The states of all frames, each given what was seen in all (made by :func:`smooth`).
-
-    Attributes
-    ----------
-    states : tuple of RopeState
-        Of each frame, with its covariance.
-    places : (T, K, 2) float64
-        Where the markers are seen, m or px, also where they were not.
-    values : dict of str to (float, float)
-        Each estimated parameter's value and standard deviation.
-    log_likelihood : float
-        Of all that was seen.
-    """
-
-    states: tuple[RopeState, ...]
-    places: Array
-    values: dict[str, tuple[float, float]]
-    log_likelihood: float
-
-
-def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> SmoothedTrack:
-    """Estimate the states of all frames of a recording from all of it.
-
-    The estimator goes through the recording; then Gauss-Newton over all frames begins at what it found, with the levels
-    of noise that it learnt. Where it had to begin anew, the result begins there.
-
-    Parameters
-    ----------
-    estimator : MovingHorizon
-    observations : iterable of Observations
-        In the order of time.
-
-    Raises
-    ------
-    InvalidInput
-        If nothing is seen in any of them.
-    SimulationError
-        If no rope can move along what was found.
-
-    Notes
-    -----
-    Maximum a posteriori, with covariances of Laplace's approximation; cost O(T) per round (see :func:`smooth_linear`).
-    """
-    frames: list[InputFrame] = []
-    states: list[tuple[Array, Array]] = []
-    for seen in observations:
-        begun = estimator.begun
-        estimator.update(seen)
-        if estimator.horizon is None:
-            continue
-        if estimator.begun is not begun:
-            frames, states = [], []
-        found = estimator.horizon
-        frames.append(found.frames[-1])
-        states.append((found.x, found.factor))
-        known = min(len(found.frames), len(states))
-        states[-known:] = zip(found.states[-known:], found.smoothed.rows[-known:], strict=True)
-    if estimator.begun is None:
-        raise InvalidInput("no marker was seen", allowed="observations of at least one")
-    level, density = estimator.measurement_noise.value, estimator.process_noise.value
-    times = [each.seen.t for each in frames]
-    frames = [replace(each, level=level) for each in frames]
-    for k, gap in enumerate(np.diff(times).tolist(), start=1):
-        frames[k] = replace(frames[k], noise=estimator.process.noise(gap, density))
-    prior = estimator.begun
-    whole = Interval(estimator.process, estimator.model, prior.mean, prior.rows, frames[0], np.zeros(estimator.n_links))
-    if len(frames) > 1:
-        whole.follow(frames[1:], states)
-    whole.solve(WHOLE_ROUNDS)
-    return _track(whole, estimator)
-
-
-def _track(whole: Interval, estimator: MovingHorizon) -> SmoothedTrack:
-    """Return what a fit of all frames says."""
-    n, model, process = estimator.n_links, estimator.model, estimator.process
-    qdds = [np.zeros(n), *(each.qdd for each in whole.path.predictions)]
-    places = [
-        model.predict(x, process.base(frame.seen.t), np.zeros(len(model.arc_lengths)), qdd)[0]
-        for x, frame, qdd in zip(whole.states, whole.frames, qdds, strict=True)
-    ]
-    last, std = whole.x[2 * n :], np.linalg.norm(whole.factor[:, 2 * n :], axis=0)
-    values = {
-        name: (float(value), float(each))
-        for name, value, each in zip(estimator.parameters.names, last, std, strict=True)
-    }
-    return SmoothedTrack(_states(whole, n), np.array(places), values, whole.log_likelihood)
-
-
-def _states(fitted: Interval, n: int) -> tuple[RopeState, ...]:
-    """Return the states of all frames of an interval."""
-    return tuple(
-        RopeState(frame.seen.t, x[:n], x[n : 2 * n], rows[:, : 2 * n].T @ rows[:, : 2 * n])
-        for frame, x, rows in zip(fitted.frames, fitted.states, fitted.smoothed.rows, strict=True)
     )

@@ -1,301 +1,107 @@
-"""Gauss-Newton over the frames of an interval: a moving horizon's and a whole recording's."""
+"""Smoother of a whole recording: each frame's state, given what was seen in all frames."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.errors import SimulationError
-from hyperflex.estimate.linear_smoother import Measurement, Smoothed, Step, smooth_linear
-from hyperflex.estimate.observations import MarkerModel, Observations
-from hyperflex.estimate.process import Prediction, Process
+from hyperflex.errors import InvalidInput
+from hyperflex.estimate.interval import InputFrame, Interval
+from hyperflex.estimate.moving_horizon import MovingHorizon
+from hyperflex.estimate.observations import Observations
+from hyperflex.interfaces import RopeState
 
-CLOSE = 0.03  # of a standard deviation: converged
-SHORTEST = 1.0 / 64.0  # part of a Gauss-Newton step
-BEYOND = 1e6  # rad, rad/s: a state that no rope has
-ROOM = 6  # squares that are allowed beside one for each measurement
-RIDGE = 1e-9  # of a covariance's diagonal, added to it where it is inverted
+WHOLE_ROUNDS = 30  # of Gauss-Newton
 
 
 @dataclass(frozen=True, eq=False)
-class InputFrame:
-    """What is known of one frame before it is smoothed.
+class SmoothedTrack:
+    """The states of all frames, each given what was seen in all (made by :func:`smooth`).
 
     Attributes
     ----------
-    seen : Observations
-    used : (K,) bool
-        Which of its markers count.
-    level : float
-        Of the measurement noise: what its covariances' square roots are multiplied by.
-    noise : (r, N) float64
-        Rows of the process noise since the frame before (of the first frame: none).
+    states : tuple of RopeState
+        Of each frame, with its covariance.
+    places : (T, K, 2) float64
+        Where the markers are seen, m or px, also where they were not.
+    values : dict of str to (float, float)
+        Each estimated parameter's value and standard deviation.
+    log_likelihood : float
+        Of all that was seen.
     """
 
-    seen: Observations
-    used: Array
-    level: float
-    noise: Array
+    states: tuple[RopeState, ...]
+    places: Array
+    values: dict[str, tuple[float, float]]
+    log_likelihood: float
 
 
-@dataclass(frozen=True, eq=False)
-class Path:
-    """States that the process and some noise make of a start, linearised.
+def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> SmoothedTrack:
+    """Estimate the states of all frames of a recording from all of it.
 
-    Attributes
-    ----------
-    start : (r,) float64
-        The first state over the factor of its prior.
-    noises : list of (r,) float64
-        Of the steps, of variance 1.
-    x : list of (N,) float64
-    predictions : list of Prediction
-        To each frame from the one before.
-    measurements : list of Measurement
-        What is left of what was seen, whitened, and the derivatives.
-    """
-
-    start: Array
-    noises: list[Array] = field(default_factory=list)
-    x: list[Array] = field(default_factory=list)
-    predictions: list[Prediction] = field(default_factory=list)
-    measurements: list[Measurement] = field(default_factory=list)
-
-    @property
-    def cost(self) -> float:
-        """Twice the negative logarithm of the posterior's density, but for a constant."""
-        return float(
-            self.start @ self.start
-            + sum(w @ w for w in self.noises)
-            + sum(each.z @ each.z for each in self.measurements)
-        )
-
-
-class Interval:
-    """Fits the states of all frames of an interval at once (maximum a posteriori).
+    The estimator goes through the recording; then Gauss-Newton over all frames begins at what it found, with the levels
+    of noise that it learnt. Where it had to begin anew, the result begins there.
 
     Parameters
     ----------
-    process, model : Process, MarkerModel
-    mean, rows : (N,), (r, N) float64
-        Prior of the first frame's state: its mean, and rows whose squares are its covariance. In a moving horizon it
-        is the arrival cost.
-    first : InputFrame
-    qdd : (n,) float64
-        Angular accelerations at the first frame, rad/s^2, for markers read before or after its time.
+    estimator : MovingHorizon
+    observations : iterable of Observations
+        In the order of time.
 
-    Attributes
-    ----------
-    smoothed : Smoothed
-        The last Gauss-Newton step: deviations from `path`, and the covariances of all frames.
+    Raises
+    ------
+    InvalidInput
+        If nothing is seen in any of them.
+    SimulationError
+        If no rope can move along what was found.
 
     Notes
     -----
-    What is minimised is ``|u|^2 + sum |w|^2 + sum |z|^2``, of the start u, the process noise w and what is left of the
-    measurements z, all of variance 1. A path has no defects: each state is what the process makes of the one before,
-    and the noise. Each step is that of :func:`smooth_linear`; Gauss-Newton on the iterated Kalman smoother is Bell (1994,
-    SIAM J. Optim. 4(3), 626). Shooting alone would fail where motion is chaotic, so the noise of a trial steers the path
-    to where the linear step wants it, as far as its covariance there does not allow for the difference. To first order
-    that changes nothing, and a step that does not lessen the cost is halved.
+    Maximum a posteriori, with covariances of Laplace's approximation; cost O(T) per round (see :func:`smooth_linear`).
     """
-
-    def __init__(
-        self, process: Process, model: MarkerModel, mean: Array, rows: Array, first: InputFrame, qdd: Array
-    ) -> None:
-        self.process, self.model = process, model
-        self.mean, self.rows, self.frames, self._qdd = mean, rows, [first], qdd
-        self.path = Path(np.zeros(len(rows)))
-        self.path.x.append(mean.copy())
-        self.path.measurements.append(self._measurement(first, mean, qdd))
-        self._forgotten = 0.0
-        self._smoothe()
-
-    def copy(self) -> Interval:
-        """Return another one that begins the same way and goes on by itself."""
-        twin = object.__new__(Interval)
-        twin.__dict__.update(self.__dict__)
-        twin.frames, path = list(self.frames), self.path
-        twin.path = Path(path.start, *(list(each) for each in (path.noises, path.x, path.predictions, path.measurements)))
-        return twin
-
-    @property
-    def x(self) -> Array:
-        """The last frame's state (N,)."""
-        return self.states[-1]
-
-    @property
-    def factor(self) -> Array:
-        """Rows (r, N) whose squares are its covariance."""
-        return self.smoothed.rows[-1]
-
-    @property
-    def qdd(self) -> Array:
-        """The last frame's angular accelerations (n,), rad/s^2."""
-        return self.path.predictions[-1].qdd if self.path.predictions else self._qdd
-
-    @property
-    def states(self) -> Array:
-        """The states of all frames (T, N)."""
-        x = np.array(self.path.x)
-        return x + self.smoothed.means if self._largest(self.smoothed) < CLOSE else x
-
-    @property
-    def log_likelihood(self) -> float:
-        """Of all that was seen since the interval began, about the best path (Laplace's approximation)."""
-        return self._forgotten + float(self.smoothed.log_likelihoods.sum())
-
-    @property
-    def misfit(self) -> float:
-        """What is left of the posterior's squares for each that a right model would leave: about 1, with some room."""
-        return self.path.cost / (ROOM + sum(len(each.z) for each in self.path.measurements))
-
-    def append(self, frame: InputFrame) -> None:
-        """Take one more frame; its state is at first the one predicted.
-
-        Raises
-        ------
-        SimulationError
-            If no rope can move on to it.
-        """
-        self._extend(self.path, frame, self._predicted(self.path.x[-1], len(self.frames), frame))
-        self.frames.append(frame)
-        self._smoothe()
-
-    def follow(self, frames: Sequence[InputFrame], states: Sequence[tuple[Array, Array]]) -> None:
-        """Take all further frames, on a path near states that are known to about their covariances.
-
-        Parameters
-        ----------
-        frames : sequence of InputFrame
-        states : sequence of tuple of (N,) float64 and (r, N) float64
-            Of the first frame and all further ones: means, and rows whose squares are the covariances.
-
-        Raises
-        ------
-        SimulationError
-            If no rope can move along them.
-        """
-        start = np.linalg.lstsq(self.rows.T, states[0][0] - self.mean, rcond=RIDGE)[0]
-        self.frames = [*self.frames[:1], *frames]
-        found = self._run(start, None, states)
-        if found is None:
-            raise SimulationError("no rope moves along these states", status="not finite", time=frames[0].seen.t)
-        self.path = found
-        self._smoothe()
-
-    def forget(self) -> None:
-        """Leave out the first of two frames or more: what it told goes on in the prior of the second."""
-        self._forgotten += float(self.smoothed.log_likelihoods[0])
-        self.smoothed, path = self.smoothed.without_first(), self.path
-        mean, rows = self.smoothed.priors[0]
-        self.mean, self.rows, self._qdd = path.x[1] + mean, rows, path.predictions[0].qdd
-        # where the path is not at its best quite, its start is not the smoothed one
-        start = self.smoothed.coordinates[0] - np.linalg.lstsq(rows.T, self.smoothed.means[0], rcond=RIDGE)[0]
-        self.path = Path(start, path.noises[1:], path.x[1:], path.predictions[1:], path.measurements[1:])
-        del self.frames[0]
-
-    def solve(self, rounds: int) -> None:
-        """Improve the path by at most `rounds` steps of Gauss-Newton."""
-        for _ in range(rounds):
-            if self._largest(self.smoothed) < CLOSE:
-                return
-            part, found = 1.0, None
-            while part >= SHORTEST:
-                found = self._steered(part)
-                if found is not None and found.cost < self.path.cost:
-                    break
-                part, found = 0.5 * part, None
-            if found is None:
-                return
-            gained = self.path.cost - found.cost
-            self.path = found
-            self._smoothe()
-            if gained < CLOSE**2:
-                return
-
-    def begin_at(self, start: Array) -> bool:
-        """Go to the path without noise from a start (r,) over the prior's factor; return whether there is one."""
-        path = self._run(start, None, None)
-        if path is None:
-            return False
-        self.path = path
-        self._smoothe()
-        return True
-
-    def _smoothe(self) -> None:
-        """Find the next Gauss-Newton step, and the covariances about the path."""
-        path = self.path
-        steps = [
-            Step(found.transition, -frame.noise.T @ w, frame.noise)
-            for found, w, frame in zip(path.predictions, path.noises, self.frames[1:], strict=True)
-        ]
-        self.smoothed = smooth_linear(-self.rows.T @ path.start, self.rows, steps, path.measurements)
-
-    def _largest(self, step: Smoothed) -> float:
-        """Return by how many standard deviations a step moves a noise or the start at most."""
-        changes = [step.coordinates[0] - self.path.start, *map(np.subtract, step.noises, self.path.noises)]
-        return max(float(np.abs(each).max(initial=0.0)) for each in changes)
-
-    def _steered(self, part: float) -> Path | None:
-        """Return the path a part of a Gauss-Newton step away, or None where no rope can go."""
-        step, path = self.smoothed, self.path
-        noises = [w + part * (new - w) for w, new in zip(path.noises, step.noises, strict=True)]
-        states = [(x + part * change, rows) for x, change, rows in zip(path.x, step.means, step.rows, strict=True)]
-        return self._run(path.start + part * (step.coordinates[0] - path.start), noises, states)
-
-    def _run(
-        self, start: Array, noises: list[Array] | None, states: Sequence[tuple[Array, Array]] | None
-    ) -> Path | None:
-        """Return the path from a start that noises near the given ones steer along states, or None if there is none."""
-        path, first = Path(start), self.frames[0]
-        path.x.append(self.mean + self.rows.T @ start)
-        path.measurements.append(self._measurement(first, path.x[0], self._qdd))
-        for k, frame in enumerate(self.frames[1:], start=1):
-            try:
-                found = self._predicted(path.x[-1], k, frame)
-            except SimulationError:
-                return None
-            w = np.zeros(len(frame.noise)) if noises is None else noises[k - 1]
-            if states is not None:
-                target, rows = states[k]
-                w = w + _gain(frame.noise, rows) @ (target - found.x - frame.noise.T @ w)
-            self._extend(path, frame, found, w)
-        return path if np.isfinite(path.cost) else None
-
-    def _extend(self, path: Path, frame: InputFrame, found: Prediction, w: Array | None = None) -> None:
-        """Add to a path the state that a prediction and noise make."""
-        w = np.zeros(len(frame.noise)) if w is None else w
-        path.predictions.append(found)
-        path.noises.append(w)
-        path.x.append(found.x + frame.noise.T @ w)
-        path.measurements.append(self._measurement(frame, path.x[-1], found.qdd))
-
-    def _predicted(self, x: Array, k: int, frame: InputFrame) -> Prediction:
-        """Return what comes of the state x at the frame before the k-th."""
-        first = 2 * self.process.rope.n_links
-        possible = np.concatenate([x[:first], self.process.parameters.possible(x[first:])])
-        found = self.process.predict(possible, self.frames[k - 1].seen.t, frame.seen.t)
-        if not (np.abs(found.x).max() < BEYOND and np.abs(found.transition).max() < BEYOND**2):
-            raise SimulationError("the state is beyond all numbers", status="not finite", time=frame.seen.t)
-        return found._replace(x=np.concatenate([found.x[:first], x[first:]]))
-
-    def _measurement(self, frame: InputFrame, x: Array, qdd: Array) -> Measurement:
-        """Return what is left of a frame's measurements, over their standard deviation, and its derivatives."""
-        seen, good = frame.seen, frame.used
-        if not good.any():
-            return Measurement(np.zeros(0), np.zeros((0, x.size)))
-        places, slope = self.model.predict(x, self.process.base(seen.t), seen.rows, qdd)
-        whiten = np.linalg.inv(np.linalg.cholesky(seen.covariances[good])) / frame.level
-        left = whiten @ (seen.places[good] - places[good])[:, :, None]
-        return Measurement(left.ravel(), (whiten @ slope[good]).reshape(left.size, -1))
+    frames: list[InputFrame] = []
+    states: list[tuple[Array, Array]] = []
+    for seen in observations:
+        begun = estimator.begun
+        estimator.update(seen)
+        if estimator.horizon is None:
+            continue
+        if estimator.begun is not begun:
+            frames, states = [], []
+        found = estimator.horizon
+        frames.append(found.frames[-1])
+        states.append((found.x, found.factor))
+        known = min(len(found.frames), len(states))
+        states[-known:] = zip(found.states[-known:], found.smoothed.rows[-known:], strict=True)
+    if estimator.begun is None:
+        raise InvalidInput("no marker was seen", allowed="observations of at least one")
+    level, density = estimator.measurement_noise.value, estimator.process_noise.value
+    times = [each.seen.t for each in frames]
+    frames = [replace(each, level=level) for each in frames]
+    for k, gap in enumerate(np.diff(times).tolist(), start=1):
+        frames[k] = replace(frames[k], noise=estimator.process.noise(gap, density))
+    prior = estimator.begun
+    whole = Interval(estimator.process, estimator.model, prior.mean, prior.rows, frames[0], np.zeros(estimator.n_links))
+    if len(frames) > 1:
+        whole.follow(frames[1:], states)
+    whole.solve(WHOLE_ROUNDS)
+    return _track(whole, estimator)
 
 
-def _gain(noise: Array, rows: Array) -> Array:
-    """Return N (N^T N + P)^-1, (r, N): how much noise answers a difference of states whose covariance is P."""
-    wide = noise.T @ noise + rows.T @ rows
-    size = np.sqrt(np.maximum(np.diag(wide), np.finfo(float).tiny))
-    even = wide / size / size[:, None] + RIDGE * np.eye(len(wide))
-    return np.asarray(np.linalg.solve(even, (noise / size).T).T / size)
+def _track(whole: Interval, estimator: MovingHorizon) -> SmoothedTrack:
+    """Return what a fit of all frames says."""
+    n, model, process = estimator.n_links, estimator.model, estimator.process
+    qdds = [np.zeros(n), *(each.qdd for each in whole.path.predictions)]
+    places = [
+        model.predict(x, process.base(frame.seen.t), np.zeros(len(model.arc_lengths)), qdd)[0]
+        for x, frame, qdd in zip(whole.states, whole.frames, qdds, strict=True)
+    ]
+    last, std = whole.x[2 * n :], np.linalg.norm(whole.factor[:, 2 * n :], axis=0)
+    values = {
+        name: (float(value), float(each))
+        for name, value, each in zip(estimator.parameters.names, last, std, strict=True)
+    }
+    return SmoothedTrack(whole.rope_states, np.array(places), values, whole.log_likelihood)
