@@ -188,9 +188,10 @@ def test_a_long_horizon_is_the_smoother() -> None:
     assert (np.abs(gap) < 0.5 * std).all()  # noise levels were learnt meanwhile, so not the same quite
 
 
-def test_a_horizon_tells_what_a_filter_does_where_motion_is_nearly_linear() -> None:
-    """Small swings, seen often: both are the Kalman filter, but for the first frames, when rates are not known at all
-    and derivatives are taken at other places: these leave a tenth of a standard deviation."""
+def test_a_horizon_tells_what_a_filter_does_where_motion_is_nearly_linear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small swings, seen often, levels of noise known: both are the Kalman filter but for the first frames, when rates
+    are not known at all, and derivatives are taken at other places."""
+    monkeypatch.setattr(RopeFilter, "_learn", lambda *_: None)
     run = hf.simulate(PENDULUM, duration=1.0, q0=[0.02, 0.02], t_eval=np.arange(0.0, 1.0, 0.02))
     both = RopeFilter(PENDULUM, ARCS), MovingHorizon(PENDULUM, ARCS, frames=5, starts=1)
     rng = np.random.default_rng(4)
@@ -200,8 +201,8 @@ def test_a_horizon_tells_what_a_filter_does_where_motion_is_nearly_linear() -> N
             each.update(Observations(float(t), places, 5e-4))
     one, other = (each.state for each in both)
     std = np.sqrt(np.diag(other.covariance))
-    assert (np.abs(np.concatenate([one.q - other.q, one.qd - other.qd])) < 0.1 * std).all()
-    np.testing.assert_allclose(np.sqrt(np.diag(one.covariance)), std, rtol=0.05)
+    assert (np.abs(np.concatenate([one.q - other.q, one.qd - other.qd])) < 0.03 * std).all()
+    np.testing.assert_allclose(np.sqrt(np.diag(one.covariance)), std, rtol=0.02)
     assert both[0].log_likelihood == pytest.approx(both[1].log_likelihood, abs=1.0)
 
 

@@ -29,7 +29,7 @@ START_ROUNDS = 6  # from each of several starts
 REPEATED = 5  # starts in a row that come to nothing new, after which no more are tried
 NEGLIGIBLE = 7.0  # by how much a logarithm of a likelihood is below the best where its start is dropped
 LOST = 10.0  # how many times too large what is squared is where no explanation is right
-DOUBT = 1.5  # by which process noise is raised then
+DOUBT = 3.0  # by which that is raised each time, until an explanation holds and the levels of noise are learnt
 ALIKE = 0.1  # of a standard deviation: two starts have come to the same
 
 
@@ -94,7 +94,7 @@ class MovingHorizon(RopeFilter):
         self.starts = checks.count("starts", starts)
         self._explanations: list[Interval] = []
         self.begun: Prior | None = None
-        self._trusted = self._learnt()
+        self._trusted, self._given_up = self._learnt(), 0  # beginnings since an explanation held
 
     @property
     def horizon(self) -> Interval | None:
@@ -137,18 +137,20 @@ class MovingHorizon(RopeFilter):
         else:
             self._explanations = [each for each in self._explanations if _appended(each, frame)]
             self._fit(ROUNDS if used.any() else 0)
-        if not self._explanations or (used.any() and self._explanations[0].misfit > LOST):
+        if not self._explanations or (used.any() and self._explanations[0].misfit > LOST * DOUBT**self._given_up):
             self._begin_anew(seen)
         elif self._settled():
-            self._trusted = self._learnt()
+            self._trusted, self._given_up = self._learnt(), 0
         if self._explanations:
             self._take()
         return used
 
     def _learn(self, *innovation: Any) -> None:
         """Correct the levels of noise, where the horizon is known to be right."""
-        if self._settled():
-            super()._learn(*innovation)
+        before = copy(self.process_noise), copy(self.measurement_noise)
+        super()._learn(*innovation)
+        if not self._settled():
+            self.process_noise, self.measurement_noise = before
 
     def _settled(self) -> bool:
         """Return whether one explanation has held for a whole horizon."""
@@ -159,12 +161,11 @@ class MovingHorizon(RopeFilter):
         return self.x[2 * self.n_links :].copy(), copy(self.process_noise), copy(self.measurement_noise)
 
     def _begin_anew(self, seen: Observations) -> None:
-        """Begin at this frame, with what was learnt while an explanation held, and allow for more noise."""
+        """Begin at this frame, with what was learnt while an explanation held; levels of noise may be too low."""
         self.restart()
+        self._given_up += 1
         values, *levels = self._trusted
         self.process_noise, self.measurement_noise = map(copy, levels)
-        self.process_noise.value = self.process_noise.value * DOUBT
-        self._trusted = values, copy(self.process_noise), self._trusted[2]
         self.x[2 * self.n_links :] = values
         self._begin(seen)
 
