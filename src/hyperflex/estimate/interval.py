@@ -214,9 +214,9 @@ class Interval:
             part, found = 1.0, None
             while part >= SHORTEST:
                 found = self._steered(part)
-                if found is not None and found.cost < self.path.cost:
+                if found is not None:
                     break
-                part, found = 0.5 * part, None
+                part *= 0.5
             if found is None:
                 return
             gained = self.path.cost - found.cost
@@ -249,20 +249,29 @@ class Interval:
         return max(float(np.abs(each).max(initial=0.0)) for each in changes)
 
     def _steered(self, part: float) -> Path | None:
-        """Return the path a part of a Gauss-Newton step away, or None where no rope can go."""
+        """Return the path a part of a Gauss-Newton step away, or None if it is none, or no better one."""
         step, path = self.smoothed, self.path
         noises = [w + part * (new - w) for w, new in zip(path.noises, step.noises, strict=True)]
         states = [(x + part * change, rows) for x, change, rows in zip(path.x, step.means, step.rows, strict=True)]
-        return self._run(path.start + part * (step.coordinates[0] - path.start), noises, states)
+        return self._run(path.start + part * (step.coordinates[0] - path.start), noises, states, path.cost)
 
     def _run(
-        self, start: Array, noises: list[Array] | None, states: Sequence[tuple[Array, Array]] | None
+        self,
+        start: Array,
+        noises: list[Array] | None,
+        states: Sequence[tuple[Array, Array]] | None,
+        limit: float = np.inf,
     ) -> Path | None:
-        """Return the path from a start that noises near the given ones steer along states, or None if there is none."""
+        """Return the path from a start that noises near the given ones steer along states.
+
+        None if there is none, or its cost is not below the limit.
+        """
         path, first = Path(start), self.frames[0]
         path.x.append(self.mean + self.rows.T @ start)
         path.measurements.append(self._measurement(first, path.x[0], self._qdd))
         for k, frame in enumerate(self.frames[1:], start=1):
+            if not path.cost < limit:
+                return None
             try:
                 found = self._predicted(path.x[-1], k, frame)
             except SimulationError:
@@ -272,7 +281,7 @@ class Interval:
                 target, rows = states[k]
                 w = w + _gain(frame.noise, rows) @ (target - found.x - frame.noise.T @ w)
             self._extend(path, frame, found, w)
-        return path if np.isfinite(path.cost) else None
+        return path if path.cost < limit else None
 
     def _extend(self, path: Path, frame: InputFrame, found: Prediction, w: Array | None = None) -> None:
         """Add to a path the state that a prediction and noise make."""

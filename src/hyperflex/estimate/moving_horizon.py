@@ -29,7 +29,7 @@ START_ROUNDS = 6  # from each of several starts
 REPEATED = 5  # starts in a row that come to nothing new, after which no more are tried
 NEGLIGIBLE = 7.0  # by how much a logarithm of a likelihood is below the best where its start is dropped
 LOST = 10.0  # how many times too large what is squared is where no explanation is right
-DOUBT = 3.0  # by which that is raised each time, until an explanation holds and the levels of noise are learnt
+PATIENT = 4  # beginnings without an explanation that holds, after which levels of noise must have been too low
 ALIKE = 0.1  # of a standard deviation: two starts have come to the same
 
 
@@ -79,9 +79,9 @@ class MovingHorizon(RopeFilter):
     (Rao, Rawlings and Mayne 2003, IEEE Trans. Automatic Control 48(2), 246; smoothing update). Cost: some ROUNDS times
     `frames` times that of the filter.
 
-    Levels of noise are learnt once an explanation has held for a whole horizon. Where all of them fit badly (a wrong
-    start is off by hundreds of standard deviations after two or three frames), the estimator begins anew at the frame,
-    with the parameters and levels of before.
+    Levels of noise are learnt once an explanation has held for a whole horizon, or if none ever does. Where all of
+    them fit badly (a wrong start is off by hundreds of standard deviations after two or three frames), the estimator
+    begins anew at the frame, with the parameters and levels of before.
 
     While several explanations are alive, the covariance is that of their mixture about the most likely one.
     """
@@ -131,13 +131,13 @@ class MovingHorizon(RopeFilter):
             self._fit(FIRST_ROUNDS)
             self._take()
             return used
-        if unsure and self.starts > 1 and used.any() and len(self._explanations) == 1:
+        if unsure and self.starts > 1 and self._given_up <= PATIENT and used.any() and len(self._explanations) == 1:
             self._explanations = self._started(frame)
             self._fit(0)
         else:
             self._explanations = [each for each in self._explanations if _appended(each, frame)]
             self._fit(ROUNDS if used.any() else 0)
-        if not self._explanations or (used.any() and self._explanations[0].misfit > LOST * DOUBT**self._given_up):
+        if not self._explanations or (used.any() and self._explanations[0].misfit > LOST):
             self._begin_anew(seen)
         elif self._settled():
             self._trusted, self._given_up = self._learnt(), 0
@@ -149,7 +149,7 @@ class MovingHorizon(RopeFilter):
         """Correct the levels of noise, where the horizon is known to be right."""
         before = copy(self.process_noise), copy(self.measurement_noise)
         super()._learn(*innovation)
-        if not self._settled():
+        if not self._settled() and self._given_up <= PATIENT:
             self.process_noise, self.measurement_noise = before
 
     def _settled(self) -> bool:
@@ -161,11 +161,12 @@ class MovingHorizon(RopeFilter):
         return self.x[2 * self.n_links :].copy(), copy(self.process_noise), copy(self.measurement_noise)
 
     def _begin_anew(self, seen: Observations) -> None:
-        """Begin at this frame, with what was learnt while an explanation held; levels of noise may be too low."""
+        """Begin at this frame, with what was learnt while an explanation held."""
         self.restart()
         self._given_up += 1
         values, *levels = self._trusted
-        self.process_noise, self.measurement_noise = map(copy, levels)
+        if self._given_up <= PATIENT:
+            self.process_noise, self.measurement_noise = map(copy, levels)
         self.x[2 * self.n_links :] = values
         self._begin(seen)
 
