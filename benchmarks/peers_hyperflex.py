@@ -11,7 +11,7 @@ import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.integrate.rollout import TAKEN
 from hyperflex.model import Setup
-from hyperflex.simulation.rollouts import finish, limits, prepare
+from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.stability import runge_kutta_limit
 
 NAME = "hyperflex"
@@ -29,8 +29,8 @@ def steps(cast: Cast, tol: float) -> int:
     """Steps for the whole cast, rejected ones too."""
     setup = Setup(cast.rope, cast.motion, cast.arm, duration=cast.duration, tol=tol)
     chain, times = setup.chain(), np.array([0.0, cast.duration])
-    rollout = prepare(chain, setup.drive(), setup.start(), times, limits(setup, chain, cast.duration))
-    finish(rollout)
+    rollout = prepare_rollout(chain, setup.drive(), setup.start(), times, rollout_limits(setup, chain, cast.duration))
+    finish_rollout(rollout)
     return int(rollout.progress.clock[TAKEN])
 
 

@@ -44,7 +44,7 @@ ALLOWED_DRIFT = 1e-6  # rad in 10 s, of a joint whose dry friction bears more th
 STICKING = 10  # one rope that should stick for so many others
 SLOWEST = 8
 SLOW = OutOfPatience.status
-Task = tuple[str, int, int, float]  # "rope" or "stuck", seed, number, patience
+TrackingTask = tuple[str, int, int, float]  # "rope" or "stuck", seed, number, patience
 ORDINARY = "at most 100 links, eta / (m l^2) within two decades of the paper's"
 PROMISE = """\
 A run has **met** its tolerance if, inside the horizon, it stays within `3 tol (1 + t / 20 ms) growth` of a run with
@@ -110,7 +110,7 @@ def kinds(number: int) -> list[str]:
     return ["rope", "stuck"] if number % STICKING == 0 else ["rope"]
 
 
-def done(tasks: list[Task], workers: int) -> Iterator[dict[str, Any]]:
+def done(tasks: list[TrackingTask], workers: int) -> Iterator[dict[str, Any]]:
     """Rows as they come, from this process or from several."""
     if workers == 1:
         be_ready()
@@ -120,7 +120,7 @@ def done(tasks: list[Task], workers: int) -> Iterator[dict[str, Any]]:
         yield from pool.imap_unordered(work, tasks)
 
 
-def work(task: Task) -> dict[str, Any]:
+def work(task: TrackingTask) -> dict[str, Any]:
     what, seed, number, patience = task
     row = examine(seed, number, patience) if what == "rope" else stay(draw_stuck(seed, number), patience)
     return {"what": what, "patience": patience, **plain(row)}

@@ -14,7 +14,7 @@ from clock import NOTE, alternately
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.simulation.rollouts import finish, limits, prepare
+from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
 
 DT, SECONDS, SWITCH = 1 / 30, 10.0, 0.5  # s: an interval, a run, and between changes of the command's sense
 ARM = hf.Arm(length=0.105, inertia=2e-3, friction=1e-3)
@@ -73,8 +73,10 @@ class Ride:
         chain, drive, n = setup.chain(), setup.drive(), self.rope.n_links
 
         def run() -> Array:
-            rollout = prepare(chain, drive, setup.start(), np.array([0.0, end]), limits(setup, chain, end))
-            finish(rollout)
+            rollout = prepare_rollout(
+                chain, drive, setup.start(), np.array([0.0, end]), rollout_limits(setup, chain, end)
+            )
+            finish_rollout(rollout)
             return rollout.y[-1, chain.length.size - n : chain.length.size]
 
         return run

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import hyperflex as hf
-from hyperflex.paper.report import casting, identification
+from hyperflex.paper.report import casting, estimation, identification
 from hyperflex.report.animation import animate
 from hyperflex.report.identification.figures import prediction_figure
 from hyperflex.report.identification.fitted import fitted_channels
-from hyperflex.report.strobe import strobe
+from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import BLUE, GREY, RED, new_figure, save_png
 
 if TYPE_CHECKING:
@@ -73,13 +73,13 @@ def main() -> None:
     """Draw them all, and print the figures that the captions name."""
     IMAGES.mkdir(exist_ok=True)
     swung, cracked = cast(), whip()
-    save_png(strobe(swung, start=10.3, end=11.4, count=60), IMAGES / "cast.png", dpi=DPI)
+    save_png(strobe_figure(swung, start=10.3, end=11.4, count=60), IMAGES / "cast.png", dpi=DPI)
     animate(swung, IMAGES / "cast.gif", start=8.82, end=11.34, width=480)
-    save_png(strobe(cracked, count=70, width=6.0), IMAGES / "whip.png", dpi=DPI)
+    save_png(strobe_figure(cracked, count=70, width=6.0), IMAGES / "whip.png", dpi=DPI)
     speed = np.linalg.norm(cracked.tip_velocity, axis=1)
     print(f"whip: {speed.max():.0f} m/s at t = {cracked.t[speed.argmax()]:.2f} s")
     save_png(growth(), IMAGES / "growth.png", dpi=2 * DPI)
-    for figure in (identification.fig3, identification.fig5, identification.fig6):
+    for figure in (identification.fig3, identification.fig5, identification.fig6, estimation.fig8):
         save_png(figure(), IMAGES / f"{figure.__name__}.png", dpi=DPI)
     save_png(identified(), IMAGES / "identified.png", dpi=DPI)
     for draw in (casting.fig10, casting.fig11, casting.fig12):

@@ -1,4 +1,4 @@
-"""Environments for learning: one rope beside a peg, and 64 in free flight at once; an acceleration every 20 ms."""
+"""Environments for learning: one rope with a peg, and 64 in free flight at once; an acceleration every 20 ms."""
 
 import time
 

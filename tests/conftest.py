@@ -11,6 +11,12 @@ from hypothesis import HealthCheck, settings
 WANT = "real recordings not found"
 
 os.environ["MPLBACKEND"] = "Agg"
+for library in (
+    "OPENBLAS",
+    "MKL",
+    "OMP",
+):  # tests run side by side: threads that wait for each other take most of the time
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 # The first example compiles kernels, so a deadline would time the compiler; "ci" draws the same examples in each run.
 settings.register_profile("dev", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -16,7 +16,7 @@ from hyperflex.core.chain.lanes import COLUMNS, load, rows, set_slip
 from hyperflex.core.integrate import steps as steppers
 from hyperflex.core.integrate.progress import JOINT, LENGTH, MODES
 from hyperflex.core.stiction.constraint_torques import QUICK
-from hyperflex.simulation.rollouts import TABLES, Rollout, limits
+from hyperflex.simulation.rollouts import TABLES, Rollout, rollout_limits
 from hyperflex.simulation.sensitivity.directions import ParameterDirections, parameter_directions
 from hyperflex.simulation.sensitivity.sensitivity import forward_derivatives, record_steps
 from tests.reference import dense
@@ -27,7 +27,7 @@ STENCIL = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
 
 def run_of(it: hf.Setup, ways: ParameterDirections | None = None) -> Rollout:
     chain = ways.with_faint_terms(it.chain()) if ways else it.chain()
-    return record_steps(chain, it.drive(), it.start(), limits(it, chain, it.duration))
+    return record_steps(chain, it.drive(), it.start(), rollout_limits(it, chain, it.duration))
 
 
 class Frozen:

@@ -1,4 +1,4 @@
-"""Batches beside pegs: each member as a run of its own, whatever the threads, and clear answers."""
+"""Batches with pegs: each member as a run of its own, whatever the threads, and clear answers."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_one_rope_from_many_starts() -> None:
         ({"pegs": [PEGS[0][0], PEGS[1]]}, "mixes pegs and lists"),
         ({"pegs": PEGS[:2]}, "do not fit together"),
         ({"pegs": [PEGS[0], PEGS[1], [*PEGS[2], *PEGS[0]]]}, "different numbers of pegs"),
-        ({"pegs": PEGS, "step": 1e-3}, "step is not there beside pegs"),
+        ({"pegs": PEGS, "step": 1e-3}, "step is not there with pegs"),
         ({"pegs": PEGS, "q0": np.zeros(4)}, "q0"),
         ({"pegs": PEGS, "t_eval": [2.0 * DURATION]}, "t_eval leaves the run"),
         ({"keep": ("turns",)}, "there are none"),
@@ -93,5 +93,5 @@ def test_a_member_that_takes_too_long_has_failed() -> None:
     assert set(hf.simulate_batch(ropes, motions, time_budget=1e3, **how).status) == {"ok"}
     with pytest.raises(InvalidInput, match="time_budget has the wrong sign"):
         hf.simulate_batch(ropes, motions, time_budget=-1.0, **how)
-    with pytest.raises(InvalidInput, match="beside pegs"):
+    with pytest.raises(InvalidInput, match="with pegs"):
         hf.simulate_batch(ropes, motions, time_budget=1.0, arm=ARM, duration=0.1)

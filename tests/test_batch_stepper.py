@@ -113,7 +113,7 @@ def test_bad_input_is_refused() -> None:
         batch.step(batch.start(), [1.0, np.nan, 2.0], DT)
     with pytest.raises(InvalidInput, match="dt has the wrong sign"):
         batch.step(batch.start(), 1.0, -DT)
-    with pytest.raises(InvalidInput, match="not one of this batch"):
+    with pytest.raises(InvalidInput, match="state q is not of this batch"):
         batch.step(hf.BatchStepper(each, arm=ARM).start(), 1.0, DT)
     with pytest.raises(InvalidInput, match="do not fit together"):
         batch.start(np.zeros((2, N)))
@@ -156,7 +156,42 @@ def test_tips_are_those_of_steppers() -> None:
 
 def test_a_state_of_the_wrong_shape() -> None:
     batch = hf.BatchStepper(ropes(), arm=ARM)
-    with pytest.raises(InvalidInput, match="one time for all"):
+    with pytest.raises(InvalidInput, match="state t is not a number"):
         batch.step(replace(batch.start(), t=np.zeros(COUNT)), 0.0, DT)
-    with pytest.raises(InvalidInput, match="wrong shape"):
+    with pytest.raises(InvalidInput, match="is not of this batch"):
         batch.step(replace(batch.start(), arm_angle=np.zeros(2)), 0.0, DT)
+
+
+def test_states_that_no_member_can_begin_with_are_refused() -> None:
+    stepper = hf.BatchStepper(ropes()[0], members=3, arm=ARM)
+    state = stepper.step(stepper.start(), 1.0, 0.02)
+    for name, value in (
+        ("memory", np.zeros((3, 3))),
+        ("memory", np.zeros(3)),
+        ("codes", np.zeros(7, dtype=np.int64)),
+        ("q", state.q.tolist()[:2]),
+        ("arm_angle", np.array(["a", "b", "c"])),
+        ("work", np.full(3, np.nan)),
+        ("t", "a"),
+    ):
+        with pytest.raises(InvalidInput, match=f"state {name}"):
+            stepper.step(replace(state, **{name: value}), 0.0, 0.02)
+    with pytest.raises(InvalidInput, match="not a BatchState"):
+        stepper.tips(None)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="read-only"):
+        state.q[0] = 0.0
+
+
+def test_a_restart_that_is_refused_changes_nothing() -> None:
+    first, other = ropes()[0], ropes()[1]
+    stepper = hf.BatchStepper(first, members=3, arm=ARM)
+    state = stepper.start()
+    with pytest.raises(InvalidInput):
+        stepper.restart(state, [0], ropes=other, q0=np.zeros(first.n_links + 1))
+    assert stepper.setups[0].rope is first
+    for which in ([0.5], [9], [-1], [1, 1], 1, [True, False]):
+        with pytest.raises(InvalidInput, match="no members of the batch"):
+            stepper.restart(state, which)
+    assert stepper.restart(state, []) is state
+    assert stepper.restart(state, np.zeros(3, dtype=bool)) is state
+    assert stepper.restart(state, np.array([True, False, True])).q.shape == state.q.shape

@@ -186,9 +186,9 @@ def test_linearization_over_an_interval_is_the_steppers_and_tends_to_the_continu
         # (exp(A dt) - 1) / dt - A is A^2 dt / 2
         np.testing.assert_allclose((ad - np.eye(2 * N + 2)) / dt, a, rtol=0, atol=dt * np.abs(a @ a).max())
         np.testing.assert_allclose(bd / dt, b, rtol=0, atol=dt * np.abs(a @ b).max() + 1e-6)
-    with pytest.raises(InvalidInput, match="command is not known"):
+    with pytest.raises(InvalidInput, match="an angle is commanded over an interval"):
         hf.linearize(*about, command="angle")
-    with pytest.raises(InvalidInput, match="q0 has the wrong shape"):
+    with pytest.raises(InvalidInput, match="q has the wrong shape"):
         hf.linearize(cable, ARM, q, qd)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-import importlib
+import importlib.util
 import inspect
 import re
 import subprocess
@@ -12,13 +12,16 @@ import tomllib
 from collections import Counter
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from typing import Any, get_args, get_type_hints
 
 import pytest
 
 import hyperflex
+from tests.names import code_names
 
 ROOT = Path(__file__).parent.parent
-SOURCES = sorted((ROOT / "src" / "hyperflex").rglob("*.py"))
+PACKAGE = ROOT / "src" / "hyperflex"
+SOURCES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"xarray", "pandas", "matplotlib", "PIL", "h5netcdf", "h5py", "rich", "typer", "jinja2", "cv2", "av"}
 HEAVY |= {
     "scipy.linalg",
@@ -164,20 +167,17 @@ def test_pattern_for_private_names_sees(text: str) -> None:
     assert PRIVATE.search(f"see {text} for it")
 
 
-def test_map_names_every_module() -> None:
-    """The tree in ARCHITECTURE.md, read by its indentation, is the tree of the sources: none missing, none too many."""
-    text = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
-    block = re.search(r"```\nsrc/hyperflex/\n(.*?)```", text, re.S)
-    assert block
-    folders: list[str] = []
-    mapped = set()
-    for line in block[1].splitlines():
-        entry = re.match(r"( +)(\S+?)(/?)(?:\s{2,}\S.*)?$", line)
-        assert entry, f"not an entry of the tree: {line!r}"
-        depth = len(entry[1]) // 2
-        folders[depth - 1 :] = [entry[2]] if entry[3] else []
-        mapped.add("/".join([*folders, "__init__.py"] if entry[3] else [*folders, entry[2]]))
-    assert mapped == {p.relative_to(ROOT / "src" / "hyperflex").as_posix() for p in SOURCES}
+def test_map_is_what_the_modules_say() -> None:
+    """The tree in ARCHITECTURE.md: every module with the first sentence of its docstring."""
+    specification = importlib.util.spec_from_file_location("generate_map", ROOT / "docs" / "generate_map.py")
+    assert specification
+    assert specification.loader
+    generate = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(generate)
+    drawn = generate.BLOCK.search(generate.MAP.read_text("utf-8"))
+    assert drawn
+    assert drawn[0] == generate.tree(), "run python docs/generate_map.py"
+    assert len(drawn[0].splitlines()) == len(SOURCES)
 
 
 def test_no_folder_is_a_hall() -> None:
@@ -228,3 +228,65 @@ def test_every_dependency_is_pinned_once() -> None:
     assert len(names) == len(set(names))
     needed = {re.split(r"[\[<>=!~ ;]", entry)[0].lower() for entry in wanted} - {"hyperflex"}
     assert needed <= set(names), needed - set(names)
+
+
+def cross_room_imports(path: Path, source: str) -> list[str]:
+    """Return what a module imports from inside another room: a room is entered by its ``__init__`` (but `core`)."""
+    home, package = path.relative_to(PACKAGE).parts[0], "hyperflex."
+    modules = [node.module or "" for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)]
+    inner = [m.removeprefix(package).split(".") for m in modules if m.startswith(package) and m.count(".") > 1]
+    return [".".join(parts) for parts in inner if parts[0] not in {home, "core"}]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.relative_to(ROOT / "src").as_posix())
+def test_other_rooms_are_entered_by_their_init(path: Path) -> None:
+    if path != PACKAGE / "__init__.py":  # the package's own list of public names says where each is
+        assert cross_room_imports(path, path.read_text("utf-8")) == []
+
+
+def test_an_import_from_inside_another_room_is_seen() -> None:
+    source = "from hyperflex.model.rope import Rope\nfrom hyperflex.core.chain.chain import Chain\nimport math\n"
+    assert cross_room_imports(PACKAGE / "report" / "page.py", source) == ["model.rope"]
+    assert cross_room_imports(PACKAGE / "model" / "arm.py", source) == []
+
+
+def stale_names(source: str, known: set[str]) -> list[str]:
+    """Return what docstrings put between double backticks, or refer to, that is no name of the code."""
+    quoted = re.findall(r"``([A-Za-z]\w*[A-Za-z0-9](?:\.\w+)*)(?:\([^`]*\))?``", source)
+    quoted += re.findall(r":(?:func|class|mod|meth|data|attr):`~?([\w.]+)`", source)
+    return sorted({name for name in quoted if not set(name.split(".")) <= known})
+
+
+def test_docstrings_name_what_is_there() -> None:
+    known = code_names() | {p.stem for p in SOURCES} | {p.parent.name for p in SOURCES}
+    known |= {"vdivpd", "link_length", "link_mass"}  # an instruction; keys that are put together from two words
+    found = {p.relative_to(PACKAGE).as_posix(): stale_names(p.read_text("utf-8"), known) for p in SOURCES}
+    assert {name: stale for name, stale in found.items() if stale} == {}
+    assert stale_names('"""See :func:`no_such_name` and ``simulate``."""', known) == ["no_such_name"]
+
+
+def types_of(annotation: object) -> set[type]:
+    """Return the classes of this package in a type hint."""
+    own = {annotation} if inspect.isclass(annotation) and annotation.__module__.startswith("hyperflex") else set()
+    return own.union(*(types_of(part) for part in get_args(annotation)))
+
+
+def test_types_that_public_calls_take_and_return_are_public() -> None:
+    """Each is offered by `hyperflex` itself or by its room, as ``hyperflex.planning.CastOutcome`` is."""
+    hidden: dict[str, list[str]] = {}
+    for name, obj in public_callables().items():
+        for kind in set().union(*(types_of(hint) for hint in hints_of(obj).values())):
+            room = importlib.import_module(".".join(kind.__module__.split(".")[:2]))
+            if room.__name__ == "hyperflex.core":  # what kernels are given, by Rope.chain and the like
+                continue
+            if kind.__name__ not in hyperflex.__all__ and getattr(room, kind.__name__, None) is not kind:
+                hidden.setdefault(f"{kind.__module__}.{kind.__name__}", []).append(name)
+    assert hidden == {}
+
+
+def hints_of(obj: object) -> dict[str, Any]:
+    """Return type hints, where names that only type checkers import are left out."""
+    try:
+        return get_type_hints(obj)
+    except NameError:
+        return {}

@@ -17,10 +17,18 @@ from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.scale import common_factor, in_common_factor
 from hyperflex.model import divided
-from hyperflex.model.properties import FREE, LINKS, PROPERTIES, RATIOS, RESISTANCES, Property, parsed
+from hyperflex.model.properties import (
+    FREE_PROPERTIES,
+    LINK_PROPERTIES,
+    PROPERTIES,
+    RATIOS,
+    RESISTANCES,
+    Property,
+    parse_label,
+)
 from hyperflex.model.refine import recut
 from hyperflex.report.identification.parameters import numbers, parameters_table, rope_table
-from hyperflex.report.units import readable
+from hyperflex.report.units import readable_unit
 from hyperflex.simulation.sensitivity.sensitivity import sensitivities
 
 VALUES = {
@@ -36,13 +44,13 @@ VALUES = {
     "max_bend": [np.inf, 1.5, 2.0],
 }
 ROPE = hf.Rope(**VALUES, tip_mass=0.005, radius=0.004)  # type: ignore[arg-type]
-EACH = pytest.mark.parametrize("each", LINKS, ids=[each.name for each in LINKS])
-FREE_LINKS = [each for each in LINKS if each.form]
+EACH = pytest.mark.parametrize("each", LINK_PROPERTIES, ids=[each.name for each in LINK_PROPERTIES])
+FREE_LINKS = [each for each in LINK_PROPERTIES if each.form]
 
 
 def one(name: str) -> hf.Rope:
     """The rope with nothing but its body and this property."""
-    rest = {each.name: each.default for each in LINKS if each.default is not None and each.name != name}
+    rest = {each.name: each.default for each in LINK_PROPERTIES if each.default is not None and each.name != name}
     return ROPE.replace(**rest)
 
 
@@ -50,7 +58,9 @@ def one(name: str) -> hf.Rope:
 def test_it_is_a_field_of_the_rope_and_of_the_chain(each: Property) -> None:
     assert each.name in {field.name for field in fields(hf.Rope)}
     np.testing.assert_array_equal(getattr(ROPE.chain(), each.field), VALUES[each.name])
-    assert Chain._fields.index(each.field) == LINKS.index(each)  # the lanes of a batch go by the table's order
+    assert Chain._fields.index(each.field) == LINK_PROPERTIES.index(
+        each
+    )  # the lanes of a batch go by the table's order
     if each.default is not None:
         plain = hf.Rope(VALUES["length"], VALUES["mass"])
         np.testing.assert_array_equal(getattr(plain, each.name), each.default)
@@ -84,17 +94,17 @@ def test_it_can_be_free(each: Property) -> None:
     for k, part in parameters.parts(x, ROPE):
         up, down = (getattr(parameters.rope(x + d * np.eye(3)[k]), each.name) for d in (step, -step))
         np.testing.assert_allclose(part[each.name], (up - down) / (2.0 * step), rtol=1e-8, atol=1e-12)
-    assert [parsed(label) for label in parameters.labels] == [(each.name, k, "") for k in range(3)]
+    assert [parse_label(label) for label in parameters.labels] == [(each.name, k, "") for k in range(3)]
     for law in ("shared", "factor", "taper"):
         assert len(parse(ROPE, [f"{each.name}:{law}"])) == 1
 
 
 def test_what_cannot_be_free_is_refused() -> None:
-    for name in PROPERTIES.keys() - FREE.keys():
+    for name in PROPERTIES.keys() - FREE_PROPERTIES.keys():
         with pytest.raises(InvalidInput, match="unknown name"):
             parse(ROPE, [name])
     for wrong in ("friction[1]:shared", "friction[-1]", "friction:all", "", "friction[1", 3):
-        assert parsed(wrong) is None
+        assert parse_label(wrong) is None
 
 
 @pytest.mark.parametrize("each", FREE_LINKS, ids=[each.name for each in FREE_LINKS])
@@ -114,7 +124,7 @@ def test_people_read_it_with_its_unit(each: Property) -> None:
     (column,) = [
         k for k, name in enumerate(rope_table(ROPE, found).header) if name.startswith(each.name.replace("_", " "))
     ]  # type: ignore[arg-type]
-    unit = readable(each.name, VALUES[each.name])
+    unit = readable_unit(each.name, VALUES[each.name])
     assert rope_table(ROPE, found).header[column].endswith(f", {unit.name}")  # type: ignore[arg-type]
     assert float(rope_table(ROPE, found).rows[2][column]) * unit.size == pytest.approx(VALUES[each.name][2], rel=1e-3)  # type: ignore[arg-type]
     for number, row in zip(numbers(found), parameters_table(found, ROPE).rows, strict=True):  # type: ignore[arg-type]
@@ -135,7 +145,7 @@ def test_it_goes_with_the_common_factor(each: Property) -> None:
     name = f"{each.symbol}/p1"
     assert lumped(moved)[0][0] != lumped(rope)[0][0]
     np.testing.assert_allclose(ratios(moved)[name], ratios(rope)[name], rtol=1e-4)
-    assert readable(name, 1.0).name == RATIOS[name].unit.replace("^2", "²").replace("^3", "³")
+    assert readable_unit(name, 1.0).name == RATIOS[name].unit.replace("^2", "²").replace("^3", "³")
 
 
 def test_pieces_of_a_link_are_the_same_rope() -> None:
@@ -143,7 +153,7 @@ def test_pieces_of_a_link_are_the_same_rope() -> None:
     rope = ROPE.replace(com=0.5 * ROPE.length)
     for fine in (divided(rope, 4), recut(rope, 15)):
         fine_ends, ends = np.cumsum(fine.length), np.cumsum(rope.length)
-        for each in LINKS:
+        for each in LINK_PROPERTIES:
             old, new = getattr(rope, each.name), getattr(fine, each.name)
             if each.cut == "shared":
                 assert new.sum() == pytest.approx(old.sum(), rel=1e-12)
@@ -166,7 +176,7 @@ def test_pieces_of_a_link_are_the_same_rope() -> None:
 
 def test_the_notation_tells_each_with_its_unit() -> None:
     text = (Path(__file__).parents[1] / "docs" / "notation.md").read_text("utf-8")
-    for each in (*LINKS, PROPERTIES["tip_mass"]):
+    for each in (*LINK_PROPERTIES, PROPERTIES["tip_mass"]):
         assert f"| `{each.name}` | {each.unit.replace('^2', '²')} |" in text
 
 

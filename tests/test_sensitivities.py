@@ -15,7 +15,7 @@ import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.chain.drive import segment
 from hyperflex.simulation import AngleJacobian
-from hyperflex.simulation.rollouts import Rollout, limits
+from hyperflex.simulation.rollouts import Rollout, rollout_limits
 from hyperflex.simulation.sensitivity.directions import parameter_directions
 from hyperflex.simulation.sensitivity.sensitivity import forward_derivatives, record_steps
 
@@ -50,7 +50,7 @@ def setup(**changes: Any) -> hf.Setup:
 
 
 def run_of(it: hf.Setup) -> Rollout:
-    return record_steps(it.chain(), it.drive(), it.start(), limits(it, it.chain(), it.duration))
+    return record_steps(it.chain(), it.drive(), it.start(), rollout_limits(it, it.chain(), it.duration))
 
 
 def retimed(run: Rollout, it: hf.Setup) -> Array:

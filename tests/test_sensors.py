@@ -12,7 +12,7 @@ import hyperflex as hf
 from hyperflex import dynamics
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.sensors import Accelerometer, Angles, Markers, Measurement, MotorTorque
+from hyperflex.sensors import Accelerometer, Angles, Markers, Measurement, MotorTorque, Sensor
 
 ROPE = hf.Rope(
     length=[0.2, 0.25, 0.15],
@@ -62,20 +62,20 @@ def test_torque_is_the_simulators() -> None:
     run = hf.simulate(ROPE, motion, arm=ARM, duration=0.2, q0=X[1:4], qd0=X[5:])
     for k in (0, 7, 15):
         at = hf.State(run.t[k], run.q[k], run.qd[k], arm_angle=run.arm_angle[k], arm_rate=run.arm_rate[k])
-        found = MotorTorque(ARM).measure(ROPE, at, float(motion.acceleration(run.t[k])))
+        found = MotorTorque(ARM).measure(ROPE, ARM, at, float(motion.acceleration(run.t[k])))
         assert found.y[0] == pytest.approx(run.motor_torque[k], abs=1e-10)
 
 
 def test_torques_derivatives_are_those_of_differences() -> None:
     """Both are central differences, of 1e-5, or chained from them: 1e-10 of third derivatives of some hundreds."""
-    check_differences(lambda x: MotorTorque(ARM).measure(ROPE, state(x), 3.0), 1e-6)
-    ends = [MotorTorque(ARM).measure(ROPE, state(X), u) for u in (3.0, 5.0)]
+    check_differences(lambda x: MotorTorque(ARM).measure(ROPE, ARM, state(x), 3.0), 1e-6)
+    ends = [MotorTorque(ARM).measure(ROPE, ARM, state(X), u) for u in (3.0, 5.0)]
     assert ends[0].D[0, 0] == pytest.approx((ends[1].y[0] - ends[0].y[0]) / 2.0, rel=1e-8)  # linear in it
 
 
 def test_torque_and_acceleration_are_inverse() -> None:
     """The torque that a prescribed arm asks for drives a free one with the same acceleration."""
-    found = MotorTorque(ARM).measure(ROPE, state(X), 3.0)
+    found = MotorTorque(ARM).measure(ROPE, ARM, state(X), 3.0)
     stepper, dt = hf.Stepper(ROPE, arm=ARM, command="torque", tol=1e-10), 1e-5
     begin = stepper.start(X[1:4], X[5:], arm_angle=X[0], arm_rate=X[4])
     end = stepper.step(begin, float(found.y[0]), dt)
@@ -231,3 +231,21 @@ def test_accelerometer_beside_markers_in_a_filter() -> None:
 def test_accelerometer_refuses_places_that_are_not_on_its_link(link: int, s: float, match: str) -> None:
     with pytest.raises(InvalidInput, match=match):
         Accelerometer(link, s).measure(ROPE, ARM, state(X))
+
+
+@pytest.mark.parametrize(
+    "sensor", [Angles(), Markers([0.5]), Accelerometer(0, 0.5 * float(ROPE.length[0])), MotorTorque(ARM)]
+)
+def test_every_sensor_measures_by_the_same_call_and_refuses_what_cannot_be(sensor: Sensor) -> None:
+    found = sensor.measure(ROPE, ARM, state(X), acceleration=0.5)
+    assert found.H.shape == (found.y.size, 2 * ROPE.n_links + 2)
+    assert found.D.shape == (found.y.size, 1)
+    for wrong in (np.nan, "x"):
+        with pytest.raises(hf.InvalidInput, match="state arm_angle"):
+            sensor.measure(ROPE, ARM, replace(state(X), arm_angle=wrong))
+    with pytest.raises(hf.InvalidInput, match="acceleration"):
+        sensor.measure(ROPE, ARM, state(X), np.nan)
+    with pytest.raises(hf.InvalidInput, match="a rope on an arm"):
+        sensor.measure(ARM, ROPE, state(X))  # type: ignore[arg-type]
+    with pytest.raises(hf.InvalidInput, match="a rope on an arm"):
+        sensor.measure(ROPE, ARM, None)  # type: ignore[arg-type]

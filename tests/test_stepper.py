@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
@@ -108,7 +109,7 @@ def test_beside_a_peg_a_run_in_steps_is_a_run(command: str) -> None:
 
 
 def test_joints_keep_their_limits_in_steps_as_in_a_run() -> None:
-    """As beside a peg: steps at a limit are cut elsewhere."""
+    """As with a peg: steps at a limit are cut elsewhere."""
     cable, given = rope(6, friction=1e-3, max_bend=0.25), np.repeat([40.0, -40.0, 20.0], 5)
     stepper = hf.Stepper(cable, arm=ARM)
     states = walk(stepper, stepper.start(), given)
@@ -300,7 +301,7 @@ def test_bad_input_is_refused() -> None:
     ):
         with pytest.raises(InvalidInput, match=words):
             stepper.step(*arguments)  # type: ignore[arg-type]
-    with pytest.raises(InvalidInput, match="another chain"):
+    with pytest.raises(InvalidInput, match="state q has the wrong shape"):
         stepper.step(hf.Stepper(rope(4), arm=ARM).step(hf.Stepper(rope(4), arm=ARM).start(), 0.0, DT), 0.0, DT)
     beside = hf.Stepper(cable, arm=ARM, pegs=[hf.Peg(0.05, -0.5, 0.03)], refine=False)
     with pytest.raises(InvalidInput, match="inside an obstacle"):
@@ -332,3 +333,46 @@ def test_subpackages_are_attributes() -> None:
     assert hf.sensors.Markers is not None
     with pytest.raises(AttributeError, match="no attribute"):
         hf.nothing_of_this_name  # noqa: B018
+
+
+def test_a_state_changed_by_hand_is_checked_like_a_start() -> None:
+    """Inside a peg or past a limit: refused, though the state comes from a step; its gap is told all the same."""
+    cable = rope()
+    stepper = hf.Stepper(cable, arm=ARM, pegs=[hf.Peg(0.267, -0.65, 0.03)], refine=False)
+    state = stepper.step(stepper.start(), 0.0, DT)
+    inside = replace(state, q=np.full(6, 0.45))
+    assert stepper.gap(inside) < -0.01 < 0.0 < stepper.gap(state)
+    assert stepper.gap(replace(stepper.start(), q=np.full(6, 0.45))) < -0.01
+    with pytest.raises(InvalidInput, match="starts inside an obstacle"):
+        stepper.step(inside, 0.0, DT)
+    limited = hf.Stepper(cable.replace(max_bend=0.2), arm=ARM)
+    state = limited.step(limited.start(), 0.0, DT)
+    with pytest.raises(InvalidInput, match="past a limit"):
+        limited.step(replace(state, q=np.array([0.0, 0.0, 0.8, 0.8, 0.8, 0.8])), 0.0, DT)
+
+
+def test_energies_and_steps_of_a_state_count_when_they_are_replaced() -> None:
+    stepper = hf.Stepper(rope(), arm=ARM)
+    state = stepper.step(stepper.start(), 1.0, DT)
+    after = stepper.step(state, 0.0, DT)
+    assert stepper.step(replace(state, work=100.0), 0.0, DT).work == pytest.approx(100.0 + after.work - state.work)
+    for name, value in (("step", math.nan), ("step", -1.0), ("work", math.nan), ("arm_angle", math.nan), ("t", "a")):
+        with pytest.raises(InvalidInput, match=f"state {name}"):
+            stepper.step(replace(state, **{name: value}), 0.0, DT)
+    with pytest.raises(InvalidInput, match="not a State"):
+        stepper.tip(None)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="read-only"):
+        state.q[0] = 1.0
+
+
+@pytest.mark.parametrize("command", ["torque", "acceleration", "angle"])
+def test_a_state_goes_from_one_kind_of_command_to_another(command: str) -> None:
+    """Angles, rates and the arm's go along; what the integrator remembered of the other chain does not."""
+    run = hf.simulate(rope(), hf.hold_arm(0.3), arm=ARM, duration=0.2, q0=np.full(6, 0.3))
+    stepper = hf.Stepper(rope(), arm=ARM, command=command)
+    begin = run.state
+    for _ in range(2):
+        after = stepper.step(begin, 0.3 if command == "angle" else 0.0, 1e-3)
+        assert after.arm_angle == pytest.approx(0.3, abs=1e-3)
+        np.testing.assert_allclose(after.q, begin.q + 1e-3 * begin.qd, atol=2e-4)
+        begin = hf.Stepper(rope(), arm=ARM, command="torque").step(run.state, 0.0, 1e-9)

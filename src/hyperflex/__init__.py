@@ -10,6 +10,7 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.dynamics import forward_kinematics, linearize, mass_matrix
     from hyperflex.errors import (
+        EstimatorLost,
         FileProblem,
         HyperflexError,
         IdentificationError,

@@ -3,8 +3,6 @@
 Each returns the value in the form that the package works with, or raises :class:`hyperflex.errors.InvalidInput`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal
@@ -80,6 +78,8 @@ def array(
     """
     want = "x".join("any" if k < 0 else str(k) for k in shape)
     try:
+        if np.asarray(value).dtype.kind in "SU":  # which numpy would read as numbers
+            raise ValueError
         result = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise InvalidInput(f"{name} is not an array of numbers", got=value, allowed=f"numbers, shape {want}") from None

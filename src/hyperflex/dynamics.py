@@ -4,8 +4,6 @@ Coordinates are absolute angles, the arm's (index a) before the rope's (index u)
 M [a; u] + bias = [tau; 0], where bias gathers the centrifugal, potential and friction terms, C + P - F.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -18,11 +16,17 @@ from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.read_only import read_only
 from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
 from hyperflex.core.stiction.slip_modes import find_modes
+from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, Setup
-from hyperflex.simulation.commands import arm_polynomials, set_commands, setup_for, state_directions
-from hyperflex.simulation.rollouts import Interval
-from hyperflex.simulation.sensitivity.sensitivity import acceleration_jacobian
-from hyperflex.simulation.stepper import Stepper
+from hyperflex.simulation import (
+    Interval,
+    Stepper,
+    acceleration_jacobian,
+    arm_polynomials,
+    set_commands,
+    setup_for,
+    state_directions,
+)
 
 
 class PartialLinearization(NamedTuple):
@@ -103,9 +107,9 @@ def forward_kinematics(
     >>> hf.forward_kinematics(rope, [0.0, 0.0], arm=hf.Arm(length=0.5)).tolist()
     [[0.0, -0.5], [0.0, -1.5], [0.0, -2.5]]
     """
-    angles = np.asarray(q, dtype=np.float64)
-    angles = checks.array("q", angles, (*angles.shape[:-1], rope.n_links), unit="rad")
-    turned = checks.array("arm_angle", np.broadcast_to(arm_angle, angles.shape[:-1]), angles.shape[:-1], unit="rad")
+    _check_rope(rope)
+    angles = checks.array("q", q, (*np.shape(q)[:-1], rope.n_links), unit="rad")
+    turned = checks.array("arm_angle", arm_angle, angles.shape[:-1], scalar=True, unit="rad")
     return rope.joints(angles, np.zeros((*turned.shape, 2)) if arm is None else arm.tip(turned))
 
 
@@ -152,13 +156,19 @@ def linearize(
     Exact derivatives, as (M.19)-(M.25), not differences; O(n^2). Joints that dry friction holds in this state count as
     locked. For one state after another make a :class:`hyperflex.Stepper`, whose ``linearize`` takes less time.
     """
+    _check_rope(rope)
+    q, qd = (checks.array(name, value, (rope.n_links,)) for name, value in (("q", q), ("qd", qd)))
+    if np.isfinite(rope.max_bend).any():
+        raise InvalidInput("derivatives are of free flight", got="a rope with joint limits", fix="Leave max_bend out")
     if dt is not None:
         stepper = Stepper(rope, arm=arm, command=command)
         begin = stepper.start(q, qd, arm_angle=arm_angle, arm_rate=arm_rate)
         over = stepper.linearize(begin, u, dt)
         return over.A, over.B
+    if command == "angle":
+        raise InvalidInput("an angle is commanded over an interval", got="no dt", fix="Give dt")
     checks.choice("command", command, ("acceleration", "torque"))
-    setup = setup_for(command, Setup(rope, None, arm, q0=q, qd0=qd, arm_angle0=arm_angle, arm_rate0=arm_rate))  # type: ignore[arg-type]
+    setup = setup_for(command, Setup(rope, None, arm, q0=q, qd0=qd, arm_angle0=arm_angle, arm_rate0=arm_rate))
     chain, interval, powers = setup.chain(), Interval(setup.drive()), arm_polynomials(command, 1.0)[0]
     known = np.array([setup.arm_angle0, setup.arm_rate0, checks.number("u", u)])
     interval.set(0.0, 1.0, TORQUE if command == "torque" else ANGLE, known @ powers)
@@ -238,9 +248,15 @@ def torque_from_input(linear: PartialLinearization, u: float) -> float:
 
 
 def _joined(rope: Rope, value: npt.ArrayLike, name: str, unit: str, arm: Arm | None, own: float) -> Array:
+    _check_rope(rope)
     links = checks.array(name, value, (rope.n_links,), unit=unit)
     arm_name = "arm_angle" if name == "q" else "arm_rate"
     return links if arm is None else np.append(checks.number(arm_name, own, unit=unit), links)
+
+
+def _check_rope(rope: object) -> None:
+    if not isinstance(rope, Rope):
+        raise InvalidInput("rope is not a rope", got=rope, allowed="a Rope")
 
 
 def _base(arm: Arm, angle: float, rate: float, acceleration: float) -> Array:

@@ -1,7 +1,5 @@
 """Exceptions of hyperflex. Every message says what was wrong, the value got, what is allowed and what to do."""
 
-from __future__ import annotations
-
 
 class HyperflexError(Exception):
     """Base class of everything that hyperflex raises on purpose."""
@@ -56,6 +54,10 @@ class SimulationError(HyperflexError, RuntimeError):
 
 class IdentificationError(HyperflexError, RuntimeError):
     """A fit could not be made, or did not converge to anything that may be reported."""
+
+
+class EstimatorLost(HyperflexError, RuntimeError):
+    """The process that estimates a rope's state has ended or stalled, or has seen nothing for too long."""
 
 
 class MissingExtra(HyperflexError, ImportError):

@@ -1,7 +1,5 @@
 """Interfaces between control, planning and estimation: rope state, state source, motor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

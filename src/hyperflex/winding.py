@@ -1,7 +1,5 @@
 """Winding measures of a trajectory: turns about a peg, tension, slip, and a tug test."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -94,6 +94,9 @@ def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, rope_file, read
     assert hyperflex(*arguments(rope_file, tmp_path / "out"))[0] == 0
     assert hyperflex("cast", tmp_path / "out" / "cast.toml", "-o", tmp_path / "again")[0] == 0
     assert asked["target"] == planned().target
+    # The file also holds the verified run, whose rope is cut for the target; what is planned with is what was before.
+    assert asked["rope"].n_links == planned().cast_setup.rope.n_links
+    assert asked["limits"] == planned().cast_setup.limits
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from hyperflex import cli
 from hyperflex.cli import output
 from hyperflex.cli.app import app
 
-COMMANDS = ("simulate", "identify", "cast", "whip", "calibrate", "track", "reproduce", "demo", "warm")
+COMMANDS = ("simulate", "identify", "cast", "whip", "calibrate", "track", "watch", "reproduce", "demo", "warm")
 
 
 def test_these_are_all_commands():

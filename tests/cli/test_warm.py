@@ -21,7 +21,10 @@ CALLS = """
 import numpy as np
 import hyperflex as hf
 from hyperflex.core.jit import compiling
+from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter
+from hyperflex.estimate.live.worker import TrackingTask
 from hyperflex.sensors import MotorTorque
+from hyperflex.vision import Camera, MarkerColour
 
 rope = hf.Rope.uniform(length=1.2, mass=0.1, n_links=6, radius=0.004, friction=4e-4)
 dry = rope.replace(dry_friction=np.full(6, 1e-3))
@@ -55,9 +58,14 @@ rest = np.zeros(6)
 hf.mass_matrix(rope, rest)
 hf.forward_kinematics(rope, rest)
 hf.linearize(rope, arm, rest, rest)
-MotorTorque(motor).measure(rope, hf.State(0.0, rest, rest))
+MotorTorque(motor).measure(rope, motor, hf.State(0.0, rest, rest))
 swung = hf.simulate(rope, duration=3.0, q0=np.full(6, 0.7), t_eval=np.arange(0.0, 3.0, 0.02))
 hf.identify(hf.Recording(swung.t, swung.q + 1e-3 * np.cos(97.0 * swung.t)[:, None], kind="angles"), rope)
+seen = RopeFilter(rope, [0.4, 0.8, 1.2], readout=0.01, parameters=[EstimatedParameter("friction", 0.1)])
+for t, joints in zip(swung.t[:10], swung.joints[:10]):
+    seen.update(Observations(t, joints[[2, 4, 6]], std=0.002, rows=[-0.5, 0.0, 0.5]))
+view = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0))
+TrackingTask("0", rope, np.array([0.4, 0.8, 1.2]), view, MarkerColour((30.0, 30.0, 200.0)), arm).rehearse()
 print(compiling())
 """
 

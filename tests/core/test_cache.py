@@ -178,3 +178,41 @@ def test_importing_makes_no_folder(tmp_path: Path) -> None:
     found = {"HYPERFLEX_CACHE_DIR": str(tmp_path / "cache")}
     subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | found)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_home_is_written_out_and_a_relative_cache_folder_is_none(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("HYPERFLEX_CACHE_DIR", "~/kernels")
+    assert cache.folder() == tmp_path / "kernels"
+    monkeypatch.delenv("HYPERFLEX_CACHE_DIR")
+    monkeypatch.setenv("XDG_CACHE_HOME", "caches")  # the XDG specification: relative paths are to be ignored
+    assert cache.folder() == tmp_path / ".cache" / "hyperflex"
+
+
+def test_a_user_without_a_home_compiles_each_time(monkeypatch, capsys, tmp_path):
+    def no_home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("HYPERFLEX_CACHE_DIR", raising=False)
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", no_home)
+    cache._complain.cache_clear()
+    cache.save(cache.module_folder("hyperflex.core.jit"), "scaled", "key", b"code")
+    assert "no home folder" in capsys.readouterr().err
+    assert cache.load(cache.module_folder("hyperflex.core.jit"), "scaled", "key") is None
+    cache._complain.cache_clear()
+
+
+def test_a_numba_whose_insides_differ_compiles_all_the_same():
+    code = """
+import sys
+sys.modules["hyperflex.core.compiler"] = None
+from hyperflex.core import jit
+@jit.kernel
+def twice(x):
+    return 2.0 * x
+print(twice(4.0), jit.compiling())
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout == "8.0 0.0\n"
+    assert "compiled kernels are not kept" in run.stderr

@@ -31,7 +31,7 @@ def taken(rope: hf.Rope, q: dense.Real, w: dense.Real, h: float) -> tuple[dense.
     call = chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, memory, workspace
     _, rounds = try_step(*call, True, 0.0, True)
     for _ in range(5 if h > 0.0 else 0):  # the same step again, from its own impulses: what is left dies out
-        save_memory(memory, workspace.found, workspace.impulses, workspace.held, h)
+        save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, h)
         _, rounds = try_step(*call, True, 0.0, True)
     return workspace.out[n:].copy(), rounds, workspace.account.copy()
 

@@ -94,7 +94,7 @@ def test_closest_points_are_those_of_a_fine_sampling(seed: int) -> None:
     links, q = random_links(n, seed), random_state(n, seed).q
     chain, trig = chain_of(links), np.concatenate([np.sin(q), np.cos(q)])
     xy = np.empty((2, n + 1))
-    gaps.joints(chain, trig, 0.3, -0.2, xy)
+    gaps.joint_positions(chain, trig, 0.3, -0.2, xy)
     along, _ = dense.directions(q)
     np.testing.assert_allclose(xy[:, -1], [0.3, -0.2] + links.length @ along, rtol=0, atol=1e-14)
     none = np.zeros(3)
@@ -131,7 +131,7 @@ def test_a_link_through_the_centre_of_a_peg_has_a_normal_of_length_one() -> None
     links = random_links(1, 0)
     trig = np.array([np.sin(0.4), np.cos(0.4)])
     xy = np.empty((2, 2))
-    gaps.joints(chain_of(links), trig, 0.0, 0.0, xy)
+    gaps.joint_positions(chain_of(links), trig, 0.0, 0.0, xy)
     link = (0.0, 0.0, xy[0, 1], xy[1, 1], links.length[0], trig[0], trig[1])
     s, size, nx, ny = gaps.closest(link, 0.5 * xy[0, 1], 0.5 * xy[1, 1])
     assert size == pytest.approx(0.0, abs=1e-15)

@@ -45,11 +45,13 @@ def test_the_kernels_are_compiled_for_one_kind_of_arrays() -> None:
     for setup in (hf.Setup(rope), hf.Setup(rope, hf.arm_swings(), arm), hf.Setup(rope, arm=arm, torque=torque)):
         for t in (np.array([0.0, 0.1]), checks.times("t_eval", [0.0, 0.1])):
             chain = setup.chain()
-            run = rollouts.prepare(chain, setup.drive(), setup.start(), t, rollouts.limits(setup, chain, 0.1))
+            run = rollouts.prepare_rollout(
+                chain, setup.drive(), setup.start(), t, rollouts.rollout_limits(setup, chain, 0.1)
+            )
             if setup.torque_driven:
                 interval = rollouts.Interval(run.drive)
                 run.drive = interval.drive
-                rollouts.controlled(run, interval, lambda *_: 0.0, 0.05, partial(rollouts.finish, run))
+                rollouts.controlled(run, interval, lambda *_: 0.0, 0.05, partial(rollouts.finish_rollout, run))
             parts = (*run.chain, *run.drive, *run.progress, run.t, run.y)
             arrays = [part for part in parts if isinstance(part, np.ndarray)]
             kinds.add(tuple((a.flags.writeable, a.flags.c_contiguous, a.dtype, a.ndim) for a in arrays))

@@ -86,10 +86,12 @@ def test_derivatives_of_what_is_seen() -> None:
     x = np.concatenate([rng.normal(size=8), 3.0 * rng.normal(size=8), 0.01 * rng.normal(size=len(names))])
     base, rows = rng.normal(size=(3, 2)), np.array([-0.4, 0.1, 0.5])
     _, slope = tracker.model.predict(x, base, rows)
+    late = 16 + names.index("delay")
     for k in range(x.size):
         step = np.zeros(x.size)
         step[k] = 1e-6
-        high, low = (tracker.model.predict(x + side * step, base, rows)[0] for side in (1.0, -1.0))
+        earlier = step[late] * np.array([base[1], base[2], np.zeros(2)])  # a delay: where the first joint was then
+        high, low = (tracker.model.predict(x + side * step, base - side * earlier, rows)[0] for side in (1.0, -1.0))
         np.testing.assert_allclose((high - low) / 2e-6, slope[:, :, k], atol=1e-7)
 
 

@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.estimate import EstimatedParameter, MovingHorizon, Observations, RopeFilter, smooth
-from hyperflex.estimate.interval import InputFrame, Interval
-from hyperflex.estimate.linear_smoother import Measurement, Smoothed, Step, smooth_linear
+from hyperflex.estimate.smoothing.interval import InputFrame, Interval
+from hyperflex.estimate.smoothing.linear_smoother import Measurement, Smoothed, Step, smooth_linear
 
 SIZE = 5  # of the state
 PENDULUM = hf.Rope.uniform(length=0.5, mass=0.1, n_links=2, radius=0.004, friction=2e-3)

@@ -14,7 +14,7 @@ from hyperflex import compare_models
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.comparison import compare as _choice
-from hyperflex.identification.comparison.candidates import candidates, recut
+from hyperflex.identification.comparison.compare import candidates, recut
 from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend, why_alike
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.pipeline import identify

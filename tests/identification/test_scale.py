@@ -9,7 +9,7 @@ from hyperflex.identification import Identification, identify
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.scale import in_common_factor, scaling
-from hyperflex.identification.uncertainty.intervals import of_ratios
+from hyperflex.identification.uncertainty.covariance import of_ratios
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate

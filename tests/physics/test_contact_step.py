@@ -1,4 +1,4 @@
-"""One step beside a peg, by a reference that shares no line with the kernels: where the rope turns, gaps bend."""
+"""One step with a peg, by a reference that shares no line with the kernels: where the rope turns, gaps bend."""
 
 from __future__ import annotations
 
@@ -81,10 +81,10 @@ def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> No
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
     pegs, memory = setup.contacts(), new_contact_memory(10, 1)
     workspace, y = new_contact_workspace(chain, pegs, 1e-6, 1e-4), np.zeros(22)
-    memory.heavy[0], known = 1e-3 * rope.total_mass, []
+    memory.penalty[0], known = 1e-3 * rope.total_mass, []
     for _ in range(60):
         try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, memory, workspace, True, 0.0, True)
-        save_memory(memory, workspace.found, workspace.impulses, workspace.held, STEP)
-        known.append(memory.heavy[0])
+        save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, STEP)
+        known.append(memory.penalty[0])
     assert np.all(np.diff(known) >= 0.0)
     assert known[-1] == pytest.approx(STIFF * rope.total_mass, rel=1e-12)

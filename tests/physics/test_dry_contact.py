@@ -1,4 +1,4 @@
-"""Dry joint friction in the contact stepper: statics, free flight as its limit, energy beside pegs."""
+"""Dry joint friction in the contact stepper: statics, free flight as its limit, energy with pegs."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import hyperflex as hf
 from hyperflex.core.integrate import rollout
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.simulation import time_budget
-from hyperflex.simulation.rollouts import TABLES, limits
+from hyperflex.simulation.rollouts import TABLES, rollout_limits
 
 ARM = hf.Arm(length=0.105, inertia=1e-3)
 
@@ -98,8 +98,12 @@ def test_a_step_that_is_not_a_number_is_not_taken() -> None:
     setup = hf.Setup(cable(), duration=1.0)
     chain = setup.chain()
     nan, work = np.full(22, np.nan), np.empty(60)
-    assert rollout.error_norm(chain, limits(setup, chain, 1.0), TABLES[0], np.zeros(22), nan, 0.01, work) == np.inf
-    assert rollout.error_norm(chain, limits(setup, chain, 1.0), TABLES[0], nan, np.zeros(22), 0.01, work) == np.inf
+    assert (
+        rollout.error_norm(chain, rollout_limits(setup, chain, 1.0), TABLES[0], np.zeros(22), nan, 0.01, work) == np.inf
+    )
+    assert (
+        rollout.error_norm(chain, rollout_limits(setup, chain, 1.0), TABLES[0], nan, np.zeros(22), 0.01, work) == np.inf
+    )
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.simulation import angles
-from hyperflex.simulation.rollouts import finish, limits, prepare
+from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
 
 ARM = hf.Arm(length=0.105)
 STOP, END = 1.0, 2.5  # s; at 1.0 s the arm rests in the middle of a stretch, at no switch
@@ -131,9 +131,9 @@ def test_looking_up_between_steps_leaves_no_trace(dry: float) -> None:
         marks = []
         for budget in (1, 10_000):
             chain = setup.chain()
-            bounds = limits(setup, chain, float(stop), budget)
-            rollout = prepare(chain, setup.drive(), setup.start(), np.array([0.0, stop]), bounds)
-            finish(rollout)
+            bounds = rollout_limits(setup, chain, float(stop), budget)
+            rollout = prepare_rollout(chain, setup.drive(), setup.start(), np.array([0.0, stop]), bounds)
+            finish_rollout(rollout)
             marks.append(
                 np.concatenate(
                     [rollout.progress.clock[:8], rollout.progress.y, rollout.progress.mark, rollout.progress.mark_slip]

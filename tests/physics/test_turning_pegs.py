@@ -187,10 +187,10 @@ def test_a_peg_takes_the_angular_momentum_that_contacts_give_it(h: float) -> Non
     workspace.spin.before[0] = 0.3
     y = np.concatenate([q0, np.full(n, 2.0)])
     try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, memory, workspace, True, 0.0, True)
-    impulses, found = workspace.impulses, workspace.found
-    held = impulses.mode[: found.total[0]] != 0
+    impulses, contacts = workspace.impulses, workspace.contacts
+    held = impulses.mode[: contacts.total[0]] != 0
     assert held.sum() > 5
-    torque = -pegs.reach[0] * impulses.tangent[: found.total[0]][held].sum()
+    torque = -pegs.reach[0] * impulses.tangent[: contacts.total[0]][held].sum()
     assert 1e-4 * (workspace.spin.after[0] - 0.3) == pytest.approx(torque, rel=1e-9)
     assert abs(torque) > 1e-9  # rounding is 1e-20
     assert workspace.spin.after[1] == 0.0

@@ -1,4 +1,4 @@
-"""What a wound rope holds: the tail's weight, Capstan's rule, and the tug beside them."""
+"""What a wound rope holds: the tail's weight, the capstan equation, and the tug beside them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How runs beside a peg are judged, from turns made up for the purpose and from a throw that is known to wind."""
+"""How runs with a peg are judged, from turns made up for the purpose and from a throw that is known to wind."""
 
 from __future__ import annotations
 

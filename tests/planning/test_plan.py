@@ -336,7 +336,7 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
         ({}, {}, True),
         ({"slip": 3e-3}, {}, False),  # 5 mm are allowed
         ({"folded": True}, {}, False),  # through itself: a real rope does not
-        ({}, {"load_ratio": 1.2}, False),  # pulled with more than Capstan's rule lets it bear
+        ({}, {"load_ratio": 1.2}, False),  # pulled with more than the capstan equation lets it bear
         ({}, {"turns": 1.3}, False),  # one turn fewer with finer links: left to chance
         ({}, {"success": False}, False),
     ],

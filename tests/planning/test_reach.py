@@ -125,7 +125,7 @@ def test_the_room_needed_is_that_of_a_rope_wound_and_hanging(aside: float, radiu
 
 
 def test_the_hold_asked_for_counts() -> None:
-    """Capstan's rule on ropes drawn with one turn more or less, of which the one that bears most counts."""
+    """The capstan equation on ropes drawn with one turn more or less, of which the one that bears most counts."""
     peg, weight = at(1.36, 0.66, 0.04), 0.125 * 9.81 / 2.0
     known, bears = check_feasibility(CAST_SETUP, peg), []
     for more in (1, 2):

@@ -27,7 +27,7 @@ from hyperflex.report.identification.fitted import fitted_channels
 from hyperflex.report.identification.page import identification_page, write_identification
 from hyperflex.report.identification.parameters import numbers, parameters_table, ratios_table, rope_table, ties
 from hyperflex.report.identification.setting import fit_table, lead, recording_table
-from hyperflex.report.units import readable, rounded, short
+from hyperflex.report.units import readable_unit, rounded, short
 
 NOISE = 2e-3
 ROPE = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
@@ -311,7 +311,7 @@ def test_the_set_up_is_told(swing, markers):
     ],
 )
 def test_units_suit_the_size(what, value, unit):
-    assert readable(what, value).name == unit
+    assert readable_unit(what, value).name == unit
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from hyperflex.paper.casting import READINGS, casts
 from hyperflex.paper.report import casting
 from hyperflex.report.animation import animate
 from hyperflex.report.shapes import shapes
-from hyperflex.report.strobe import strobe
+from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import png, save_png
 
 
@@ -26,7 +26,7 @@ def opened(content: bytes) -> Image.Image:
 
 
 def test_strobe_draws_ropes_on_a_dark_ground(short_cast):
-    image = opened(png(strobe(short_cast, count=12, title="a cast"), dpi=60)).convert("RGB")
+    image = opened(png(strobe_figure(short_cast, count=12, title="a cast"), dpi=60)).convert("RGB")
     pixels = np.asarray(image).reshape(-1, 3)
     background = np.array([12, 19, 34])
     drawn = (np.abs(pixels.astype(int) - background).max(axis=1) > 40).mean()
@@ -35,13 +35,13 @@ def test_strobe_draws_ropes_on_a_dark_ground(short_cast):
 
 
 def test_strobe_shows_the_span_that_was_asked_for(short_cast):
-    whole, part = strobe(short_cast, count=20), strobe(short_cast, start=0.0, end=0.2, count=20)
+    whole, part = strobe_figure(short_cast, count=20), strobe_figure(short_cast, start=0.0, end=0.2, count=20)
     # The rope has not moved as far after 0.2 s as it will, so what that picture shows is narrower.
     assert part.axes[0].dataLim.width < 0.8 * whole.axes[0].dataLim.width
 
 
 def test_strobe_draws_a_rope_without_an_arm(hanging):
-    assert opened(png(strobe(hanging, count=5), dpi=40)).format == "PNG"
+    assert opened(png(strobe_figure(hanging, count=5), dpi=40)).format == "PNG"
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_strobe_draws_a_rope_without_an_arm(hanging):
 )
 def test_strobe_refuses(short_cast, arguments, message):
     with pytest.raises(InvalidInput, match=message):
-        strobe(short_cast, **arguments)
+        strobe_figure(short_cast, **arguments)
 
 
 def test_shapes_between_samples_are_those_of_a_finer_run(short_cast):
@@ -65,7 +65,7 @@ def test_shapes_between_samples_are_those_of_a_finer_run(short_cast):
 
 def test_pictures_leave_matplotlib_as_it_was_and_repeat_byte_by_byte(short_cast):
     before = dict(mpl.rcParams)
-    assert png(strobe(short_cast, count=5), dpi=40) == png(strobe(short_cast, count=5), dpi=40)
+    assert png(strobe_figure(short_cast, count=5), dpi=40) == png(strobe_figure(short_cast, count=5), dpi=40)
     assert dict(mpl.rcParams) == before
 
 
@@ -133,7 +133,7 @@ def test_an_interrupted_film_leaves_nothing(short_cast, tmp_path):
 
 def test_a_picture_into_a_missing_folder_is_refused(short_cast, tmp_path):
     with pytest.raises(FileProblem, match="does not exist"):
-        save_png(strobe(short_cast, count=3), tmp_path / "nowhere" / "a.png")
+        save_png(strobe_figure(short_cast, count=3), tmp_path / "nowhere" / "a.png")
 
 
 def test_figures_show_every_reading_with_solid_success_and_dashed_failure():

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from hyperflex.report.animation import animate
-from hyperflex.report.strobe import strobe
+from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import png
 from hyperflex.report.whip import WhipReport
 from hyperflex.report.whip.figures import course_figure, passing_figure, peak_figure
@@ -98,12 +98,12 @@ def test_a_ring_stands_round_the_target(tmp_path):
     assert 12 <= np.ptp(columns) + 1 <= 20  # a ring of 16 pixels
     assert columns.min() > 200
     assert rows.max() < 0.4 * frame.shape[0]
-    axis = strobe(run, start=0.5, end=1.0, count=4, targets=far).axes[0]
+    axis = strobe_figure(run, start=0.5, end=1.0, count=4, targets=far).axes[0]
     assert axis.get_xlim()[1] > 1.5
 
 
 def test_a_tall_picture_is_widened():
     run = planned_whip().run
-    figure = strobe(run, start=0.0, end=0.05, count=4)
+    figure = strobe_figure(run, start=0.0, end=0.05, count=4)
     width, height = figure.get_size_inches()
     assert height == pytest.approx(1.15 * width)

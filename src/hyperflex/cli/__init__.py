@@ -1,7 +1,5 @@
 """The command line: each command parses its arguments, makes one call and prints the result, or prints it as JSON."""
 
-from __future__ import annotations
-
 import sys
 
 

@@ -1,7 +1,5 @@
 """The command-line application: all commands, and the exit codes of errors."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -24,6 +22,7 @@ from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
 from hyperflex.cli.track import track
 from hyperflex.cli.warm import warm
+from hyperflex.cli.watch import watch
 from hyperflex.cli.whip import whip
 from hyperflex.errors import HyperflexError
 
@@ -38,6 +37,7 @@ for _command, _example in (
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 10 -o whipped"),
     (calibrate, "calibrate board.mp4 --squares 8 6 --square 0.03 --marker 0.022 --plane plane.png -o camera.toml"),
     (track, "track swing.mp4 --rope rope.toml --camera camera.toml --arc-lengths 0.2,0.4,0.6 -o markers.nc"),
+    (watch, "watch --camera 0 --rope rope.toml --calibration camera.toml --arc-lengths 0.2,0.4,0.6 --page 8080"),
     (reproduce, "reproduce fig10 fig12 -o paper"),
     (demo, "demo -o demo-output"),
     (warm, "warm"),

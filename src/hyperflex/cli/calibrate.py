@@ -1,7 +1,5 @@
 """``hyperflex calibrate``: pictures or a video of a board in, a camera out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

@@ -68,7 +68,7 @@ def cast(
     reason and with the nearest target that should work.
     """
     from hyperflex.planning import Uncertainty, plan_cast
-    from hyperflex.report.cast import CastReport
+    from hyperflex.report import CastReport
 
     planner.check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}

@@ -19,9 +19,9 @@ def demo(
     out: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("demo-output"),
     json: output.Json = False,
 ) -> None:
-    """Identify a recorded rope, cast it, wind it round a target and show the result.
+    """Track a filmed rope, identify it, cast it, wind it round a target and show the result.
 
-    The recording comes with the package and is simulated, with a finer chain than the one identified, and noise.
+    The video comes with the package and is simulated, with a finer chain than the one identified.
     """
     from hyperflex.demo import write_demo
 
@@ -35,7 +35,7 @@ def demo(
 
 def _figures(report: DemoReport) -> dict[str, Any]:
     """Return what the demo found, for JSON."""
-    from hyperflex.demo.report import held_out_rms
+    from hyperflex.demo import held_out_rms
 
     found = report.demo
     parameters = {
@@ -90,6 +90,7 @@ def _show(report: DemoReport) -> None:
         [
             ("the whole story on one page", str(report.files["page"])),
             *((words, str(report.files[kind])) for kind, words in wound.items() if kind in report.files),
+            ("what was tracked in the video", str(report.files["tracked"])),
             ("the paper's cast as a film", str(report.files["film"])),
             ("one stroke as a stroboscope shows it", str(report.files["strobe"])),
             ("the identified rope, with its figures", str(report.files["rope"])),

@@ -167,7 +167,7 @@ def _write(out: Path, measured: Recording, found: Identification, guess: Rope, a
     if not _folder(out):
         found.to_toml(out)
         return {"rope": out}
-    from hyperflex.report.identification import write_identification
+    from hyperflex.report import write_identification
 
     with output.spinner(as_json) as progress:
         progress("drawing the report")
@@ -176,10 +176,9 @@ def _write(out: Path, measured: Recording, found: Identification, guess: Rope, a
 
 def _show(found: Identification, files: dict[str, Path]) -> None:
     """Print what was found and what to look at."""
-    from hyperflex.report.identification.parameters import parameters_table, ratios_table
-    from hyperflex.report.units import readable
+    from hyperflex.report import parameters_table, ratios_table, readable_unit
 
-    unit = readable(found.unit, found.residual_rms)
+    unit = readable_unit(found.unit, found.residual_rms)
     pairs = [("ended", found.message), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
     if (held := found.held_out) is not None:
         worst = f"{held.rms.max() / unit.size:.3g} {unit.name}"

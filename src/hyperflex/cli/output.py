@@ -17,6 +17,8 @@ from hyperflex.errors import InvalidInput
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hyperflex.estimate import EstimatedParameter
+
 FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, INTERRUPTED = 1, 2, 3, 4, 130  # exit codes
 _ADVICE = re.compile(  # an argument with its value, as errors advise it
     r"\b(?P<name>kind|columns|time_unit|time|unit|frame_rate|y_axis|scale|zero|sense|angles|wrapped|noise|arc_lengths|origin|"
@@ -25,16 +27,18 @@ _ADVICE = re.compile(  # an argument with its value, as errors advise it
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
 
 
-def print_json(result: Mapping[str, Any]) -> None:
+def print_json(result: Mapping[str, Any], *, one_line: bool = False) -> None:
     """Print one JSON object on standard output; what JSON has no number for (NaN, infinity) becomes null."""
-    sys.stdout.write(files.dumps_json(result))
+    sys.stdout.write(files.dumps_json(result, one_line=one_line))
+    if one_line:  # somebody waits for it
+        sys.stdout.flush()
 
 
 def complain(message: str, kind: str, code: int, *, as_json: bool) -> int:
     """Say what went wrong on standard error, and as a JSON object if that was asked for; return `code`."""
     sys.stderr.write(f"hyperflex: {message}\n")
     if as_json:
-        print_json({"error": message, "type": kind})
+        print_json({"error": message, "type": kind}, one_line=True)
     return code
 
 
@@ -54,7 +58,7 @@ def interrupted(message: str, left: Mapping[str, Any], *, as_json: bool) -> int:
     """Say on standard error that Ctrl-C was met, and as JSON, with what was `left`, if asked for; return the code."""
     sys.stderr.write(f"hyperflex: {message}\n")
     if as_json:
-        print_json({**left, "error": "interrupted", "type": "Interrupted", "message": message})
+        print_json({**left, "error": "interrupted", "type": "Interrupted", "message": message}, one_line=True)
     return INTERRUPTED
 
 
@@ -87,6 +91,14 @@ def numbers(option: str, given: Sequence[str], example: str) -> list[float]:
         raise InvalidInput(
             f"{option} holds something that is no number", got=",".join(given), allowed=f"numbers such as {example}"
         ) from None
+
+
+def parameters(text: str) -> list[EstimatedParameter]:
+    """Return what ``--estimate scale=0.01,delay=0.02`` asks for."""
+    from hyperflex.estimate import EstimatedParameter
+
+    named = (each.partition("=") for each in words([text]))
+    return [EstimatedParameter(name.strip(), numbers("--estimate", [std], "scale=0.01")[0]) for name, _, std in named]
 
 
 def _exists(path: Path) -> bool:

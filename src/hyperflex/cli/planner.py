@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from hyperflex.errors import FileProblem, InvalidInput
 if TYPE_CHECKING:
     from hyperflex.model import Arm, Ground, Peg, Rope, Wall
     from hyperflex.planning import MotorLimits
-    from hyperflex.report.plan import PlanReport
+    from hyperflex.report import PlanReport
 
     Obstacle = Peg | Wall | Ground
 
@@ -86,10 +87,12 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
     `limits` are arguments of MotorLimits; those that are not given are None.
     """
     from hyperflex import files
-    from hyperflex.model import Arm, Rope, Setup
+    from hyperflex.model import PLAN, Arm, Rope, Setup
     from hyperflex.planning import MotorLimits
 
     content = {} if setup is None else files.read_toml(setup)
+    if setup is not None and PLAN in content:
+        content = _of_plan(setup)
     for name in ("limits", "target"):
         if not isinstance(content.get(name, {}), Mapping):
             raise InvalidInput(f"{name} of {setup} is not a table", got=content[name], allowed=f"[{name}]")
@@ -106,6 +109,23 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
     if arm_length is not None:
         arm = replace(arm, length=arm_length)
     return Task(read.rope, arm, MotorLimits(**given), read.pegs, content.get("target", {}))
+
+
+def _of_plan(path: Path) -> dict[str, Any]:
+    """Return the tables of a set-up for what an earlier plan was made for: its rope before it was cut, and its limits.
+
+    What the file says beside it is the verified run, whose rope is cut for the target of then.
+    """
+    from hyperflex.model import Setup
+    from hyperflex.planning import CastPlan, read_plan
+
+    plan = read_plan(path)
+    known = plan.cast_setup
+    pegs = (plan.target,) if isinstance(plan, CastPlan) else ()
+    setup = Setup(known.rope, None, known.arm, pegs=pegs)
+    tables: dict[str, Any] = tomllib.loads(setup.dumps())
+    tables["limits"] = {field.name: getattr(known.limits, field.name) for field in fields(known.limits)}
+    return tables if pegs else tables | {"target": {f.name: getattr(plan.target, f.name) for f in fields(plan.target)}}
 
 
 def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, mu: float | None) -> Peg:

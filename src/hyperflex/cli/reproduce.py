@@ -14,18 +14,18 @@ if TYPE_CHECKING:
 
 
 def reproduce(
-    figures: Annotated[list[str], typer.Argument(help="table1, table2, fig3, fig5, fig6, fig9 to fig13, or all.")],
+    figures: Annotated[list[str], typer.Argument(help="table1, table2, fig3, fig5, fig6, fig8 to fig13, or all.")],
     out: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if need be.")] = Path("paper"),
     json: output.Json = False,
 ) -> None:
     """Reproduce the paper's figures and check its claims.
 
-    Tables I and II and Figs. 3, 5 and 6 are on identification (claims C6, C7), Figs. 9 to 12 on casting (C1 to C4),
-    Fig. 13 on timing control (C5).
+    Tables I and II and Figs. 3, 5 and 6 are on identification (claims C6, C7), Fig. 8 on online estimation (C8),
+    Figs. 9 to 12 on casting (C1 to C4), Fig. 13 on timing control (C5).
     Writes PNG and CSV for each figure, CSV for each table, a Markdown table of the claims and a page that shows it all.
     """
-    from hyperflex.paper.report.part import verdicts
-    from hyperflex.paper.report.reproduce import reproduce as run
+    from hyperflex.paper import reproduce as run
+    from hyperflex.paper import verdicts
 
     with output.spinner(json) as progress:
         result = run(figures, out, progress=progress)

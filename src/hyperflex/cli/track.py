@@ -1,28 +1,46 @@
-"""``hyperflex track``: a video of a rope with markers in, their places out."""
+"""``hyperflex track``: a video of a rope with markers, or of a pendulum of bars, in; places or angles out."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hyperflex.cli import output
+from hyperflex.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from hyperflex.estimate import RopeFilter, VideoTrack
+    from hyperflex.vision import BarDetector
 
 
 def track(
     video: Annotated[Path, typer.Argument(help="Video of the rope, MP4, MOV, ...", show_default=False)],
-    rope: Annotated[Path, typer.Option(help="TOML file with the rope.", show_default=False)],
+    rope: Annotated[Path | None, typer.Option(help="TOML file with the rope.", show_default=False)] = None,
     camera: Annotated[
-        Path, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).", show_default=False)
-    ],
+        Path | None, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).", show_default=False)
+    ] = None,
     arc_lengths: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             help="How far along the rope each marker sits, m; several times or with commas.", show_default=False
         ),
-    ],
-    out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the markers' places.")] = Path(
+    ] = None,
+    bar: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="In place of markers: a pixel u,v in the middle of a link that is a bar of its own colour; once for "
+            "each link, from the pivot on.",
+            show_default=False,
+        ),
+    ] = None,
+    pivot: Annotated[
+        tuple[float, float] | None, typer.Option(help="Pixel of the first joint, u v, for --bar.", show_default=False)
+    ] = None,
+    at: Annotated[float, typer.Option(help="Time of the frame in which the bars were clicked, s.")] = 0.0,
+    out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the places or angles.")] = Path(
         "markers.nc"
     ),
     preview: Annotated[Path | None, typer.Option(help="MP4 file that shows what was seen.", show_default=False)] = None,
@@ -37,6 +55,16 @@ def track(
         str,
         typer.Option(help="What is estimated beside the rope's state: scale=0.01,delay=0.02 (standard deviations)."),
     ] = "",
+    changes: Annotated[
+        str,
+        typer.Option(
+            help="What is tested for changes: tip_mass,touch; none. [default: length, tip_mass, friction, drag, touch]",
+            show_default=False,
+        ),
+    ] = "",
+    false_alarm_interval: Annotated[
+        float, typer.Option(help="Mean time between two false alarms of these tests, s, at least.")
+    ] = 600.0,
     json: output.Json = False,
 ) -> None:
     """Track a rope in a video by its markers and its dynamics.
@@ -44,8 +72,19 @@ def track(
     The rope hangs from the swing plane's origin. In the first frames its markers are found and put in order; from then
     on each is looked for where the rope's motion says. `hyperflex identify` goes on from the file, with the same
     --arc-lengths and --origin 0,0.
+
+    With --bar and --pivot, the links of a pendulum are followed by their colours, and no rope and no camera is needed:
+    the file then holds the links' angles.
     """
-    from hyperflex.estimate import EstimatedParameter, RopeFilter, RopeTracker, track_video
+    if bar:
+        _track_bars(video, bar, pivot, at, out, preview, json)
+        return
+    if rope is None or camera is None or not arc_lengths:
+        needed = {"--rope": rope, "--camera": camera, "--arc-lengths": arc_lengths}
+        missing = [name for name, value in needed.items() if not value]
+        fix = "Give them, or --bar and --pivot for a pendulum whose links are bars"
+        raise InvalidInput("a rope with markers needs more to be tracked", got="no " + ", ".join(missing), fix=fix)
+    from hyperflex.estimate import ChangeTests, RopeFilter, RopeTracker, track_video
     from hyperflex.model import Rope
     from hyperflex.vision import MarkerColour, MarkerDetector, VideoReader, read_camera
 
@@ -56,15 +95,13 @@ def track(
     with VideoReader(video) as reader:
         first = next(iter(reader)).image
     colour = MarkerColour.from_frame(first) if click is None else MarkerColour.from_click(first, click)
-    parameters = [
-        EstimatedParameter(name.strip(), output.numbers("--estimate", [std], "scale=0.01")[0])
-        for name, _, std in (each.partition("=") for each in estimate.split(",") if each)
-    ]
+    names = tuple(name.strip() for name in changes.split(",") if name.strip())
     estimator = RopeFilter(
         Rope.from_toml(rope),
         output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6"),
         camera=lens,
-        parameters=parameters,
+        parameters=output.parameters(estimate),
+        tests=None if changes == "none" else ChangeTests(names or None, false_alarm_interval),
     )
     with output.spinner(json) as said:
         found = track_video(
@@ -74,6 +111,11 @@ def track(
             progress=lambda count: said(f"frame {count}"),
         )
     found.recording.to_netcdf(out)
+    _show(found, estimator, out, json)
+
+
+def _show(found: VideoTrack, estimator: RopeFilter, out: Path, as_json: bool) -> None:
+    """Print what was tracked."""
     result: dict[str, Any] = {
         "output": out,
         "frames": found.frames,
@@ -83,9 +125,10 @@ def track(
         "seen": found.seen,
         "noise_level": estimator.measurement_noise.value,
         "estimated": {name: {"value": value, "std": std} for name, (value, std) in found.parameters.items()},
+        "changes": [asdict(change) for change in found.changes],
         "notes": list(found.notes),
     }
-    if json:
+    if as_json:
         output.print_json(result)
         return
     output.print_pairs(
@@ -94,7 +137,62 @@ def track(
             ("found at", f"{found.found_at:.3f} s"),
             ("seen", f"{100.0 * found.seen:.1f} % of all markers in {found.recording.duration:.2f} s"),
             *((name, f"{value:.5g} ± {std:.2g}") for name, (value, std) in found.parameters.items()),
+            *(("change", str(change)) for change in found.changes),
             *(("note", note) for note in found.notes),
             ("written", str(out)),
         ],
     )
+
+
+def _track_bars(
+    video: Path,
+    clicks: list[str],
+    pivot: tuple[float, float] | None,
+    at: float,
+    out: Path,
+    preview: Path | None,
+    json: bool,
+) -> None:
+    """Track links that are bars, and write their angles."""
+    from hyperflex.vision import track_bars
+
+    if pivot is None:
+        raise InvalidInput("--pivot is missing", fix="Give the pixel of the first joint, as --pivot 167 147")
+    output.check_destination(out, ".nc", [video])
+    if preview is not None:
+        output.check_destination(preview, ".mp4", [video])
+    detector = _clicked(video, [output.numbers("--bar", [each], "213,140") for each in clicks], at)
+    with output.spinner(json) as said:
+        found = track_bars(video, detector, pivot, preview=preview, progress=lambda count: said(f"frame {count}"))
+    found.recording.to_netcdf(out)
+    result: dict[str, Any] = {
+        "output": out,
+        "frames": found.frames,
+        "duration_s": found.recording.duration,
+        "seen": found.seen.tolist(),
+        "notes": list(found.notes),
+    }
+    if json:
+        output.print_json(result)
+        return
+    output.print_pairs(
+        f"Tracked {len(found.seen)} bars in {found.frames} frames",
+        [
+            *((f"link {k}", f"seen in {100.0 * part:.1f} % of the frames") for k, part in enumerate(found.seen)),
+            *(("note", note) for note in found.notes),
+            ("written", str(out)),
+        ],
+    )
+
+
+def _clicked(video: Path, clicks: list[list[float]], at: float) -> BarDetector:
+    """Return a detector of the bars at pixels in the first frame at or after a time."""
+    from hyperflex.vision import BarDetector, VideoReader
+
+    if any(len(each) != 2 for each in clicks):
+        raise InvalidInput("--bar is a pixel", got=clicks, allowed="u,v", fix="Give it once for each link")
+    with VideoReader(video) as reader:
+        for frame in reader:
+            if frame.time >= at - 1e-6:
+                return BarDetector.from_clicks(frame.image, clicks)
+    raise InvalidInput("--at is after the end of the video", got=at, allowed=f"up to {frame.time:g} s")

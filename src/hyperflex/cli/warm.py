@@ -1,7 +1,5 @@
 """``hyperflex warm``: compile all kernels in advance, in several processes."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import pkgutil
@@ -216,7 +214,7 @@ def _dense() -> None:
     rest = np.zeros(rope.n_links)
     hf.mass_matrix(rope, rest)
     dynamics.bias(rope, rest, rest)
-    MotorTorque(arm).measure(rope, hf.State(0.0, rest, rest))
+    MotorTorque(arm).measure(rope, arm, hf.State(0.0, rest, rest))
 
 
 def _vision() -> None:
@@ -228,6 +226,20 @@ def _vision() -> None:
     motion = RopeMotion([0.0, 1.0], np.zeros((2, 4)), np.ones((2, 4)), [0.25] * 4)
     image = Renderer(camera, motion, Scene(np.array([0.5, 1.0]), marker_diameter=0.08)).image(0.5)
     MarkerDetector(MarkerColour.from_click(image, camera.project([[0.0, -0.5]])[0])).find(image)
+
+
+def _estimate() -> None:
+    import numpy as np
+
+    from hyperflex.estimate import TrackingTask
+    from hyperflex.vision import Camera, MarkerColour
+
+    _, rope, arm, _ = _parts()
+    camera = Camera.facing((320, 240), pixels_per_metre=150.0, origin=(160.0, 20.0), exposure=0.01, readout=0.01)
+    task = TrackingTask(
+        "0", rope, np.array([0.25, 0.5, 0.75, 1.0]), camera, MarkerColour(np.array([40.0, 30.0, 210.0]), area=40.0), arm
+    )
+    task.rehearse()
 
 
 def _parts() -> tuple[Any, Any, Any, Any]:
@@ -246,6 +258,7 @@ CALLS: dict[str, Callable[[], None]] = {
     "dense": _dense,
     "wound": _wound,
     "vision": _vision,
+    "estimate": _estimate,
 }
 # What one process compiles while another does the other: they share little, and "wound" needs what "simulate" has made.
-LANES = (("simulate", "sensitivities"), ("contact", "batch", "dense", "wound", "vision"))
+LANES = (("simulate", "sensitivities", "estimate"), ("contact", "batch", "dense", "wound", "vision"))

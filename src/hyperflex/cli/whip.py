@@ -1,7 +1,5 @@
 """``hyperflex whip``: a rope, an arm and a point in, strokes after which the tip passes it fast out."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict
 from typing import Annotated
@@ -59,7 +57,7 @@ def whip(
     The exit code is 4 if no whip that meets the target was found; the best is written all the same, with the reason.
     """
     from hyperflex.planning import plan_whip
-    from hyperflex.report.whip import WhipReport
+    from hyperflex.report import WhipReport
 
     planner.check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}

@@ -1,7 +1,5 @@
 """Closed loop of half turns: at each rest of the arm the rule gets the rope's state and returns the next start."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

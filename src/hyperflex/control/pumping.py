@@ -1,7 +1,5 @@
 """Receding-horizon rules: half turns start when the model predicts the best swing (better than the paper's rule)."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Optimization of the rests with which a rope is pumped up soonest, compared with the best constant rest."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The tip's pseudo-energy and spiral coordinates: how far a rope has been pumped up, and the phase of its swing."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Sources of the rope's state for a controller: the true simulated state, or an estimate with noise and delay."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The controller's model of rope, arm and half turns, and its predictions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

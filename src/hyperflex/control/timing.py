@@ -1,7 +1,5 @@
 """The paper's timing control: each half turn starts a given time before the tip crosses x = 0."""
 
-from __future__ import annotations
-
 import math
 from typing import Protocol
 

@@ -4,19 +4,17 @@
 it stands: a hundred times the code of the loop.
 """
 
-from __future__ import annotations
-
-from hyperflex.core.jit import lean
+from hyperflex.core.jit import non_allocating
 
 
-@lean
+@non_allocating
 def assign(out, values):  # type: ignore[no-untyped-def]
     """Write `values` (m,) to `out` (m,)."""
     for i in range(out.shape[0]):
         out[i] = values[i]
 
 
-@lean
+@non_allocating
 def assign_rows(out, values):  # type: ignore[no-untyped-def]
     """Write `values` (m, k) to `out` (m, k)."""
     for i in range(out.shape[0]):

@@ -11,8 +11,6 @@ time and never a wrong run.
 ``HYPERFLEX_CACHE_DIR`` names the cache; without it, it is ``hyperflex`` in the user's cache folder.
 """
 
-from __future__ import annotations
-
 import ast
 import functools
 import hashlib
@@ -32,9 +30,13 @@ _CHECKSUM = hashlib.sha256().digest_size
 
 def folder() -> Path:
     """Return the folder of all compiled kernels; it need not be there."""
-    if chosen := os.environ.get("HYPERFLEX_CACHE_DIR"):
-        return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / _PACKAGE
+    chosen, caches = os.environ.get("HYPERFLEX_CACHE_DIR"), Path(os.environ.get("XDG_CACHE_HOME", ""))
+    try:
+        if chosen:
+            return Path(chosen).expanduser()
+        return (caches if caches.is_absolute() else Path.home() / ".cache") / _PACKAGE
+    except RuntimeError:  # a user without a home folder
+        return Path(os.devnull, "no home folder")
 
 
 def source_hash(module: str, root: Path = _ROOT) -> str:

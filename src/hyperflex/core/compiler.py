@@ -8,26 +8,27 @@ optimised and turned into machine code once. That takes half of the time and giv
 Both are kept on disk, see :mod:`hyperflex.core.cache`.
 """
 
-from __future__ import annotations
-
 import functools
 import gc
 import pickle
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from llvmlite import binding as llvm
-from numba.core import compiler, serialize
+from numba.core import compiler, event, serialize
 from numba.core.codegen import JITCodeLibrary
+from numba.core.imputils import impl_ret_borrowed
 from numba.core.registry import CPUDispatcher
 from numba.core.types import Dispatcher, unliteral  # type: ignore[attr-defined]
+from numba.extending import intrinsic
 
 from hyperflex.core import cache
 
 
-def door(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+def door(function: Callable[..., Any], options: dict[str, Any], counts: bool = True) -> Any:
     """Return a function compiled on its first call from Python, or as a part of the kernel that calls it.
 
     Parameters
@@ -36,8 +37,42 @@ def door(function: Callable[..., Any], options: dict[str, Any]) -> Any:
         The kernel as written, a function of a module (not within another function).
     options : dict
         Of ``numba.njit``.
+    counts : bool
+        Whether references to arrays that it makes are counted.
     """
-    return _Door(function, targetoptions={"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, **options})
+    inner = {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, "_nrt": counts}
+    return _Door(function, targetoptions={**inner, **options})
+
+
+@intrinsic
+def read_only(_context: Any, array: Any) -> Any:
+    """Return an array that a kernel has made as one of the kind that its callers give: not to be written to."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return impl_ret_borrowed(context, builder, signature.return_type, arguments[0])
+
+    return array.copy(readonly=True)(array), generate
+
+
+class Timer(event.Listener):  # type: ignore[misc]
+    """Adds up the time that the compiler takes; it compiles one function at a time, and what that calls within it."""
+
+    def __init__(self, announce: Callable[[], None]) -> None:
+        self.spent, self._depth, self._since, self._announce = 0.0, 0, 0.0, announce
+        event.register("numba:compile", self)
+
+    def on_start(self, _event: event.Event) -> None:
+        """Note when the first of them begins."""
+        if self._depth == 0:
+            self._since = time.monotonic()
+            self._announce()
+        self._depth += 1
+
+    def on_end(self, _event: event.Event) -> None:
+        """Add what it took."""
+        self._depth -= 1
+        if self._depth == 0:
+            self.spent += time.monotonic() - self._since
 
 
 class _Door(CPUDispatcher):  # type: ignore[misc]

@@ -1,19 +1,14 @@
 """Decorators of kernels: the one place with numba's options."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core import event
-from numba.core.imputils import impl_ret_borrowed
-from numba.extending import intrinsic, register_jitable
+from numba.extending import register_jitable
 
 try:
     from hyperflex.core import compiler
@@ -61,7 +56,7 @@ def kernel(function: _F) -> _F:
     return _compiled(function)
 
 
-def lean(function: _F) -> _F:
+def non_allocating(function: _F) -> _F:
     """Compile a kernel that makes no arrays: it counts no references, which costs small kernels half of their time.
 
     Its arrays are its callers'. It returns numbers alone, and assigns to slices no more than numbers.
@@ -70,11 +65,11 @@ def lean(function: _F) -> _F:
 
 
 def _compiled(function: _F, counts: bool = True) -> _F:
-    options = {"error_model": "numpy", "fastmath": _FASTMATH, "nogil": True, "_nrt": counts}
+    options: dict[str, Any] = {"error_model": "numpy", "fastmath": _FASTMATH, "nogil": True}
     if numba.config.DISABLE_JIT:
         return function
     KERNELS.append((function.__module__, function.__qualname__))
-    compiled = compiler.door(function, options) if _is_known() else numba.njit(**options)(function)
+    compiled = compiler.door(function, options, counts) if _is_known() else numba.njit(**options)(function)
     return compiled  # type: ignore[no-any-return]
 
 
@@ -97,33 +92,7 @@ def _constant(array: Any) -> Any:
 if numba.config.DISABLE_JIT:
     constant = _constant
 else:
-
-    @intrinsic
-    def constant(_context: Any, array: Any) -> Any:
-        """Return an array that a kernel has made as one of the kind that its callers give: not to be written to."""
-
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return impl_ret_borrowed(context, builder, signature.return_type, arguments[0])
-
-        return array.copy(readonly=True)(array), generate
-
-
-class _Timer(event.Listener):  # type: ignore[misc]
-    """Adds up the time that the compiler takes; it compiles one function at a time, and what that calls within it."""
-
-    def __init__(self) -> None:
-        self.spent, self._depth, self._since = 0.0, 0, 0.0
-
-    def on_start(self, _event: event.Event) -> None:
-        if self._depth == 0:
-            self._since = time.monotonic()
-            _announce()
-        self._depth += 1
-
-    def on_end(self, _event: event.Event) -> None:
-        self._depth -= 1
-        if self._depth == 0:
-            self.spent += time.monotonic() - self._since
+    constant = shared(_constant) if compiler is None else compiler.read_only
 
 
 @functools.cache
@@ -136,10 +105,9 @@ def _announce() -> None:
     sys.stderr.flush()
 
 
-_TIMER = _Timer()
-event.register("numba:compile", _TIMER)
+_TIMER = None if compiler is None else compiler.Timer(_announce)
 
 
 def compiling() -> float:
     """Return the time that this process has spent on compiling until now, s."""
-    return _TIMER.spent
+    return 0.0 if _TIMER is None else _TIMER.spent

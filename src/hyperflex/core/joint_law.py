@@ -12,8 +12,6 @@ prints it. All functions take numbers or numpy arrays. The law is taken to be li
 step and its tangent use the slopes of ``jacobian``. One that is not needs them at the joint's state.
 """
 
-from __future__ import annotations
-
 from hyperflex.core.jit import shared
 
 
@@ -50,7 +48,8 @@ def jacobian(joint, reaction_factor, by_rate, by_angle):  # type: ignore[no-unty
     """What joint torque falls by, on the link and on its parent, where rate and angle grow by these; N m.
 
     An implicit joint (M.13) takes its torque at the end of a step h, where an acceleration of 1 rad/s^2 has made the
-    rate larger by h and the angle by h^2: ``slopes(joint, share, h, h * h)`` are kappa and kappa'.
+    rate larger by h and the angle by h^2: ``jacobian(joint, reaction_factor, h, h * h)`` are
+    kappa and kappa'.
     """
     viscous, _, stiffness, _ = joint
     return by_rate * viscous + by_angle * stiffness, reaction_factor * (by_rate * viscous) + by_angle * stiffness

@@ -1,7 +1,5 @@
 """Arrays that cannot be written to: what kernels only read is given to them so, for they are compiled for one kind."""
 
-from __future__ import annotations
-
 from typing import Any, TypeVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Status codes of rollouts, each with a name and advice for the user."""
 
-from __future__ import annotations
-
 from typing import Final
 
 OK: Final = 0

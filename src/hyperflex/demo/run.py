@@ -1,8 +1,7 @@
-"""The demo's computations: a recording, an identified rope, its cast, a plan that winds it round a target."""
-
-from __future__ import annotations
+"""The demo's computations: a video, an identified rope, its cast, a plan that winds it round a target."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from hyperflex.motion import arm_swings
 from hyperflex.paper import DURATION, T_MOVE, T_REST, casting_arm
 from hyperflex.planning import CastOutcome, CastPlan, CastSetup, HoldingForce, plan_cast, verify_cast
 from hyperflex.recording import Recording
-from hyperflex.report.folder import Progress, silent
+from hyperflex.report import Progress, silent
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 
@@ -53,7 +52,8 @@ class Parameter:
 class Demo:
     """The results of the demo."""
 
-    recording: Recording  # bundled, simulated
+    recording: Recording  # markers tracked in the bundled video, simulated
+    seen: float  # which part of all markers in all frames was seen
     identification: Identification  # of the 10-link chain
     parameters: tuple[Parameter, ...]
     angle_noise: Array  # (n,) standard deviation of the measured link angles, rad: the least error that can be measured
@@ -64,10 +64,13 @@ class Demo:
     proof: CastOutcome | None  # the same throw by the rope that made the recording
 
 
-def run_demo(progress: Progress = silent) -> Demo:
-    """Identify the bundled recording's rope, cast it, and plan how to wind it round a target."""
-    progress("reading the recording")
-    recording, guess = twin.bundled(), twin.guess()
+def run_demo(progress: Progress = silent, preview: Path | None = None) -> Demo:
+    """Track the bundled video's rope, identify it, cast it, and plan how to wind it round a target.
+
+    `preview` is a file for a video of what was seen.
+    """
+    track = twin.track(preview=preview, progress=lambda count: progress(f"tracking the rope, frame {count}"))
+    recording, guess = twin.recording(track), twin.guess()
 
     def report(entry: dict[str, float]) -> None:
         progress(f"identifying, windows of {entry['window']:.2g} s, round {entry['round'] + 1:.0f}")
@@ -93,7 +96,7 @@ def run_demo(progress: Progress = silent) -> Demo:
     scale = np.full(recording.n_links, np.nan) if noise is None else np.median(noise, axis=0)
     cast, reference = _cast(found.rope), _cast(twin.fine_rope())
     plan, held, proof = _wind(found.rope, progress)
-    return Demo(recording, found, parameters, scale, cast, reference, plan, held, proof)
+    return Demo(recording, track.seen, found, parameters, scale, cast, reference, plan, held, proof)
 
 
 def _cast(rope: Rope) -> Trajectory:

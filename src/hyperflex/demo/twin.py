@@ -1,30 +1,42 @@
-"""The demo's recording: a finer rope than the one that is fitted to it, simulated and seen by a noisy camera."""
+"""The demo's video: a finer rope than the one that is fitted to it, simulated, and filmed by a synthetic camera."""
 
-from __future__ import annotations
-
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from hyperflex import files
 from hyperflex.checks import Array
+from hyperflex.estimate import RopeFilter, RopeTracker, VideoTrack, track_video
 from hyperflex.identification import Identification, identify
 from hyperflex.model import Rope
-from hyperflex.recording import Recording, read_recording
+from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
+from hyperflex.trajectory import Trajectory
+from hyperflex.vision import (
+    Camera,
+    MarkerColour,
+    MarkerDetector,
+    Renderer,
+    RopeMotion,
+    Scene,
+    Truth,
+    VideoReader,
+    frame_times,
+    random_occlusion,
+)
 
 LENGTH, MASS, RADIUS = 2.0, 0.125, 0.0025  # m, kg, m: as the paper's cable
 FINE, COARSE = 40, 10  # links of the rope that made the data, and of the one that is fitted
 BENDING_FRICTION = 1e-4  # N m^2 s, joint friction times link length; between the paper's cable and its other rope
 RATE, SECONDS = 30.0, 10.0  # frames a second, s
-NOISE = 3e-3  # m, of each coordinate of a marker
-LOST = 0.01  # part of the marker sightings that the camera misses
+ARC_LENGTHS = LENGTH * np.arange(1, COARSE + 1) / COARSE  # m, of the markers: at the joints of the coarse chain
+HIDDEN, HIDDEN_TIME = 0.03, 0.3  # part of the markers that is covered, and for how long at a time, s
 SEED = 2007
 NAME = "demo swing (simulated)"
 TRAIN, WINDOW = 7.0, 3.5  # s, fitted part of the recording and length of its windows
 FREE = ("friction:shared", "inertia:shared")
-BUNDLED = Path(__file__).parent / "data" / "demo_swing.csv"
+BUNDLED = Path(__file__).parent / "data" / "demo_swing.mp4"
 MAPPED = Path(__file__).parent / "data" / "demo_mapped.toml"
 
 
@@ -54,27 +66,62 @@ def guess() -> Rope:
     return coarse_rope().replace(friction=3.0 * friction(COARSE), name="demo guess")
 
 
-def record(*, noise: float = NOISE, lost: float = LOST, rate: float = RATE) -> Recording:
-    """Simulate the fine rope's free swing and look at it as a camera would.
+def camera() -> Camera:
+    """Return the camera that filmed: level, at a right angle to the swing plane, the first joint at its origin."""
+    return Camera.facing((960, 560), pixels_per_metre=220.0, origin=(480.0, 60.0), exposure=0.004)
 
-    `noise` is the standard deviation of each marker coordinate, m, `lost` the part of the sightings that are missing,
-    and `rate` in frames per second. The markers are at the joints of the coarse chain.
-    """
-    t = np.arange(round(SECONDS * rate) + 1) / rate
+
+def swing(t: Array) -> Trajectory:
+    """Simulate the fine rope's free swing, with outputs at times t (T,), s."""
     along = (np.arange(FINE) + 0.5) / FINE
-    run = simulate(fine_rope(), duration=t[-1], t_eval=t, q0=0.9 + 0.5 * along, tol=1e-9)
-    markers = run.joints[:, :: FINE // COARSE].copy()
-    rng = np.random.default_rng(SEED)
-    markers += noise * rng.standard_normal(markers.shape)
-    markers[rng.uniform(size=markers.shape[:2]) < lost] = np.nan
-    return Recording(
-        t,
-        markers.reshape(t.size, -1),
-        kind="markers",
-        noise=noise if noise > 0.0 else None,  # type: ignore[arg-type]
-        name=NAME,
-        source=f"simulated: {FINE} links, {1e3 * noise:g} mm of noise, {100 * lost:g} % of the sightings lost",
+    return simulate(fine_rope(), duration=t[-1], t_eval=t, q0=0.9 + 0.5 * along, tol=1e-9)
+
+
+def film(path: Path, seconds: float = SECONDS) -> Truth:
+    """Render the swing as a video: markers in front of a wall with things on it, light that drifts, noise."""
+    run = swing(np.arange(0.0, seconds + 0.1, 2e-3))
+    scene = Scene(
+        ARC_LENGTHS,
+        marker_diameter=0.03,
+        clutter=3,
+        light_drift=0.1,
+        noise=1.5,
+        hidden=random_occlusion(COARSE, HIDDEN, HIDDEN_TIME, until=seconds, seed=SEED),
+        seed=SEED,
     )
+    motion = RopeMotion(run.t, run.q, run.qd, fine_rope().length)
+    return Renderer(camera(), motion, scene).write(path, frame_times(0.0, seconds, RATE), quality=24)
+
+
+def track(
+    video: Path = BUNDLED, preview: Path | None = None, progress: Callable[[int], None] | None = None
+) -> VideoTrack:
+    """Track the markers of the video by the rope of the first guess."""
+    with VideoReader(video) as reader:
+        first = next(iter(reader)).image
+    estimator = RopeFilter(guess(), ARC_LENGTHS, camera=camera())
+    tracker = RopeTracker(estimator, MarkerDetector(MarkerColour.from_frame(first)))
+    return track_video(video, tracker, preview=preview, progress=progress)
+
+
+def recording(found: VideoTrack) -> Recording:
+    """Return what was tracked as markers at all joints of the coarse chain: the first one is the camera's origin."""
+    seen = found.recording
+    noise = np.asarray(seen.noise)
+    return Recording(
+        seen.t,
+        np.column_stack([np.zeros((seen.t.size, 2)), seen.data]),
+        kind="markers",
+        noise=np.column_stack([np.full((seen.t.size, 2), np.median(noise)), noise]),
+        name=NAME,
+        source=f"simulated: {FINE} links, filmed by a synthetic camera with {RATE:g} frames/s and tracked",
+    )
+
+
+def exact() -> Recording:
+    """Return the joints of the coarse chain in the same swing, without a camera."""
+    run = swing(np.arange(round(SECONDS * RATE) + 1) / RATE)
+    return Recording(run.t, run.joints[:, :: FINE // COARSE].reshape(run.t.size, -1), kind="markers", name=NAME)
 
 
 def fit(recording: Recording) -> Identification:
@@ -82,26 +129,17 @@ def fit(recording: Recording) -> Identification:
     return identify(recording, guess(), FREE, train=TRAIN, window=WINDOW)
 
 
-def write_bundled(recording_path: Path = BUNDLED, mapped_path: Path = MAPPED) -> None:
-    """Make the files that come with the package: the recording and its mapped truth.
+def write_bundled(video: Path = BUNDLED, mapped_path: Path = MAPPED) -> None:
+    """Make the files that come with the package: the video and its mapped truth.
 
-    The mapped truth is what the same fit finds in a recording of the same swing without noise and gaps: the best that
-    10 links can do for a rope of 40. It differs from the rope simply cut into 10 links, because coarse links need more
-    inertia and friction to move alike.
+    The mapped truth is what the same fit finds in the same swing without a camera: the best that 10 links can do for a
+    rope of 40. It differs from the rope simply cut into 10 links, because coarse links need more inertia and friction
+    to move alike.
     """
-    recording = record()
-    notes = {"name": recording.name, "source": recording.source, "time_unit": "s", "unit": "m", "y_axis": "up"}
-    table = np.column_stack([np.round(recording.t, 6), np.round(recording.data, 5)])
-    files.write_table(recording_path, ["t", *recording.channels], table, notes=notes)
-    found = fit(record(noise=0.0, lost=0.0)).values
-    mapped = {name: float(values[0]) for name, values in found.items()}
-    about = "what the demo's fit finds without noise and gaps; made by hyperflex.demo.twin.write_bundled"
+    film(video)
+    mapped = {name: float(values[0]) for name, values in fit(exact()).values.items()}
+    about = "what the demo's fit finds without a camera; made by hyperflex.demo.twin.write_bundled"
     files.write_toml(mapped_path, {"source": "simulated", "about": about, "mapped": mapped})
-
-
-def bundled() -> Recording:
-    """Read the recording that comes with the package."""
-    return replace(read_recording(BUNDLED, noise=NOISE, name=NAME), source=files.read_notes(BUNDLED)["source"])
 
 
 def mapped_truth() -> dict[str, float]:

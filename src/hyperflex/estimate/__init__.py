@@ -5,11 +5,20 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
+    from hyperflex.estimate.bar_tracker import BarTracker, bar_arc_lengths
+    from hyperflex.estimate.changes import Change, ChangeTests
     from hyperflex.estimate.filter import RopeFilter
-    from hyperflex.estimate.moving_horizon import MovingHorizon
+    from hyperflex.estimate.live.frames import FrameThread, open_frames
+    from hyperflex.estimate.live.log import WatchLog
+    from hyperflex.estimate.live.page import PicturePage
+    from hyperflex.estimate.live.state_source import CameraStateSource
+    from hyperflex.estimate.live.watch import LiveEstimate, Watch
+    from hyperflex.estimate.live.worker import TrackingTask
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter
-    from hyperflex.estimate.smoother import SmoothedTrack, smooth
-    from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, VideoTrack, track_video
+    from hyperflex.estimate.smoothing.moving_horizon import MovingHorizon
+    from hyperflex.estimate.smoothing.smoother import SmoothedTrack, smooth
+    from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, draw_frame
+    from hyperflex.estimate.video_track import VideoTrack, track_video
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -6,30 +6,28 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
 
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
-from hyperflex.estimate.noise import NoiseLevel
-from hyperflex.estimate.observations import MarkerModel, Observations
+from hyperflex.estimate.change_detection import SETTLED, ChangeDetector, Found
+from hyperflex.estimate.changes import TOUCH, Change, ChangeTests
+from hyperflex.estimate.gate import ValidationGate
+from hyperflex.estimate.noise import AT_REST, QUIET, NoiseDerivatives, NoiseLevel
+from hyperflex.estimate.observations import MarkerModel, Observations, polyline_angles
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
-from hyperflex.estimate.process import Process, smooth_shapes
+from hyperflex.estimate.process import Process, starting_rows, turning_rate
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.vision import Camera
 
-BEND = 0.6  # rad, standard deviation of a link's angle about the line through the markers, before any is seen
-SPEED = 6.0  # rad/s, of its rate, in units of sqrt(g / L)
-START_CORRELATION = 0.1  # of the rope's length
 ROUNDS = 4  # of Gauss-Newton in an update; more at the start
 FIRST_ROUNDS = 30
-SHORTEST = 1e-2  # part of a Gauss-Newton step
-CLOSE = 0.03  # of a standard deviation: an update has converged
+NEGLIGIBLE = 1e-5  # rad, standard deviation of an angle that is left out; of rates over sqrt(g / L)
+ROUGHLY = 30.0  # times that, of what tells of noise levels alone
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
-GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 
 
 class RopeFilter:
@@ -51,6 +49,14 @@ class RopeFilter:
         corrected by what is seen.
     readout : float
         Known time from the first row of a picture to the last, s, where there is no `camera` to say so.
+    tests : ChangeTests, optional
+        What is tested for changes; by default nothing. Where one of a parameter is noticed, the state is corrected by
+        what it has done since it happened, and the parameter is estimated from then on.
+
+    Attributes
+    ----------
+    changes : tuple of Change
+        Those that the last update noticed.
 
     Examples
     --------
@@ -76,23 +82,33 @@ class RopeFilter:
         parameters: Sequence[EstimatedParameter] = (),
         process_noise: float = 1.0,
         readout: float = 0.0,
+        tests: ChangeTests | None = None,
     ) -> None:
-        self.parameters = ParameterStates(parameters, rope)
+        watched = () if tests is None else tests.names_for(rope)
+        self.parameters = ParameterStates(
+            parameters, rope, [name for name in watched if name != TOUCH], motion is not None
+        )
         self.process = Process(rope, self.parameters, motion, arm)
         self.model = MarkerModel(
             rope, arc_lengths, self.parameters, camera, readout if camera is None else camera.readout
         )
-        self.process_noise = NoiseLevel(checks.number("process_noise", process_noise, sign="positive"))
-        self.measurement_noise = NoiseLevel(1.0, doubt=0.7)
+        density = checks.number("process_noise", process_noise, sign="positive")
+        self.process_noise = NoiseLevel(np.full(2, density), least=QUIET)
+        self.measurement_noise = NoiseLevel(1.0, doubt=0.7, least=AT_REST)
         self.t: float | None = None
-        self.age = 0.0
-        self.log_likelihood = 0.0
+        self.age, self.log_likelihood = 0.0, 0.0
+        self.used = np.zeros(len(self.model.arc_lengths), dtype=bool)  # which markers the last update used
         self.innovation: sr.Innovation | None = None
         n = rope.n_links
-        self.x = np.concatenate([np.zeros(2 * n), [each.value for each in self.parameters.all]])
+        self.x = np.concatenate([np.zeros(2 * n), self.parameters.value_at_start])
         self.factor = np.zeros((self.x.size, self.x.size))
-        self._qdd = np.zeros(n)
-        self._last: Array | None = None  # rows of the noise of the step before
+        self.changes: tuple[Change, ...] = ()
+        self._detector = None if tests is None else ChangeDetector(tests, self.process, self.parameters)
+        self._std = self.parameters.std.copy()
+        self._qdd, self._gate = np.zeros(n), ValidationGate(len(self.model.arc_lengths))
+        sizes = np.where(self._std > 0.0, self._std, 1.0)
+        self._least = NEGLIGIBLE * np.concatenate([np.ones(n), np.full(n, turning_rate(rope)), sizes])
+        self._by_noise = NoiseDerivatives(2, self.x.size)
 
     @property
     def n_links(self) -> int:
@@ -101,21 +117,22 @@ class RopeFilter:
 
     @property
     def state(self) -> RopeState:
-        """The state, with its covariance."""
-        if self.t is None:
-            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
-        n = self.n_links
+        """The state, with its covariance: at the time of the last picture, before which an estimated delay lies."""
+        n, t = self.n_links, self._now - self.parameters.value("delay", self.x[2 * self.n_links :])
         part = self.factor[:, : 2 * n]
-        return RopeState(self.t, self.x[:n].copy(), self.x[n : 2 * n].copy(), part.T @ part)
+        covariance = part.T @ part
+        covariance[range(2 * n), range(2 * n)] += self._least[: 2 * n] ** 2
+        return RopeState(t, self.x[:n].copy(), self.x[n : 2 * n].copy(), covariance)
 
     @property
     def values(self) -> dict[str, tuple[float, float]]:
-        """Each estimated parameter's value and standard deviation."""
+        """Value and standard deviation of each parameter that is estimated, or has been noticed to have changed."""
         first = 2 * self.n_links
         std = np.linalg.norm(self.factor[:, first:], axis=0)
         return {
             name: (float(value), float(each))
-            for name, value, each in zip(self.parameters.names, self.x[first:], std, strict=True)
+            for name, value, each, free in zip(self.parameters.names, self.x[first:], std, self._std > 0.0, strict=True)
+            if free
         }
 
     def predict(self, dt: float) -> None:
@@ -128,9 +145,7 @@ class RopeFilter:
         SimulationError
             If no rope can move on from this state; :meth:`update` begins anew then.
         """
-        if self.t is None:
-            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
-        self.predict_to(self.t + checks.number("dt", dt, sign="nonnegative", unit="s"))
+        self.predict_to(self._now + checks.number("dt", dt, sign="nonnegative", unit="s"))
 
     def predict_to(self, t: float) -> None:
         """Go on to time t, s."""
@@ -138,47 +153,89 @@ class RopeFilter:
             raise InvalidInput("time goes backwards", got=t, allowed=f"at least {self.t} s")
         if t == self.t:
             return
-        found = self.process.predict(self.x, self.t, t)
-        self._last = self.process.noise(t - self.t, self.process_noise.value)
+        carried = [self.factor, *self._by_noise.rows]
         with np.errstate(over="ignore", invalid="ignore"):
-            factor = sr.predicted(self.factor, found.transition, self._last)
-        if not (np.abs(factor).max() < BEYOND and np.abs(found.x).max() < BEYOND):
+            x, rows = self.process.carry(self.x, np.concatenate(carried), self.t, t)
+        if not (np.abs(rows).max() < BEYOND and np.abs(x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
-        self.factor = factor
+        if self._detector is not None:
+            transition = self.process.predict(self.x, self.t, t).transition
+            self._detector.predict((self.x, x), self.t, t, transition)
+        factor, *by_noise = np.split(rows, np.cumsum([len(each) for each in carried])[:-1])
+        noise = self.process.noise(t - self.t, self.process_noise.value)
+        self.factor = sr.compressed(np.concatenate([factor, noise]), self._least)
+        levels = enumerate(self.process_noise.value.tolist())
+        noises = [self.process.noise_of(t - self.t, kind, level) for kind, level in levels]
+        self._by_noise.predict(by_noise, noises, ROUGHLY * self._least)
         self.age += t - self.t
-        self.x, self.t, self._qdd = found.x, t, found.qdd
+        self.x, self.t, self._qdd = x, t, self.process.accelerations(x, t)
+
+    def state_at(self, t: float) -> RopeState:
+        """Return what is expected at a time t, s, not earlier than the last; the filter stays as it is.
+
+        Raises
+        ------
+        SimulationError
+            If no rope can move on from this state.
+        """
+        return self.process.state_at(self.x, self.factor, self._now, t, self.process_noise.value)
+
+    def tip(self, state: RopeState) -> tuple[Array, Array]:
+        """Return the place (2,) of the tip in a state, m, and its covariance (2, 2)."""
+        lengths = self.process.rope.length * (1.0 + self.parameters.value("length", self.x[2 * self.n_links :]))
+        sin, cos = lengths * np.sin(state.q), lengths * np.cos(state.q)
+        place, slope = self.process.base(state.t)[0] + [sin.sum(), -cos.sum()], np.stack([cos, sin])
+        wide = np.zeros((2, 2)) if state.covariance is None else state.covariance[: sin.size, : sin.size]
+        return place, slope @ wide @ slope.T
 
     def markers(self, rows: Array | None = None) -> tuple[Array, Array]:
         """Return where the markers should be seen (K, 2), and the covariances (K, 2, 2) of those places.
 
         The covariances are of the places themselves: what a detector adds is not in them.
         """
-        if self.t is None:
-            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
+        places, joint, _ = self.expected(rows)
+        each = np.arange(len(places))
+        return places, joint.reshape(len(places), 2, len(places), 2)[each, :, each]
+
+    def expected(self, rows: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return where the markers should be seen (K, 2), the covariance (2 K, 2 K) of all places together, and speeds.
+
+        The speeds (K,) are in px/s or m/s; `rows` (K,) are those of :class:`Observations`.
+        """
+        base = self._base()
         rows = np.zeros(len(self.model.arc_lengths)) if rows is None else rows
-        places, slope = self.model.predict(self.x, self.process.base(self.t), rows, self._qdd)
-        spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
-        return places, np.matmul(spread.transpose(0, 2, 1), spread)
+        places, slope = self.model.predict(self.x, base, rows, self._qdd)
+        n, camera = self.n_links, self.model.camera
+        moved = base[1] if camera is None else camera.place_slopes(base[:1])[1][0] @ base[1]
+        velocity = slope[:, :, :n] @ self.x[n : 2 * n] + moved
+        spread = self.factor @ slope.reshape(places.size, -1).T
+        return places, spread.T @ spread, np.hypot(velocity[:, 0], velocity[:, 1])
 
     def readout_shift(self, rows: Array) -> tuple[Array, Array]:
         """Return by how much markers move until they are read (K, 2), and the covariances (K, 2, 2) of that.
 
         `rows` (K,) are those of :class:`Observations`.
         """
-        base = self.process.base(self.state.t)
+        if not self.model.reads_rows:
+            return np.zeros((len(rows), 2)), np.zeros((len(rows), 2, 2))
+        base = self._base()
         late, now = (self.model.predict(self.x, base, each, self._qdd) for each in (rows, np.zeros_like(rows)))
-        spread = np.matmul(self.factor, (late[1] - now[1]).transpose(0, 2, 1))
-        return late[0] - now[0], np.matmul(spread.transpose(0, 2, 1), spread)
+        return late[0] - now[0], self._spread(late[1] - now[1])
 
-    def speeds(self) -> Array:
-        """Return how fast the markers should move (K,), px/s or m/s."""
-        n = self.n_links
-        base = self.process.base(self.state.t)
-        _, slope = self.model.predict(self.x, base, np.zeros(len(self.model.arc_lengths)))
-        turning = slope[:, :, :n] @ self.x[n : 2 * n]
-        camera = self.model.camera
-        moved = base[1] if camera is None else camera.linearize(base[:1]).by_point[0] @ base[1]
-        return np.asarray(np.linalg.norm(turning + moved, axis=1))
+    @property
+    def _now(self) -> float:
+        if self.t is None:
+            raise InvalidInput("nothing has been seen yet", allowed="update(observations) first")
+        return self.t
+
+    def _spread(self, slope: Array) -> Array:
+        """Return the covariances (K, 2, 2) of what has derivatives (K, 2, N) with respect to the state."""
+        spread = (slope.reshape(-1, self.x.size) @ self.factor.T).reshape(len(slope), 2, -1)
+        return np.asarray(np.matmul(spread, spread.transpose(0, 2, 1)))
+
+    def _base(self) -> Array:
+        """Return place, velocity and acceleration (3, 2) of the first joint now."""
+        return self.process.base(self._now, self.x)
 
     def update(self, seen: Observations) -> None:
         """Look: go on to the time of the observations, and correct.
@@ -193,6 +250,7 @@ class RopeFilter:
         if len(seen.places) != len(self.model.arc_lengths):
             allowed = f"{len(self.model.arc_lengths)} markers"
             raise InvalidInput("observations are of another number of markers", got=len(seen.places), allowed=allowed)
+        self.changes = ()
         if self.t is None:
             self._begin(seen)
             return
@@ -206,7 +264,7 @@ class RopeFilter:
 
     def restart(self) -> None:
         """Forget the state; what was learnt of parameters and noise stays as a first guess."""
-        self.t, self._last = None, None
+        self.t = None
         self.x[: 2 * self.n_links] = 0.0
         self._qdd[:] = 0.0
 
@@ -216,92 +274,75 @@ class RopeFilter:
         if not seen.seen.any():
             return
         self.t = seen.t
-        base, camera = self.process.base(seen.t), self.model.camera
+        base, camera = self.process.base(seen.t, self.x), self.model.camera
         in_metres = seen.places if camera is None else camera.locate(seen.places)
         self.x[:n] = polyline_angles(rope, self.model.arc_lengths, in_metres, base[0])
-        rate = SPEED * np.sqrt(np.hypot(*rope.gravity) / rope.total_length)
-        shapes = smooth_shapes(rope, START_CORRELATION)
-        rows = np.zeros((2 * len(shapes) + 2 * n + len(self.parameters), self.x.size))
-        rows[: len(shapes), :n] = BEND * shapes
-        rows[len(shapes) : 2 * len(shapes), n : 2 * n] = rate * shapes
-        rest = rows[2 * len(shapes) :]
-        np.fill_diagonal(rest[:n, :n], 0.1 * BEND)
-        np.fill_diagonal(rest[n : 2 * n, n : 2 * n], 0.1 * rate)
-        np.fill_diagonal(rest[2 * n :, 2 * n :], [each.std for each in self.parameters.all])
-        self.factor = sr.triangular(rows)
+        self.factor = sr.compressed(starting_rows(rope, self._std), self._least)
+        self._by_noise.reset()
+        if self._detector is not None:
+            self._detector.begin(seen.t + SETTLED)
         self._correct(seen, FIRST_ROUNDS)
 
-    def _correct(self, seen: Observations, rounds: int) -> npt.NDArray[np.bool_]:
-        """Correct by Gauss-Newton on the posterior, and the covariance about where that ends; return what was used."""
-        base = self.process.base(seen.t)
-        found = self.model.predict(self.x, base, seen.rows, self._qdd)
-        good = seen.seen & (self._plausible(seen, *found) if rounds == ROUNDS else True)
+    def _correct(self, seen: Observations, rounds: int) -> None:
+        """Correct by Gauss-Newton on the posterior, and the covariance about where that ends."""
+
+        def predicted(x: Array) -> tuple[Array, Array]:
+            """Return what is seen of a state, with the derivatives."""
+            return self.model.predict(x, self.process.base(seen.t, x), seen.rows, self._qdd)
+
+        good = seen.seen & (self._believed(seen, *predicted(self.x)) if rounds == ROUNDS else True)
+        self.used = good
         if not good.any():
-            return good
+            return
         self.age = 0.0
         whiten = np.linalg.inv(np.linalg.cholesky(seen.covariances[good])) / self.measurement_noise.value
+        adopted: list[Found] = []
 
-        def compared(found: tuple[Array, Array]) -> tuple[Array, Array]:
-            """Return whitened differences (m,) from a prediction, and the whitened derivatives (m, N) of that."""
-            left = whiten @ (seen.places[good] - found[0][good])[:, :, None]
-            return left.ravel(), (whiten @ found[1][good]).reshape(left.size, -1)
+        def compared(x: Array) -> tuple[Array, Array]:
+            """Return whitened differences (m,) from what is seen of a state, and the whitened derivatives (m, N)."""
+            places, slope = predicted(x)
+            left = whiten @ (seen.places[good] - places[good])[:, :, None]
+            return left.ravel(), (whiten @ slope[good]).reshape(left.size, -1)
 
-        std = np.ones(2 * len(whiten))
-        before, u, cost = self.x, np.zeros(self.x.size), np.inf  # the state is before + factor' u
-        x, (left, jacobian) = before, compared(found)
-        for turn in range(rounds):
-            gain, upper = sr.whitened_gain(self.factor, jacobian, std)
-            if turn == 0:
-                self.innovation = sr.compared(upper, left)
-                self.log_likelihood += self.innovation.log_likelihood + np.log(np.linalg.det(whiten)).sum()
-                self._learn(self.innovation, jacobian, upper)
-            step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
-            while True:
-                tried = before + self.factor.T @ (u + part * step)
-                left, jacobian = compared(self.model.predict(tried, base, seen.rows, self._qdd))
-                now = float(((u + part * step) ** 2).sum() + (left**2).sum())
-                if now <= cost or part < SHORTEST:
-                    break
-                part *= 0.5
-            x, u, cost = tried, u + part * step, now
-            if part * np.abs(step).max() < CLOSE:
-                break
-        self.factor = sr.updated(self.factor, jacobian, std)
+        def look(left: Array, jacobian: Array, gain: Array, upper: Array) -> None:
+            """Take in the innovation, before anything is corrected."""
+            self.innovation = sr.compared(upper, left)
+            self.log_likelihood += self.innovation.log_likelihood + np.log(np.linalg.det(whiten)).sum()
+            by_seen = jacobian, self.factor.T @ gain, upper, self.innovation.whitened
+            if rounds == ROUNDS:
+                self._learn(*by_seen)
+            if self._detector is not None:
+                change = self._detector.update(seen.t, *by_seen)
+                self.changes = self._detector.misfit(seen.t, self.measurement_noise)
+                adopted.extend([] if change is None else [change])
+
+        x, self.factor = sr.iterated_update(self.x, self.factor, compared, rounds, look)
         first = 2 * self.n_links
         x[first:] = self.parameters.possible(x[first:])
         self.x = x
-        return good
+        for change in adopted:
+            self._adopt(change)
 
-    def _plausible(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
-        """Return which places lie within their gates; all of them where hardly any does, for then it is the state."""
-        spread = np.matmul(self.factor, slope.transpose(0, 2, 1))
-        wide = np.matmul(spread.transpose(0, 2, 1), spread)
-        wide += self.measurement_noise.value**2 * seen.covariances
-        left = np.nan_to_num(seen.places - places)
-        far = np.einsum("kc,kc->k", left, np.linalg.solve(wide, left[:, :, None])[:, :, 0])
-        good = far < GATE
-        return good if (good & seen.seen).sum() * 2 > seen.seen.sum() else np.ones_like(good)
+    def _believed(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
+        """Return which places are near enough to where they should be (K,)."""
+        wide = self._spread(slope) + self.measurement_noise.value**2 * seen.covariances
+        return self._gate.holds(seen.places - places, wide)
 
-    def _learn(self, innovation: sr.Innovation, jacobian: Array, upper: Array) -> None:
+    def _adopt(self, found: Found) -> None:
+        """Correct the state by what a change has done; a parameter is estimated from then on."""
+        self.factor = sr.compressed(np.concatenate([self.factor, found.rows]), self._least)
+        if found.change is None:
+            return
+        self.changes = (*self.changes, found.change)
+        if found.change.name in self.parameters.names:
+            k, first = self.parameters.names.index(found.change.name), 2 * self.n_links
+            self._std[k] = max(self._std[k], abs(found.change.size))
+            self._least[first + k] = NEGLIGIBLE * self._std[k]
+            self.x = self.x + found.moved
+            self.x[first:] = self.parameters.possible(self.x[first:])
+
+    def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
         """Correct the levels of process and measurement noise by the innovation."""
-        if self._last is not None:
-            half = solve_triangular(upper, jacobian @ self._last.T, trans="T", check_finite=False)
-            self.process_noise.see(innovation.whitened, half @ half.T)
-            half = solve_triangular(upper, np.eye(len(upper)), trans="T", check_finite=False)
-            self.measurement_noise.see(innovation.whitened, half @ half.T)
-
-
-def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:
-    """Return link angles (n,), rad, along the line from the first joint through markers, NaN where not seen."""
-    seen = ~np.isnan(places[:, 0])
-    arcs = np.concatenate([[0.0], arc_lengths[seen]])
-    points = np.concatenate([base[None], places[seen]])
-    order = np.argsort(arcs, kind="stable")
-    arcs, points = arcs[order], points[order]
-    apart = np.diff(arcs) > 1e-9
-    ends, sides = arcs[1:][apart], np.diff(points, axis=0)[apart]
-    if not len(sides):
-        return np.full(rope.n_links, rope.hanging_angle)
-    angles = np.unwrap(np.arctan2(sides[:, 0], -sides[:, 1]))
-    middle = np.cumsum(rope.length) - 0.5 * rope.length
-    return np.asarray(angles[np.minimum(np.searchsorted(ends, middle), len(angles) - 1)])
+        self.process_noise.see(whitened, *self._by_noise.update(jacobian, gain, upper, whitened))
+        half = sr.solved(upper, np.eye(len(upper)), transposed=True)
+        self.measurement_noise.see(whitened, (half @ half.T)[None])

@@ -3,48 +3,148 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
+from hyperflex.estimate import square_root as sr
 
 LEAST, MOST = 1e-4, 1e4  # times the first guess of a noise level
+QUIET = 0.02  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
+AT_REST = 0.5  # of the declared noise of places: where a rope rests, it is the same in each frame, and does not show
+LATELY = 10.0  # frames over which the information of one is averaged: it falls with the level
 LONGEST = 1.0  # largest change of a logarithm in one frame
 
 
 class NoiseLevel:
-    """One standard deviation, corrected frame by frame.
+    """Standard deviations, corrected frame by frame.
 
     Parameters
     ----------
-    value : float
+    value : (c,) array_like or float
         First guess.
     memory : float
         Number of frames after which what was seen counts exp(-1).
     doubt : float
         Standard deviation of the first guess's logarithm.
+    least : float
+        Part of the first guess below which no level falls.
 
     Notes
     -----
-    With innovations nu of covariance S, of which this noise alone makes the part T, the score of log(variance) is
-    ``(nu' S^-1 T S^-1 nu - tr S^-1 T) / 2`` and its information ``tr (S^-1 T)^2 / 2``.
+    Innovations nu have the covariance S. Where log(variance) of a noise changes, S changes by T, and the prediction by
+    m. The score is ``nu' S^-1 m + (nu' S^-1 T S^-1 nu - tr S^-1 T) / 2``, and the information of noises i and j
+    ``m_i' S^-1 m_j + tr (S^-1 T_i S^-1 T_j) / 2``.
     """
 
-    def __init__(self, value: float, memory: float = 60.0, doubt: float = 2.0) -> None:
-        self._first, self.value, self._keep = value, value, math.exp(-1.0 / memory)
-        self._information = self._prior = 1.0 / (2.0 * doubt) ** 2
+    def __init__(self, value: npt.ArrayLike, memory: float = 60.0, doubt: float = 2.0, least: float = LEAST) -> None:
+        self._first = np.atleast_1d(np.asarray(value, dtype=np.float64))
+        self._values, self._single = self._first.copy(), np.ndim(value) == 0
+        self._keep, self._prior = math.exp(-1.0 / memory), np.eye(self._first.size) / (2.0 * doubt) ** 2
+        self._least = least * self._first
+        self._information, self._weight, self._count = np.zeros_like(self._prior), 0.0, 0.0
+        self._known = self._prior
 
-    def see(self, whitened: Array, part: Array) -> None:
-        """Correct the level.
+    @property
+    def value(self) -> Any:
+        """The standard deviation, a float or (c,) as the first guess was."""
+        return float(self._values[0]) if self._single else self._values
+
+    @property
+    def log_std(self) -> Any:
+        """Standard deviation of the value's logarithm, from what was seen lately; float or (c,)."""
+        found = 0.5 * np.sqrt(np.diag(np.linalg.inv(self._known)))
+        return float(found[0]) if self._single else found
+
+    def see(self, whitened: Array, parts: Array, moved: Array | None = None) -> None:
+        """Correct the levels.
 
         Parameters
         ----------
         whitened : (m,) float64
             The innovation over its standard deviation.
-        part : (m, m) float64
-            ``S^-1/2 T S^-T/2``: what part of its variance this noise makes.
+        parts : (c, m, m) float64
+            ``S^-1/2 T S^-T/2`` of each noise.
+        moved : (c, m) float64, optional
+            ``S^-1/2 m`` of each, where that counts.
         """
-        score = 0.5 * (whitened @ part @ whitened - np.trace(part))
-        self._information = self._keep * self._information + 0.5 * float((part * part).sum())
-        change = min(max(score / (self._information + self._prior), -LONGEST), LONGEST)
-        self.value = min(max(self.value * math.exp(0.5 * change), LEAST * self._first), MOST * self._first)
+        score = 0.5 * (whitened @ parts @ whitened - np.trace(parts, axis1=1, axis2=2))
+        information = 0.5 * np.einsum("aij,bij->ab", parts, parts)
+        if moved is not None:
+            score += moved @ whitened
+            information += moved @ moved.T
+        keep = math.exp(-1.0 / LATELY)
+        self._information, self._weight = keep * self._information + information, keep * self._weight + 1.0
+        self._count = self._keep * self._count + 1.0
+        self._known = self._count * self._information / self._weight + self._prior
+        change = np.clip(np.linalg.solve(self._known, score), -LONGEST, LONGEST)
+        self._values = np.clip(self._values * np.exp(0.5 * change), self._least, MOST * self._first)
+
+
+class NoiseDerivatives:
+    """Derivatives of a filter's state and covariance by log(variance) of each kind of process noise.
+
+    The innovation and its covariance depend on the noise of all steps before; their derivatives follow those of the
+    filter's own recursion (Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, 774-783).
+
+    They are carried as the filter's own covariance is, as rows whose squares add up.
+
+    Parameters
+    ----------
+    kinds : int
+    size : int
+        Of the state, N.
+    """
+
+    def __init__(self, kinds: int, size: int) -> None:
+        self._x, self._covariance = np.zeros((kinds, size)), [np.zeros((0, size))] * kinds
+
+    @property
+    def rows(self) -> list[Array]:
+        """What a prediction carries on: rows (r, N) of each kind's covariance, and those of the state (kinds, N)."""
+        return [*self._covariance, self._x]
+
+    def reset(self) -> None:
+        """Begin anew."""
+        kinds, size = self._x.shape
+        self._x, self._covariance = np.zeros((kinds, size)), [np.zeros((0, size))] * kinds
+
+    def predict(self, carried: Sequence[Array], noises: Sequence[Array], least: Array) -> None:
+        """Go on.
+
+        Parameters
+        ----------
+        carried : list of arrays
+            The `rows`, carried to the new time.
+        noises : list of (r, N) arrays
+            Rows of each kind of noise.
+        least : (N,) float64
+            What is negligible.
+        """
+        *covariance, self._x = carried
+        self._covariance = [sr.compressed(np.concatenate(each), least) for each in zip(covariance, noises, strict=True)]
+
+    def update(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> tuple[Array, Array]:
+        """Look; returns `parts` and `moved` as :meth:`NoiseLevel.see` takes them.
+
+        Parameters
+        ----------
+        jacobian : (m, N) float64
+            Derivatives H of the observations.
+        gain : (N, m) float64
+            K, by which the state is corrected.
+        upper : (m, m) float64
+            Factor of the innovation's covariance.
+        whitened : (m,) float64
+            The innovation over its standard deviation.
+        """
+        half = sr.solved(upper, jacobian, transposed=True)
+        seen = [rows @ half.T for rows in self._covariance]
+        moved = self._x @ half.T
+        shifted = self._x + np.stack([(a @ whitened) @ rows for a, rows in zip(seen, self._covariance, strict=True)])
+        self._x = shifted - (shifted @ jacobian.T) @ gain.T
+        self._covariance = [rows - (rows @ jacobian.T) @ gain.T for rows in self._covariance]
+        return np.stack([each.T @ each for each in seen]), moved

@@ -14,6 +14,8 @@ from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.model import Rope
 from hyperflex.vision import Camera
 
+ADJUSTMENTS = frozenset({"scale", "roll", "offset_x", "offset_y"})  # parameters of the plane's place in the picture
+
 
 @dataclass(frozen=True, eq=False)
 class Observations:
@@ -67,7 +69,7 @@ class Observations:
         else:
             wide[:] = covariances
         wide[~seen] = np.eye(2)
-        if not np.isfinite(wide).all() or (np.linalg.eigvalsh(wide) <= 0.0).any():
+        if not np.isfinite(wide).all() or not _positive(wide):
             raise InvalidInput("the uncertainty of an observation is not positive", got=std, allowed="> 0")
         late = np.zeros(k) if rows is None else np.nan_to_num(np.broadcast_to(np.asarray(rows, float), (k,)))
         values = {"t": checks.number("time of an observation", t, unit="s"), "places": found, "covariances": wide}
@@ -78,6 +80,12 @@ class Observations:
     def seen(self) -> npt.NDArray[np.bool_]:
         """Which markers were seen (K,)."""
         return ~np.isnan(self.places[:, 0])
+
+
+def _positive(wide: Array) -> bool:
+    """Whether symmetric matrices (K, 2, 2) are positive definite."""
+    determinant = wide[:, 0, 0] * wide[:, 1, 1] - wide[:, 0, 1] * wide[:, 1, 0]
+    return bool((wide[:, 0, 0] > 0.0).all() and (determinant > 0.0).all())
 
 
 class MarkerModel:
@@ -97,7 +105,8 @@ class MarkerModel:
     Notes
     -----
     A marker that is read tau before or after the state's time is seen at ``r + tau v + tau^2 a / 2``. The derivatives
-    leave out those of the last term.
+    leave out those of the last term. The state is as it was when the picture was taken, so that a delay of the pictures
+    counts for the first joint alone: that was where it is known to have been then.
     """
 
     def __init__(
@@ -113,16 +122,17 @@ class MarkerModel:
         if not arcs.size or (arcs < 0.0).any() or (arcs > total * (1.0 + 1e-9)).any():
             raise InvalidInput("a marker is not on the rope", got=arcs, allowed=f"0 to {total:g} m, at least one")
         self.arc_lengths, self.parameters, self.camera, self.readout = arcs, parameters, camera, readout
-        ends = np.cumsum(rope.length)
-        self.link = np.minimum(np.searchsorted(ends, arcs - 1e-12 * total), rope.n_links - 1)
-        before = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[self.link]
-        self.arms = before * rope.length
-        self.arms[np.arange(arcs.size), self.link] = arcs - (ends - rope.length)[self.link]
+        self.link, self.arms = lever_arms(rope, arcs)
         self._arc_states = {k: int(name[4:-1]) for k, name in enumerate(parameters.names) if name.startswith("arc[")}
         if any(marker >= arcs.size for marker in self._arc_states.values()):
             raise InvalidInput(
                 "an arc length is of no marker", got=parameters.names, allowed=f"arc[0..{arcs.size - 1}]"
             )
+
+    @property
+    def reads_rows(self) -> bool:
+        """Whether rows are read one after the other, as far as is known."""
+        return bool(self.readout) or "readout" in self.parameters.names
 
     def predict(self, x: Array, base: Array, rows: Array, qdd: Array | None = None) -> tuple[Array, Array]:
         """Return where the markers are seen (K, 2), and the derivatives (K, 2, 2 n + P) with respect to x.
@@ -132,31 +142,49 @@ class MarkerModel:
         x : (2 n + P,) float64
             Angles, rad, rates, rad/s, and parameters.
         base : (3, 2) float64
-            Place, velocity and acceleration of the first joint, m, m/s, m/s^2.
+            Place, velocity and acceleration of the first joint when the picture was taken, m, m/s, m/s^2.
         rows : (K,) float64
             As in :class:`Observations`.
         qdd : (n,) float64, optional
             Angular accelerations, rad/s^2; where they are left out, markers move uniformly within a readout.
         """
         n = self.arms.shape[1]
-        q, qd, values = x[:n], x[n : 2 * n], x[2 * n :]
+        q, values = x[:n], x[2 * n :]
         at = self.parameters.value
-        delay, readout = at("delay", values), self.readout + at("readout", values)
-        along = np.stack([np.sin(q), -np.cos(q)])  # (2, n)
-        across = np.stack([np.cos(q), np.sin(q)])
-        arms = self.arms * (1.0 + at("length", values))
+        readout = self.readout + at("readout", values)
+        sin, cos = np.sin(q), np.cos(q)
+        arms = self.arms * (1.0 + at("length", values)) if len(self.parameters) else self.arms
         for k, marker in self._arc_states.items():
             arms[marker, self.link[marker]] += values[k]
-        tau = rows * readout - delay  # (K,)
-        slope = arms[:, None, :] * across  # (K, 2, n) of the places by the angles
-        place, velocity = base[0] + arms @ along.T, base[1] + slope @ qd
-        bend = np.zeros_like(place)
+        tau = rows * readout  # (K,)
+        jacobian = np.zeros((len(arms), 2, 2 * n + len(self.parameters)))
+        slope = jacobian[:, :, :n]  # of the places by the angles
+        np.multiply(arms, cos, out=slope[:, 0])
+        np.multiply(arms, sin, out=slope[:, 1])
+        places = np.stack([base[0, 0] + slope[:, 1].sum(axis=1), base[0, 1] - slope[:, 0].sum(axis=1)], axis=1)
+        if len(self.parameters) or tau.any():
+            places = self._moved(x, base, rows, tau, arms, places, jacobian, qdd)
+        return self._seen(places, jacobian, values)
+
+    def _moved(
+        self,
+        x: Array,
+        base: Array,
+        rows: Array,
+        tau: Array,
+        arms: Array,
+        place: Array,
+        jacobian: Array,
+        qdd: Array | None,
+    ) -> Array:
+        """Return places (K, 2) a time `tau` (K,) later, and complete the derivatives by rates and parameters."""
+        n = self.arms.shape[1]
+        q, qd = x[:n], x[n : 2 * n]
+        slope, along = jacobian[:, :, :n].copy(), np.stack([np.sin(q), -np.cos(q)])
+        across = np.stack([np.cos(q), np.sin(q)])
+        velocity, bend = base[1] + slope @ qd, np.zeros_like(place)
         if qdd is not None and tau.any():
             bend = base[2] + slope @ qdd - arms @ (along * qd * qd).T
-        size = 2 * n + len(self.parameters)
-        seen = place + tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend
-        jacobian = np.zeros((len(arms), 2, size))
-        jacobian[:, :, :n] = slope
         if tau.any():
             jacobian[:, :, :n] -= (tau[:, None, None] * arms[:, None, :]) * along * qd
             jacobian[:, :, n : 2 * n] = tau[:, None, None] * slope
@@ -166,18 +194,27 @@ class MarkerModel:
             if name == "length":
                 column[:] = self.arms @ along.T + tau[:, None] * ((self.arms[:, None, :] * across) @ qd)
             elif name == "delay":
-                column[:] = -now
+                column[:] = -(base[1] + tau[:, None] * base[2])
             elif name == "readout":
                 column[:] = rows[:, None] * now
             elif k in self._arc_states:
                 marker = self._arc_states[k]
                 i = self.link[marker]
                 column[marker] = along[:, i] + tau[marker] * across[:, i] * qd[i]
-        return self._seen(seen, jacobian, values, 2 * n)
+        return np.asarray(place + tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend)
 
-    def _seen(self, places: Array, jacobian: Array, values: Array, first: int) -> tuple[Array, Array]:
+    def _seen(self, places: Array, jacobian: Array, values: Array) -> tuple[Array, Array]:
         """Turn places in the rope's plane and their derivatives into what the camera shows."""
-        at, names = self.parameters.value, self.parameters.names
+        names = self.parameters.names
+        shown, moved = (places, jacobian) if ADJUSTMENTS.isdisjoint(names) else self._adjusted(places, jacobian, values)
+        if self.camera is None:
+            return shown, moved
+        pixels, by_place = self.camera.place_slopes(shown)
+        return pixels, by_place @ moved
+
+    def _adjusted(self, places: Array, jacobian: Array, values: Array) -> tuple[Array, Array]:
+        """Turn, stretch and shift places and their derivatives as the estimated parameters of the plane say."""
+        at, names, first = self.parameters.value, self.parameters.names, jacobian.shape[2] - len(self.parameters)
         scale, roll = 1.0 + at("scale", values), at("roll", values)
         turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
         turned = places @ turn.T
@@ -192,7 +229,32 @@ class MarkerModel:
         for name, change in changes.items():
             if name in names:
                 moved[:, :, first + names.index(name)] = change
-        if self.camera is None:
-            return shown, moved
-        found = self.camera.linearize(shown)
-        return found.pixels, found.by_point @ moved
+        return shown, moved
+
+
+def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[npt.NDArray[np.intp], Array]:
+    """Return the links (K,) on which points at arc lengths (K,), m, lie, and how much of each link is before them.
+
+    The latter is (K, n), m: times the links' directions it is where the points are.
+    """
+    ends = np.cumsum(rope.length)
+    link = np.minimum(np.searchsorted(ends, arc_lengths - 1e-12 * ends[-1]), rope.n_links - 1)
+    arms = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[link] * rope.length
+    arms[np.arange(arc_lengths.size), link] = arc_lengths - (ends - rope.length)[link]
+    return link, arms
+
+
+def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:
+    """Return link angles (n,), rad, along the line from the first joint through markers, NaN where not seen."""
+    seen = ~np.isnan(places[:, 0])
+    arcs = np.concatenate([[0.0], arc_lengths[seen]])
+    points = np.concatenate([base[None], places[seen]])
+    order = np.argsort(arcs, kind="stable")
+    arcs, points = arcs[order], points[order]
+    apart = np.diff(arcs) > 1e-9
+    ends, sides = arcs[1:][apart], np.diff(points, axis=0)[apart]
+    if not len(sides):
+        return np.full(rope.n_links, rope.hanging_angle)
+    angles = np.unwrap(np.arctan2(sides[:, 0], -sides[:, 1]))
+    middle = np.cumsum(rope.length) - 0.5 * rope.length
+    return np.asarray(angles[np.minimum(np.searchsorted(ends, middle), len(angles) - 1)])

@@ -68,30 +68,53 @@ class ParameterStates:
     wanted : sequence of EstimatedParameter
     rope : Rope
         As it is taken to be where all are 0.
+    watched : sequence of str
+        What is held at 0 until a change of it is noticed, where it is not estimated anyway.
+    moved : bool
+        Whether the first joint moves, so that a delay counts.
+
+    Attributes
+    ----------
+    names : tuple of str
+    value_at_start, std, walk : (P,) float64
+        Mean and standard deviation of the priors, 0 of what is held, and the random walks.
     """
 
-    def __init__(self, wanted: Sequence[EstimatedParameter], rope: Rope) -> None:
-        self.all, self.rope = tuple(wanted), rope
-        self.names = tuple(each.name for each in self.all)
+    def __init__(
+        self, wanted: Sequence[EstimatedParameter], rope: Rope, watched: Sequence[str] = (), moved: bool = False
+    ) -> None:
+        self.rope = rope
+        names = [each.name for each in wanted]
+        held = [EstimatedParameter(name, 1.0) for name in watched if name not in names]
+        self.names = (*names, *(each.name for each in held))
+        self.value_at_start = np.array([each.value for each in (*wanted, *held)])
+        self.walk = np.array([each.walk for each in (*wanted, *held)])
+        self.std = np.array([*(each.std for each in wanted), *(0.0 for _ in held)])
         if len(set(self.names)) != len(self.names):
             raise InvalidInput("parameters name something twice", got=self.names, allowed="each name once")
         for name in ("friction", "drag"):
             if name in self.names and not getattr(rope, name).any():
                 fix = f"Give the rope a {name} to begin with"
                 raise InvalidInput(f"{name} is a relative change, and the rope has none", got=0.0, fix=fix)
-        self.dynamic = [k for k, name in enumerate(self.names) if name in DYNAMIC]
+        self.dynamic = [k for k, name in enumerate(self.names) if name in DYNAMIC or (name == "delay" and moved)]
+        self._of_rope = [k for k, name in enumerate(self.names) if name in DYNAMIC]
 
     def __len__(self) -> int:
         """Number of parameters."""
-        return len(self.all)
+        return len(self.names)
 
     def value(self, name: str, values: Array) -> float:
         """Return one parameter's value; 0 where it is not estimated."""
         return float(values[self.names.index(name)]) if name in self.names else 0.0
 
-    def directions(self) -> list[dict[str, dict[str, Array]]]:
-        """Return the directions of the rope's own parameters, as ``sensitivities`` takes them."""
-        return [{self.names[k]: DYNAMIC[self.names[k]](self.rope)} for k in self.dynamic]
+    def directions(self) -> list[str | dict[str, dict[str, Array]]]:
+        """Return the directions of what the motion depends on, as ``sensitivities`` takes them."""
+        names = [self.names[k] for k in self.dynamic]
+        return ["motion.delay" if name == "delay" else {name: DYNAMIC[name](self.rope)} for name in names]
+
+    def same_rope(self, values: Array, others: Array) -> bool:
+        """Return whether two sets of values (P,) describe the same rope."""
+        return np.array_equal(values[self._of_rope], others[self._of_rope])
 
     def possible(self, values: Array) -> Array:
         """Return the values (P,), moved to what a rope can have."""
@@ -108,7 +131,7 @@ class ParameterStates:
     def rope_at(self, values: Array) -> Rope:
         """Return the rope that the values (P,) describe."""
         changes: dict[str, Any] = {}
-        for k in self.dynamic:
+        for k in self._of_rope:
             name, value = self.names[k], float(values[k])
             if name == "length":
                 changes |= {"length": self.rope.length * (1.0 + value), "com": self.rope.com * (1.0 + value)}

@@ -5,18 +5,27 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
 
 from hyperflex.checks import Array
+from hyperflex.core.chain.articulated_body import mass_matrix
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.estimate.parameters import ParameterStates
+from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation.sensitivity.sensitivity import AngleJacobian
+from hyperflex.simulation import Propagator
 
 PRECISION = 1e-5  # tolerance of a prediction over the rope's length: far below any marker's noise
 CORRELATION = 0.15  # of the rope's length, over which its disturbances are alike
+# Towards the free end the tension falls to nothing and motion is quick: there rigid links are least true to a rope.
+END = 0.08  # of the rope's length: disturbances of the end fall with the distance d to the tip as (END / (d + END))^1.5
+END_CORRELATION = 0.05
 NEGLIGIBLE = 1e-4  # of the largest principal part of the disturbances
-LATELY = 1e-3  # s, over which accelerations are taken
+BEND = 0.6  # rad, standard deviation of a link's angle about the line through the markers, before any is seen
+SPEED = 6.0  # rad/s, of its rate, in units of sqrt(g / L)
+START_CORRELATION = 0.1  # of the rope's length
 
 
 class Prediction(NamedTuple):
@@ -51,11 +60,18 @@ class Process:
         self, rope: Rope, parameters: ParameterStates, motion: Motion | None = None, arm: Arm | None = None
     ) -> None:
         self.rope, self.parameters = rope, parameters
+        self._motion, self._arm = motion, arm
         setup = Setup(rope, motion, arm, tol=PRECISION * rope.total_length)
-        self._run = AngleJacobian(setup, ["q0", "qd0", *parameters.directions()])
+        self._run = Propagator(setup, parameters.directions(), 3 * (2 * rope.n_links + len(parameters) + 1))
         self._rope, self._at = rope, np.zeros(len(parameters))
-        self._walk = np.array([each.walk for each in parameters.all])
-        self._shapes = self._disturbances(rope)
+        self._walk = parameters.walk
+        beyond = (np.cumsum(rope.length[::-1])[::-1] - 0.5 * rope.length) / rope.total_length
+        end = (END / (beyond + END)) ** 1.5
+        self._shapes = smooth_shapes(rope, CORRELATION), smooth_shapes(rope, END_CORRELATION, end)
+
+    def copy(self) -> Process:
+        """Return another one, for other values of the parameters."""
+        return Process(self.rope, self.parameters, self._motion, self._arm)
 
     def predict(self, x: Array, t: float, until: float) -> Prediction:
         """Return the state at `until`, s, that comes of x (N,) at time t.
@@ -65,61 +81,162 @@ class Process:
         SimulationError
             If the rope's motion cannot be computed.
         """
-        n, p = self.rope.n_links, len(self.parameters)
-        rope = self._rope_at(x[2 * n :])
-        late = min(LATELY, 0.5 * (until - t))
-        q, qd, dq, dqd = self._run(np.array([t, until - late, until]), x[:n], x[n : 2 * n], rope)
-        transition = np.eye(2 * n + p)
-        columns = [*range(2 * n), *(2 * n + k for k in self.parameters.dynamic)]
-        transition[:n, columns], transition[n : 2 * n, columns] = dq[-1], dqd[-1]
-        return Prediction(np.concatenate([q[-1], qd[-1], x[2 * n :]]), transition, (qd[-1] - qd[-2]) / late)
+        x, rows = self.carry(x, np.eye(x.size), t, until)
+        return Prediction(x, rows.T, self.accelerations(x, until))
 
-    def noise(self, dt: float, density: float) -> Array:
+    def carry(self, x: Array, rows: Array, t: float, until: float) -> tuple[Array, Array]:
+        """Return the state at `until`, s, that comes of x (N,) at time t, and what becomes of changes of it.
+
+        Parameters
+        ----------
+        x : (N,) float64
+        rows : (r, N) float64
+            Changes of x: with the transition F they become rows F^T.
+        t, until : float
+            Of pictures, s.
+
+        Raises
+        ------
+        SimulationError
+            If the rope's motion cannot be computed.
+        """
+        n = self.rope.n_links
+        rope, dynamic = self._rope_at(x[2 * n :]), [2 * n + k for k in self.parameters.dynamic]
+        late = self.parameters.value("delay", x[2 * n :])
+        q, qd, moved, by_parameters = self._run(t - late, until - late, x[:n], x[n : 2 * n], rows[:, : 2 * n], rope)
+        result = rows.copy()
+        result[:, : 2 * n] = moved
+        if dynamic:
+            result[:, : 2 * n] += rows[:, dynamic] @ by_parameters
+        return np.concatenate([q, qd, x[2 * n :]]), result
+
+    def state_at(self, x: Array, rows: Array, t: float, until: float, density: npt.ArrayLike) -> RopeState:
+        """Return the state expected for a picture at `until`, s, with its covariance, of what is known at time t.
+
+        Parameters
+        ----------
+        x, rows : (N,), (r, N) float64
+            State, and rows whose squares are its covariance.
+        t, until : float
+        density : (2,) array_like or float
+            As in :meth:`noise`.
+
+        Raises
+        ------
+        SimulationError
+            If the rope's motion cannot be computed.
+        """
+        size = 2 * self.rope.n_links
+        if until > t:
+            x, rows = self.carry(x, rows, t, until)
+            rows = np.concatenate([rows, self.noise(until - t, density)])
+        t = until - self.parameters.value("delay", x[size:])
+        return RopeState(t, x[: size // 2].copy(), x[size // 2 : size].copy(), rows[:, :size].T @ rows[:, :size])
+
+    def accelerations(self, x: Array, t: float) -> Array:
+        """Return the links' accelerations (n,), rad/s^2, in the state x (N,) at time t, s."""
+        n = self.rope.n_links
+        return self._run.accelerations(t - self.parameters.value("delay", x[2 * n :]), x[:n], x[n : 2 * n])
+
+    def set_motion(self, motion: Motion) -> None:
+        """Let the arm move in another way from now on."""
+        self._motion = motion
+        self._run.set_motion(motion)
+
+    def noise(self, dt: float, density: npt.ArrayLike) -> Array:
         """Return rows (r, N) whose squares are the covariance that `dt` seconds of disturbances add.
 
         Parameters
         ----------
         dt : float
-        density : float
-            Of the links' angular accelerations, rad/s^2 per square root of Hz.
+        density : (2,) array_like or float
+            Of the links' angular accelerations, rad/s^2 per square root of Hz: of disturbances along the whole rope,
+            and of those at its free end (one number: for both).
         """
-        n, r = self.rope.n_links, len(self._shapes)
-        shapes = density * np.sqrt(dt) * self._shapes
-        rows = np.zeros((2 * r + self._walk.size, 2 * n + self._walk.size))
-        rows[:r, :n], rows[:r, n : 2 * n] = 0.5 * dt * shapes, shapes
-        rows[r : 2 * r, :n] = dt / np.sqrt(12.0) * shapes
-        rows[2 * r :, 2 * n :] = np.diag(self._walk * np.sqrt(dt))
-        return rows[: 2 * r] if not self._walk.any() else rows
+        both = np.broadcast_to(density, (2,))
+        rows = [self.noise_of(dt, k, level) for k, level in enumerate(both.tolist())]
+        if self._walk.any():
+            rows.append(np.zeros((self._walk.size, rows[0].shape[1])))
+            rows[-1][:, 2 * self.rope.n_links :] = np.diag(self._walk * np.sqrt(dt))
+        return np.concatenate(rows)
 
-    def base(self, t: float) -> Array:
-        """Return place, velocity and acceleration (3, 2) of the first joint, m, m/s and m/s^2."""
+    def noise_of(self, dt: float, kind: int, density: float) -> Array:
+        """Return the same rows of one kind of disturbances: 0 along the whole rope, 1 at its free end."""
+        n, r = self.rope.n_links, len(self._shapes[kind])
+        shapes = density * np.sqrt(dt) * self._shapes[kind]
+        rows = np.zeros((2 * r, 2 * n + self._walk.size))
+        rows[:r, :n], rows[:r, n : 2 * n] = 0.5 * dt * shapes, shapes
+        rows[r:, :n] = dt / np.sqrt(12.0) * shapes
+        return rows
+
+    def kicks(self, q: Array, arms: Array) -> Array:
+        """Return by how much unit impulses change the links' rates, (n, 2 P), rad/s per N s.
+
+        Parameters
+        ----------
+        q : (n,) float64
+            Angles, rad.
+        arms : (P, n) float64
+            How much of each link lies between the first joint and the point that is pushed, m; the columns are of
+            impulses along x and y at the first point, at the second, and so on.
+        """
+        mass = np.empty((q.size, q.size))
+        mass_matrix(self._run.chain, q, mass)
+        across = np.stack([np.cos(q), np.sin(q)])
+        moments = (arms[:, None, :] * across).reshape(-1, q.size)
+        return np.asarray(cho_solve(cho_factor(mass, check_finite=False), moments.T, check_finite=False))
+
+    def base(self, t: float, x: Array | None = None) -> Array:
+        """Return place, velocity and acceleration (3, 2) of the first joint, m, m/s and m/s^2.
+
+        Parameters
+        ----------
+        t : float
+            Of a picture, s.
+        x : (N,) float64, optional
+            State with the pictures' delay; by default there is none.
+        """
         drive, now = self._run.drive, np.empty(9)
-        base_state(drive, segment(drive, t), t, now)
+        moment = t if x is None else t - self.parameters.value("delay", x[2 * self.rope.n_links :])
+        base_state(drive, segment(drive, moment), moment, now)
         return np.array([now[7:9], now[5:7], now[0:2]])
 
     def _rope_at(self, values: Array) -> Rope:
         """Return the rope with its estimated values, made anew only when they have changed."""
-        dynamic = self.parameters.dynamic
-        if dynamic and not np.array_equal(values[dynamic], self._at[dynamic]):
+        if not self.parameters.same_rope(values, self._at):
             self._rope, self._at = self.parameters.rope_at(values), values.copy()
         return self._rope
 
-    def _disturbances(self, rope: Rope) -> Array:
-        """Return the principal shapes (r, n) of disturbances that are alike where links are near one another."""
-        return smooth_shapes(rope, CORRELATION)
 
-
-def smooth_shapes(rope: Rope, correlation: float) -> Array:
-    """Return rows (r, n) whose squares are a correlation of links: 1 of each, less the further they are apart.
+def smooth_shapes(rope: Rope, correlation: float, size: npt.ArrayLike = 1.0) -> Array:
+    """Return rows (r, n) whose squares are a covariance of links that are the less alike the further they are apart.
 
     Parameters
     ----------
     rope : Rope
     correlation : float
         Distance, as a part of the rope's length, over which it falls to exp(-1/2).
+    size : (n,) array_like or float
+        Standard deviation of each link.
     """
     middle = (np.cumsum(rope.length) - 0.5 * rope.length) / rope.total_length
     likeness = np.exp(-0.5 * ((middle[:, None] - middle) / correlation) ** 2)
-    values, vectors = np.linalg.eigh(likeness)
+    scale = np.broadcast_to(size, middle.shape)
+    values, vectors = np.linalg.eigh(scale[:, None] * likeness * scale)
     large = values > NEGLIGIBLE * values[-1]
     return np.asarray(np.sqrt(values[large])[:, None] * vectors[:, large].T)
+
+
+def turning_rate(rope: Rope) -> float:
+    """Return sqrt(g / L), rad/s: how fast a rope swings, about."""
+    return float(np.sqrt(np.hypot(*rope.gravity) / rope.total_length))
+
+
+def starting_rows(rope: Rope, parameter_std: Array) -> Array:
+    """Return rows whose squares are the covariance of angles, rates and parameters before anything was seen of them."""
+    n, shapes = rope.n_links, smooth_shapes(rope, START_CORRELATION)
+    rate, count = SPEED * turning_rate(rope), len(shapes)
+    rows = np.zeros((2 * count + 2 * n + len(parameter_std), 2 * n + len(parameter_std)))
+    rows[:count, :n], rows[count : 2 * count, n : 2 * n] = BEND * shapes, rate * shapes
+    np.fill_diagonal(rows[2 * count :], np.concatenate([np.full(n, 0.1 * BEND), np.full(n, 0.1 * rate), parameter_std]))
+    return rows

@@ -1,18 +1,24 @@
 """Covariances by their square roots: prediction, measurement update and log-likelihood by QR factorisation.
 
-A covariance P is kept as an upper triangular S with P = S^T S. It stays symmetric and positive whatever rounding does
+A covariance P (n, n) is kept as rows S (r, n) with P = S^T S. It stays symmetric and positive whatever rounding does
 (Bierman 1977, Factorization Methods for Discrete Sequential Estimation; Kailath, Sayed and Hassibi 2000, section 12).
+A rope's motion is smooth soon, for its joints damp what is not: a few rows then say all that is not negligible, and
+what is carried through its equations is those few (Verlaan and Heemink 1997, Stochastic Hydrology and Hydraulics 11).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dgeqp3, dgeqrf, dtrtrs
 
 from hyperflex.checks import Array
+
+SHORTEST = 1e-2  # part of a Gauss-Newton step
+CLOSE = 0.03  # of a standard deviation: an update has converged
 
 
 class Innovation(NamedTuple):
@@ -31,38 +37,113 @@ class Innovation(NamedTuple):
 
 
 def triangular(rows: Array) -> Array:
-    """Return the upper triangular S (n, n) with S^T S = rows^T rows, for rows (m, n), m >= n."""
-    return np.asarray(np.linalg.qr(rows, mode="r"))
+    """Return the upper triangular R (n, n), its diagonal not negative, with R^T R = rows^T rows, for rows (m, n)."""
+    upper = np.triu(dgeqrf(rows)[0][: rows.shape[1]])
+    return np.asarray(upper * np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None])
 
 
-def predicted(factor: Array, transition: Array, noise: Array) -> Array:
-    """Return the factor of F P F^T + Q, for F (n, n) and rows `noise` (r, n) with Q = noise^T noise."""
-    return triangular(np.concatenate([factor @ transition.T, noise]))
+def solved(upper: Array, right: Array, *, transposed: bool = False) -> Array:
+    """Return U^-1 B, or U^-T B, for an upper triangular U (m, m) without zeros on its diagonal (LAPACK's dtrtrs)."""
+    return np.asarray(dtrtrs(upper, right, trans=int(transposed))[0])
 
 
-def updated(factor: Array, jacobian: Array, std: Array) -> Array:
-    """Return the factor after a measurement with derivatives H (m, n) and independent noise `std` (m,)."""
-    m, n = jacobian.shape
-    both = np.zeros((m + n, m + n))
-    both[range(m), range(m)] = std
-    both[m:, :m] = factor @ jacobian.T
-    both[m:, m:] = factor
-    return triangular(both)[m:, m:]
+def compressed(rows: Array, least: Array) -> Array:
+    """Return r <= n rows S (r, n) with S^T S = rows^T rows but for what is negligible.
+
+    Parameters
+    ----------
+    rows : (m, n) float64
+    least : (n,) float64
+        Standard deviation of each state that may be left out, > 0.
+
+    Notes
+    -----
+    Of the columns, divided by `least`, a QR factorisation with pivoting (LAPACK's dgeqp3) makes rows that grow smaller
+    and smaller. What follows a row whose first number is below 1 adds less than that to the deviation of any state.
+    """
+    packed, pivots, _, _, _ = dgeqp3(rows / least, overwrite_a=True)
+    size = np.abs(np.diag(packed))
+    rank = max(1, int((size > 1.0).sum()))
+    result = np.empty((rank, rows.shape[1]))
+    result[:, pivots - 1] = np.triu(packed[:rank])
+    return np.asarray(result * least)
 
 
-def whitened_gain(factor: Array, jacobian: Array, std: Array) -> tuple[Array, Array]:
-    """Return S H^T (H P H^T + R)^-1, (n, m), and the upper factor of H P H^T + R, (m, m), for noise `std` (m,).
+def updated(factor: Array, across: Array, upper: Array) -> Array:
+    """Return the factor S after a measurement; ``S H^T`` and the factor of H P H^T + 1 as from :func:`whitened_gain`.
 
-    ``S^T`` times the first is the Kalman gain.
+    S - A (U + 1)^-1 U^-T A^T S, for A = S H^T and U^T U = A^T A + 1 (Andrews 1968, AIAA Journal 6(6), 1165).
+    """
+    half = solved(upper, across.T @ factor, transposed=True)
+    return np.asarray(factor - across @ solved(upper + np.eye(len(upper)), half))
+
+
+def whitened_gain(factor: Array, jacobian: Array) -> tuple[Array, Array, Array]:
+    """Return what a measurement of unit noise with derivatives H (m, n) is weighted with.
+
+    Returns
+    -------
+    gain : (r, m) float64
+        S H^T (H P H^T + 1)^-1; ``S^T`` times it is the Kalman gain.
+    across : (r, m) float64
+        S H^T.
+    upper : (m, m) float64
+        The upper triangular factor of H P H^T + 1.
     """
     across = factor @ jacobian.T
-    upper = triangular(np.concatenate([across, np.diag(std)]))
-    half = solve_triangular(upper, across.T, trans="T", check_finite=False)
-    return np.asarray(solve_triangular(upper, half, check_finite=False).T), upper
+    upper = triangular(np.concatenate([across, np.eye(len(jacobian))]))
+    return solved(upper, solved(upper, across.T, transposed=True)).T, across, upper
 
 
 def compared(upper: Array, innovation: Array) -> Innovation:
     """Return a whitened innovation (m,) and its log-likelihood, for the upper factor of its covariance."""
-    whitened = np.asarray(solve_triangular(upper, innovation, trans="T", check_finite=False))
+    whitened = solved(upper, innovation, transposed=True)
     size = math.log(2.0 * math.pi) * innovation.size + 2.0 * np.log(np.abs(np.diag(upper))).sum()
     return Innovation(whitened, float(-0.5 * (whitened @ whitened + size)))
+
+
+def iterated_update(
+    before: Array,
+    factor: Array,
+    compared: Callable[[Array], tuple[Array, Array]],
+    rounds: int,
+    look: Callable[[Array, Array, Array, Array], None],
+) -> tuple[Array, Array]:
+    """Return the mode of the posterior, by Gauss-Newton with a line search, and rows of the covariance about it.
+
+    Parameters
+    ----------
+    before : (N,) float64
+        The state before.
+    factor : (r, N) float64
+        Rows of its covariance.
+    compared : callable
+        Of a state, returns whitened differences (m,) and the whitened derivatives (m, N).
+    rounds : int
+        At most.
+    look : callable
+        Is called once, with the differences, derivatives, gain and factor of the innovation.
+
+    Notes
+    -----
+    Bell, Cathey 1993, IEEE Transactions on Automatic Control 38, 294-297: the iterated extended Kalman filter.
+    """
+    u, cost = np.zeros(len(factor)), np.inf  # the state is before + factor' u
+    x, (left, jacobian) = before, compared(before)
+    for turn in range(rounds):
+        gain, _, upper = whitened_gain(factor, jacobian)
+        if turn == 0:
+            look(left, jacobian, gain, upper)
+        step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
+        while True:
+            tried = before + factor.T @ (u + part * step)
+            left, jacobian = compared(tried)
+            now = float(((u + part * step) ** 2).sum() + (left**2).sum())
+            if now <= cost or part < SHORTEST:
+                break
+            part *= 0.5
+        x, u, cost = tried, u + part * step, now
+        if part * np.abs(step).max() < CLOSE:
+            break
+    _, across, upper = whitened_gain(factor, jacobian)
+    return x, updated(factor, across, upper)

@@ -1,7 +1,5 @@
 """Results as JSON: plain numbers, lists and strings."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping
@@ -26,9 +24,9 @@ def plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def dumps_json(content: Mapping[str, Any]) -> str:
-    """Return a mapping as JSON text."""
-    return json.dumps(plain(content), indent=2, allow_nan=False) + "\n"
+def dumps_json(content: Mapping[str, Any], *, one_line: bool = False) -> str:
+    """Return a mapping as JSON text, indented or in one line."""
+    return json.dumps(plain(content), indent=None if one_line else 2, allow_nan=False) + "\n"
 
 
 def write_json(path: PathLike, content: Mapping[str, Any]) -> None:

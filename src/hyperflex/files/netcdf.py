@@ -1,7 +1,5 @@
 """NetCDF-4 files: variables with units and long names, attributes, and groups of variables."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 

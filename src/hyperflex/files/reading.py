@@ -1,7 +1,5 @@
 """Reading whole files with messages that say what to do."""
 
-from __future__ import annotations
-
 from hyperflex.errors import FileProblem
 from hyperflex.files.writing import PathLike, as_path
 

@@ -1,7 +1,5 @@
 """Tables of numbers as CSV: one header line, commas between cells, points in numbers, notes at the head."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Settings as TOML: read by the standard library, written by a small writer of our own."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """Writing wholly or not at all: temporary name in the same folder, forced to the disk, then renamed."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re

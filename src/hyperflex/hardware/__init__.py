@@ -1,7 +1,5 @@
 """Motors that carry out a motion (:class:`hyperflex.interfaces.Motor`): a simulated one."""
 
-from __future__ import annotations
+from hyperflex.hardware.motor import SAMPLE_TIME, SimulatedMotor
 
-from hyperflex.hardware.motor import SimulatedMotor
-
-__all__ = ["SimulatedMotor"]
+__all__ = ["SAMPLE_TIME", "SimulatedMotor"]

@@ -1,7 +1,5 @@
 """A simulated servo with the faults of a real one."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How a search ended: success, status and message, as scipy's OptimizeResult has them."""
 
-from __future__ import annotations
-
 CONVERGED, NOT_CONVERGED, INTERRUPTED = "converged", "not converged", "interrupted"
 
 

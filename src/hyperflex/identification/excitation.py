@@ -1,7 +1,5 @@
 """Checks before a fit: sampling times that suit the rope, and motion beyond the noise."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.checks import Array
@@ -72,16 +70,14 @@ def check_motion(shape: Recording, channels: Recording | None = None) -> None:
         "no motion beyond noise in the recording",
         got=f"values that scatter from sample to sample as much as over all {channels.t.size}",
         allowed="a swing that is clearly larger than the noise",
-        fix="Record a free swing, wider or with more samples; if it is sampled slowly, say how large the noise is "
-        "(noise=...)",
+        fix="Record a wider swing, or more samples; if it is sampled slowly, say how large the noise is (noise=...)",
     )
 
 
 def _size(values: Array) -> Array:
     """Return the standard deviation (C,) of each channel, by its interquartile range."""
     low, high = np.nanquantile(values, [0.25, 0.75], axis=0)
-    result: Array = (high - low) / 1.349
-    return result
+    return np.asarray((high - low) / 1.349)
 
 
 def _whiteness(recording: Recording) -> float:

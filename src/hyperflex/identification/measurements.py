@@ -1,7 +1,5 @@
 """Measurements to fit: angles, places of markers, and motor torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -61,13 +59,9 @@ def refuse_still_markers(recording: Recording, arc_lengths: Array) -> None:
 def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: Array | None = None) -> Measurements:
     """Return the measurements: angles, markers at the joints (their angles), or markers at `arc_lengths` (K,), m.
 
-    A marker alone needs the places of the first joint, `joint` (T, 2), m.
-
-    Notes
-    -----
-    With fewer markers than links a prior keeps neighbouring links about in line: a turn of BEND / sqrt(n), growing at
-    SWAY / sqrt(n), as standard deviations. It is an assumption, weak beside any marker that sees the bend. Markers
-    without given noise then count with 0.2 % of the rope's length.
+    A marker alone needs the places of the first joint, `joint` (T, 2), m. With fewer markers than links a prior keeps
+    neighbouring links about in line: a turn of BEND / sqrt(n), growing at SWAY / sqrt(n), as standard deviations, weak
+    beside any marker that sees the bend. Markers without given noise then count with 0.2 % of the rope's length.
     """
     if arc_lengths is None:
         angles = recording.angles()
@@ -136,5 +130,4 @@ def first_joint(recording: Recording, arc_lengths: Array, pivot: Array) -> Array
     """
     places = recording.data.reshape(recording.t.size, -1, 2)
     back = places[:, 0] - (places[:, 1] - places[:, 0]) * arc_lengths[0] / (arc_lengths[1] - arc_lengths[0])
-    result: Array = np.nanmedian(back - pivot, axis=0)
-    return result
+    return np.asarray(np.nanmedian(back - pivot, axis=0))

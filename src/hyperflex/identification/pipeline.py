@@ -1,7 +1,5 @@
 """identify: from a recording and a first guess to an Identification."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Sequence
@@ -279,7 +277,6 @@ def _split(
 
 
 def _fit_settings(plant: Plant, free: Sequence[str], loss: str, origin: npt.ArrayLike | None) -> dict[str, Any]:
-    """Return how the fit was set up, in plain words and numbers."""
     moved = "moved" if plant.arm is None else f"moved by an arm of {plant.arm.length:g} m"
     result: dict[str, Any] = {"free": list(free), "loss": loss, "base": "fixed" if plant.motion is None else moved}
     if isinstance(plant.sensor, Markers):
@@ -290,7 +287,6 @@ def _fit_settings(plant: Plant, free: Sequence[str], loss: str, origin: npt.Arra
 
 
 def _reporter(progress: bool | Report) -> Report:
-    """Return the callable that gets each round."""
     if callable(progress):
         return progress
 

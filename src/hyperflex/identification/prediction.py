@@ -28,10 +28,8 @@ class HeldOut:
         Prediction error of each channel (each link's angle, or each marker's x and y) over all predicted samples.
     window_rms : (W, C) rad or m
         The same for each prediction.
-    starts : (W,) s
-        Start times of the predictions.
-    lead, ahead : float, s
-        Time on which each state was fitted, and time predicted without data.
+    starts (W,), lead, ahead : s
+        Start times of the predictions, time on which each state was fitted, and time predicted without data.
     t (m,), measured (m, C), predicted (m, C)
         All predicted samples; measured is NaN in gaps. A prediction that fails is inf throughout, and so is its rms.
     std (m, C) : rad or m
@@ -125,8 +123,7 @@ def _rms(error: Array) -> Array:
     """Return the root mean square (C,) of errors (m, C), gaps (NaN) left out; NaN where there is nothing."""
     known = ~np.isnan(error)
     with np.errstate(invalid="ignore", divide="ignore"):
-        result: Array = np.sqrt((np.where(known, error, 0.0) ** 2).sum(axis=0) / known.sum(axis=0))
-    return result
+        return np.asarray(np.sqrt((np.where(known, error, 0.0) ** 2).sum(axis=0) / known.sum(axis=0)))
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """The result of an identification, and how it is put together from a fit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,8 +12,7 @@ from hyperflex.files import PathLike
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.uncertainty.covariance import Basis, ratio_spread, ratios
-from hyperflex.identification.uncertainty.intervals import Interval, of_ratios
+from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_ratios, ratio_spread, ratios
 from hyperflex.identification.verdict import (
     consistent,
     failed_predictions,
@@ -59,20 +56,17 @@ class Identification(Ended):
         Measured less fitted channels at the fitted samples; NaN in gaps.
     held_out : HeldOut or None
         Prediction of the part that was not fitted.
-    parameters : tuple of str
-        Names of the P single free numbers, e.g. ``friction[1]``.
-    covariance : (P, P)
-        Of these, in SI units; 0 along directions that cannot be known.
+    parameters, covariance : tuple of str, (P, P)
+        Names of the P single free numbers, e.g. ``friction[1]``; their covariance, SI units, 0 along unknown
+        directions.
     singular_values : (P,)
         Of the scaled information, largest first.
     settings : dict
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
         time of the residuals (samples), seconds taken; ``free``, loss, base, and where given `arc_lengths`, `origin`
         and the delay that the fit started from (s).
-    message : str
-        ``converged``, ``not converged`` or ``interrupted`` (Ctrl-C; the best so far).
-    unit : str
-        Of what was fitted: ``rad`` or ``m``.
+    message, unit : str
+        ``converged``, ``not converged`` or ``interrupted`` (the best so far); ``rad`` or ``m``.
     history : tuple of dict
         Round by round: window length, stage (of how many stages), round, cost, gain, damping.
     torque_residuals : (m,) N m, or None

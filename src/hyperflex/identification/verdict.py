@@ -1,7 +1,5 @@
 """The verdict of a fit in sentences: what is known, what is not, and what looks wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -157,7 +155,6 @@ def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -
 
 
 def _values(parameters: Parameters, information: Information, rope: Rope) -> list[str]:
-    """Return what looks odd about single values."""
     said = []
     std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))

@@ -7,8 +7,22 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.model.arm import Arm
     from hyperflex.model.obstacles import Ground, Obstacle, Peg, Wall, round_places
-    from hyperflex.model.refine import cuts, divided, refine_rope
+    from hyperflex.model.properties import (
+        DAMPING,
+        FREE_PROPERTIES,
+        LINK_PROPERTIES,
+        PROPERTIES,
+        RATIOS,
+        RESISTANCES,
+        Form,
+        Label,
+        Property,
+        parse_label,
+    )
+    from hyperflex.model.refine import cuts, divided, recut, refine_rope
     from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, Rope
+    from hyperflex.model.rope_table import MOST_LINKS
     from hyperflex.model.setup import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, PLAN, Setup
+    from hyperflex.model.stretch import growth, stretched
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

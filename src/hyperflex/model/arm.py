@@ -15,7 +15,7 @@ from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
-from hyperflex.model.properties import LINKS
+from hyperflex.model.properties import LINK_PROPERTIES
 from hyperflex.model.rope import Rope
 
 
@@ -58,7 +58,7 @@ class Arm:
     pivot: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for each in LINKS:
+        for each in LINK_PROPERTIES:
             if each.name in vars(self):
                 sign: checks.Sign = "any" if each.sign == "any" else "nonnegative"
                 value = checks.number(f"arm {each.name}", getattr(self, each.name), sign=sign, unit=each.unit)
@@ -111,7 +111,7 @@ class Arm:
             raise InvalidInput("a torque-driven arm needs a length", got=self.length, allowed="length > 0, in m")
 
         both: dict[str, Any] = {}
-        for each in LINKS:
+        for each in LINK_PROPERTIES:
             own = getattr(self, each.name, each.default)
             both[each.field] = np.concatenate([[own], getattr(rope, each.name)])
         return read_only(rope.chain()._replace(**both))

@@ -1,7 +1,5 @@
 """Obstacles that a rope may touch: round pegs, walls and grounds; in files, and as kernel arrays."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields

@@ -4,8 +4,6 @@ A new property of the links is a row here, an argument of :class:`hyperflex.mode
 ``core.chain.Chain``; files, identification, the comparison of models, derivatives and reports read the row.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass
@@ -31,7 +29,8 @@ class Property:
     unit : str
         SI.
     field : str
-        In :class:`hyperflex.core.chain.Chain`; of a resistance also the word for it in the names of candidate models.
+        In :class:`hyperflex.core.chain.articulated_body.Chain`; of a resistance also the word for it in the names of
+        candidate models.
     owner : str
         Whose it is: of each ``link`` (or of its joint), of the whole ``rope``, of the ``motion``, the ``camera``, each
         ``marker`` or the ``arm``.
@@ -93,11 +92,11 @@ _TABLE = (
     Property("arm_friction", "viscous friction of the shaft", "N m s/rad", owner="arm"),
 )
 PROPERTIES = {each.name: each for each in _TABLE}
-LINKS = tuple(each for each in _TABLE if each.owner == "link")
-LINK_NAMES = tuple(each.name for each in LINKS)
-RESISTANCES = tuple(each for each in LINKS if each.ratio)  # linear in the torques, beside masses and inertias
+LINK_PROPERTIES = tuple(each for each in _TABLE if each.owner == "link")
+LINK_NAMES = tuple(each.name for each in LINK_PROPERTIES)
+RESISTANCES = tuple(each for each in LINK_PROPERTIES if each.ratio)  # linear in the torques, beside masses and inertias
 DAMPING = tuple(each.name for each in RESISTANCES if each.unit != "N m/rad")  # but springs: they take energy away
-FREE = {each.name: each for each in _TABLE if each.form}  # what can be fitted
+FREE_PROPERTIES = {each.name: each for each in _TABLE if each.form}  # what can be fitted
 
 
 class Ratio(NamedTuple):
@@ -121,7 +120,7 @@ class Label(NamedTuple):
     law: str
 
 
-def parsed(text: object) -> Label | None:
+def parse_label(text: object) -> Label | None:
     """Return what a label names, or None where it is none; a place and a law exclude each other."""
     match = _LABEL.match(text) if isinstance(text, str) else None
     if match is None or (match["place"] and match["law"]):

@@ -1,7 +1,5 @@
 """Refinement of a rope's links where it may wind round a peg."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle, Peg
-from hyperflex.model.properties import LINKS
+from hyperflex.model.properties import LINK_PROPERTIES
 from hyperflex.model.rope import Rope, bend_limits, bend_ratios
 from hyperflex.model.stretch import across, uniform
 
@@ -105,7 +103,7 @@ def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
         mass=mass,
         com=np.repeat(rope.com / pieces, pieces),
         inertia=np.repeat(_inertia(rope, pieces), pieces),
-        **{each.name: np.repeat(getattr(rope, each.name), pieces) for each in LINKS if each.cut == "alike"},
+        **{each.name: np.repeat(getattr(rope, each.name), pieces) for each in LINK_PROPERTIES if each.cut == "alike"},
         **_joints(rope, length),
     )
 
@@ -126,7 +124,7 @@ def recut(rope: Rope, n_links: int) -> Rope:
     com = (mass * middle).sum(axis=1) / np.maximum(total, 1e-300)
     inertia = (mass * (part**2 / 12.0 + (middle - com[:, None]) ** 2)).sum(axis=1) + 0.25 * total * rope.radius**2
     length = np.full(n_links, ends[-1] / n_links)
-    alike = {each.name: part @ getattr(rope, each.name) / length for each in LINKS if each.cut == "alike"}
+    alike = {each.name: part @ getattr(rope, each.name) / length for each in LINK_PROPERTIES if each.cut == "alike"}
     return rope.replace(length=length, mass=total, com=com, inertia=inertia, **alike, **_joints(rope, length))
 
 
@@ -162,7 +160,7 @@ def _joints(rope: Rope, length: Array) -> dict[str, Array]:
     """Return the properties of the joints of the same rope cut into links of other lengths (m,)."""
     old, new = (np.cumsum(each) - each for each in (rope.length, length))
     found = {}
-    for each in LINKS:
+    for each in LINK_PROPERTIES:
         value = getattr(rope, each.name)
         if each.cut == "joint":
             found[each.name] = np.interp(new, old, value)

@@ -15,7 +15,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
-from hyperflex.model.properties import LINK_NAMES, LINKS
+from hyperflex.model.properties import LINK_NAMES, LINK_PROPERTIES
 from hyperflex.model.rope_table import MOST_LINKS, from_table, to_table
 
 GRAVITY = (0.0, -9.81)  # m/s^2
@@ -115,7 +115,7 @@ class Rope:
         given: dict[str, npt.ArrayLike | None] = {each: arguments[each] for each in LINK_NAMES}
         n = _number_of_links(given)
         r = checks.number("radius", radius, sign="nonnegative", unit="m")
-        for each in LINKS:
+        for each in LINK_PROPERTIES:
             value = given[each.name]
             if each.name == "com" and value is None:
                 value = 0.5 * self.length
@@ -270,7 +270,7 @@ class Rope:
     def chain(self) -> Chain:
         """Return the arrays as the kernels take them."""
         chain = Chain(
-            **{each.field: getattr(self, each.name) for each in LINKS},
+            **{each.field: getattr(self, each.name) for each in LINK_PROPERTIES},
             tip_mass=self.tip_mass,
             gx=float(self.gravity[0]),
             gy=float(self.gravity[1]),

@@ -1,7 +1,5 @@
 """The ``[rope]`` table of a TOML file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -56,7 +56,7 @@ class Setup:
     pegs : sequence of Peg, Wall or Ground, optional
         What the rope may touch; for ropes with friction_model="relative".
     contact_step : float
-        Longest step beside a peg, or with a joint at its limit, s; what closes slower than 1 cm/s, or than 50 m/s^2
+        Longest step with a peg, or with a joint at its limit, s; what closes slower than 1 cm/s, or than 50 m/s^2
         times it, does not bounce.
     tip_force : (2,) array_like
         Constant force on the tip beside gravity, N; only in a set-up with pegs.

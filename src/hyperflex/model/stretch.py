@@ -1,7 +1,5 @@
 """The same rope with links of other lengths."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

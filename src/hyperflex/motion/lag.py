@@ -1,7 +1,5 @@
 """A motion behind a motor with lag: a first-order filter of the arm angle."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Ready-made motions: hold, move, the paper's swings, and measured samples."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Sequences of arm moves with rests in between: moves through given angles, and half turns at given times."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

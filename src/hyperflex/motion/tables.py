@@ -1,7 +1,5 @@
 """Motions in files: CSV samples, and tables of a TOML file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Derivatives of a motion by its parameters: of its breaks and coefficients."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -32,7 +30,7 @@ _SAMPLES: dict[str, tuple[Callable[..., Motion], tuple[str, ...]]] = {
 }
 
 
-def parameters(motion: Motion) -> list[str]:
+def motion_parameters(motion: Motion) -> list[str]:
     """Return the names by which a motion can vary: its times and angles, each of its samples, and its delay."""
     names = ["delay"]
     for name in {**_FORMULAS, **_SAMPLES}.get(motion.spec.get("kind", ""), (None, ()))[1]:
@@ -41,25 +39,25 @@ def parameters(motion: Motion) -> list[str]:
     return names
 
 
-def variation(motion: Motion, name: str) -> tuple[Array, Array]:
+def motion_derivatives(motion: Motion, name: str) -> tuple[Array, Array]:
     """Return the derivatives of a motion's breaks (k + 1,) and coefficients (k, 4, 6) with respect to a parameter.
 
     Parameters
     ----------
     motion : Motion
     name : str
-        One of :func:`parameters`.
+        One of :func:`motion_parameters`.
 
     Raises
     ------
     InvalidInput
         If the motion has no such parameter, or was not made from parameters (joined, read from pieces).
     """
-    if name not in parameters(motion):
+    if name not in motion_parameters(motion):
         raise InvalidInput(
             f"motion of kind {motion.spec.get('kind', 'pieces')!r} has no parameter of that name",
             got=name,
-            allowed=", ".join(parameters(motion)),
+            allowed=", ".join(motion_parameters(motion)),
             fix="For any other change give the derivatives of breaks and coef themselves",
         )
     if name == "delay":

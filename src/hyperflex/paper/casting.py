@@ -1,7 +1,5 @@
 """Casting by swinging, open loop (paper section IV): cable, arm and runs, Figs. 9 to 12 as tables, claims C2 to C4."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property

@@ -8,8 +8,6 @@ tables within 15 %, so that is what the paper's swing is taken for; a wide one o
 told from zero only there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """Claim C1: partial linearisation, equations (2) and (3), on the paper's own cast."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

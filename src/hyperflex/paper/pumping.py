@@ -1,7 +1,5 @@
 """Pumping the paper's cable to 1.8 m: its rest, the best constant rest, free rests, and the closed loop."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

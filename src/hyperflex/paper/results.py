@@ -1,7 +1,5 @@
 """The form of the paper's results: claims with thresholds, and tables of numbers behind its figures."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -20,7 +18,7 @@ class Case(Protocol):
 class Claim:
     """A claim of the paper: its threshold, and the measured value."""
 
-    name: str  # "C1" to "C7"
+    name: str  # "C1" to "C8"
     statement: str
     case: Case
     measured: float

@@ -1,7 +1,5 @@
 """Timing control by the tip's phase (paper section IV.B, Fig. 13): runs, numbers and claim C5."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise

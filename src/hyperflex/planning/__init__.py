@@ -6,7 +6,7 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.planning.cast_setup import CastSetup, MotorLimits
-    from hyperflex.planning.feedback.closed_loop import FollowResult, follow_plan
+    from hyperflex.planning.feedback.closed_loop import Decision, FollowResult, follow_plan
     from hyperflex.planning.feedback.simulated_ropes import MotorStateSource, ScenarioStateSource
     from hyperflex.planning.outcome import (
         BOUNCE_TIME,
@@ -29,9 +29,15 @@ if TYPE_CHECKING:
     from hyperflex.planning.whip.impact import IMPACT_RADIUS, IMPACT_TIME, Impact
     from hyperflex.planning.whip.outcome import TipStrike
     from hyperflex.planning.whip.planner import plan_whip
-    from hyperflex.planning.whip.search import WhipFeasibility, WhipMap, build_whip_map, check_whip_feasibility
+    from hyperflex.planning.whip.search import (
+        WhipCandidate,
+        WhipFeasibility,
+        WhipMap,
+        build_whip_map,
+        check_whip_feasibility,
+    )
     from hyperflex.planning.whip.strokes import Strokes
-    from hyperflex.planning.whip.tip_target import TipTarget
+    from hyperflex.planning.whip.tip_target import Peaks, TipTarget
     from hyperflex.planning.whip.whip_plan import WhipPlan
     from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget
     from hyperflex.planning.wind.casting import plan_cast

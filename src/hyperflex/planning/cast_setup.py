@@ -1,7 +1,5 @@
 """What a plan is made for: a rope on an arm, the motor's limits, and the time until the strike."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -110,7 +108,7 @@ class CastSetup:
                 raise InvalidInput(f"{name} is not of its class", got=getattr(self, name), allowed=kind.__name__)
         if self.rope.n_links < MIN_LINKS:
             raise InvalidInput(
-                "rope has too few links to wind round anything",
+                "rope has too few links to be cast",
                 got=self.rope.n_links,
                 allowed=f"at least {MIN_LINKS}; 25 to 60 are usual",
                 fix="Give the rope more, shorter links",

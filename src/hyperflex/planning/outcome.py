@@ -1,7 +1,5 @@
 """The outcome of a throw in a simulated run: wound or not, held or not, why not, and the force that it holds."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,8 +40,8 @@ class CastOutcome:
     slip : float
         Greatest slip of the rope on the peg in the watch, m; NaN or infinite if the rope is not on the peg.
     load_ratio : float
-        Greatest pull of the arm's side in the watch over the greatest that Capstan's rule allows; NaN if the rope is
-        not on the peg. Below 1 there is a margin.
+        Greatest pull of the arm's side in the watch over the greatest that the capstan equation allows; NaN if the rope
+        is not on the peg. Below 1 there is a margin.
     strike_time : float
         Start of the longest stay on the peg, s, breaks of BOUNCE_TIME included; NaN if the rope never touches it.
     touch_time : float
@@ -103,7 +101,7 @@ def verify_cast(
     watch_time: float = WATCH_TIME,
     time_budget: float | None = None,
 ) -> CastOutcome:
-    """Simulate a motion from rest beside a peg, with links refined near the peg, and evaluate the outcome.
+    """Simulate a motion from rest with a peg, with links refined near the peg, and evaluate the outcome.
 
     Parameters
     ----------
@@ -192,7 +190,7 @@ def _longest_stay(t: Array, touched: npt.NDArray[np.bool_]) -> float:
 
 
 def _load_ratio(wound: Winding, watched: npt.NDArray[np.bool_], peg: Peg) -> float:
-    """Return the greatest ratio of the pull to what Capstan's rule allows, both averaged over MEAN_TIME."""
+    """Return the greatest ratio of the pull to what the capstan equation allows, both averaged over MEAN_TIME."""
     count = max(1, round(MEAN_TIME / SAMPLE_TIME))
     before, after = (
         np.convolve(force[watched], np.full(count, 1.0 / count), mode="valid") for force in (wound.before, wound.after)
@@ -203,7 +201,7 @@ def _load_ratio(wound: Winding, watched: npt.NDArray[np.bool_], peg: Peg) -> flo
 
 @dataclass(frozen=True, eq=False)
 class HoldingForce:
-    """Force that a wound rope bears, by a simulated tug from the end of a run and by Capstan's rule.
+    """Force that a wound rope bears, by a simulated tug from the end of a run and by the capstan equation.
 
     `tail_weight` is that of the rope that hangs beyond the peg, N, `contact_angle` >= 0 the angle about the peg from
     the first to the last link in contact, rad, `mu` the friction coefficient between rope and peg.
@@ -221,7 +219,7 @@ class HoldingForce:
 
     @property
     def capstan_force(self) -> float:
-        """Capstan's rule for a rope without weight on the peg: the tail's weight times e^(mu angle), N."""
+        """The capstan equation for a rope without weight on the peg: the tail's weight times e^(mu angle), N."""
         return float(self.tail_weight * np.exp(self.mu * self.contact_angle))
 
 

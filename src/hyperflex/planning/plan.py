@@ -1,7 +1,5 @@
 """What casts and whips have in common as plans: success, the motor's file, and a TOML file that reads back equal."""
 
-from __future__ import annotations
-
 import math
 import types
 from abc import ABC, abstractmethod

@@ -1,7 +1,5 @@
 """Plans read back from the files that they were written to."""
 
-from __future__ import annotations
-
 from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN

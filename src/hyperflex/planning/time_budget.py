@@ -1,7 +1,5 @@
 """A clock for time budgets that does not count the compiling of kernels."""
 
-from __future__ import annotations
-
 import time
 
 from hyperflex.core.jit import compiling

@@ -1,7 +1,5 @@
 """Measured data: link angles or marker positions with their times, gaps and noise, and readers for common files."""
 
-from __future__ import annotations
-
 from hyperflex.recording.read import read_recording
 from hyperflex.recording.recording import Recording, unwrap
 

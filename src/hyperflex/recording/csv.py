@@ -1,7 +1,5 @@
 """CSV tables of angles (``t, th1, .., w1, ..``) or markers (``t, x0, y0, x1, y1, ..``), units in names or notes."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 Nothing is guessed: what neither the file nor the caller declares is refused, and what both declare must agree.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -134,7 +132,6 @@ def _require_all(raw: Raw, declared: Mapping[str, object]) -> None:
 
 
 def _seconds(raw: Raw, declared: Mapping[str, object]) -> Array:
-    """Return the sample times in s."""
     unit = checks.choice("time_unit", declared.get("time_unit"), OPTIONS["time_unit"])
     if unit == "frame":
         return raw.t / checks.number("frame_rate", declared.get("frame_rate"), sign="positive", unit="frames/s")

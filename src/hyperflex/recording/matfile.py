@@ -5,8 +5,6 @@
 published preparation scripts write (github.com/dynamicslab/MultiArm-Pendulum, MIT licence).
 """
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

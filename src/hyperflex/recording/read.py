@@ -1,7 +1,5 @@
 """Read recordings from files of any known format, NetCDF-4 with its attributes among them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -55,10 +53,8 @@ def read_recording(
         Frames/s, of times that count frames; length of a pixel, m.
     y_axis : {"up", "down"}
         Direction of the markers' y axis (mostly down for pixels).
-    zero : {"hanging", "up"}
-        Where angles are 0; by default "hanging", "up" for ``.mat``.
-    sense : {"+x", "-x"}
-        Side to which angles grow; by default "+x".
+    zero, sense : {"hanging", "up"}, {"+x", "-x"}
+        Where angles are 0, by default "hanging" ("up" for ``.mat``), and the side to which they grow, by default "+x".
     angles : {"absolute", "relative"}
         Whether each link's angle is against the vertical (default) or the link before.
     wrapped : bool

@@ -194,7 +194,6 @@ class Recording:
         return np.diff(self.data.reshape(self.t.size, -1, 2), axis=1)
 
     def _pick(self, rows: Array | np.ndarray[tuple[int], np.dtype[np.bool_ | np.intp]]) -> Recording:
-        """Return the chosen samples."""
         return replace(
             self,
             t=self.t[rows],

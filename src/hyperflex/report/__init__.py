@@ -1,1 +1,22 @@
 """Pictures, films and pages of results."""
+
+from typing import TYPE_CHECKING
+
+from hyperflex.lazy import attach
+
+if TYPE_CHECKING:
+    from hyperflex.report.animation import animate
+    from hyperflex.report.cast.report import CastReport, plain_reason
+    from hyperflex.report.folder import Progress, silent, whole_folder
+    from hyperflex.report.identification.figures import fit_figure
+    from hyperflex.report.identification.fitted import fitted_channels
+    from hyperflex.report.identification.page import write_identification
+    from hyperflex.report.identification.parameters import parameters_table, ratios_table
+    from hyperflex.report.page import Picture, Section, TextTable, sections_markdown, write_page
+    from hyperflex.report.plan import PlanReport, film_progress, search_summary
+    from hyperflex.report.strobe import strobe_figure
+    from hyperflex.report.style import BLUE, GREEN, GREY, INK, OUTCOME_COLOUR, RED, legend, new_figure, png
+    from hyperflex.report.units import readable_unit
+    from hyperflex.report.whip.report import WhipReport
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -19,7 +19,7 @@ from hyperflex.trajectory import Trajectory
 if TYPE_CHECKING:
     from PIL import Image
 
-Progress = Callable[[int, int], None]
+FrameProgress = Callable[[int, int], None]
 Note = Callable[[float], str]
 Colour = tuple[int, int, int]
 
@@ -70,7 +70,7 @@ def animate(
     title: str = "",
     note: Note | None = None,
     targets: Array | None = None,
-    progress: Progress | None = None,
+    progress: FrameProgress | None = None,
 ) -> None:
     """Write an animated GIF of a run, whole or not at all.
 
@@ -138,7 +138,7 @@ def _view(run: Trajectory, targets: Array, width: int, room: int) -> _View:
 
 
 def _frames(
-    scene: _Scene, times: Array, words: tuple[str, Note | None], progress: Progress | None
+    scene: _Scene, times: Array, words: tuple[str, Note | None], progress: FrameProgress | None
 ) -> Iterator[Image.Image]:
     from PIL import Image, ImageDraw, ImageFont
 

@@ -1,7 +1,5 @@
 """The folder that a report goes to: all of its files or none."""
 
-from __future__ import annotations
-
 import os
 import secrets
 import shutil

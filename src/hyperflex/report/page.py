@@ -1,7 +1,5 @@
 """One-page reports: sections, pictures and tables in a single HTML file; tables as Markdown too."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What pictures and films of a run share: shapes of the rope between its samples, the span of time, the view."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

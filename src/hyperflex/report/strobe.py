@@ -21,7 +21,7 @@ _COLOURS = ("#27406b", "#2f7fb5", "#4fc3c0", "#f2d479", "#ff8a4c")  # first inst
 _TRAIL_POINTS = 800
 
 
-def strobe(
+def strobe_figure(
     run: Trajectory,
     *,
     start: float | None = None,

@@ -1,13 +1,11 @@
 """Numbers as people read them: a unit that suits their size, and as many digits as their uncertainty leaves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.model.properties import PROPERTIES, RATIOS
+from hyperflex.model import PROPERTIES, RATIOS
 
 
 def _ladder(unit: str, prefixes: str) -> tuple[tuple[float, str], ...]:
@@ -41,7 +39,7 @@ class Unit:
         return f" {self.name}".replace(" ", "\u00a0") if self.name else ""
 
 
-def readable(what: str, values: npt.ArrayLike) -> Unit:
+def readable_unit(what: str, values: npt.ArrayLike) -> Unit:
     """Return the unit that suits these values of a property, or of a residual in ``rad`` or ``m``.
 
     The largest one in which the greatest value is at least 1, else the smallest there is; numbers without a unit keep

@@ -1,9 +1,8 @@
 """Sensor models with derivatives, for identification and filters."""
 
-from __future__ import annotations
-
 from hyperflex.sensors.accelerometer import Accelerometer
 from hyperflex.sensors.motor_torque import MotorTorque
-from hyperflex.sensors.posture import Angles, Markers, Measurement, Sensor
+from hyperflex.sensors.posture import Angles, Markers, PostureSensor
+from hyperflex.sensors.sensor import Measurement, Sensor
 
-__all__ = ["Accelerometer", "Angles", "Markers", "Measurement", "MotorTorque", "Sensor"]
+__all__ = ["Accelerometer", "Angles", "Markers", "Measurement", "MotorTorque", "PostureSensor", "Sensor"]

@@ -7,15 +7,18 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.chain.articulated_body import Chain, accelerations
-from hyperflex.core.chain.drive import ANGLE, Drive, base_state, segment
-from hyperflex.core.chain.motor_torque import senses
+from hyperflex.core.chain.drive import ANGLE
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, Setup
-from hyperflex.sensors.posture import Measurement
-from hyperflex.simulation.commands import arm_polynomials, set_commands, state_directions
-from hyperflex.simulation.rollouts import Interval
-from hyperflex.simulation.sensitivity.sensitivity import acceleration_jacobian
+from hyperflex.sensors.sensor import Measurement, angles_and_rates
+from hyperflex.simulation import (
+    Interval,
+    acceleration_jacobian,
+    arm_polynomials,
+    link_accelerations,
+    set_commands,
+    state_directions,
+)
 from hyperflex.trajectory import State
 
 ROUNDING = 1e-9  # of the rope's length: sums of lengths of links differ by less
@@ -69,20 +72,12 @@ class Accelerometer:
         return Accelerometer(self.link, float(values[2]), values[:2])
 
     def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
-        """Return what is seen in one state of the arm and `rope`, y (2,), with derivatives.
-
-        Parameters
-        ----------
-        rope, arm : Rope, Arm
-        state : State
-            Its ``arm_angle`` and ``arm_rate`` count as 0 where they are not known.
-        acceleration : float
-            Of the arm, rad/s^2.
+        """Return what is seen in one state, y (2,), with derivatives; see :class:`Sensor`.
 
         Raises
         ------
         InvalidInput
-            If the place is not on the link, or a number cannot be used.
+            If the place is not on the link, or an argument cannot be used.
 
         Notes
         -----
@@ -90,14 +85,17 @@ class Accelerometer:
         state locked. Where a torque drives the arm, its acceleration depends on the state too: let A, B be those of
         ``linearize(..., command="torque")`` without `dt`; then H + D A[n + 1] and D B[n + 1] are the derivatives.
         """
-        n, beyond = rope.n_links, self._beyond(rope)
         angles, rates, interval = _moving(rope, arm, state, acceleration)
+        n, beyond = rope.n_links, self._beyond(rope)
         chain, start = rope.chain(), (angles[1:], rates[1:])
         by_state, seeds = state_directions("acceleration", chain, interval.drive)
         set_commands("acceleration", seeds, POWERS)
 
         # the arm counts as a link before the others, and so does its acceleration among theirs
-        alphas, slopes = np.append(acceleration, _alphas(chain, interval.drive, *start)), np.zeros((n + 1, 2 * n + 3))
+        alphas, slopes = (
+            np.append(acceleration, link_accelerations(chain, interval.drive, 0.0, *start)),
+            np.zeros((n + 1, 2 * n + 3)),
+        )
         slopes[0, -1] = 1.0
         slopes[1:] = acceleration_jacobian(chain, interval.drive, start, seeds, by_state)[:, : 2 * n + 3]
         lengths = np.append(arm.length, rope.length)
@@ -108,7 +106,7 @@ class Accelerometer:
         """Return the derivatives (2, 3) by bias and arc length; arguments as of :meth:`measure`."""
         self._beyond(rope)
         angles, rates, interval = _moving(rope, arm, state, acceleration)
-        alphas = _alphas(rope.chain(), interval.drive, angles[1:], rates[1:])
+        alphas = link_accelerations(rope.chain(), interval.drive, 0.0, angles[1:], rates[1:])
         return np.column_stack([np.eye(2), [alphas[self.link], rates[self.link + 1] ** 2]])
 
     def _beyond(self, rope: Rope) -> float:
@@ -129,22 +127,11 @@ class Accelerometer:
 
 def _moving(rope: Rope, arm: Arm, state: State, acceleration: float) -> tuple[Array, Array, Interval]:
     """Return angles and rates (n + 1,) of the arm and all links, checked, and the interval that drives the arm so."""
-    q, w = (checks.array(f"state {k}", getattr(state, k), (rope.n_links,)) for k in ("q", "qd"))
+    angles, rates = angles_and_rates(rope, arm, state)
     u = checks.number("acceleration", acceleration, unit="rad/s^2")
-    angles, rates = np.append(state.arm_angle or 0.0, q), np.append(state.arm_rate or 0.0, w)
     interval = Interval(Setup(rope, None, arm).drive())
     interval.set(0.0, 1.0, ANGLE, np.array([angles[0], rates[0], u]) @ POWERS)
     return angles, rates, interval
-
-
-def _alphas(chain: Chain, drive: Drive, q: Array, w: Array) -> Array:
-    """Return the links' accelerations (n,) at t = 0, rad/s^2; joints that dry friction holds are locked."""
-    n = q.size
-    base, slip, alphas = np.empty(9), np.ones((1, n)), np.empty(n)
-    torque = base_state(drive, segment(drive, 0.0), 0.0, base)
-    senses(chain, drive, np.zeros(1), np.concatenate([q, w])[None], slip)
-    accelerations(chain, q, w, slip[0], base[:7], torque, 0.0, alphas, np.empty(6 * n))
-    return alphas
 
 
 def _seen(

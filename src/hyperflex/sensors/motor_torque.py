@@ -12,12 +12,9 @@ from hyperflex.core.chain import motor_torque as core
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import ANGLE, Drive
 from hyperflex.core.read_only import read_only
-from hyperflex.model import Arm, Rope, Setup
-from hyperflex.model.properties import LINKS, PROPERTIES
-from hyperflex.sensors.posture import Measurement
-from hyperflex.simulation.commands import arm_polynomials
-from hyperflex.simulation.rollouts import Interval
-from hyperflex.simulation.sensitivity.directions import Part
+from hyperflex.model import LINK_PROPERTIES, PROPERTIES, Arm, Rope, Setup
+from hyperflex.sensors.sensor import Measurement, angles_and_rates
+from hyperflex.simulation import Interval, ParameterChange, arm_polynomials
 from hyperflex.trajectory import State
 
 ANGLE_STEP = 1e-5  # rad, and of x: differences of a smooth function then err by some 1e-10 of it
@@ -44,33 +41,31 @@ class MotorTorque:
         """Return the same sensor with another inertia and friction (2,)."""
         return MotorTorque(replace(self.arm, inertia=float(values[0]), friction=float(values[1])))
 
-    def measure(self, rope: Rope, state: State, acceleration: float = 0.0) -> Measurement:
-        """Return the torque in one state of the arm and `rope`, y (1,), with derivatives.
+    def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
+        """Return the torque in one state, y (1,), with derivatives; see :class:`Sensor`.
 
-        Parameters
-        ----------
-        rope : Rope
-        state : State
-            Its ``arm_angle`` and ``arm_rate`` count as 0 where they are not known.
-        acceleration : float
-            Of the arm, rad/s^2.
+        Inertia and friction are the sensor's own values, not those of `arm`.
         """
-        n, interval = rope.n_links, Interval(Setup(rope, None, self.arm).drive())
+        angles, rates = angles_and_rates(rope, arm, state)
+        motor = MotorTorque(arm).with_values(self.values)
+        n, interval = rope.n_links, Interval(Setup(rope, None, arm).drive())
         u = checks.number("acceleration", acceleration, unit="rad/s^2")
         rows, _ = arm_polynomials("acceleration", 1.0)
-        interval.set(0.0, 1.0, ANGLE, np.array([state.arm_angle or 0.0, state.arm_rate or 0.0, u]) @ rows)
-        y = np.concatenate([checks.array(f"state {k}", getattr(state, k), (n,)) for k in ("q", "qd")])[None]
+        interval.set(0.0, 1.0, ANGLE, np.array([angles[0], rates[0], u]) @ rows)
+        y = np.concatenate([angles[1:], rates[1:]])[None]
         parts = tuple({"coef": np.pad(row[None, None], ((0, 0), (ANGLE, 3 - ANGLE), (0, 0)))} for row in rows)
         t, chain, moved = np.zeros(1), rope.chain(), np.eye(2 * n, 2 * n + 3)[None]
-        slopes = self.jacobian(chain, interval.drive, parts, t, y, moved)
+        slopes = motor.jacobian(chain, interval.drive, parts, t, y, moved)
         order = [2 * n, *range(n), 2 * n + 1, *range(n, 2 * n)]
-        return Measurement(self.predict(chain, interval.drive, t, y), slopes[:, order], slopes[:, 2 * n + 2 :])
+        return Measurement(motor.predict(chain, interval.drive, t, y), slopes[:, order], slopes[:, 2 * n + 2 :])
 
     def predict(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
         """Return the torque (m,), N m, at times t (m,) and states y (m, 2n or more)."""
         return self._torque(chain, drive, t, y, self._slip(chain, drive, t, y))
 
-    def jacobian(self, chain: Chain, drive: Drive, parts: tuple[Part, ...], t: Array, y: Array, dy: Array) -> Array:
+    def jacobian(
+        self, chain: Chain, drive: Drive, parts: tuple[ParameterChange, ...], t: Array, y: Array, dy: Array
+    ) -> Array:
         """Return its derivatives (m, 2n + P): by the start's state, and by the parameters whose changes are `parts`.
 
         `parts` are P changes of the chain, or of the drive's ``breaks`` and ``coef``; y is (m, 2n or more), dy
@@ -117,7 +112,7 @@ class MotorTorque:
         return result
 
 
-def _moved(chain: Chain, part: Part, step: float) -> Chain:
+def _moved(chain: Chain, part: ParameterChange, step: float) -> Chain:
     """Return the chain with the properties in `part` changed by `step` times as much."""
     changes: dict[str, object] = {}
     for name, change in part.items():
@@ -125,11 +120,13 @@ def _moved(chain: Chain, part: Part, step: float) -> Chain:
             changes |= {"gx": chain.gx + step * float(change[0]), "gy": chain.gy + step * float(change[1])}
         elif name in PROPERTIES:
             field = PROPERTIES[name].field
-            changes[field] = getattr(chain, field) + step * (change if PROPERTIES[name] in LINKS else float(change[0]))
+            changes[field] = getattr(chain, field) + step * (
+                change if PROPERTIES[name] in LINK_PROPERTIES else float(change[0])
+            )
     return read_only(chain._replace(**changes))  # type: ignore[arg-type]
 
 
-def _shifted(drive: Drive, part: Part, step: float) -> Drive:
+def _shifted(drive: Drive, part: ParameterChange, step: float) -> Drive:
     """Return the drive with its breaks and pieces changed by `step` times as much as `part` says."""
     changes = {name: getattr(drive, name) + step * part[name] for name in ("breaks", "coef") if name in part}
     return read_only(drive._replace(**changes))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,42 +11,21 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope
+from hyperflex.sensors.sensor import Measurement, angles_and_rates
 from hyperflex.trajectory import State
 
 
-class Measurement(NamedTuple):
-    """What a sensor shows in a state x = (arm angle, q, arm rate, qd), and its derivatives.
-
-    Attributes
-    ----------
-    y : (C,) float64
-        The channels: rad, m, N m or m/s^2.
-    H : (C, 2 n + 2) float64
-        Their derivatives with respect to x.
-    D : (C, 1) float64
-        With respect to the arm's acceleration, per rad/s^2.
-    """
-
-    y: Array
-    H: Array
-    D: Array
-
-
-class Sensor(ABC):
+class PostureSensor(ABC):
     """A sensor of the posture of a rope.
 
-    Attributes
-    ----------
-    placed : bool
-        Whether it measures places, which depend on the first joint's.
-    values : (V,) float64
-        Values of the sensor itself that may be fitted.
+    `placed` tells whether it measures places, which depend on the first joint's; `values` (V,) are its own values that
+    may be fitted.
     """
 
     placed = False
     values = np.zeros(0)
 
-    def with_values(self, values: Array) -> Sensor:
+    def with_values(self, values: Array) -> PostureSensor:
         """Return the same sensor with other values (V,)."""
         return self
 
@@ -63,20 +41,20 @@ class Sensor(ABC):
     def value_jacobian(self, rope: Rope, q: Array) -> Array:
         """Return their derivatives with respect to the sensor's values (m, C, V)."""
 
-    def measure(self, rope: Rope, arm: Arm, state: State) -> Measurement:
-        """Return the channels in one state, with derivatives; ``state.arm_angle`` None counts as 0."""
-        n = rope.n_links
-        q = checks.array("state q", state.q, (n,), unit="rad")[None]
-        angle = state.arm_angle or 0.0
+    def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
+        """Return the channels in one state, with derivatives; see :class:`Sensor`."""
+        angles, _ = angles_and_rates(rope, arm, state)
+        checks.number("acceleration", acceleration, unit="rad/s^2")
+        n, angle, q = rope.n_links, angles[0], angles[None, 1:]
         dq, dpivot = np.zeros((1, n, 2 * n + 2)), np.zeros((1, 2, 2 * n + 2))
         dq[0, :, 1 : n + 1] = np.eye(n)
         dpivot[0, :, 0] = arm.length * np.array([np.cos(angle), np.sin(angle)])
-        y = self.predict(rope, q, arm.tip(np.array([angle])))[0]
+        y = self.predict(rope, q, arm.tip(np.array([angle])))[0].copy()
         slopes = self.jacobian(rope, q, dq, dpivot, np.zeros((n, 2 * n + 2)))[0]
         return Measurement(y, slopes, np.zeros((y.size, 1)))
 
 
-class Angles(Sensor):
+class Angles(PostureSensor):
     """Absolute link angles, rad."""
 
     def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
@@ -89,7 +67,7 @@ class Angles(Sensor):
         return np.zeros((*q.shape, 0))
 
 
-class Markers(Sensor):
+class Markers(PostureSensor):
     """Places of K markers along the rope, m, in channels x0, y0, x1, y1, ...
 
     Parameters

@@ -1,7 +1,5 @@
 """Arguments of a run: a set-up or its parts, and output times."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -19,14 +17,12 @@ SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose
 MOST_OUTPUTS = 1e7  # of a run whose user has not chosen; more of them would fill the memory first
 
 
-def whole_setup(rope: Rope | Setup, allowed: str, *given: dict[str, Any]) -> Setup:
-    """Return the set-up that stands for all arguments, or one of the rope alone.
+def whole_setup(rope: object, allowed: str, *given: dict[str, Any]) -> Setup:
+    """Return the set-up that was given in place of a rope and stands for all arguments.
 
     `allowed` says, for the message, what may be given beside a whole set-up, `given` has by name what may not: None or
     False where it is as by default.
     """
-    if isinstance(rope, Rope):
-        return Setup(rope)
     if not isinstance(rope, Setup):
         raise InvalidInput("rope is not a rope", got=rope, allowed="a Rope or a whole Setup")
     if names := [name for each in given for name, value in each.items() if value is not None and value is not False]:
@@ -46,9 +42,9 @@ def setup_of(
     allowed: str,
 ) -> Setup:
     """Return the set-up of what is given, a whole one or its parts; `allowed` as in :func:`whole_setup`."""
-    setup = whole_setup(rope, allowed, {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "tol": tol != DEFAULT_TOL})
     if isinstance(rope, Rope):
         return Setup(rope, motion, arm, duration=needed(duration), q0=q0, qd0=qd0, tol=tol)  # type: ignore[arg-type]
+    setup = whole_setup(rope, allowed, {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "tol": tol != DEFAULT_TOL})
     return setup if duration is None else replace(setup, duration=duration)
 
 

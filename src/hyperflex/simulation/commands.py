@@ -1,7 +1,5 @@
 """Commands of the arm in an interval: acceleration, angle or motor torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +22,9 @@ def setup_for(command: str, setup: Setup) -> Setup:
         raise InvalidInput(
             "a stepper needs an arm to command",
             allowed="arm=Arm(...)",
-            fix="Give Arm(length=0.0) for a rope that hangs from the motor's shaft itself",
+            fix=""
+            if command == "torque"
+            else "Give Arm(length=0.0) for a rope that hangs from the motor's shaft itself",
         )
     return replace(setup, motion=None, torque=torque_profile([0.0, 1.0], [0.0, 0.0]) if command == "torque" else None)
 

@@ -1,7 +1,5 @@
 """Events that end a run where they happen, as in ``until=tip_crosses((0.0, 0.0), (1.0, 0.0))``."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -109,7 +107,7 @@ def phase_reached(phase: float, c: float, *, after: float = -math.inf) -> Event:
         passes x = 0 towards +x, at pi/2 it is farthest out at +x, at pi it comes back through x = 0.
     c : float
         Time constant, s, > 0: one over the angular frequency of the swing, for a rope swung in step with the arm
-        (t_move + t_rest) / pi (the paper's (10) and (11); :func:`hyperflex.spiral` has the whole course).
+        (t_move + t_rest) / pi (the paper's (10) and (11); :func:`hyperflex.control.spiral` has the whole course).
     after : float
         Phases reached before this time do not count, s.
 

@@ -1,7 +1,5 @@
 """Predictability: growth of small errors and the largest Lyapunov exponent."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -15,7 +13,7 @@ from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import setup_of
 from hyperflex.simulation.outcome import refuse_failure
-from hyperflex.simulation.rollouts import finish, limits, prepare
+from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.runs import simulate
 
 SAMPLE_TIME = 0.05  # s, between two renormalisations
@@ -209,8 +207,8 @@ def _drift(
     """Run from `start` plus `nudge` over t (2,): the new nudge, as large as the first; its growth; its displacement."""
     chain = setup.chain()
     nudged = (start[0] + nudge[0], start[1] + nudge[1])
-    run = prepare(chain, setup.drive(), nudged, t, limits(setup, chain, float(t[1])))
-    refuse_failure(finish(run), run)
+    run = prepare_rollout(chain, setup.drive(), nudged, t, rollout_limits(setup, chain, float(t[1])))
+    refuse_failure(finish_rollout(run), run)
     n = chain.length.size
     change = np.stack([run.y[1, :n] - end[0], run.y[1, n : 2 * n] - end[1]])
     unit = NUDGE * setup.rope.total_length

@@ -1,7 +1,5 @@
 """The outcome of a rollout: energy check, errors with advice, and the Trajectory."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.checks import Array

@@ -1,7 +1,5 @@
 """Checkpoints: save the state of a run and resume from it."""
 
-from __future__ import annotations
-
 import hashlib
 import struct
 from typing import Any
@@ -10,6 +8,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.integrate.progress import MARK, STEP, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.errors import InvalidInput
@@ -19,16 +18,18 @@ from hyperflex.simulation.rollouts import Rollout, starting_clock
 from hyperflex.trajectory import State
 
 
-def resume(run: Rollout, state: State, setup: Setup) -> None:
+def resume(run: Rollout, state: State, setup: Setup) -> bool:
     """Let a run go on from a state: bit for bit if nothing but its end has changed.
 
-    What was saved counts while the state's angles and rates are those that it was saved with; else they count alone.
+    What was saved counts while the state is as it was saved; one that was changed by hand, or saved where the arm was
+    driven in another way, counts by its own values alone. Returns whether what was saved counts.
     """
     n = run.chain.length.size
     own = 1 if setup.torque_driven else 0
-    y, clock, saved = run.progress.y, run.progress.clock, state.checkpoint
-    if saved and "y" in saved and np.size(saved["y"]) != 2 * n + 2:
-        raise InvalidInput("state belongs to another chain", got=(np.size(saved["y"]) - 2) // 2, allowed=f"{n} links")
+    y, clock = run.progress.y, run.progress.clock
+    if not isinstance(state, State):
+        raise InvalidInput("state is not a State", got=state, allowed="what a run, start() or step() returned")
+    saved = state.checkpoint if np.size(state.checkpoint.get("y", ())) == 2 * n + 2 else {}
     if saved and np.size(saved.get("clock", ())) != MARK:
         raise InvalidInput(
             "state was saved by another version",
@@ -37,7 +38,7 @@ def resume(run: Rollout, state: State, setup: Setup) -> None:
             fix="Give its q and qd: State(t=..., q=..., qd=...)",
         )
     run.progress.slip[:] = 1.0
-    as_saved = saved and _matches(saved, state, own)
+    as_saved = bool(saved) and _matches(saved, state, own)
     if as_saved and "fingerprint" in saved and saved["fingerprint"] == fingerprint(run, setup):
         y[:], run.progress.slip[:] = saved["mark"], saved["mark_slip"]
         clock[:MARK] = saved["mark_clock"]
@@ -45,21 +46,35 @@ def resume(run: Rollout, state: State, setup: Setup) -> None:
         y[:] = saved["y"]
         clock[:MARK] = saved["clock"]
         restart(clock)
-    else:  # made or changed by hand: a torque-driven arm starts where the state says, or else the set-up
+    else:  # a torque-driven arm starts where the state says, or else the set-up
+        check_state(state, n - own)
         if own:
             y[0] = setup.arm_angle0 if state.arm_angle is None else state.arm_angle
             y[n] = setup.arm_rate0 if state.arm_rate is None else state.arm_rate
-        y[own:n] = checks.array("state q", state.q, (n - own,), unit="rad")
-        y[n + own : 2 * n] = checks.array("state qd", state.qd, (n - own,), unit="rad/s")
+        y[own:n], y[n + own : 2 * n] = state.q, state.qd
         y[2 * n :] = state.work, state.dissipated
-        clock[:MARK] = starting_clock(checks.number("state t", state.t, unit="s"))
+        clock[:MARK] = starting_clock(state.t)
         clock[STEP] = state.step or FIRST_STEP
+    return as_saved
+
+
+def check_state(state: object, n: int) -> State:
+    """Return a state of a rope of n links, or refuse what is none, or holds what no run can begin with."""
+    if not isinstance(state, State):
+        raise InvalidInput("state is not a State", got=state, allowed="what a run, start() or step() returned")
+    checks.array("state q", state.q, (n,), unit="rad")
+    checks.array("state qd", state.qd, (n,), unit="rad/s")
+    checks.number("state step", state.step, sign="nonnegative", unit="s")
+    for name, unit in (("t", "s"), ("work", "J"), ("dissipated", "J"), ("arm_angle", "rad"), ("arm_rate", "rad/s")):
+        if (value := getattr(state, name)) is not None:
+            checks.number(f"state {name}", value, unit=unit)
+    return state
 
 
 def _matches(saved: dict[str, Any], state: State, own: int) -> bool:
-    """Return whether a state's time, angles and rates are as saved; the chain has `own` links of the arm (0 or 1)."""
+    """Return whether a state's values are as saved; the chain has `own` links of the arm (0 or 1)."""
     y, n = saved["y"], saved["y"].size // 2 - 1
-    if saved["clock"][T] != state.t:
+    if (saved["clock"][T], saved["clock"][STEP], *y[2 * n :]) != (state.t, state.step, state.work, state.dissipated):
         return False
     if own and state.arm_angle is not None and (y[0], y[n]) != (state.arm_angle, state.arm_rate):
         return False
@@ -98,11 +113,16 @@ def state_of(
     if own:
         arm = float(y[0]), float(y[n])
     elif arm is None:
-        arm = (0.0, 0.0) if setup.motion is None else (float(setup.motion.angle(t)), float(setup.motion.rate(t)))
+        motion = np.empty(9)
+        base_state(run.drive, segment(run.drive, t), t, motion)
+        arm = float(motion[4]), float(motion[3])
+    q, qd = y[own:n].copy(), y[n + own : 2 * n].copy()
+    q.setflags(write=False)
+    qd.setflags(write=False)
     return State(
         t=t,
-        q=y[own:n].copy(),
-        qd=y[n + own : 2 * n].copy(),
+        q=q,
+        qd=qd,
         step=float(clock[STEP]),
         work=float(y[2 * n]),
         dissipated=float(y[2 * n + 1]),

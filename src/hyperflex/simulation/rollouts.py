@@ -1,7 +1,5 @@
 """Rollouts of a set-up: kernel arrays, step control, progress, torque callbacks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,8 +12,9 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import joint_law, status
-from hyperflex.core.chain.articulated_body import Chain
-from hyperflex.core.chain.drive import TORQUE, Drive
+from hyperflex.core.chain.articulated_body import Chain, accelerations, can_stick
+from hyperflex.core.chain.drive import TORQUE, Drive, base_state, segment
+from hyperflex.core.chain.motor_torque import senses
 from hyperflex.core.integrate import rollout
 from hyperflex.core.integrate.end_conditions import NEVER, Until
 from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
@@ -84,7 +83,7 @@ class Rollout:
         return int(rollout.run(self.chain, self.drive, TABLES, self.limits, self.progress, self.t, self.y))
 
 
-def prepare(
+def prepare_rollout(
     chain: Chain, drive: Drive, start: tuple[Array, Array], t: Array, limits: Limits, log: Array | None = None
 ) -> Rollout:
     """Make a rollout of angles and rates `start` (n,) from time ``t[0]`` with outputs at `t`; steps go to the `log`."""
@@ -107,13 +106,24 @@ def starting_clock(t: float) -> Array:
     return clock
 
 
+def link_accelerations(chain: Chain, drive: Drive, t: float, q: Array, qd: Array) -> Array:
+    """Return the links' accelerations (n,), rad/s^2, at time t, s; joints that dry friction holds are locked."""
+    n = q.size
+    base, slip, alphas = np.empty(9), np.ones((1, n)), np.empty(n)
+    torque = base_state(drive, segment(drive, t), t, base)
+    if can_stick(chain):
+        senses(chain, drive, np.array([t]), np.concatenate([q, qd])[None], slip)
+    accelerations(chain, q, qd, slip[0], base[:7], torque, 0.0, alphas, np.empty(6 * n))
+    return alphas
+
+
 def lever(chain: Chain) -> Array:
     """Return the lever of each link's mass (n,), m: the larger of its length and its radius of gyration."""
     gyration = np.sqrt(chain.inertia / np.maximum(chain.mass, 1e-300) + chain.com**2)
     return np.maximum(chain.length, np.where(chain.mass > 0.0, np.minimum(gyration, 1e3 * chain.length), 0.0))
 
 
-def limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until: Until = NEVER) -> Limits:
+def rollout_limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until: Until = NEVER) -> Limits:
     """Return the bounds of a run until `stop`, s, or what ends it before; refuses an unstable Runge-Kutta step."""
     weight, reach = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy), float(chain.length.sum())
     scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
@@ -144,7 +154,7 @@ def end_at_event(run: Rollout) -> None:
     clock[INDEX], clock[MARK] = run.t.size, -np.inf
 
 
-def finish(run: Rollout, report: Callable[[float], None] | None = None) -> int:
+def finish_rollout(run: Rollout, report: Callable[[float], None] | None = None) -> int:
     """Run to the end and return the status code; `report` is called with the simulated time between budgets."""
     code = status.RUNNING
     run.progress.clock[MARK] = -np.inf

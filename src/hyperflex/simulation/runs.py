@@ -1,7 +1,5 @@
 """Whole runs: from rope and motion to a Trajectory."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -30,13 +28,12 @@ from hyperflex.simulation.rollouts import (
     Rollout,
     controlled,
     end_at_event,
-    finish,
-    limits,
-    prepare,
+    finish_rollout,
+    prepare_rollout,
     progress_bar,
+    rollout_limits,
 )
-from hyperflex.simulation.time_budget import INTERRUPTED, TimeBudgetExceeded, budget_error, enforce_budget
-from hyperflex.simulation.time_budget import NAME as TOO_SLOW
+from hyperflex.simulation.time_budget import INTERRUPTED, OUT_OF_TIME, TimeBudgetExceeded, budget_error, enforce_budget
 from hyperflex.trajectory import State, Trajectory
 
 
@@ -74,7 +71,7 @@ def simulate(
         The rope; or a whole set-up, and then only `duration`, `t_eval`, `state`, `until`, `throw`, `time_budget` and
         `progress` may be given beside it.
     motion : Motion, optional
-        Prescribed motion of the arm, or of the point that the rope hangs from (``moving_point``).
+        Prescribed motion of the arm, or of the point that the rope hangs from (``moving_pivot``).
     arm : Arm, optional
         The arm; without one the rope hangs from the point itself.
     duration : float
@@ -110,9 +107,9 @@ def simulate(
         1e-12 s within the run's own accuracy. Steps are 10 ms at most while an event is awaited; one that comes and
         goes within such a step can be missed.
     pegs : sequence of Peg, Wall or Ground, optional
-        What the rope may touch and wind round. Events are not there yet beside pegs, nor where a joint is at its limit.
+        What the rope may touch and wind round. Events are not there yet with pegs, nor where a joint is at its limit.
     contact_step : float
-        Longest step beside a peg or with a joint at its limit, s. A run that goes on from a `state` takes its steps
+        Longest step with a peg or with a joint at its limit, s. A run that goes on from a `state` takes its steps
         elsewhere than one that was not stopped, so the two agree within the accuracy of these steps only.
     tip_force : (2,) array_like
         Constant force on the tip beside gravity, N; only with pegs.
@@ -156,14 +153,6 @@ def simulate(
     True
     """
     control = torque if callable(torque) else None
-    setup = whole_setup(
-        rope,
-        "duration, t_eval, state, until, throw, progress",
-        {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "step": step, "torque": torque, "pegs": bool(pegs)},
-        {"arm_angle0": arm_angle0 != 0.0, "arm_rate0": arm_rate0 != 0.0, "tol": tol != DEFAULT_TOL},
-        {"method": method != METHODS[0], "control_rate": control_rate, "tip_force": bool(np.any(tip_force))},
-        {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
-    )
     if isinstance(rope, Rope):
         if pegs and refine:
             rope, q0, qd0, state = refine_arguments(rope, tuple(pegs), arm, q0, qd0, state)
@@ -184,13 +173,22 @@ def simulate(
             contact_step=contact_step,
             tip_force=tip_force,  # type: ignore[arg-type]
         )
+    else:
+        setup = whole_setup(
+            rope,
+            "duration, t_eval, state, until, throw, progress",
+            {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "step": step, "torque": torque, "pegs": bool(pegs)},
+            {"arm_angle0": arm_angle0 != 0.0, "arm_rate0": arm_rate0 != 0.0, "tol": tol != DEFAULT_TOL},
+            {"method": method != METHODS[0], "control_rate": control_rate, "tip_force": bool(np.any(tip_force))},
+            {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
+        )
     length = setup.duration if duration is None else checks.number("duration", duration, sign="positive", unit="s")
     begin = _begin(state)
     t = output_times(t_eval, begin, begin + length)
     skip = int(t[0] > begin)  # the energy account starts where the run does, whether or not that is asked for
     chain = setup.chain()
-    bounds = limits(setup, chain, begin + length, until=_ending(until, setup))
-    run = prepare(chain, setup.drive(), setup.start(), np.append(begin, t) if skip else t, bounds)
+    bounds = rollout_limits(setup, chain, begin + length, until=_ending(until, setup))
+    run = prepare_rollout(chain, setup.drive(), setup.start(), np.append(begin, t) if skip else t, bounds)
     if state is not None:
         resume(run, state, setup)
     try:
@@ -206,7 +204,7 @@ def simulate(
     except TimeBudgetExceeded:
         if throw:
             raise budget_error(run.time) from None
-        code, name = status.RUNNING, TOO_SLOW
+        code, name = status.RUNNING, OUT_OF_TIME
     event = None
     if code == status.REACHED and until is not None:
         code, event = status.OK, (until.name, run.time)
@@ -239,7 +237,7 @@ def _finished(
 def runner(run: Rollout, setup: Setup, state: State | None) -> Callable[..., int]:
     """Return the function that finishes a run, with contact or without: from a progress callable to the code."""
     free = not setup.touches or run.limits.until.kind != NEVER.kind
-    return partial(finish, run) if free else contact_run(run, setup, state).finish
+    return partial(finish_rollout, run) if free else contact_run(run, setup, state).finish
 
 
 def angles(
@@ -259,8 +257,8 @@ def angles(
     """
     setup = Setup(rope, motion, arm, tol=tol)
     chain = rope.chain()
-    run = prepare(chain, setup.drive(), (q0, qd0), t, limits(setup, chain, float(t[-1]), 1_000_000))
-    refuse_failure(finish(run), run)
+    run = prepare_rollout(chain, setup.drive(), (q0, qd0), t, rollout_limits(setup, chain, float(t[-1]), 1_000_000))
+    refuse_failure(finish_rollout(run), run)
     n = chain.length.size
     return run.y[:, :n], run.y[:, n : 2 * n]
 
@@ -268,9 +266,10 @@ def angles(
 def _ending(until: Event | None, setup: Setup) -> Until:
     """Return the event that may end the run, as kernels take it."""
     if until is not None and not isinstance(until, Event):
-        raise InvalidInput("until is not an event", got=until, allowed="tip_crosses(...), tip_speed_peak(...), ...")
+        allowed = "tip_crosses, tip_speed_peak, phase_reached or angle_reached"
+        raise InvalidInput("until is not an event", got=until, allowed=allowed)
     if setup.pegs and until is not None:
-        raise InvalidInput("events are not there yet beside pegs", fix="Leave out until or pegs")
+        raise InvalidInput("events are not there yet with pegs", fix="Leave out until or pegs")
     return NEVER if until is None else until.packed(setup)
 
 

@@ -1,7 +1,5 @@
 """Stability limit of the explicit Runge-Kutta integrator."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Stepper: a run taken one interval at a time, with a command for each."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -26,8 +24,8 @@ from hyperflex.simulation.contact.runs import STEP as CONTACT_STEP
 from hyperflex.simulation.contact.runs import ContactRun, refine_arguments
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.outcome import refuse_failure
-from hyperflex.simulation.restart import resume, state_of
-from hyperflex.simulation.rollouts import TABLES, Interval, finish, limits, prepare
+from hyperflex.simulation.restart import check_state, resume, state_of
+from hyperflex.simulation.rollouts import TABLES, Interval, finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.sensitivity.directions import check_smooth
 from hyperflex.simulation.sensitivity.stiction import stiction_projection
 from hyperflex.trajectory import State
@@ -115,18 +113,21 @@ class Stepper:
         refine: bool = True,
     ) -> None:
         self.command = checks.choice("command", command, COMMANDS)
-        setup = whole_setup(
-            rope,
-            "command",
-            {"arm": arm, "tol": tol != DEFAULT_TOL, "pegs": bool(pegs), "tip_force": bool(np.any(tip_force))},
-            {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
-        )
         if isinstance(rope, Rope):
             rope = refine_arguments(rope, tuple(pegs), arm, None, None, None)[0] if refine and pegs else rope
             setup = Setup(rope, None, arm, tol=tol, pegs=tuple(pegs), contact_step=contact_step, tip_force=tip_force)  # type: ignore[arg-type]
+        else:
+            setup = whole_setup(
+                rope,
+                "command",
+                {"arm": arm, "tol": tol != DEFAULT_TOL, "pegs": bool(pegs), "tip_force": bool(np.any(tip_force))},
+                {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
+            )
         self.setup = setup_for(command, setup)
         chain, self._interval = self.setup.chain(), Interval(self.setup.drive())
-        run = prepare(chain, self._interval.drive, self.setup.start(), np.zeros(1), limits(self.setup, chain, 0.0))
+        run = prepare_rollout(
+            chain, self._interval.drive, self.setup.start(), np.zeros(1), rollout_limits(self.setup, chain, 0.0)
+        )
         run.t, run.y = run.t[1:], run.y[1:]  # no outputs: a step shows its end
         self._run, self._log = run, np.empty((STEPS, MODES + chain.length.size if can_stick(chain) else JOINT))
         self._contact_run = ContactRun(run, self.setup, None) if self.setup.touches else None
@@ -151,6 +152,8 @@ class Stepper:
         values: dict[str, Any] = {"q0": q0, "qd0": qd0, "arm_angle0": arm_angle, "arm_rate0": arm_rate}
         setup = replace(setup, **{name: value for name, value in values.items() if value is not None})
         q, qd = (value[-n:].copy() for value in setup.start())
+        q.setflags(write=False)
+        qd.setflags(write=False)
         time = checks.number("t", t, unit="s")
         return State(time, q, qd, arm_angle=setup.arm_angle0, arm_rate=setup.arm_rate0)
 
@@ -216,7 +219,8 @@ class Stepper:
 
     def tip(self, state: State) -> tuple[Array, Array]:
         """Return place (2,), m, and velocity (2,), m/s, of the tip in a `state`."""
-        arm, rope, q = self.setup.arm or Arm(), self.setup.rope, state.q  # a stepper has an arm
+        arm, rope = self.setup.arm or Arm(), self.setup.rope  # a stepper has an arm
+        q = np.asarray(check_state(state, rope.n_links).q)
         angle, rate = self._arm_of(state)
         place = rope.joints(q, arm.tip(np.array([angle]))[0])[-1]
         turn = arm.length * rate * np.array([np.cos(angle), np.sin(angle)])
@@ -232,14 +236,15 @@ class Stepper:
         """
         if self._contact_run is None or not self.setup.pegs:
             raise InvalidInput("there is nothing to touch", fix="Make the stepper with pegs=[...]")
-        self._begin(state, 0.0, 1.0)
+        self._enter(state, 0.0, 1.0, arm_polynomials(self.command, 1.0)[0])
         run = self._run
         return float(clearance(run.chain, run.drive, self._contact_run.contacts, run.time, run.progress.y, np.inf)[0])
 
     def _arm_of(self, state: State) -> tuple[float, float]:
         """Return angle and rate of the arm in a state."""
         angle = self.setup.arm_angle0 if state.arm_angle is None else state.arm_angle
-        return angle, self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate
+        rate = self.setup.arm_rate0 if state.arm_rate is None else state.arm_rate
+        return checks.number("state arm_angle", angle, unit="rad"), checks.number("state arm_rate", rate, unit="rad/s")
 
     def _state(self, arm: tuple[float, float]) -> State:
         run = self._run
@@ -247,28 +252,33 @@ class Stepper:
 
     def _begin(self, state: State, command: float, dt: float) -> tuple[float, float]:
         """Set the run to a state and a command; returns angle and rate of a prescribed arm at the end."""
-        if not isinstance(state, State):
-            raise InvalidInput("state is not a State", got=state, allowed="what start() or step() returned")
         u, span = checks.number("command", command), checks.number("dt", dt, sign="positive", unit="s")
-        run = self._run
-        resume(run, state, self.setup)
-        run.progress.clock[MARK:] = 0.0
         if span != self._polynomials[0]:
             self._polynomials = (span, *arm_polynomials(self.command, span))
-        angle, rate = self._arm_of(state)
-        known, t = np.array([angle, rate, u]), run.time
-        run.limits = run.limits._replace(stop=t + span)
-        self._interval.set(t, t + span, self._channel, known @ self._polynomials[1])
+        as_saved, known = self._enter(state, u, span, self._polynomials[1])
+        run = self._run
+        run.limits = run.limits._replace(stop=run.time + span)
         if self._contact_run is not None:
-            if CONTACT_STEP not in state.checkpoint:
-                still = self.setup if self.command == "torque" else replace(self.setup, motion=hold_arm(angle))
-                check_start(still, t, run.progress.y[: run.chain.length.size])
+            if not as_saved or CONTACT_STEP not in state.checkpoint:
+                still = self.setup if self.command == "torque" else replace(self.setup, motion=hold_arm(known[0]))
+                check_start(still, run.time, run.progress.y[: run.chain.length.size])
             self._contact_run.enter(state)
         angle, rate = (known @ self._polynomials[2]).tolist()
         return angle, rate
 
+    def _enter(self, state: State, command: float, span: float, powers: Array) -> tuple[bool, Array]:
+        """Set the run to a state and the arm's motion; returns whether it is as saved, and (angle, rate, command)."""
+        run = self._run
+        as_saved = resume(run, state, self.setup)
+        run.progress.clock[MARK:] = 0.0
+        known = np.array([*self._arm_of(state), command])
+        self._interval.set(run.time, run.time + span, self._channel, known @ powers)
+        return as_saved, known
+
     def _finish(self) -> None:
-        refuse_failure(finish(self._run) if self._contact_run is None else self._contact_run.finish(), self._run)
+        refuse_failure(
+            finish_rollout(self._run) if self._contact_run is None else self._contact_run.finish(), self._run
+        )
 
     def _recorded(self, state: State, command: float, dt: float) -> tuple[tuple[float, float], Array, Array]:
         """Take a step; returns what :meth:`_begin` does, the steps (m, ...) taken and the start (2 N + 2,)."""

@@ -1,7 +1,5 @@
 """Time budget of a run: processor time, and Ctrl-C."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 
@@ -9,7 +7,7 @@ from hyperflex import checks
 from hyperflex.core.jit import compiling
 from hyperflex.errors import SimulationError
 
-NAME = "time budget exceeded"  # status of a run that took too long
+OUT_OF_TIME = "time budget exceeded"  # status of a run that took too long
 INTERRUPTED = "interrupted"  # and of one that Ctrl-C ended
 
 
@@ -46,5 +44,5 @@ def enforce_budget(report: Callable[[float], None] | None, seconds: float | None
 
 def budget_error(t: float) -> SimulationError:
     """Return the error of a run that had come to `t`, s, when its time was over."""
-    message = f"stopped at t = {t:.6g} s ({NAME}): its processor time was over. Allow more, or loosen tol."
-    return SimulationError(message, status=NAME, time=t)
+    message = f"stopped at t = {t:.6g} s ({OUT_OF_TIME}): its processor time was over. Allow more, or loosen tol."
+    return SimulationError(message, status=OUT_OF_TIME, time=t)

@@ -1,7 +1,5 @@
 """Reading trajectories from NetCDF-4 files: the run in the root group, the state to go on from in ``state``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

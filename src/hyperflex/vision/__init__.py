@@ -6,11 +6,12 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.vision.assignment import Assignment, assign_markers
-    from hyperflex.vision.bars import BarDetector, BarObservations
+    from hyperflex.vision.bars import FLOOR, BarDetector, BarObservations, BarTrack, link_angles, track_bars
     from hyperflex.vision.boards import Board, BoardView
     from hyperflex.vision.calibration import Calibration, calibrate_camera
     from hyperflex.vision.camera import Camera, Projection
     from hyperflex.vision.camera_file import read_camera
+    from hyperflex.vision.clutter import ClutterMap
     from hyperflex.vision.colour import MarkerColour
     from hyperflex.vision.live import LiveCamera
     from hyperflex.vision.markers import Gate, MarkerDetector, Observations

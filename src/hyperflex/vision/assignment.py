@@ -17,6 +17,8 @@ from hyperflex.vision.markers import Observations
 CLEAR = 12.0  # difference of squared distances from which a pair needs no second look: odds of e^6
 UNSURE = 6.0  # below which two markers may be swapped: odds of e^3
 SLACK = 0.02  # by which a rope may look longer than it is
+ODDS = math.log(0.8 / 0.2)  # that a marker is seen, before one has looked
+SPARSE = 1e-6  # 1/px^2, of clutter: one blob of the colour in a picture of a megapixel
 _FORBIDDEN = 1e9
 
 
@@ -51,6 +53,7 @@ def assign_markers(
     *,
     gate_probability: float = 0.999,
     reach: npt.ArrayLike | None = None,
+    clutter: npt.ArrayLike = SPARSE,
 ) -> Assignment:
     """Assign what is seen to markers that a model predicts.
 
@@ -68,6 +71,9 @@ def assign_markers(
     reach : (K - 1,) array_like, optional
         Greatest distance between markers k and k + 1, px: the rope between them, times the scale. Pairs that are
         further apart than that, and 2 %, are not both taken.
+    clutter : float or (M,) array_like
+        How dense blobs of the colour that are no markers are where each was seen, 1/px^2; see :class:`ClutterMap`. A
+        blob is taken where a marker there is likelier than that, which it is not where the prediction is wide.
 
     Returns
     -------
@@ -75,8 +81,9 @@ def assign_markers(
 
     Notes
     -----
-    Least sum of squared Mahalanobis distances plus logarithms of determinants (scipy's linear_sum_assignment); the
-    clearest pairs are settled first, and the prediction of the others is conditioned on them. Two markers for which the
+    Least sum of squared Mahalanobis distances plus logarithms of determinants (scipy's linear_sum_assignment), against
+    a marker that is not seen and a blob of clutter (a marker is seen with a probability of 0.8); the clearest pairs are
+    settled first, and the prediction of the others is conditioned on them. Two markers for which the
     swapped pair is nearly as likely get the mean and covariance over both explanations (a joint probabilistic data
     association of pairs; Bar-Shalom, Fortmann 1988).
     """
@@ -87,9 +94,11 @@ def assign_markers(
     if p >= 1.0:
         raise InvalidInput("gate_probability is none", got=p, allowed="between 0 and 1")
     limits = None if reach is None else checks.array("reach", reach, (max(count - 1, 0),), sign="positive", unit="px")
+    density = np.broadcast_to(checks.array("clutter", np.atleast_1d(clutter), (-1,), sign="positive"), len(seen.places))
+    unseen = 2.0 * np.log(density) - 2.0 * ODDS + 2.0 * math.log(2.0 * math.pi)
     forbidden = np.zeros((count, len(seen.places)), bool)
     while True:
-        indices = _best(seen, mean, prior, -2.0 * math.log(1.0 - p), forbidden)
+        indices = _best(seen, mean, prior, -2.0 * math.log(1.0 - p), unseen, forbidden)
         distances, worst = _check_reach(seen, indices, mean, prior, limits)
         if worst < 0:
             break
@@ -113,7 +122,7 @@ def _joint(covariance: npt.ArrayLike, count: int) -> Array:
 
 
 def _best(
-    seen: Observations, mean: Array, prior: Array, gate: float, forbidden: npt.NDArray[np.bool_]
+    seen: Observations, mean: Array, prior: Array, gate: float, unseen: Array, forbidden: npt.NDArray[np.bool_]
 ) -> npt.NDArray[np.int64]:
     """Return the observation (K,) of each marker, or -1.
 
@@ -122,18 +131,19 @@ def _best(
     """
     if not forbidden.size:
         return np.full(len(mean), -1)
-    cost = _costs(seen, mean, prior, gate)
+    cost = _costs(seen, mean, prior, gate, unseen)
     cost[forbidden] = _FORBIDDEN
-    greedy = _settle(seen, mean, prior, gate, forbidden, None)
+    greedy = _settle(seen, mean, prior, gate, unseen, forbidden, None)
     if not (cost < _FORBIDDEN).any() or not _correlated(prior) or _margins(cost)[cost < _FORBIDDEN].max() > UNSURE:
         return greedy
     widths = np.array([prior[2 * k, 2 * k] + prior[2 * k + 1, 2 * k + 1] for k in range(len(mean))])
     widths[(cost >= _FORBIDDEN).all(axis=1)] = np.inf
     surest = int(np.argmin(widths))
     tries = [greedy] + [
-        _settle(seen, mean, prior, gate, forbidden, (surest, int(j))) for j in np.flatnonzero(cost[surest] < _FORBIDDEN)
+        _settle(seen, mean, prior, gate, unseen, forbidden, (surest, int(j)))
+        for j in np.flatnonzero(cost[surest] < _FORBIDDEN)
     ]
-    return min(tries, key=lambda indices: _joint_cost(seen, mean, prior, gate, indices))
+    return min(tries, key=lambda indices: _joint_cost(seen, mean, prior, unseen, indices))
 
 
 def _correlated(prior: Array) -> bool:
@@ -144,24 +154,22 @@ def _correlated(prior: Array) -> bool:
     return bool(off.any())
 
 
-def _joint_cost(seen: Observations, mean: Array, prior: Array, gate: float, indices: npt.NDArray[np.int64]) -> float:
-    """Return the cost of all pairs together against nothing being seen."""
+def _joint_cost(seen: Observations, mean: Array, prior: Array, unseen: Array, indices: npt.NDArray[np.int64]) -> float:
+    """Return the cost of all pairs together against nothing but clutter being seen."""
     found = np.flatnonzero(indices >= 0)
     if not found.size:
         return 0.0
     off, S = _innovation(seen, mean, prior, indices, found)
-    own = [np.linalg.slogdet(S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2])[1] for i in range(found.size)]
-    return float(off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1] - sum(own) - gate * found.size)
+    return float(off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1] + unseen[indices[found]].sum())
 
 
 def _innovation(
     seen: Observations, mean: Array, prior: Array, indices: npt.NDArray[np.int64], found: npt.NDArray[np.intp]
 ) -> tuple[Array, Array]:
     """Return the innovation (2 F,) of the markers found, and its covariance (2 F, 2 F)."""
-    rows = np.concatenate([[2 * k, 2 * k + 1] for k in found])
-    S = prior[np.ix_(rows, rows)].copy()
-    for i, k in enumerate(found):
-        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += seen.covariances[indices[k]]
+    rows, count = (2 * found[:, None] + [0, 1]).ravel(), np.arange(found.size)
+    S = prior[np.ix_(rows, rows)]
+    S.reshape(found.size, 2, found.size, 2)[count, :, count] += seen.covariances[indices[found]]
     return (seen.places[indices[found]] - mean[found]).ravel(), S
 
 
@@ -170,6 +178,7 @@ def _settle(
     mean: Array,
     prior: Array,
     gate: float,
+    unseen: Array,
     forbidden: npt.NDArray[np.bool_],
     given: tuple[int, int] | None,
 ) -> npt.NDArray[np.int64]:
@@ -182,17 +191,18 @@ def _settle(
     count, many = forbidden.shape
     indices = np.full(count, -1)
     m, P = mean.ravel().copy(), prior.copy()
-    taken = np.zeros(many, bool)
+    taken, correlated = np.zeros(many, bool), _correlated(prior)
     while True:
-        cost = _costs(seen, m.reshape(-1, 2), P, gate)
+        cost = _costs(seen, m.reshape(-1, 2), P, gate, unseen)
         cost[forbidden] = _FORBIDDEN
         if given is not None:
-            only = cost[given]
             cost[:] = _FORBIDDEN
-            cost[given] = only
+            cost[given] = -_FORBIDDEN
             given = None
         cost[indices >= 0] = _FORBIDDEN
         cost[:, taken] = _FORBIDDEN
+        if not (cost < _FORBIDDEN).any():
+            return indices
         full = np.full((count, many + count), _FORBIDDEN)
         full[:, :many] = cost
         full[np.arange(count), many + np.arange(count)] = 0.0  # not seen
@@ -205,14 +215,16 @@ def _settle(
         for i in clear if clear.size else [int(np.argmax(margins))]:
             k, j = pairs[i]
             indices[k], taken[j] = j, True
+            if not correlated:
+                continue
             own = slice(2 * k, 2 * k + 2)
             gain = np.linalg.solve(P[own, own] + seen.covariances[j], P[own]).T
             m = m + gain @ (seen.places[j] - m[own])
             P = P - gain @ P[own]
 
 
-def _costs(seen: Observations, mean: Array, P: Array, gate: float) -> Array:
-    """Return the cost (K, M) of each pair against not being seen; pairs outside the gate are forbidden."""
+def _costs(seen: Observations, mean: Array, P: Array, gate: float, unseen: Array) -> Array:
+    """Return the cost (K, M) of each pair against marker unseen and blob of clutter; outside the gate: forbidden."""
     count = len(mean)
     own = P.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
     S = own[:, None] + seen.covariances[None]
@@ -220,14 +232,13 @@ def _costs(seen: Observations, mean: Array, P: Array, gate: float) -> Array:
     a, b, d = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
     determinant = a * d - b * b
     squared = (d * off[..., 0] ** 2 - 2.0 * b * off[..., 0] * off[..., 1] + a * off[..., 1] ** 2) / determinant
-    least = determinant.min(axis=1, keepdims=True)
-    cost = squared + np.log(determinant / least) - gate
+    cost = squared + np.log(determinant) + unseen
     return np.where(squared > gate, _FORBIDDEN, cost)
 
 
 def _margins(cost: Array) -> Array:
-    """Return by how much each pair (K, M) is better than the next one of its marker or of its observation."""
-    others = np.full_like(cost, _FORBIDDEN)
+    """Return by how much each pair (K, M) is better than the next one of its marker or observation, or than none."""
+    others = np.zeros_like(cost)
     for axis in (0, 1):
         if cost.shape[axis] > 1:
             two = np.partition(cost, 1, axis=axis).take([0, 1], axis=axis)
@@ -240,16 +251,14 @@ def _check_reach(
     seen: Observations, indices: npt.NDArray[np.int64], mean: Array, prior: Array, limits: Array | None
 ) -> tuple[Array, int]:
     """Return squared distances (K,), and which marker is to be given up since the rope is too short for it (or -1)."""
-    count = len(indices)
+    count, found = len(indices), np.flatnonzero(indices >= 0)
     distances = np.full(count, np.nan)
-    for k in np.flatnonzero(indices >= 0):
-        off = seen.places[indices[k]] - mean[k]
-        own = slice(2 * k, 2 * k + 2)
-        distances[k] = off @ np.linalg.solve(prior[own, own] + seen.covariances[indices[k]], off)
+    off = seen.places[indices[found]] - mean[found]
+    S = prior.reshape(count, 2, count, 2)[found, :, found] + seen.covariances[indices[found]]
+    distances[found] = (off * np.linalg.solve(S, off[:, :, None])[:, :, 0]).sum(axis=1)
     if limits is None:
         return distances, -1
     along = np.concatenate([[0.0], np.cumsum(limits)])
-    found = np.flatnonzero(indices >= 0)
     for one, two in pairwise(found.tolist()):
         i, j = indices[one], indices[two]
         doubt = 3.0 * math.sqrt(np.trace(seen.covariances[i]) + np.trace(seen.covariances[j]))

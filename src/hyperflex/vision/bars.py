@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,10 +13,13 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.files import PathLike
+from hyperflex.recording import Recording
 from hyperflex.vision.colour import surface
-from hyperflex.vision.video import Image
+from hyperflex.vision.video import Image, VideoReader, VideoWriter
 
 FLOOR = 0.3  # px, standard deviation of a place along or across a bar at least: its ends are no straight edges
+MOST = 3  # bars: a pixel has three channels
 _SHARE = 0.4  # of a pixel, from which it belongs to a bar
 _LEAST_ANGLE = 0.15  # rad, between the colours of two bars against the wall
 _LEAST_AREA = 0.35  # of a bar's own, below which it counts as hidden
@@ -74,7 +80,7 @@ class BarDetector:
     def __init__(self, colours: npt.ArrayLike, areas: npt.ArrayLike | None = None) -> None:
         self.colours = checks.array("colours", colours, (-1, 3), sign="nonnegative")
         count = self.colours.shape[0]
-        if not 1 <= count <= 3:
+        if not 1 <= count <= MOST:
             raise InvalidInput("number of bars does not fit", got=count, allowed="1 to 3: a pixel has three channels")
         self.areas = None if areas is None else checks.array("areas", areas, (count,), sign="positive", unit="px^2")
 
@@ -139,3 +145,158 @@ class BarDetector:
         covariance[2, 2] = 12.0 * (FLOOR**2 + (missing * width) ** 2) / max(length, 1.0) ** 2
         angle = float(np.arctan2(along[1], along[0]))
         return centre, angle, float(length), float(width), covariance, area / (whole or 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class BarTrack:
+    """What was seen of a pendulum's links in a video.
+
+    Attributes
+    ----------
+    recording : Recording
+        Angles of the links, rad, NaN where a bar was not seen.
+    frames : int
+        Frames of the video.
+    seen : (J,) float64
+        In which part of the frames each bar was seen.
+    notes : tuple of str
+        What was wrong with the video.
+    """
+
+    recording: Recording
+    frames: int
+    seen: Array
+    notes: tuple[str, ...]
+
+
+def track_bars(
+    video: PathLike,
+    detector: BarDetector,
+    pivot: npt.ArrayLike,
+    *,
+    preview: PathLike | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> BarTrack:
+    """Follow the links of a pendulum, each a bar of its own colour, through a video.
+
+    Parameters
+    ----------
+    video : path-like
+        Any file that FFmpeg reads. The camera is level and looks at a right angle at the plane of the motion.
+    detector : BarDetector
+        Of the links, from the pivot on.
+    pivot : (2,) array_like
+        First joint, px.
+    preview : path-like, optional
+        MP4 file that shows what was seen.
+    progress : callable, optional
+        Hears the number of frames done.
+
+    Returns
+    -------
+    BarTrack
+
+    Raises
+    ------
+    FileProblem
+        If the video cannot be read, or the preview not be written.
+    InvalidInput
+        If a link is seen in fewer than two frames.
+
+    Notes
+    -----
+    An angle comes from a bar's axis, and so needs no scale. Which of its ends is the nearer one to the joint before it
+    says which way it points; where that joint is hidden, its last angle and rate do, and these also count the turns.
+    """
+    start = checks.array("pivot", pivot, (2,), unit="px")
+    times: list[float] = []
+    angles: list[Array] = []
+    stds: list[Array] = []
+    with ExitStack() as stack:
+        reader = stack.enter_context(VideoReader(video))
+        writer = None if preview is None else stack.enter_context(VideoWriter(preview, reader.image_size))
+        for frame in reader:
+            seen = detector.find(frame.image)
+            angles.append(link_angles(seen, start, expected_angles(times, angles, frame.time)))
+            stds.append(np.sqrt(seen.covariances[:, 2, 2]))
+            times.append(frame.time)
+            if writer is not None:
+                writer.write(_drawn(frame.image, seen, angles[-1], frame.time), frame.time)
+            if progress is not None:
+                progress(len(times))
+        notes = tuple(reader.notes)
+    data, noise = np.array(angles), np.array(stds)
+    whole = ~np.isnan(data)
+    if (whole.sum(axis=0) < 2).any():
+        missing = np.flatnonzero(whole.sum(axis=0) < 2).tolist()
+        raise InvalidInput("bars are seen in no two frames", got=missing, fix="Check colours and areas of the detector")
+    noise = np.where(whole, noise, np.nanmedian(noise, axis=0))
+    recording = Recording(np.array(times), data, kind="angles", noise=noise, source=str(video))
+    return BarTrack(recording, len(times), whole.mean(axis=0), notes)
+
+
+def link_angles(seen: BarObservations, pivot: Array, expected: Array) -> Array:
+    """Return angles (J,) of links, rad from straight down, positive to the right; NaN: not seen.
+
+    Parameters
+    ----------
+    seen : BarObservations
+        Of the links, from the pivot on.
+    pivot : (2,) float64
+        First joint, px.
+    expected : (J,) float64
+        Angles with their whole turns, rad; NaN: nothing is expected.
+    """
+    found = np.full(len(seen.angles), np.nan)
+    joint: Array | None = pivot
+    for k, ends in enumerate(seen.ends):
+        if np.isnan(ends).any():
+            joint = None
+            continue
+        if joint is not None:
+            near = int(np.argmin(np.linalg.norm(ends - joint, axis=1)))
+            along = ends[1 - near] - ends[near]
+            period = 2.0 * np.pi
+        else:
+            along = ends[1] - ends[0]
+            period = np.pi
+            if np.isnan(expected[k]):
+                continue
+        angle = np.arctan2(along[0], along[1])
+        turns = 0.0 if np.isnan(expected[k]) else np.round((expected[k] - angle) / period)
+        found[k] = angle + turns * period
+        direction = np.array([np.sin(found[k]), np.cos(found[k])])
+        joint = seen.centres[k] + 0.5 * seen.lengths[k] * direction
+    return found
+
+
+def expected_angles(times: list[float], angles: list[Array], t: float) -> Array:
+    """Return angles (J,) at time t, s, by the last two that were seen of each link; NaN where there is none."""
+    if not angles:
+        return np.full(MOST, np.nan)
+    past, at = np.array(angles), np.array(times)
+    result = np.full(past.shape[1], np.nan)
+    for k, column in enumerate(past.T):
+        seen = np.flatnonzero(~np.isnan(column))[-2:]
+        if seen.size:
+            result[k] = column[seen[-1]]
+        if seen.size == 2:
+            rate = (column[seen[1]] - column[seen[0]]) / (at[seen[1]] - at[seen[0]])
+            result[k] += rate * (t - at[seen[1]])
+    return result
+
+
+def _drawn(image: Image, seen: BarObservations, angles: Array, t: float) -> Image:
+    """Return a frame with the axes of its bars (white) and their angles."""
+    import cv2
+
+    shown = image.copy()
+    for k in np.flatnonzero(~np.isnan(angles)):
+        centre = seen.centres[k]
+        half = 0.5 * seen.lengths[k] * np.array([np.sin(angles[k]), np.cos(angles[k])])
+        line = np.round(16.0 * np.stack([centre - half, centre + half])).astype(np.int32)
+        cv2.polylines(shown, [line], False, (255, 255, 255), 1, cv2.LINE_AA, 4)
+        cv2.circle(shown, np.round(centre + half).astype(int).tolist(), 3, (0, 255, 255), -1, cv2.LINE_AA)
+    said = f"{t:.2f} s  " + "  ".join("hidden" if np.isnan(a) else f"{np.degrees(a):.0f} deg" for a in angles)
+    cv2.putText(shown, said, (8, shown.shape[0] - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (60, 60, 60), 1, cv2.LINE_AA)
+    return shown

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -212,7 +213,7 @@ class Camera:
             )
         return replace(self, rotation=pose[0], translation=pose[1])
 
-    @property
+    @cached_property
     def axes(self) -> tuple[Array, Array]:
         """Rotation matrix (3, 3) and translation (3,), m, from the plane to the camera; InvalidInput without a pose."""
         if self.rotation is None or self.translation is None:
@@ -261,6 +262,11 @@ class Camera:
         by_adjustment[:, :, 2:] = slopes[:, :, :2]
         return Projection(pixels, by_point, by_adjustment)
 
+    def place_slopes(self, places: Array) -> tuple[Array, Array]:
+        """Return the pixels (K, 2) of places (K, 2) in the swing plane, m, and the derivatives (K, 2, 2), px/m."""
+        pixels, slopes = self._project(np.column_stack([places, np.zeros(len(places))]))
+        return pixels, slopes[:, :, :2]
+
     def locate(self, pixels: npt.ArrayLike, adjustment: PlaneAdjustment = AS_CALIBRATED) -> Array:
         """Return places (K, 2) in the swing plane, m, of pixels (K, 2); NaN where a pixel shows no point of it.
 
@@ -270,6 +276,8 @@ class Camera:
 
         seen = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
         rotation, translation = self.axes
+        if not len(seen):  # OpenCV takes no empty arrays
+            return np.empty((0, 2))
         ideal = cv2.undistortPoints(np.ascontiguousarray(seen)[:, None], self.matrix, self.distortion)
         plane = np.column_stack([rotation[:, :2], translation])  # homography from the plane to the ideal picture
         rays = np.linalg.solve(plane, np.column_stack([ideal.reshape(-1, 2), np.ones(len(seen))]).T).T

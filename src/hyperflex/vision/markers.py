@@ -118,30 +118,46 @@ class MarkerDetector:
         if gates is None:
             boxes = self._search(image)
         else:
-            boxes = _joined([self._box(gate, image.shape) for gate in gates])
-        rows, noises = [], []
-        for left, top, right, bottom in boxes:
-            if right - left < 5 or bottom - top < 5:
-                continue
-            region = np.ascontiguousarray(image[top:bottom, left:right])
-            functional, noise = self.colour.functional(region)
-            if noise == 0.0:
-                continue
-            weights = np.empty(region.shape[:2])
-            blobs.weigh(region, functional, weights)
-            found = np.empty((blobs.LARGEST, blobs.COLUMNS))
-            count = blobs.blob_moments(region, weights, max(_SIGMAS * noise, _LEAST_SHARE), found)
-            found = found[:count]
-            found[:, blobs.MEAN_U] += left
-            found[:, blobs.MEAN_V] += top
-            rows.append(found)
-            noises.append(np.full(count, noise))
-        table = np.concatenate(rows) if rows else np.empty((0, blobs.COLUMNS))
-        noise_of = np.concatenate(noises) if noises else np.empty(0)
+            boxes = _joined(self._boxes(gates, image.shape))
+        measured = {box: self._measure(image, box) for box in boxes}
+        whole = _joined([self._around(box, found[0], image.shape) for box, found in measured.items()])
+        blobs_of = [measured.get(box) or self._measure(image, box) for box in whole]
+        rows = [found for found, _ in blobs_of]
+        noises = [np.full(len(found), noise) for found, noise in blobs_of]
+        table = np.concatenate([np.empty((0, blobs.COLUMNS)), *rows])
+        noise_of = np.concatenate([np.empty(0), *noises])
         kept = self._plausible(table, noise_of)
         if self.adapt:
             self._follow(table[kept])
         return self._observations(table[kept], noise_of[kept])
+
+    def _measure(self, image: Image, box: tuple[int, int, int, int]) -> tuple[Array, float]:
+        """Return the blobs in a part of the picture (M, columns), and the noise of a pixel's share there."""
+        left, top, right, bottom = box
+        found = np.empty((blobs.LARGEST, blobs.COLUMNS))
+        if right - left < 5 or bottom - top < 5:
+            return found[:0], 0.0
+        region = np.ascontiguousarray(image[top:bottom, left:right])
+        functional, noise = self.colour.functional(region)
+        if noise == 0.0:
+            return found[:0], 0.0
+        weights = np.empty(region.shape[:2])
+        blobs.weigh(region, functional, weights)
+        count = blobs.blob_moments(region, weights, max(_SIGMAS * noise, _LEAST_SHARE), found)
+        found = found[:count]
+        found[:, blobs.MEAN_U] += left
+        found[:, blobs.MEAN_V] += top
+        return found, noise
+
+    def _around(
+        self, box: tuple[int, int, int, int], found: Array, shape: tuple[int, ...]
+    ) -> tuple[int, int, int, int]:
+        """Return a part of the picture, wider where its edge cuts a blob."""
+        if not (found[:, blobs.BORDER] > 0.0).any():
+            return box
+        more = int(np.ceil(2.0 * self.radius + 2.0 * _MARGIN))
+        left, top, right, bottom = box
+        return max(left - more, 0), max(top - more, 0), min(right + more, shape[1]), min(bottom + more, shape[0])
 
     def measure_area(self, image: Image) -> float:
         """Set the markers' area to the median of those seen at rest in a frame, px^2, and return it."""
@@ -154,25 +170,28 @@ class MarkerDetector:
         return area
 
     @property
-    def _radius(self) -> float:
+    def radius(self) -> float:
+        """Of a marker at rest, px; about 5 where it is not known."""
         return float(np.sqrt((self.colour.area or 80.0) / np.pi))
 
-    def _box(self, gate: Gate, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-        """Return the part of the picture that a gate asks for: left, top, right, bottom."""
-        centre = np.asarray(gate.centre, dtype=np.float64)
-        spread = np.sqrt(np.diagonal(np.asarray(gate.covariance, dtype=np.float64)))
-        reach = _REACH * spread + 1.2 * self._radius + 0.5 * gate.streak + _MARGIN
-        if not np.isfinite([centre, reach]).all():
-            return 0, 0, 0, 0
-        low = np.clip(np.floor(centre - reach), 0, shape[1::-1]).astype(int)
-        high = np.clip(np.ceil(centre + reach) + 1, 0, shape[1::-1]).astype(int)
-        return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+    def _boxes(self, gates: Sequence[Gate], shape: tuple[int, ...]) -> list[tuple[int, int, int, int]]:
+        """Return the parts of the picture that gates ask for: left, top, right, bottom of each."""
+        centres = np.array([gate.centre for gate in gates], dtype=np.float64).reshape(-1, 2)
+        wide = np.array([gate.covariance for gate in gates], dtype=np.float64).reshape(-1, 2, 2)
+        streaks = np.array([gate.streak for gate in gates], dtype=np.float64)
+        spread = np.sqrt(np.diagonal(wide, axis1=1, axis2=2))
+        reach = _REACH * spread + (1.2 * self.radius + 0.5 * streaks + _MARGIN)[:, None]
+        good = np.isfinite(centres + reach).all(axis=1)
+        centres, reach = centres[good], reach[good]
+        most = shape[1::-1]
+        low, high = np.clip(np.floor(centres - reach), 0, most), np.clip(np.ceil(centres + reach) + 1, 0, most)
+        return [(u, v, a, b) for u, v, a, b in np.hstack([low, high]).astype(int).tolist()]
 
     def _search(self, image: Image) -> list[tuple[int, int, int, int]]:
         """Return the parts of the whole picture where something of the colour is."""
         import cv2
 
-        step = 2 if self._radius > 2.5 else 1  # larger markers are found on a picture of half the size, too
+        step = 2 if self.radius > 2.5 else 1  # larger markers are found on a picture of half the size, too
         height, width = image.shape[:2]
         if step > 1:
             image = cv2.resize(image, (width // step, height // step), interpolation=cv2.INTER_AREA)
@@ -190,7 +209,7 @@ class MarkerDetector:
         least = max(2.0, 0.1 * (self.colour.area or 30.0) / step**2)
         stats = stats[1:][stats[1:, 4] >= least]
         stats = stats[np.argsort(-stats[:, 4])][:_MOST_REGIONS]
-        pad = int(_MARGIN + self._radius)
+        pad = int(_MARGIN + self.radius)
         corners = step * np.column_stack([stats[:, :2] - 1, stats[:, :2] + stats[:, 2:4] + 1]) + [-pad, -pad, pad, pad]
         inside = np.clip(corners, 0, [width, height, width, height])
         return _joined([(u, v, a, b) for u, v, a, b in inside.tolist()])
@@ -209,8 +228,9 @@ class MarkerDetector:
         if self.colour.area is not None:
             whole &= np.abs(table[:, blobs.AREA] / self.colour.area - 1.0) < 0.3
         if whole.any():
-            seen = np.median(table[whole, blobs.COLOUR : blobs.COLOUR + 3], axis=0)
-            self.colour = self.colour.adapted(seen, _RATE)
+            seen = np.sort(table[whole, blobs.COLOUR : blobs.COLOUR + 3], axis=0)
+            middle = 0.5 * (seen[(len(seen) - 1) // 2] + seen[len(seen) // 2])
+            self.colour = self.colour.adapted(middle, _RATE)
 
     def _observations(self, table: Array, noise: Array) -> Observations:
         """Return blobs as markers, with what is known of each; those of two areas as two."""
@@ -233,12 +253,17 @@ class MarkerDetector:
             merged = share > _MERGED
             covariances += self._covered(share, values, table[:, blobs.BORDER])[:, None, None] * np.eye(2)
         seen = Observations(places, covariances, streaks, streak_stds, share, merged)
-        return _taken_apart(seen, self._radius) if merged.any() else seen
+        return _taken_apart(seen, self.radius) if merged.any() else seen
 
     def _covered(self, share: Array, values: Array, border: Array) -> Array:
-        """Return the variance, px^2, that markers covered in part get: the part that is missing pulls the mean away."""
+        """Return the variance, px^2, that markers covered in part get, and those that touch something of their colour.
+
+        The part that is missing, or is too much, pulls the mean away: two discs of radius r that are a distance d apart
+        have 1 + 2 d / (pi r) times the area of one, and their mean lies d / 2 off each.
+        """
         missing = np.clip(1.0 - share - 0.12, 0.0, 1.0) + 0.3 * border
-        return np.asarray((missing * (self._radius + np.sqrt(3.0 * values[:, 1]))) ** 2)
+        merged = 0.25 * np.pi * np.clip(share - 1.12, 0.0, None) * self.radius
+        return np.asarray((missing * (self.radius + np.sqrt(3.0 * np.maximum(values[:, 1], 0.0)))) ** 2 + merged**2)
 
 
 def _taken_apart(seen: Observations, radius: float) -> Observations:

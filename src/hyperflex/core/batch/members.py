@@ -1,7 +1,5 @@
 """Members of a batch: parameters, drives, and how a member enters a lane."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +8,7 @@ import numpy.typing as npt
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, Chain, chain_of_rows, energies, sincos
 from hyperflex.core.chain.drive import ANGLE, ROUNDING, TORQUE, X, Y, polynomial
-from hyperflex.core.jit import inlined, kernel, lean
+from hyperflex.core.jit import inlined, kernel, non_allocating
 
 
 class Members(NamedTuple):
@@ -48,7 +46,7 @@ TIME, STEP, AFTER, RESTARTED, LAST, SIZE, UNDECIDED, CHATTER, ORIGIN, END, NEXT_
 COEF, ARM, GX, GY, LIMIT, SINCE, EXTERNAL, BASE, PATH = 0, 24, 25, 26, 27, 28, 29, 30, 39
 
 
-@lean
+@non_allocating
 def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore[no-untyped-def]
     """Put member m into lane j: parameters, state at the start, clock (CLOCK,) and energies (4,)."""
     k = len(ln.MEMBERS)
@@ -69,13 +67,13 @@ def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore
     lane[STEP], lane[AFTER], lane[CHATTER] = members.clock[m]
 
 
-@lean
+@non_allocating
 def save_clock(members, m, lane):  # type: ignore[no-untyped-def]
     """Keep what member m, in the lane with the clock `lane` (CLOCK,), needs to go on."""
     members.clock[m, 0], members.clock[m, 1], members.clock[m, 2] = lane[STEP], lane[AFTER], lane[CHATTER]
 
 
-@lean
+@non_allocating
 def piece(members, m, t, path, j, lane):  # type: ignore[no-untyped-def]
     """Find the piece of member m's drive that holds from t on; copies its coefficients, notes its origin and end."""
     k = len(ln.MEMBERS)
@@ -88,7 +86,7 @@ def piece(members, m, t, path, j, lane):  # type: ignore[no-untyped-def]
             path[(COEF + channel * 6) * k + j] = polynomial(coef, still)[0]
 
 
-@lean
+@non_allocating
 def find_piece(members, m, t):  # type: ignore[no-untyped-def]
     """Row of ``members.coef`` that holds for member m from t on, time at which it stands still there, origin and end.
 
@@ -123,7 +121,7 @@ def lane_polynomial(path, k, j, channel, t):  # type: ignore[no-untyped-def]
     return polynomial((path[i], path[i + k], path[i + 2 * k], path[i + 3 * k], path[i + 4 * k], path[i + 5 * k]), t)
 
 
-@lean
+@non_allocating
 def base_motion(width, path):  # type: ignore[no-untyped-def]
     """Torque on link 0 (EXTERNAL) and motion of the first joint (BASE) in every lane, at the time SINCE."""
     k = len(width)
@@ -155,7 +153,7 @@ def chain_of(members, terms, m, gx, gy):  # type: ignore[no-untyped-def]
     return chain_of_rows(members.links[m], members.whole[m, TIP_MASS], gx, gy, terms.reaction)
 
 
-@lean
+@non_allocating
 def observe_block(members, terms, low, high, t, y, kinetic, potential, joint):  # type: ignore[no-untyped-def]
     """Energies and first joints of members low..high - 1 at times t (T,) and states y (high - low, T, 2 n + 2).
 

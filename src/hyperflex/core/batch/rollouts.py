@@ -3,8 +3,6 @@
 No number of one lane ever enters another, so a member's result does not depend on its neighbours or on the threads.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -48,10 +46,10 @@ from hyperflex.core.integrate.step_size import (
     longer,
     shorter,
 )
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 
 
-@lean
+@non_allocating
 def begin_column(width, lanes, sums):  # type: ignore[no-untyped-def]
     """Set every lane back to the state at the start of its step; with `sums`, also clear the extrapolated sums."""
     k = len(width)
@@ -71,7 +69,7 @@ def begin_column(width, lanes, sums):  # type: ignore[no-untyped-def]
                 row[ln.W_GAP * k + j] = 0.0
 
 
-@lean
+@non_allocating
 def end_column(width, lanes, best, gap):  # type: ignore[no-untyped-def]
     """Add the increments of a finished column to the result and to the error estimate."""
     k = len(width)
@@ -87,7 +85,7 @@ def end_column(width, lanes, best, gap):  # type: ignore[no-untyped-def]
             row[ln.W_GAP * k + j] += gap * dw
 
 
-@lean
+@non_allocating
 def measure(width, lanes, tip):  # type: ignore[no-untyped-def]
     """Sine and cosine of the result, and the largest squared errors of any joint's position and velocity (in `tip`)."""
     k = len(width)
@@ -118,7 +116,7 @@ def measure(width, lanes, tip):  # type: ignore[no-untyped-def]
             tip[ln.WORST_V * k + j] = velocity if velocity > worst_v else worst_v
 
 
-@lean
+@non_allocating
 def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: ignore[no-untyped-def]
     """One extrapolated step of length NEXT_STEP in every lane; the result is in the sums of `lanes` and `energy`."""
     k = len(ln.MEMBERS)
@@ -148,7 +146,7 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
     measure(ln.MEMBERS, lanes, tip)
 
 
-@lean
+@non_allocating
 def accept(lanes, n, j, energy):  # type: ignore[no-untyped-def]
     """Make the result of lane j's step the start of its next one."""
     k = len(ln.MEMBERS)
@@ -162,7 +160,7 @@ def accept(lanes, n, j, energy):  # type: ignore[no-untyped-def]
     energy[j, 1] += energy[j, 3]
 
 
-@lean
+@non_allocating
 def write(lanes, n, j, energy, out):  # type: ignore[no-untyped-def]
     """Copy the state of lane j to ``out`` (2 n + 2,)."""
     k = len(ln.MEMBERS)
@@ -173,7 +171,7 @@ def write(lanes, n, j, energy, out):  # type: ignore[no-untyped-def]
     out[2 * n + 1] = energy[j, 1]
 
 
-@lean
+@non_allocating
 def lane_error(terms, tip, j, step):  # type: ignore[no-untyped-def]
     """Error of lane j's step in units of what is allowed; 0 for a fixed step, inf where it is not finite."""
     k = len(ln.MEMBERS)
@@ -186,7 +184,7 @@ def lane_error(terms, tip, j, step):  # type: ignore[no-untyped-def]
     return math.sqrt(worst) / allowed(terms.tol, step, terms.rounding)
 
 
-@lean
+@non_allocating
 def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[no-untyped-def]
     """Choose the length of every lane's next step (NEXT_STEP); returns the number of lanes at work."""
     busy = 0
@@ -212,7 +210,7 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
     return busy
 
 
-@lean
+@non_allocating
 def control_step(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def]
     """Note a step of the error `size` in a lane's clock, where a chain `sticks` or not, and choose the next; a code."""
     order = terms.best.size - 1

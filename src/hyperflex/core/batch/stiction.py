@@ -1,7 +1,5 @@
 """Dry friction in the lanes of a batch: modes, events and shortened steps of each lane."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +25,7 @@ from hyperflex.core.batch.members import (
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, sincos
 from hyperflex.core.integrate.event_search import AGAIN, EVENT, TRIES, Search, assess_step, begin_search
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import (
     QUICK,
     StictionWorkspace,
@@ -92,7 +90,7 @@ def chain_without_gravity(members, terms, m):  # type: ignore[no-untyped-def]
     return chain_of(members, terms, m, 0.0, 0.0)
 
 
-@lean
+@non_allocating
 def base_at(path, j, since, base):  # type: ignore[no-untyped-def]
     """Motion of lane j's first joint, less gravity, to ``base`` (9,), `since` its piece began; returns the torque."""
     k = len(ln.MEMBERS)
@@ -103,7 +101,7 @@ def base_at(path, j, since, base):  # type: ignore[no-untyped-def]
     return path[EXTERNAL * k + j]
 
 
-@lean
+@non_allocating
 def decide_lane_modes(members, terms, m, lanes, path, j, lane, friction):  # type: ignore[no-untyped-def]
     """Decide how the joints of member m in lane j slip or stick where it stands; False if they chatter."""
     k, n = len(ln.MEMBERS), members.links.shape[2]
@@ -125,7 +123,7 @@ def decide_lane_modes(members, terms, m, lanes, path, j, lane, friction):  # typ
     return good
 
 
-@lean
+@non_allocating
 def assess_lane(members, terms, m, lanes, path, j, lane, friction):  # type: ignore[no-untyped-def]
     """Assess the step of lane j as ``event_search.assess_step`` does; with AGAIN, NEXT_STEP is shorter."""
     k, n = len(ln.MEMBERS), members.links.shape[2]
@@ -167,7 +165,7 @@ def assess_lane(members, terms, m, lanes, path, j, lane, friction):  # type: ign
     return verdict
 
 
-@lean
+@non_allocating
 def finish_lane(lanes, n, j, lane, energy, step, event, friction):  # type: ignore[no-untyped-def]
     """Make the end of lane j's step, of the length `step`, the start of its next one."""
     k = len(ln.MEMBERS)

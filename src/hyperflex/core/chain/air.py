@@ -5,9 +5,7 @@ motor-side joint and grows to u + w l at its far joint. With S = |u| + |u + w l|
 needs to know whether v changes its sign on the way, and none cancels where the link hardly turns.
 """
 
-from __future__ import annotations
-
-from hyperflex.core.jit import inlined, lean, shared
+from hyperflex.core.jit import inlined, non_allocating, shared
 
 TINY = 1e-140  # m/s, beside which any speed counts; its square is still a number
 
@@ -55,7 +53,7 @@ def drag_slopes(drag, length, across, turn):  # type: ignore[no-untyped-def]
     return first, second, length * (second - 0.5 * drag * length * length * (size - spread))
 
 
-@lean
+@non_allocating
 def air_loads(chain, w, base, work, at, stride):  # type: ignore[no-untyped-def]
     """Torque of the air on each link, with the drag of all that lies beyond it, (M.32); O(n).
 

@@ -5,8 +5,6 @@ its far joint, n = (cos q, sin q). Joint i joins link i - 1 to link i; the paren
 The derivation is in docs/models.md; equation numbers below refer to it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -15,7 +13,7 @@ import numpy.typing as npt
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import air_loads
-from hyperflex.core.jit import constant, inlined, kernel, lean
+from hyperflex.core.jit import constant, inlined, kernel, non_allocating
 
 Array = npt.NDArray[np.float64]
 
@@ -193,7 +191,7 @@ def joint_of(chain, i):  # type: ignore[no-untyped-def]
     return chain.viscous[i], chain.dry[i], chain.stiffness[i], chain.rest[i]
 
 
-@lean
+@non_allocating
 def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ignore[no-untyped-def]
     """Angular accelerations of all links by one sweep to the motor and one back; O(n).
 
@@ -250,13 +248,13 @@ def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ign
     return fx, fy, moment
 
 
-@lean
+@non_allocating
 def can_stick(chain):  # type: ignore[no-untyped-def]
     """Whether dry friction may hold a joint."""
     return chain.dry.any()
 
 
-@lean
+@non_allocating
 def lost_power(chain, w, slip, base, work):  # type: ignore[no-untyped-def]
     """Power that friction and the air take from the chain, W; arguments as ``accelerations`` takes and leaves them."""
     _, _, power = air_loads(chain, w, base, work, 0, 4)
@@ -268,7 +266,7 @@ def lost_power(chain, w, slip, base, work):  # type: ignore[no-untyped-def]
     return power
 
 
-@lean
+@non_allocating
 def energies(chain, q, w, base):  # type: ignore[no-untyped-def]
     """Kinetic and potential energy (gravity and springs; zero with all at the origin), J.
 
@@ -295,7 +293,7 @@ def energies(chain, q, w, base):  # type: ignore[no-untyped-def]
     return kinetic, potential
 
 
-@lean
+@non_allocating
 def mass_matrix(chain, q, out):  # type: ignore[no-untyped-def]
     """Mass matrix (n, n) in absolute angles: M_ij = l_i p_j cos(q_i - q_j), i < j (M.4); kg m^2, written to `out`."""
     n = q.size

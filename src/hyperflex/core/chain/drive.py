@@ -1,14 +1,12 @@
 """Drive of the chain: arm angle, pivot and motor torque as piecewise polynomials."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex.core.chain.articulated_body import sincos
-from hyperflex.core.jit import inlined, lean
+from hyperflex.core.jit import inlined, non_allocating
 
 ANGLE, X, Y, TORQUE = 0, 1, 2, 3  # channels of Drive.coef
 ROUNDING = 1e-12  # relative; some thousand times that of the arithmetic
@@ -40,7 +38,7 @@ class Segment(NamedTuple):
     last: int
 
 
-@lean
+@non_allocating
 def segment(drive, t):  # type: ignore[no-untyped-def]
     """Return the Segment that begins at or before t and ends after it; at a switch, within rounding, the later."""
     breaks = drive.breaks
@@ -74,7 +72,7 @@ def segment(drive, t):  # type: ignore[no-untyped-def]
     return Segment(offset + breaks[first], end, offset, first, last)
 
 
-@lean
+@non_allocating
 def within(drive, part, t):  # type: ignore[no-untyped-def]
     """Find the piece j that holds at time t within Segment `part`, the time s into it, and whether all stands still.
 
@@ -100,7 +98,7 @@ def polynomial(c, t):  # type: ignore[no-untyped-def]
     return value, rate, second
 
 
-@lean
+@non_allocating
 def base_state(drive, part, t, base):  # type: ignore[no-untyped-def]
     """Motion of the first joint at time t within the Segment `part`.
 

@@ -16,14 +16,12 @@ it stands in one place, the last row, which is an array of its own: with lanes e
 not overlap pays.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import link_drag
 from hyperflex.core.chain.articulated_body import link_step, mutual, sincos
-from hyperflex.core.jit import inlined, kernel, lean
+from hyperflex.core.jit import inlined, kernel, non_allocating
 
 COLUMNS = (0,) * 4
 MEMBERS = (0,) * 16
@@ -68,14 +66,14 @@ def rows(width, n):  # type: ignore[no-untyped-def]
     return lanes, lanes[size - ROW * k :]
 
 
-@lean
+@non_allocating
 def load(width, chain, lanes, tip):  # type: ignore[no-untyped-def]
     """Copy the parameters of one chain into every lane of ``rows``."""
     for j in range(len(width)):
         load_lane(width, j, chain, lanes, tip)
 
 
-@lean
+@non_allocating
 def load_lane(width, j, chain, lanes, tip):  # type: ignore[no-untyped-def]
     """Copy the parameters of a chain into lane j, whose joints all slip; no air has moved there yet."""
     k = len(width)
@@ -99,9 +97,9 @@ def load_lane(width, j, chain, lanes, tip):  # type: ignore[no-untyped-def]
     tip[MASS * k + j] = chain.tip_mass
 
 
-@lean
+@non_allocating
 def set_slip(width, lanes, slip):  # type: ignore[no-untyped-def]
-    """Set how each joint slips in every lane, (n,) as in ``chain.accelerations``."""
+    """Set how each joint slips in every lane, (n,) as in ``articulated_body.accelerations``."""
     k = len(width)
     for i in range(slip.size):
         for j in range(k):
@@ -167,7 +165,7 @@ def store_answer(row, k, j, reaction_factor, at, answer):  # type: ignore[no-unt
         row[(at + UY) * k + j] = answer[9]
 
 
-@lean
+@non_allocating
 def air(width, lanes, base):  # type: ignore[no-untyped-def]
     """Add the torques of the air to EXTERNAL of the links, (M.32); its force and power go to FX, FY and S of row 0.
 
@@ -205,7 +203,7 @@ def air(width, lanes, base):  # type: ignore[no-untyped-def]
         lanes[S * k + j] = lanes[(ROW + BETA) * k + j]
 
 
-@lean
+@non_allocating
 def sweep(width, reaction, lanes, tip):  # type: ignore[no-untyped-def]
     """From tip to motor: the answer of the chain at each joint (M.8)-(M.13), and the friction work of the step.
 
@@ -250,7 +248,7 @@ def sweep(width, reaction, lanes, tip):  # type: ignore[no-untyped-def]
                 row[(AT + STEP) * k + j] = h
 
 
-@lean
+@non_allocating
 def advance(width, more, lanes, tip):  # type: ignore[no-untyped-def]
     """From motor to tip: accelerations, w + h alpha, q + h w and, with MORE, its sine and cosine for the next step."""
     k = len(width)
@@ -285,7 +283,7 @@ def advance(width, more, lanes, tip):  # type: ignore[no-untyped-def]
                 row[(AT + SIN) * k + j], row[(AT + COS) * k + j] = sincos(q)
 
 
-@lean
+@non_allocating
 def euler(width, reaction, more, lanes, tip, base):  # type: ignore[no-untyped-def]
     """One linearly implicit Euler step in every lane, each of its own length.
 

@@ -1,7 +1,5 @@
 """Base reactions of the rope: the load on the motor of a prescribed arm."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.chain.articulated_body import accelerations, can_stick

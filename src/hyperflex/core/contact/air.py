@@ -1,14 +1,12 @@
 """Impulses of air drag in a contact step (M.34)."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
 from hyperflex.core.chain.air import air_loads
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 
 
 class Air(NamedTuple):
@@ -25,7 +23,7 @@ def new_air(n):  # type: ignore[no-untyped-def]
     return Air(np.zeros(6 * n), np.zeros(n), np.zeros(3))
 
 
-@lean
+@non_allocating
 def add_drag_impulses(chain, air, motion, base, h):  # type: ignore[no-untyped-def]
     """Add the impulses of air drag in a step h to those of the joints in `motion`; `base` (9,) in its middle.
 
@@ -44,7 +42,7 @@ def add_drag_impulses(chain, air, motion, base, h):  # type: ignore[no-untyped-d
         motion.joint[i, 0] += h * air.total[2]
 
 
-@lean
+@non_allocating
 def drag_work(air, motion, rates, before, after, h):  # type: ignore[no-untyped-def]
     """Subtract the drag from the impulses at the first joint; returns the energy lost to drag in the step, J.
 

@@ -1,7 +1,5 @@
 """Arrays of the contact solver: impulses of contacts and joints, and the rates."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -23,16 +21,16 @@ class Impulses(NamedTuple):
     normal0: Array  # where the proximal method starts from
     tangent0: Array
     target: Array  # (K,) m/s, the normal velocity may be as low as minus this
-    lean: Array  # (K,) m/s, and what sticks has the tangential velocity minus this, against the peg
+    tangent_target: Array  # (K,) m/s, and what sticks has the tangential velocity minus this, against the peg
     vn: Array  # (K,) velocity of the point at the end of the step, m/s
-    vt: Array  # less that of a peg that turns, without `lean`
+    vt: Array  # less that of a peg that turns, without `tangent_target`
     good_normal: Array  # normal0, tangent0 and mode of the last solution found
     good_tangent: Array
     mode: Index
     good_mode: Index
     closed: Index  # how often each closed in this search
-    heavy: Array  # (1,) kg, mass M with which the search starts, then that for the next one; 0: the usual one
-    gift: float  # W, power that residual velocities may have
+    penalty: Array  # (1,) kg, mass M with which the search starts, then that for the next one; 0: the usual one
+    residual_power: float  # W, power that residual velocities may have
 
 
 class Joints(NamedTuple):
@@ -45,9 +43,9 @@ class Joints(NamedTuple):
 
 
 # Rows of Joints.of, by joint. IMPULSE: of friction and limit together, N m s. START: where the proximal method starts
-# from; GOOD: that of the last solution found. BOUND: what dry friction bears in the step, N m s. LOWEST, HIGHEST: the
-# relative rate after the step may be between these, rad/s. BEFORE, AFTER: relative rates, rad/s. LEVER: length of the
-# chain beyond the joint, m. FREE, FREE + 1: as ``Motion.joint``, without friction and limits.
+# from; GOOD: that of the last solution found. BOUND: the greatest that dry friction gives in the step, N m s. LOWEST,
+# HIGHEST: the relative rate after the step may be between these, rad/s. BEFORE, AFTER: relative rates, rad/s. LEVER:
+# length of the chain beyond the joint, m. FREE, FREE + 1: as ``Motion.joint``, without friction and limits.
 IMPULSE, START, GOOD, BOUND, LOWEST, HIGHEST, BEFORE, AFTER, LEVER, FREE, ROWS = *range(10), 11
 
 
@@ -70,8 +68,8 @@ class Motion(NamedTuple):
 
 
 @kernel
-def new_impulses(most, gift):  # type: ignore[no-untyped-def]
-    """Impulses of at most so many contacts, whose residual velocities may have the power `gift`, W."""
+def new_impulses(most, residual_power):  # type: ignore[no-untyped-def]
+    """Impulses of at most so many contacts, whose residual velocities may have the power `residual_power`, W."""
     ten = np.zeros((10, most))
     modes = np.zeros((3, most), np.int64)
     return Impulses(
@@ -89,7 +87,7 @@ def new_impulses(most, gift):  # type: ignore[no-untyped-def]
         modes[1],
         modes[2],
         np.zeros(1),
-        gift,
+        residual_power,
     )
 
 

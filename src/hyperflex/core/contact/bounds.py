@@ -1,12 +1,10 @@
 """State and bounds of a rollout with contact."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.step import ContactMemory
-from hyperflex.core.jit import lean
+from hyperflex.core.jit import non_allocating
 
 MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they would be mostly rounding
 SLIGHT, ROUNDING = 1e-5, 1e-15  # s, J; energy that may appear in a step however short: rounding of large forces
@@ -40,13 +38,13 @@ class ContactState(NamedTuple):
     memory: ContactMemory
 
 
-@lean
+@non_allocating
 def energy_allowance(bounds, h):  # type: ignore[no-untyped-def]
     """Energy that may appear from nowhere in a step, J."""
     return bounds.rate * max(h, SLIGHT) + ROUNDING
 
 
-@lean
+@non_allocating
 def energy_balanced(surplus, allowed):  # type: ignore[no-untyped-def]
     """Whether the energy that appears from nowhere in a step, J, or vanishes where it is negative, may do so."""
     return -LOSS * allowed <= surplus <= allowed

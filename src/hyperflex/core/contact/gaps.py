@@ -7,8 +7,6 @@ contact force acts on the axis: the rope is thin in so far as the lever of frict
 the capstan law of a thin rope holds (docs/models.md).
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -16,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 
 Index = npt.NDArray[np.int64]
 NOWHERE = 1e9  # m, gap of what cannot touch
@@ -67,8 +65,8 @@ def new_contacts(most):  # type: ignore[no-untyped-def]
     )
 
 
-@lean
-def joints(chain, trig, x0, y0, out):  # type: ignore[no-untyped-def]
+@non_allocating
+def joint_positions(chain, trig, x0, y0, out):  # type: ignore[no-untyped-def]
     """Positions of the joints, m: ``out`` (2, n + 1), from the first at (x0, y0); `trig` (2 n,) sines, cosines."""
     n = chain.length.size
     out[0, 0], out[1, 0] = x0, y0
@@ -77,7 +75,7 @@ def joints(chain, trig, x0, y0, out):  # type: ignore[no-untyped-def]
         out[1, i + 1] = out[1, i] - chain.length[i] * trig[n + i]
 
 
-@lean
+@non_allocating
 def closest(link, x, y):  # type: ignore[no-untyped-def]
     """Closest point of a link to the point (x, y): distance along the link, m; distance, m; unit vector to it.
 
@@ -93,7 +91,7 @@ def closest(link, x, y):  # type: ignore[no-untyped-def]
     return s, size, dx / size, dy / size
 
 
-@lean
+@non_allocating
 def joint_gap(link, obstacle):  # type: ignore[no-untyped-def]
     """Gap between the joint at the end of a link and a face, m, and the unit vector from the face to the joint."""
     x, y, ux, uy, span, reach = obstacle
@@ -107,7 +105,7 @@ def joint_gap(link, obstacle):  # type: ignore[no-untyped-def]
     return across - reach, -uy, ux
 
 
-@lean
+@non_allocating
 def nearest(link, obstacle):  # type: ignore[no-untyped-def]
     """Point of a link that may touch an obstacle: distance along the link, m; gap, m; unit vector to it.
 
@@ -121,7 +119,7 @@ def nearest(link, obstacle):  # type: ignore[no-untyped-def]
     return s, size - obstacle[5], nx, ny
 
 
-@lean
+@non_allocating
 def corner(q, i):  # type: ignore[no-untyped-def]
     """Factor on the friction of link i, which stands for the arc between the middles of its two corners.
 
@@ -138,9 +136,9 @@ def corner(q, i):  # type: ignore[no-untyped-def]
     return 1.0 if turn < 1e-6 else turn / math.sin(turn)
 
 
-@lean
-def find(chain, pegs, q, trig, place, margin, found):  # type: ignore[no-untyped-def]
-    """Collect the pairs of a link and a peg whose gap is below `margin` (n,), m, into the Contacts `found`.
+@non_allocating
+def find(chain, pegs, q, trig, place, margin, contacts):  # type: ignore[no-untyped-def]
+    """Collect the pairs of a link and a peg whose gap is below `margin` (n,), m, into the Contacts `contacts`.
 
     Returns the smallest gap of all pairs, m; where that is above the margins, a lower bound of it.
     """
@@ -161,16 +159,16 @@ def find(chain, pegs, q, trig, place, margin, found):  # type: ignore[no-untyped
             s, gap, nx, ny = nearest(link, (x[p], y[p], ux[p], uy[p], span[p], reach[p]))
             least = min(least, gap)
             if gap < margin[i]:
-                found.link[count], found.peg[count] = i, p
-                found.place[count], found.nx[count], found.ny[count] = s, nx, ny
-                found.gap[count] = gap
-                found.mu[count] = mu[p] * (corner(q, i) if span[p] == 0.0 else 1.0)
+                contacts.link[count], contacts.peg[count] = i, p
+                contacts.place[count], contacts.nx[count], contacts.ny[count] = s, nx, ny
+                contacts.gap[count] = gap
+                contacts.mu[count] = mu[p] * (corner(q, i) if span[p] == 0.0 else 1.0)
                 count += 1
-    found.total[0] = count
+    contacts.total[0] = count
     return least
 
 
-@lean
+@non_allocating
 def speeds(chain, trig, w, vx, vy, out):  # type: ignore[no-untyped-def]
     """Velocities of the joints, m/s: ``out`` (2, n + 1), from that of the first, (vx, vy); `trig` as in ``joints``."""
     n = w.size

@@ -7,8 +7,6 @@ mode is a step of the staircase. Where the rate is given, L = L0 - M rate by the
 more than a change of the joint's (T, kappa) in the sweep.
 """
 
-from __future__ import annotations
-
 import math
 
 from hyperflex.core.contact.arrays import (
@@ -29,7 +27,7 @@ from hyperflex.core.contact.arrays import (
     UPPER,
 )
 from hyperflex.core.integrate.end_conditions import limit_gap
-from hyperflex.core.jit import lean
+from hyperflex.core.jit import non_allocating
 
 ANY = 1e9  # rad/s, bound of a rate that nothing holds
 REACHED = 1e-5  # rad, gap at which a limit is reached
@@ -40,7 +38,7 @@ RELAXED = 0.99  # of the last step's torque is where the next step starts
 SOON = 0.01  # s, for which the present rate counts in what is left of a gap
 
 
-@lean
+@non_allocating
 def joint_mode(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no-untyped-def]
     """Angular impulse of a joint in a mode, N m s, and the mode that it should have; start is L0, mass is M, kg m^2.
 
@@ -62,17 +60,17 @@ def joint_mode(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no
     if mode == STICK:
         return impulse, AHEAD if impulse < -bound else BACK if impulse > bound else mode
     sense = 1.0 if mode == AHEAD else -1.0 if mode == BACK else 0.0
-    wanted = mode
+    new_mode = mode
     if rate > upper + CLOSING:
-        wanted = UPPER
+        new_mode = UPPER
     elif rate < lower - CLOSING:
-        wanted = LOWER
+        new_mode = LOWER
     elif lower < 0.0 < upper and -sense * impulse < bound:
-        wanted = STICK
-    return -sense * bound, wanted
+        new_mode = STICK
+    return -sense * bound, new_mode
 
 
-@lean
+@non_allocating
 def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-untyped-def]
     """Say what each joint may do in a step `h`, s, and begin with the modes and torques of the last step.
 
@@ -80,8 +78,8 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
     ``workspace.brisk`` is left free, and ``workspace.touch`` is the time until it is there; in an impact (h = 0.0)
     those that are there are held.
     """
-    motion, held, of = workspace.motion, workspace.held, workspace.held.of
-    for i in held.which:
+    motion, joints, of = workspace.motion, workspace.joints, workspace.joints.of
+    for i in joints.which:
         bend = workspace.q[i] - (workspace.q[i - 1] if i > 0 else workspace.base[1, 4]) - chain.rest[i]
         rate = motion.w[i] - (motion.w[i - 1] if i > 0 else workspace.base[0, 3])
         of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
@@ -89,10 +87,10 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
         of[HIGHEST, i] = allowed_rate(workspace, chain.max_bend[i] - bend, rate, h, struck)
         of[LOWEST, i] = -allowed_rate(workspace, chain.max_bend[i] + bend, -rate, h, struck)
         of[START, i] = RELAXED * h * memory.torque[i]
-        held.mode[i] = initial_joint_mode(memory.bent[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i])
+        joints.mode[i] = initial_joint_mode(memory.bent[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i])
 
 
-@lean
+@non_allocating
 def allowed_rate(workspace, gap, closing, h, struck):  # type: ignore[no-untyped-def]
     """Greatest rate, rad/s, at which a gap, rad in the middle of a step, may close that closes at `closing` before."""
     if h == 0.0:
@@ -106,7 +104,7 @@ def allowed_rate(workspace, gap, closing, h, struck):  # type: ignore[no-untyped
     return max(gap, 0.0) / h
 
 
-@lean
+@non_allocating
 def initial_joint_mode(last, rate, lower, upper, bound):  # type: ignore[no-untyped-def]
     """Mode of a joint to begin the search with, from that of the last step."""
     mode = last
@@ -121,82 +119,82 @@ def initial_joint_mode(last, rate, lower, upper, bound):  # type: ignore[no-unty
     return mode
 
 
-@lean
-def write_joints(motion, held, heavy):  # type: ignore[no-untyped-def]
-    """Write the joints, with their present modes, to ``motion.joint``; `heavy` is M of the contacts, kg."""
-    of, joint = held.of, motion.joint
-    for i in held.which:
-        mode, torque, slope = held.mode[i], 0.0, 0.0
+@non_allocating
+def write_joints(motion, joints, penalty):  # type: ignore[no-untyped-def]
+    """Write the joints, with their present modes, to ``motion.joint``; `penalty` is M of the contacts, kg."""
+    of, joint = joints.of, motion.joint
+    for i in joints.which:
+        mode, torque, slope = joints.mode[i], 0.0, 0.0
         if mode in (AHEAD, BACK):
             torque = -of[BOUND, i] if mode == AHEAD else of[BOUND, i]
         elif mode != OPEN:
-            slope = heavy * of[LEVER, i] * of[LEVER, i]
+            slope = penalty * of[LEVER, i] * of[LEVER, i]
             at = of[HIGHEST, i] if mode == UPPER else of[LOWEST, i] if mode == LOWER else 0.0
             torque = of[START, i] - slope * (of[BEFORE, i] - at)
         joint[i, 0], joint[i, 1] = of[FREE, i] + torque, of[FREE + 1, i] + slope
 
 
-@lean
-def update_joint_modes(motion, held, heavy, change):  # type: ignore[no-untyped-def]
+@non_allocating
+def update_joint_modes(motion, joints, penalty, change):  # type: ignore[no-untyped-def]
     """Read rates and impulses off the changes of the rates; with `change`, change the modes that break the law.
 
     Returns how many broke it.
     """
-    of, broke = held.of, 0
-    for i in held.which:
+    of, violations = joints.of, 0
+    for i in joints.which:
         rate = of[BEFORE, i] + motion.change[i] - (motion.change[i - 1] if i > 0 else motion.base[2])
-        mass = heavy * of[LEVER, i] * of[LEVER, i]
+        mass = penalty * of[LEVER, i] * of[LEVER, i]
         of[AFTER, i] = rate
-        of[IMPULSE, i], wanted = joint_mode(
-            held.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i], of[START, i], mass
+        of[IMPULSE, i], new_mode = joint_mode(
+            joints.mode[i], rate, of[LOWEST, i], of[HIGHEST, i], of[BOUND, i], of[START, i], mass
         )
-        if wanted != held.mode[i]:
-            broke += 1
+        if new_mode != joints.mode[i]:
+            violations += 1
             if change:
-                held.mode[i] = wanted
-    return broke
+                joints.mode[i] = new_mode
+    return violations
 
 
-@lean
-def update_joint_multipliers(held, heavy):  # type: ignore[no-untyped-def]
+@non_allocating
+def update_joint_multipliers(joints, penalty):  # type: ignore[no-untyped-def]
     """As ``modes.update_multipliers`` for the joints: residual velocity, m/s, and the energy that it stands for, J."""
-    of = held.of
+    of = joints.of
     worst = given = 0.0
-    for i in held.which:
-        mode, lever, impulse = held.mode[i], of[LEVER, i], of[IMPULSE, i]
+    for i in joints.which:
+        mode, lever, impulse = joints.mode[i], of[LEVER, i], of[IMPULSE, i]
         if mode in (AHEAD, BACK):
             left = max(0.0, -of[AFTER, i] if mode == AHEAD else of[AFTER, i]) * lever
         elif mode == OPEN:
             left = 0.0
         else:
-            left = abs(impulse - of[START, i]) / (heavy * lever)
+            left = abs(impulse - of[START, i]) / (penalty * lever)
         worst, given = max(worst, left), given + left / lever * abs(impulse)
         of[START, i] = impulse
     return worst, given
 
 
-@lean
-def release_joints(held):  # type: ignore[no-untyped-def]
+@non_allocating
+def release_joints(joints):  # type: ignore[no-untyped-def]
     """Where no modes are found: limits hold nothing, and friction acts against the rates before the step."""
-    of = held.of
-    for i in held.which:
-        held.mode[i] = OPEN if of[BOUND, i] == 0.0 else AHEAD if of[BEFORE, i] > 0.0 else BACK
+    of = joints.of
+    for i in joints.which:
+        joints.mode[i] = OPEN if of[BOUND, i] == 0.0 else AHEAD if of[BEFORE, i] > 0.0 else BACK
 
 
-@lean
-def joint_losses(held):  # type: ignore[no-untyped-def]
+@non_allocating
+def joint_losses(joints):  # type: ignore[no-untyped-def]
     """Energy that dry friction and limits took in a step, J: impulses times mean rates."""
-    of, friction, limits = held.of, 0.0, 0.0
-    for i in held.which:
+    of, friction, limits = joints.of, 0.0, 0.0
+    for i in joints.which:
         taken = -0.5 * of[IMPULSE, i] * (of[BEFORE, i] + of[AFTER, i])
-        if held.mode[i] >= UPPER:
+        if joints.mode[i] >= UPPER:
             limits += taken
-        elif held.mode[i] != OPEN:
+        elif joints.mode[i] != OPEN:
             friction += taken
     return friction, limits
 
 
-@lean
+@non_allocating
 def bend_clearance(chain, q, w, angle, rate):  # type: ignore[no-untyped-def]
     """Smallest gap of a joint to its limit, rad, and the smallest that is left SOON; infinite where none has limits.
 

@@ -5,8 +5,6 @@ Lagrangian) takes those nearest to the last step's, P = P0 - M v with a mass M f
 on the cone. Its residual velocity is (P - P0) / M and dies out where the load is steady, so what sticks does not creep.
 """
 
-from __future__ import annotations
-
 import math
 
 from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
@@ -14,7 +12,7 @@ from hyperflex.core.contact.joints import release_joints, update_joint_modes, up
 from hyperflex.core.contact.point import add_contact_impulse, velocity
 from hyperflex.core.contact.sweep import changes, clear
 from hyperflex.core.contact.turning_pegs import turn_pegs
-from hyperflex.core.jit import lean
+from hyperflex.core.jit import non_allocating
 
 STIFF = 1e3  # M in masses of the whole rope
 SOFTER, GROW, STIFFEST = 0.1, 10.0, 1e6  # where that is too stiff to find modes, and where too soft for small residuals
@@ -32,69 +30,69 @@ RECOVERING = 1.3  # growth of M from one step to the next, after one that took a
 INSTANT = 1e-6  # s, an impact may give as much as a step of this length
 
 
-@lean
-def write_modes(found, impulses, motion, held, heavy):  # type: ignore[no-untyped-def]
-    """Write contacts and joints, in their present modes, to ``motion.touch`` and ``motion.joint``; `heavy` is M, kg."""
+@non_allocating
+def write_modes(contacts, impulses, motion, joints, penalty):  # type: ignore[no-untyped-def]
+    """Write contacts and joints, in their modes, to ``motion.touch`` and ``motion.joint``; `penalty` is M, kg."""
     n = motion.w.size
-    write_joints(motion, held, heavy)
-    for c in range(found.total[0]):
+    write_joints(motion, joints, penalty)
+    for c in range(contacts.total[0]):
         if impulses.mode[c] == OPEN:
             continue
-        i, s = found.link[c], found.place[c]
-        nx, ny = found.nx[c], found.ny[c]
+        i, s = contacts.link[c], contacts.place[c]
+        nx, ny = contacts.nx[c], contacts.ny[c]
         vx = motion.speed[0, i] + motion.turned[0, i] + s * motion.trig[n + i] * motion.w[i]
         vy = motion.speed[1, i] + motion.turned[1, i] + s * motion.trig[i] * motion.w[i]
-        pn = impulses.normal0[c] - heavy * (vx * nx + vy * ny + impulses.target[c])
-        pt = impulses.tangent0[c] - heavy * (vy * nx - vx * ny + impulses.lean[c])
-        add_contact_impulse(found, impulses, motion, c, heavy, pn, pt)
+        pn = impulses.normal0[c] - penalty * (vx * nx + vy * ny + impulses.target[c])
+        pt = impulses.tangent0[c] - penalty * (vy * nx - vx * ny + impulses.tangent_target[c])
+        add_contact_impulse(contacts, impulses, motion, c, penalty, pn, pt)
 
 
-@lean
-def update_modes(found, impulses, motion, held, spin, heavy, change):  # type: ignore[no-untyped-def]
+@non_allocating
+def update_modes(contacts, impulses, motion, joints, spin, penalty, change):  # type: ignore[no-untyped-def]
     """Read velocities and impulses off the changes of the rates; with `change`, change the modes that break the law.
 
     What slips sticks again where P0 - M v is back inside the cone, by the same measure by which what sticks leaves it:
     were it asked whether the velocity turns, P0 outside the cone would let neither hold. Returns how many broke it.
     """
-    broke = update_joint_modes(motion, held, heavy, change)
-    for c in range(found.total[0]):
-        vn, vt = velocity(found, motion, c)
-        vt -= spin.reach[found.peg[c]] * spin.after[found.peg[c]]
+    violations = update_joint_modes(motion, joints, penalty, change)
+    for c in range(contacts.total[0]):
+        vn, vt = velocity(contacts, motion, c)
+        vt -= spin.reach[contacts.peg[c]] * spin.after[contacts.peg[c]]
         impulses.vn[c], impulses.vt[c] = vn, vt
-        vt += impulses.lean[c]
-        pn = impulses.normal0[c] - heavy * (vn + impulses.target[c])
-        pt = impulses.tangent0[c] - heavy * vt
-        mode, mu = impulses.mode[c], found.mu[c]
-        wanted = mode
+        vt += impulses.tangent_target[c]
+        pn = impulses.normal0[c] - penalty * (vn + impulses.target[c])
+        pt = impulses.tangent0[c] - penalty * vt
+        mode, mu = impulses.mode[c], contacts.mu[c]
+        new_mode = mode
         if mode == OPEN:
             impulses.normal[c] = impulses.tangent[c] = 0.0
             if vn + impulses.target[c] < -CLOSING:
-                wanted = AHEAD if vt >= 0.0 else BACK
+                new_mode = AHEAD if vt >= 0.0 else BACK
                 if mu > 0.0 and (abs(vt) <= SLOW or impulses.closed[c] % 2 == 1):
-                    wanted = STICK
+                    new_mode = STICK
         else:
             impulses.normal[c] = pn
             bound = mu * max(pn, 0.0)
             if mode == STICK:
                 impulses.tangent[c] = pt
                 if abs(pt) > bound:
-                    wanted = AHEAD if pt < 0.0 else BACK
+                    new_mode = AHEAD if pt < 0.0 else BACK
             else:
                 sense = 1.0 if mode == AHEAD else -1.0
                 impulses.tangent[c] = -sense * bound
                 if pn < 0.0:
-                    wanted = OPEN
+                    new_mode = OPEN
                 elif mu > 0.0 and -sense * pt < bound:
-                    wanted = STICK
-        if wanted != mode:
+                    new_mode = STICK
+        if new_mode != mode:
             if change:
-                impulses.mode[c] = wanted
+                impulses.mode[c] = new_mode
                 impulses.closed[c] += int(mode == OPEN)
-            broke += 1
-    return broke
+            violations += 1
+    return violations
 
 
-@lean
+@non_allocating
 def centrifugal(chain, motion, h, gx, gy):  # type: ignore[no-untyped-def]
     """Centrifugal terms at the mean of the rates before and after, and what ``motion.turned`` makes up for.
 
@@ -116,10 +114,10 @@ def centrifugal(chain, motion, h, gx, gy):  # type: ignore[no-untyped-def]
     return moved / (1.0 + largest)
 
 
-@lean
-def solve_round(chain, found, impulses, motion, held, spin, heavy, change):  # type: ignore[no-untyped-def]
+@non_allocating
+def solve_round(chain, contacts, impulses, motion, joints, spin, penalty, change):  # type: ignore[no-untyped-def]
     """Solve for the changes of the rates with the present modes; then as ``update_modes``, whose answer it returns."""
-    write_modes(found, impulses, motion, held, heavy)
+    write_modes(contacts, impulses, motion, joints, penalty)
     fx, fy, moment = changes(
         chain,
         motion.trig,
@@ -134,22 +132,22 @@ def solve_round(chain, found, impulses, motion, held, spin, heavy, change):  # t
     )
     motion.load[0], motion.load[1], motion.load[2] = fx, fy, moment
     if spin.which.size > 0:
-        turn_pegs(chain, found, impulses, motion, held, spin, heavy)
-    clear(motion.touch, found.link, found.total[0])
-    return update_modes(found, impulses, motion, held, spin, heavy, change)
+        turn_pegs(chain, contacts, impulses, motion, joints, spin, penalty)
+    clear(motion.touch, contacts.link, contacts.total[0])
+    return update_modes(contacts, impulses, motion, joints, spin, penalty, change)
 
 
-@lean
-def search(chain, found, impulses, motion, held, spin, h, heavy):  # type: ignore[no-untyped-def]
-    """Find modes that obey the law for one M = `heavy`, kg; returns the rounds, negative if there are too many."""
+@non_allocating
+def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type: ignore[no-untyped-def]
+    """Find modes that obey the law for one M = `penalty`, kg; returns the rounds, negative if there are too many."""
     settled = SETTLED * max(0.1, min(1.0, h / USUAL))
-    for c in range(found.total[0]):
+    for c in range(contacts.total[0]):
         impulses.closed[c] = 0
-    most = ROUNDS + held.which.size
+    most = ROUNDS + joints.which.size
     for turn in range(most):
         moved = centrifugal(chain, motion, h, chain.gx, chain.gy)
-        broke = solve_round(chain, found, impulses, motion, held, spin, heavy, True)
-        if broke == 0 and moved <= settled:
+        violations = solve_round(chain, contacts, impulses, motion, joints, spin, penalty, True)
+        if violations == 0 and moved <= settled:
             return turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
             motion.change[:] = 0.0
@@ -157,52 +155,52 @@ def search(chain, found, impulses, motion, held, spin, h, heavy):  # type: ignor
     return -most
 
 
-@lean
-def store(found, impulses, held):  # type: ignore[no-untyped-def]
-    """Remember where the proximal method starts from, and the modes; `held` are the Joints."""
-    for i in held.which:
-        held.good_mode[i], held.of[GOOD, i] = held.mode[i], held.of[START, i]
-    for c in range(found.total[0]):
+@non_allocating
+def store(contacts, impulses, joints):  # type: ignore[no-untyped-def]
+    """Remember where the proximal method starts from, and the modes; `joints` are the Joints."""
+    for i in joints.which:
+        joints.good_mode[i], joints.of[GOOD, i] = joints.mode[i], joints.of[START, i]
+    for c in range(contacts.total[0]):
         impulses.good_mode[c] = impulses.mode[c]
         impulses.good_normal[c], impulses.good_tangent[c] = impulses.normal0[c], impulses.tangent0[c]
 
 
-@lean
-def restore(found, impulses, held):  # type: ignore[no-untyped-def]
+@non_allocating
+def restore(contacts, impulses, joints):  # type: ignore[no-untyped-def]
     """Go back to what was stored last."""
-    for i in held.which:
-        held.mode[i], held.of[START, i] = held.good_mode[i], held.of[GOOD, i]
-    for c in range(found.total[0]):
+    for i in joints.which:
+        joints.mode[i], joints.of[START, i] = joints.good_mode[i], joints.of[GOOD, i]
+    for c in range(contacts.total[0]):
         impulses.mode[c] = impulses.good_mode[c]
         impulses.normal0[c], impulses.tangent0[c] = impulses.good_normal[c], impulses.good_tangent[c]
 
 
-@lean
-def update_multipliers(found, impulses, held, heavy):  # type: ignore[no-untyped-def]
-    """Store a solution for M = `heavy`, kg, and let the next one start from it.
+@non_allocating
+def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-untyped-def]
+    """Store a solution for M = `penalty`, kg, and let the next one start from it.
 
     Returns its residual, m/s, and the energy that the residual stands for, J.
     """
-    store(found, impulses, held)
-    worst, given = update_joint_multipliers(held, heavy)
-    for c in range(found.total[0]):
+    store(contacts, impulses, joints)
+    worst, given = update_joint_multipliers(joints, penalty)
+    for c in range(contacts.total[0]):
         pn, pt = impulses.normal[c], impulses.tangent[c]
         if impulses.mode[c] != OPEN:
-            left = abs(pn - impulses.normal0[c]) / heavy
+            left = abs(pn - impulses.normal0[c]) / penalty
             worst, given = max(worst, left), given + left * abs(pn)
         if impulses.mode[c] == STICK:
-            left = abs(pt - impulses.tangent0[c]) / heavy
+            left = abs(pt - impulses.tangent0[c]) / penalty
             worst, given = max(worst, left), given + left * abs(pt)
-        elif impulses.mode[c] != OPEN and found.mu[c] > 0.0:
+        elif impulses.mode[c] != OPEN and contacts.mu[c] > 0.0:
             sense = 1.0 if impulses.mode[c] == AHEAD else -1.0
-            left = max(0.0, -sense * (impulses.vt[c] + impulses.lean[c]))
+            left = max(0.0, -sense * (impulses.vt[c] + impulses.tangent_target[c]))
             worst, given = max(worst, left), given + left * abs(pt)
         impulses.normal0[c], impulses.tangent0[c] = pn, pt
     return worst, given
 
 
-@lean
-def solve(chain, found, impulses, motion, held, spin, h, whole):  # type: ignore[no-untyped-def]
+@non_allocating
+def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: ignore[no-untyped-def]
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 
     Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
@@ -212,7 +210,7 @@ def solve(chain, found, impulses, motion, held, spin, h, whole):  # type: ignore
 
     Parameters
     ----------
-    chain, found, impulses, motion, held, spin : Chain, Contacts, Impulses, Motion, Joints, Spin
+    chain, contacts, impulses, motion, joints, spin : Chain, Contacts, Impulses, Motion, Joints, Spin
     h : float, step, s
     whole : float, mass of the rope, kg
 
@@ -220,39 +218,39 @@ def solve(chain, found, impulses, motion, held, spin, h, whole):  # type: ignore
     -------
     int : rounds, negative if the law is not obeyed to within SLIGHT.
     """
-    store(found, impulses, held)
-    heavy = impulses.heavy[0] if impulses.heavy[0] > 0.0 else STIFF * whole
+    store(contacts, impulses, joints)
+    penalty = impulses.penalty[0] if impulses.penalty[0] > 0.0 else STIFF * whole
     last, residual, given = 0.0, math.inf, math.inf
     total, again, rounds = 0, AGAIN, 0
     for _ in range(TRIES):
-        rounds = search(chain, found, impulses, motion, held, spin, h, heavy)
+        rounds = search(chain, contacts, impulses, motion, joints, spin, h, penalty)
         total += abs(rounds)
         if rounds < 0:
-            restore(found, impulses, held)
+            restore(contacts, impulses, joints)
             if last == 0.0:
-                heavy = SOFTER * min(whole, heavy)
+                penalty = SOFTER * min(whole, penalty)
                 continue
-            if heavy < LEAST * last:
+            if penalty < LEAST * last:
                 break
-            heavy = math.sqrt(heavy * last)
+            penalty = math.sqrt(penalty * last)
             continue
-        (residual, given), last = update_multipliers(found, impulses, held, heavy), heavy
+        (residual, given), last = update_multipliers(contacts, impulses, joints, penalty), penalty
         if residual > SLIGHT:
-            heavy = min(GROW * heavy, STIFFEST * whole)
+            penalty = min(GROW * penalty, STIFFEST * whole)
             continue
         again -= 1
-        if given <= impulses.gift * max(h, INSTANT) or again < 0:
+        if given <= impulses.residual_power * max(h, INSTANT) or again < 0:
             break
-        heavy = max(heavy, min(GROW * heavy, STIFF * whole))
+        penalty = max(penalty, min(GROW * penalty, STIFF * whole))
     if rounds < 0:
-        restore(found, impulses, held)
+        restore(contacts, impulses, joints)
         if last == 0.0:  # nothing was found at all: let go
-            release_joints(held)
-            for c in range(found.total[0]):
+            release_joints(joints)
+            for c in range(contacts.total[0]):
                 impulses.mode[c] = OPEN
         motion.change[:] = 0.0
         for _ in range(SETTLING):
             centrifugal(chain, motion, h, chain.gx, chain.gy)
-            solve_round(chain, found, impulses, motion, held, spin, last if last > 0.0 else heavy, False)
-    impulses.heavy[0] = min(RECOVERING * last, STIFF * whole)
+            solve_round(chain, contacts, impulses, motion, joints, spin, last if last > 0.0 else penalty, False)
+    impulses.penalty[0] = min(RECOVERING * last, STIFF * whole)
     return total if residual <= SLIGHT else -total

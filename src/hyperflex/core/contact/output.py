@@ -1,16 +1,14 @@
 """Outputs of a rollout with contact."""
 
-from __future__ import annotations
-
 from hyperflex.core.assign import assign
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import INDEX, LOST, MOMENT, T, energy_allowance, energy_balanced
 from hyperflex.core.contact.step import CONTACT, FRICTION, WORK, energy, try_step
 from hyperflex.core.contact.turning_pegs import turning_energy
-from hyperflex.core.jit import lean
+from hyperflex.core.jit import non_allocating
 
 
-@lean
+@non_allocating
 def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside, h, x, had):  # type: ignore[no-untyped-def]
     """Take the part x of the step of `workspace` to `aside`; False if the run would not take such a step.
 
@@ -28,7 +26,7 @@ def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside
     return rounds > 0 and energy_balanced(has - had + taken, energy_allowance(bounds, h))
 
 
-@lean
+@non_allocating
 def write_sample(workspace, h, x, state, k, y_out, seen_out):  # type: ignore[no-untyped-def]
     """Write the part x of the step in `workspace`, of length h, as output k: rates straight between its ends."""
     y, clock, change = state.y, state.clock, workspace.motion.change
@@ -46,7 +44,7 @@ def write_sample(workspace, h, x, state, k, y_out, seen_out):  # type: ignore[no
         seen_out[k, o + m + p] = workspace.spin.before[p] + x * more
 
 
-@lean
+@non_allocating
 def write(chain, drive, part, pegs, pull, bounds, state, workspace, aside, h, had, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
     """Write the outputs within the step to ``workspace.out``, which had the energy `had` before it, J."""
     clock = state.clock
@@ -61,22 +59,22 @@ def write(chain, drive, part, pegs, pull, bounds, state, workspace, aside, h, ha
         clock[INDEX] += 1
 
 
-@lean
+@non_allocating
 def step_means(workspace, h, out):  # type: ignore[no-untyped-def]
     """Means over a step, to the first 3 n + 3 entries of ``out``.
 
     Accelerations, rad/s^2; forces of the pegs on the links, first x, then y, N; force on the rope at its first joint,
     x and y, N, and torque through that joint, N m.
     """
-    found, impulses, motion = workspace.found, workspace.impulses, workspace.motion
+    contacts, impulses, motion = workspace.contacts, workspace.impulses, workspace.motion
     n = motion.w.size
     for i in range(n):
         out[i] = motion.change[i] / h
         out[n + i] = out[2 * n + i] = 0.0
     for k in range(3):
         out[3 * n + k] = motion.load[k] / h
-    for c in range(found.total[0]):
+    for c in range(contacts.total[0]):
         if impulses.mode[c] != OPEN:
-            i, nx, ny = found.link[c], found.nx[c], found.ny[c]
+            i, nx, ny = contacts.link[c], contacts.nx[c], contacts.ny[c]
             out[n + i] += (impulses.normal[c] * nx - impulses.tangent[c] * ny) / h
             out[2 * n + i] += (impulses.normal[c] * ny + impulses.tangent[c] * nx) / h

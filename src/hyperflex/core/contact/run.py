@@ -1,7 +1,5 @@
 """Run loop with contact: steps that end at touchdown, impacts, and an energy check."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -29,7 +27,7 @@ from hyperflex.core.contact.bounds import (
     energy_allowance,
     energy_balanced,
 )
-from hyperflex.core.contact.gaps import find, joints, new_contacts, speeds
+from hyperflex.core.contact.gaps import find, joint_positions, new_contacts, speeds
 from hyperflex.core.contact.joints import BEYOND, bend_clearance
 from hyperflex.core.contact.output import write
 from hyperflex.core.contact.step import (
@@ -44,7 +42,7 @@ from hyperflex.core.contact.step import (
 )
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.integrate.step_size import fitted
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
@@ -56,7 +54,7 @@ DEEPER = 5e-5  # m, penetration at which a step is tried again at half its lengt
 SINKING = 1.02  # times the greatest depth until then, which a step may have: what sinks slowly sinks at any step
 
 
-@lean
+@non_allocating
 def accept_step(state, workspace, h, rounds, least):  # type: ignore[no-untyped-def]
     """Accept the step to ``workspace.out``."""
     y, clock, account = state.y, state.clock, workspace.account
@@ -78,13 +76,13 @@ def accept_step(state, workspace, h, rounds, least):  # type: ignore[no-untyped-
     for i in range(n):
         workspace.trend[i] = workspace.motion.change[i] / h if long else 0.0
     if long:
-        save_memory(state.memory, workspace.found, workspace.impulses, workspace.held, h)
+        save_memory(state.memory, workspace.contacts, workspace.impulses, workspace.joints, h)
 
 
-@lean
+@non_allocating
 def clear_memory(memory):  # type: ignore[no-untyped-def]
     """Clear the modes and forces of the last step."""
-    memory.heavy[0] = 0.0
+    memory.penalty[0] = 0.0
     for i in range(memory.mode.shape[0]):
         for p in range(memory.mode.shape[1]):
             memory.normal[i, p] = memory.tangent[i, p] = 0.0
@@ -92,7 +90,7 @@ def clear_memory(memory):  # type: ignore[no-untyped-def]
         memory.torque[i], memory.bent[i] = 0.0, OPEN
 
 
-@lean
+@non_allocating
 def impact(chain, drive, part, pegs, pull, state, workspace, nothing):  # type: ignore[no-untyped-def]
     """Let the links that touch a peg come to rest on it, or bounce, in no time; `nothing` is an empty ContactMemory.
 
@@ -107,13 +105,13 @@ def impact(chain, drive, part, pegs, pull, state, workspace, nothing):  # type: 
     state.clock[IMPACT_DUE] = 0.0
 
 
-@lean
+@non_allocating
 def longest_safe_step(chain, pegs, workspace):  # type: ignore[no-untyped-def]
     """Longest step, s, in which no link near a peg moves by more than SAFE of the smallest reach."""
     speed = workspace.motion.speed
     fastest = 0.0
-    for c in range(workspace.found.total[0]):
-        i = workspace.found.link[c]
+    for c in range(workspace.contacts.total[0]):
+        i = workspace.contacts.link[c]
         for j in range(i, i + 2):
             fastest = max(fastest, abs(speed[0, j]), abs(speed[1, j]))
     smallest = np.inf
@@ -122,7 +120,7 @@ def longest_safe_step(chain, pegs, workspace):  # type: ignore[no-untyped-def]
     return SAFE * smallest / fastest if fastest > 0.0 else np.inf
 
 
-@lean
+@non_allocating
 def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothing, h, wanted, struck, had):  # type: ignore[no-untyped-def]
     """Try a step, and shorter ones, until one will do; it is left in `workspace`.
 
@@ -256,12 +254,12 @@ def clearance(chain, drive, pegs, t, y, near):  # type: ignore[no-untyped-def]
     n = chain.length.size
     base, trig = np.empty(9), np.empty(2 * n)
     base_state(drive, segment(drive, t), t, base)
-    xy, speed, found = np.empty((2, n + 1)), np.empty((2, n + 1)), new_contacts(n * pegs.x.size)
+    xy, speed, contacts = np.empty((2, n + 1)), np.empty((2, n + 1)), new_contacts(n * pegs.x.size)
     sines(y[:n], trig, 0)
-    joints(chain, trig, base[7], base[8], xy)
+    joint_positions(chain, trig, base[7], base[8], xy)
     speeds(chain, trig, y[n : 2 * n], base[5], base[6], speed)
     fastest = 0.0
     for i in range(n + 1):
         fastest = max(fastest, math.hypot(speed[0, i], speed[1, i]))
     _, left = bend_clearance(chain, y[:n], y[n : 2 * n], base[4], base[3])
-    return find(chain, pegs, y[:n], trig, xy, np.full(n, near), found), fastest, left
+    return find(chain, pegs, y[:n], trig, xy, np.full(n, near), contacts), fastest, left

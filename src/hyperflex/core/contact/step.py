@@ -1,7 +1,5 @@
 """One contact step of the Moreau-Jean scheme: angles at its middle, rates at its ends."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +9,11 @@ from hyperflex.core.chain.articulated_body import Array, energies, joint_of, sin
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.contact.air import Air, add_drag_impulses, drag_work, new_air
 from hyperflex.core.contact.arrays import IMPULSE, OPEN, Impulses, Joints, Motion, new_impulses, new_joints, new_motion
-from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joints, nearest, new_contacts, speeds
+from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joint_positions, nearest, new_contacts, speeds
 from hyperflex.core.contact.joints import BEYOND, bend_clearance, bound_joint_rates, joint_losses
 from hyperflex.core.contact.modes import solve
 from hyperflex.core.contact.turning_pegs import Spin, lost_in_bearings, new_spin, prepare_spin
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 
 FAST, FALL = 0.01, 50.0  # m/s, m/s^2; what closes faster than that, and than a step may make it, does so in an impact
 TOUCH = 1e-6  # m, gap that counts as touching there
@@ -24,7 +22,7 @@ RECOVERY, PUSH = 1e-3, 5e-7  # m/s, W; at most so fast, and with so little power
 DEEP = 2e-5  # m, penetration from which on it takes the power that it needs
 RELAXED = 0.99  # of the last step's forces is where the next step starts: what nothing asks for dies out
 SLIGHT_FORCE = 1e-6  # N
-GIFT = 0.25  # part of the power allowed from nowhere that the residual velocities of contacts may have
+RESIDUAL_SHARE = 0.25  # part of the power allowed from nowhere that the residual velocities of contacts may have
 NEAR = 1e-4  # m, gap below which a link is watched even at rest
 BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
@@ -40,7 +38,7 @@ class ContactMemory(NamedTuple):
     normal: Array  # (n, m) N
     tangent: Array
     mode: Index
-    heavy: Array  # (1,) kg, as in Impulses
+    penalty: Array  # (1,) kg, as in Impulses
     torque: Array  # (n,) N m, of the joints' dry friction and limits
     bent: Index  # (n,) their modes
 
@@ -48,10 +46,10 @@ class ContactMemory(NamedTuple):
 class ContactWorkspace(NamedTuple):
     """Working arrays of the stepper for a chain of n links."""
 
-    found: Contacts
+    contacts: Contacts
     impulses: Impulses
     motion: Motion
-    held: Joints
+    joints: Joints
     spin: Spin
     q: Array  # (n,) in the middle of the step
     xy: Array  # (2, n + 1) joints there
@@ -78,7 +76,7 @@ def new_contact_workspace(chain, pegs, rate, longest):  # type: ignore[no-untype
     most = n * pegs.reach.size
     return ContactWorkspace(
         new_contacts(most),
-        new_impulses(most, GIFT * rate),
+        new_impulses(most, RESIDUAL_SHARE * rate),
         new_motion(n),
         new_joints(chain),
         new_spin(n, pegs),
@@ -114,7 +112,7 @@ def new_contact_memory(n, pegs):  # type: ignore[no-untyped-def]
     )
 
 
-@lean
+@non_allocating
 def joint_impulses(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped-def]
     """Angular impulses of the joints: implicit friction, springs at the mean of the angles before and after.
 
@@ -129,18 +127,18 @@ def joint_impulses(chain, q, w, base, h, torque, joint):  # type: ignore[no-unty
     joint[0, 0] += h * torque
 
 
-@lean
-def velocity_before(found, motion, c):  # type: ignore[no-untyped-def]
+@non_allocating
+def velocity_before(contacts, motion, c):  # type: ignore[no-untyped-def]
     """Velocity of the point of contact c before the step, m/s: along its normal, and along its tangent."""
     n = motion.w.size
-    i = found.link[c]
-    lever = found.place[c] * motion.w[i]
+    i = contacts.link[c]
+    lever = contacts.place[c] * motion.w[i]
     vx = motion.speed[0, i] + lever * motion.trig[n + i]
     vy = motion.speed[1, i] + lever * motion.trig[i]
-    return vx * found.nx[c] + vy * found.ny[c], vy * found.nx[c] - vx * found.ny[c]
+    return vx * contacts.nx[c] + vy * contacts.ny[c], vy * contacts.nx[c] - vx * contacts.ny[c]
 
 
-@lean
+@non_allocating
 def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
 
@@ -150,39 +148,39 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
     was made already (`struck`), a link that touches is held by the step, however it moves: only links further away may
     be left free.
     """
-    found, impulses, motion = workspace.found, workspace.impulses, workspace.motion
+    contacts, impulses, motion = workspace.contacts, workspace.impulses, workspace.motion
     n = motion.w.size
     workspace.touch[0] = np.inf
     for i in range(n):
         a = max(abs(motion.speed[0, i]), abs(motion.speed[1, i]))
         b = max(abs(motion.speed[0, i + 1]), abs(motion.speed[1, i + 1]))
         workspace.margin[i] = NEAR + 1.5 * FASTER * h * max(a, b)
-    least = find(chain, pegs, workspace.q, motion.trig, workspace.xy, workspace.margin, found)
-    count = found.total[0]
+    least = find(chain, pegs, workspace.q, motion.trig, workspace.xy, workspace.margin, contacts)
+    count = contacts.total[0]
     if count == 0:
         return least
     if h == 0.0:
         for c in range(count):
-            closing, _ = velocity_before(found, motion, c)
+            closing, _ = velocity_before(contacts, motion, c)
             impulses.target[c] = FREE
-            if found.gap[c] <= 2.0 * TOUCH:
+            if contacts.gap[c] <= 2.0 * TOUCH:
                 impulses.target[c] = (
-                    bounce * pegs.bounce[found.peg[c]] * (closing if closing < -workspace.fast else 0.0)
+                    bounce * pegs.bounce[contacts.peg[c]] * (closing if closing < -workspace.fast else 0.0)
                 )
-            impulses.lean[c] = 0.0
+            impulses.tangent_target[c] = 0.0
         return least
     for i in range(n):
         workspace.ahead_q[i] = workspace.q[i] + h * motion.w[i]
     sines(workspace.ahead_q, workspace.ahead_trig, 0)
     x = workspace.base[1, 7] + h * workspace.base[0, 5]  # as the joints' velocities, which are those before the step
     y = workspace.base[1, 8] + h * workspace.base[0, 6]
-    joints(chain, workspace.ahead_trig, x, y, workspace.ahead)
+    joint_positions(chain, workspace.ahead_trig, x, y, workspace.ahead)
     speeds(chain, workspace.ahead_trig, motion.w, workspace.base[0, 5], workspace.base[0, 6], workspace.ahead_speed)
     for c in range(count):
-        i, p = found.link[c], found.peg[c]
-        closing, sliding = velocity_before(found, motion, c)
-        impulses.lean[c] = 0.0
-        away = found.gap[c] - 0.5 * h * closing  # at the beginning of the step
+        i, p = contacts.link[c], contacts.peg[c]
+        closing, sliding = velocity_before(contacts, motion, c)
+        impulses.tangent_target[c] = 0.0
+        away = contacts.gap[c] - 0.5 * h * closing  # at the beginning of the step
         if closing < -workspace.fast and (away > TOUCH or not struck):
             impulses.target[c] = FREE
             workspace.touch[0] = min(workspace.touch[0], 0.0 if away <= TOUCH else -away / closing)
@@ -191,47 +189,47 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
         link = (tx[i], ty[i], tx[i + 1], ty[i + 1], chain.length[i], turned[i], turned[n + i])
         s, gap, nx, ny = nearest(link, (pegs.x[p], pegs.y[p], pegs.ux[p], pegs.uy[p], pegs.span[p], pegs.reach[p]))
         bend = 0.0
-        if found.gap[c] < NEAR and gap < NOWHERE:
-            bend = max(-BEND, min(gap - found.gap[c] - h * closing, BEND))
+        if contacts.gap[c] < NEAR and gap < NOWHERE:
+            bend = max(-BEND, min(gap - contacts.gap[c] - h * closing, BEND))
             lever = s * motion.w[i]
             wx = workspace.ahead_speed[0, i] + lever * workspace.ahead_trig[n + i]
             wy = workspace.ahead_speed[1, i] + lever * workspace.ahead_trig[i]
-            impulses.lean[c] = 0.5 * ((wy * nx - wx * ny) - sliding)
+            impulses.tangent_target[c] = 0.5 * ((wy * nx - wx * ny) - sliding)
         out = RECOVERY if push else 0.0
-        if found.gap[c] > -DEEP:
+        if contacts.gap[c] > -DEEP:
             out = min(out, PUSH / (abs(memory.normal[i, p]) + SLIGHT_FORCE))
-        impulses.target[c] = max(found.gap[c] / h, -out) + bend / h
+        impulses.target[c] = max(contacts.gap[c] / h, -out) + bend / h
     return least
 
 
-@lean
-def warm_start(memory, found, impulses, h):  # type: ignore[no-untyped-def]
+@non_allocating
+def warm_start(memory, contacts, impulses, h):  # type: ignore[no-untyped-def]
     """Warm start: modes and forces of the last step."""
-    impulses.heavy[0] = memory.heavy[0]
-    for c in range(found.total[0]):
-        i, p = found.link[c], found.peg[c]
+    impulses.penalty[0] = memory.penalty[0]
+    for c in range(contacts.total[0]):
+        i, p = contacts.link[c], contacts.peg[c]
         impulses.mode[c] = memory.mode[i, p]
         impulses.normal0[c] = RELAXED * h * memory.normal[i, p]
         impulses.tangent0[c] = RELAXED * h * memory.tangent[i, p]
 
 
-@lean
-def save_memory(memory, found, impulses, held, h):  # type: ignore[no-untyped-def]
-    """Save modes and forces for the next step; `held` are the Joints."""
-    for i in held.which:
-        memory.torque[i], memory.bent[i] = held.of[IMPULSE, i] / h, held.mode[i]
-    memory.heavy[0] = impulses.heavy[0]
+@non_allocating
+def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyped-def]
+    """Save modes and forces for the next step; `joints` are the Joints."""
+    for i in joints.which:
+        memory.torque[i], memory.bent[i] = joints.of[IMPULSE, i] / h, joints.mode[i]
+    memory.penalty[0] = impulses.penalty[0]
     for i in range(memory.mode.shape[0]):
         for p in range(memory.mode.shape[1]):
             memory.normal[i, p] = memory.tangent[i, p] = 0.0
             memory.mode[i, p] = OPEN
-    for c in range(found.total[0]):
-        i, p = found.link[c], found.peg[c]
+    for c in range(contacts.total[0]):
+        i, p = contacts.link[c], contacts.peg[c]
         memory.mode[i, p] = impulses.mode[c]
         memory.normal[i, p], memory.tangent[i, p] = impulses.normal[c] / h, impulses.tangent[c] / h
 
 
-@lean
+@non_allocating
 def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Take a step from y (2 n or more,) at time t to ``workspace.out``; h = 0.0: an impact, in which nothing else acts.
 
@@ -262,7 +260,7 @@ def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, b
         motion.change[i] = h * workspace.trend[i]
     motion.rho[:] = 0.0
     sines(workspace.q, motion.trig, 0)
-    joints(chain, motion.trig, base[1, 7], base[1, 8], workspace.xy)
+    joint_positions(chain, motion.trig, base[1, 7], base[1, 8], workspace.xy)
     speeds(chain, motion.trig, motion.w, base[0, 5], base[0, 6], motion.speed)
     joint_impulses(chain, workspace.q, motion.w, base, h, torque, motion.joint)
     add_drag_impulses(chain, workspace.air, motion, base[1], h)
@@ -272,9 +270,9 @@ def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, b
     motion.tip[0], motion.tip[1] = h * pull[0], h * pull[1]
     least = find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck)
     bound_joint_rates(chain, workspace, memory, h, struck)
-    warm_start(memory, workspace.found, workspace.impulses, h)
+    warm_start(memory, workspace.contacts, workspace.impulses, h)
     prepare_spin(workspace.spin, motion, h)
-    rounds = solve(chain, workspace.found, workspace.impulses, motion, workspace.held, workspace.spin, h, whole)
+    rounds = solve(chain, workspace.contacts, workspace.impulses, motion, workspace.joints, workspace.spin, h, whole)
     for i in range(n):
         rate = motion.w[i] + motion.change[i]
         workspace.out[i] = workspace.q[i] + 0.5 * h * rate
@@ -285,11 +283,11 @@ def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, b
     return least, rounds
 
 
-@lean
+@non_allocating
 def energy_account(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
     """Energy that joints, air, axles and contacts took in a step, and work put in: impulses times mean velocities."""
     motion, base, spin = workspace.motion, workspace.base, workspace.spin
-    found, impulses = workspace.found, workspace.impulses
+    contacts, impulses = workspace.contacts, workspace.impulses
     n = motion.w.size
     taken = 0.0
     for i in range(n):
@@ -297,14 +295,14 @@ def energy_account(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
         after = workspace.out[n + i] - (workspace.out[n + i - 1] if i > 0 else base[2, 3])
         taken -= h * joint_law.friction(joint_of(chain, i), after, 0.0) * 0.5 * (before + after)
     taken += drag_work(workspace.air, motion, workspace.out[n:], base[0], base[2], h)
-    rubbed, limited = joint_losses(workspace.held)
+    rubbed, limited = joint_losses(workspace.joints)
     workspace.account[FRICTION] = taken + rubbed + lost_in_bearings(spin)
     taken = limited
-    for c in range(found.total[0]):
+    for c in range(contacts.total[0]):
         if impulses.mode[c] == OPEN:
             continue
-        closing, sliding = velocity_before(found, motion, c)
-        sliding -= spin.reach[found.peg[c]] * spin.before[found.peg[c]]
+        closing, sliding = velocity_before(contacts, motion, c)
+        sliding -= spin.reach[contacts.peg[c]] * spin.before[contacts.peg[c]]
         taken -= 0.5 * impulses.normal[c] * (closing + impulses.vn[c])
         taken -= 0.5 * impulses.tangent[c] * (sliding + impulses.vt[c])
     workspace.account[CONTACT] = taken
@@ -319,7 +317,7 @@ def energy_account(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
     workspace.account[WORK] = work
 
 
-@lean
+@non_allocating
 def energy(chain, y, base):  # type: ignore[no-untyped-def]
     """Kinetic and potential energy of angles and rates y (2 n or more,), J; `base` (9,) motion of the first joint."""
     n = chain.length.size

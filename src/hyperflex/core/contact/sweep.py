@@ -5,9 +5,7 @@ next to nothing. That is one more linear term on its link, so the sweep solves r
 contact matrix: (M.8)-(M.13) with the terms of B and C.
 """
 
-from __future__ import annotations
-
-from hyperflex.core.jit import inlined, lean
+from hyperflex.core.jit import inlined, non_allocating
 
 # of a row of `touch`: sums over the contacts of a link at places s, n the direction across the link
 BXX, BXY, BYX, BYY = range(4)  # B, kg
@@ -19,7 +17,7 @@ TOUCH = 12
 
 @inlined
 def link_change(link, joint, sin, cos, rho, touch, beyond):  # type: ignore[no-untyped-def]
-    """One link of the sweep from tip to motor, as ``chain.link_step``, with contacts and without symmetry.
+    """One link of the sweep from tip to motor, as ``articulated_body.link_step``, with contacts and without symmetry.
 
     Parameters
     ----------
@@ -70,7 +68,7 @@ def link_change(link, joint, sin, cos, rho, touch, beyond):  # type: ignore[no-u
     return at, (turn, ex * inv, ey * inv, k)
 
 
-@lean
+@non_allocating
 def changes(chain, trig, joint, rho, touch, base, tip, change, place, work):  # type: ignore[no-untyped-def]
     """Changes of all rates within a step; O(n).
 
@@ -115,14 +113,14 @@ def changes(chain, trig, joint, rho, touch, base, tip, change, place, work):  # 
     return fx, fy, moment
 
 
-@lean
+@non_allocating
 def clear(touch, links, count):  # type: ignore[no-untyped-def]
     """Take the contacts of the first `count` of `links` off the rows of `touch`."""
     for c in range(count):
         touch[links[c]] = 0.0
 
 
-@lean
+@non_allocating
 def add_contact(touch, i, s, sin, cos, b, c):  # type: ignore[no-untyped-def]
     """Add an impulse C - B v at the place s of link i: b = (bxx, bxy, byx, byy), kg; c = (cx, cy), N s."""
     row = touch[i]

@@ -6,8 +6,6 @@ than action and reaction in one point. With fixed modes the rope's answer is lin
 sweep for each peg that a link sticks to, and one equation a peg, give them all.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -19,7 +17,7 @@ from hyperflex.core.contact.arrays import OPEN, STICK
 from hyperflex.core.contact.gaps import Index
 from hyperflex.core.contact.point import add_contact_impulse, friction_ratio, velocity
 from hyperflex.core.contact.sweep import changes, clear
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 
 
 class Spin(NamedTuple):
@@ -33,7 +31,7 @@ class Spin(NamedTuple):
     before: Array  # (m,) rad/s, rates before the step; 0 of fixed ones
     after: Array  # (m,) and after it
     stay: Array  # (m,) part of its rate that a peg keeps in the step where nothing touches it
-    heavy: Array  # (m,) kg m^2, angular impulse over the change of the rate that it makes
+    penalty: Array  # (m,) kg m^2, angular impulse over the change of the rate that it makes
     system: Array  # (k, k + 1) equations of the rates after the step
     change: Array  # (k, n) answers to a rate of 1 rad/s: of the links' rates
     place: Array  # (k, 2, n) of the joints' velocities
@@ -72,7 +70,7 @@ def new_spin(n, pegs):  # type: ignore[no-untyped-def]
     )
 
 
-@lean
+@non_allocating
 def coasting(inertia, bearing, h):  # type: ignore[no-untyped-def]
     """Part of its rate that a free peg keeps for h s, and angular impulse over change of rate, kg m^2; both exact."""
     x = bearing * h / inertia
@@ -81,26 +79,26 @@ def coasting(inertia, bearing, h):  # type: ignore[no-untyped-def]
     return math.exp(-x), -bearing * h / math.expm1(-x)
 
 
-@lean
+@non_allocating
 def prepare_spin(spin, motion, h):  # type: ignore[no-untyped-def]
     """Prepare a step h, s; 0.0: an impact."""
     for p in spin.which:
-        spin.stay[p], spin.heavy[p] = coasting(spin.inertia[p], spin.bearing[p], h)
+        spin.stay[p], spin.penalty[p] = coasting(spin.inertia[p], spin.bearing[p], h)
     if spin.which.size > 0:
         assign(spin.joint[:, 1], motion.joint[:, 1])
 
 
-@lean
-def peg_response(chain, found, impulses, motion, spin, heavy, k):  # type: ignore[no-untyped-def]
-    """Find what a rate of 1 rad/s of turning peg k alone does to the rope, with the present modes; `heavy` is M, kg."""
+@non_allocating
+def peg_response(chain, contacts, impulses, motion, spin, penalty, k):  # type: ignore[no-untyped-def]
+    """Find what a rate of 1 rad/s of turning peg k alone does to the rope, in these modes; `penalty` is M, kg."""
     p, n = spin.which[k], motion.w.size
-    clear(motion.touch, found.link, found.total[0])
+    clear(motion.touch, contacts.link, contacts.total[0])
     sticks = False
-    for c in range(found.total[0]):
+    for c in range(contacts.total[0]):
         if impulses.mode[c] != OPEN:
-            here = impulses.mode[c] == STICK and found.peg[c] == p
+            here = impulses.mode[c] == STICK and contacts.peg[c] == p
             sticks = sticks or here
-            add_contact_impulse(found, impulses, motion, c, heavy, 0.0, heavy * spin.reach[p] if here else 0.0)
+            add_contact_impulse(contacts, impulses, motion, c, penalty, 0.0, penalty * spin.reach[p] if here else 0.0)
     if not sticks:
         spin.change[k] = spin.load[k] = 0.0
         spin.place[k] = 0.0
@@ -111,32 +109,32 @@ def peg_response(chain, found, impulses, motion, spin, heavy, k):  # type: ignor
     )
 
 
-@lean
-def add_peg_equation(found, impulses, motion, spin, heavy, c):  # type: ignore[no-untyped-def]
+@non_allocating
+def add_peg_equation(contacts, impulses, motion, spin, penalty, c):  # type: ignore[no-untyped-def]
     """Enter the tangential impulse of contact c into the equation of its peg, at present rates and per rad/s of each.
 
     ``motion`` holds the rope's answer to pegs at rest.
     """
     n, last = motion.w.size, spin.which.size
-    i, k, lever = found.link[c], spin.row[found.peg[c]], spin.reach[found.peg[c]]
-    nx, ny = found.nx[c], found.ny[c]
-    vn, vt = velocity(found, motion, c)
-    sticks, ratio = impulses.mode[c] == STICK, friction_ratio(found, impulses, c)
+    i, k, lever = contacts.link[c], spin.row[contacts.peg[c]], spin.reach[contacts.peg[c]]
+    nx, ny = contacts.nx[c], contacts.ny[c]
+    vn, vt = velocity(contacts, motion, c)
+    sticks, ratio = impulses.mode[c] == STICK, friction_ratio(contacts, impulses, c)
     if sticks:
-        pt = impulses.tangent0[c] - heavy * (vt + impulses.lean[c])
-        spin.system[k, k] += lever * heavy * lever
+        pt = impulses.tangent0[c] - penalty * (vt + impulses.tangent_target[c])
+        spin.system[k, k] += lever * penalty * lever
     else:
-        pt = ratio * (impulses.normal0[c] - heavy * (vn + impulses.target[c]))
+        pt = ratio * (impulses.normal0[c] - penalty * (vn + impulses.target[c]))
     spin.system[k, last] -= lever * pt
     for j in range(last):
-        turn = found.place[c] * spin.change[j, i]
+        turn = contacts.place[c] * spin.change[j, i]
         vx = spin.place[j, 0, i] + turn * motion.trig[n + i]
         vy = spin.place[j, 1, i] + turn * motion.trig[i]
         along = vy * nx - vx * ny if sticks else ratio * (vx * nx + vy * ny)
-        spin.system[k, j] -= lever * heavy * along
+        spin.system[k, j] -= lever * penalty * along
 
 
-@lean
+@non_allocating
 def eliminate(system):  # type: ignore[no-untyped-def]
     """Solve equations (k, k + 1), the right-hand side last, which becomes the solution."""
     k = system.shape[0]
@@ -156,24 +154,24 @@ def eliminate(system):  # type: ignore[no-untyped-def]
         system[i, k] /= system[i, i]
 
 
-@lean
-def turn_pegs(chain, found, impulses, motion, held, spin, heavy):  # type: ignore[no-untyped-def]
+@non_allocating
+def turn_pegs(chain, contacts, impulses, motion, joints, spin, penalty):  # type: ignore[no-untyped-def]
     """Find the pegs' rates after the step with the present modes, and add what they do to the rope.
 
     ``motion`` holds the rope's answer to pegs at rest; what ``motion.touch`` holds is lost.
     """
     last = spin.which.size
-    for i in held.which:
+    for i in joints.which:
         spin.joint[i, 1] = motion.joint[i, 1]
     for k in range(last):
         p = spin.which[k]
-        peg_response(chain, found, impulses, motion, spin, heavy, k)
+        peg_response(chain, contacts, impulses, motion, spin, penalty, k)
         spin.system[k] = 0.0
-        spin.system[k, k] = spin.heavy[p]
-        spin.system[k, last] = spin.heavy[p] * spin.stay[p] * spin.before[p]
-    for c in range(found.total[0]):
-        if impulses.mode[c] != OPEN and spin.row[found.peg[c]] >= 0:
-            add_peg_equation(found, impulses, motion, spin, heavy, c)
+        spin.system[k, k] = spin.penalty[p]
+        spin.system[k, last] = spin.penalty[p] * spin.stay[p] * spin.before[p]
+    for c in range(contacts.total[0]):
+        if impulses.mode[c] != OPEN and spin.row[contacts.peg[c]] >= 0:
+            add_peg_equation(contacts, impulses, motion, spin, penalty, c)
     eliminate(spin.system)
     for k in range(last):
         rate = spin.system[k, last]
@@ -186,18 +184,18 @@ def turn_pegs(chain, found, impulses, motion, held, spin, heavy):  # type: ignor
             motion.load[j] += rate * spin.load[k, j]
 
 
-@lean
+@non_allocating
 def lost_in_bearings(spin):  # type: ignore[no-untyped-def]
     """Energy that the axles took in the step, J: their angular impulse times the mean rate."""
     taken = 0.0
     for p in spin.which:
-        heavy, inertia, before, after = spin.heavy[p], spin.inertia[p], spin.before[p], spin.after[p]
-        impulse = (heavy - inertia) * after + (inertia - heavy * spin.stay[p]) * before
+        penalty, inertia, before, after = spin.penalty[p], spin.inertia[p], spin.before[p], spin.after[p]
+        impulse = (penalty - inertia) * after + (inertia - penalty * spin.stay[p]) * before
         taken += impulse * 0.5 * (before + after)
     return taken
 
 
-@lean
+@non_allocating
 def turning_energy(spin, rate):  # type: ignore[no-untyped-def]
     """Kinetic energy of the pegs that turn at rates (m,), J."""
     total = 0.0

@@ -1,7 +1,5 @@
 """Blobs in a small picture of weights: connected components and their moments."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.jit import kernel

@@ -1,7 +1,5 @@
 """Fisher's linear discriminant between a marker's colour and the pixels around it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.jit import kernel

@@ -1,7 +1,5 @@
 """Moving capsules integrated over the exposure of each row of a picture."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,18 +1,16 @@
 """Error of a step by drag reversal, the kink of quadratic drag (M.35)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.integrate.step_size import allowed, lasting
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 
 NEAR = 2.0  # looks from the ends of a step
 
 
-@lean
+@non_allocating
 def across_ends(chain, y, base, trig, out):  # type: ignore[no-untyped-def]
     """Velocities across each link at its near and far joint to ``out`` (2, n), m/s; `trig` (2 n,) is scratch.
 
@@ -29,7 +27,7 @@ def across_ends(chain, y, base, trig, out):  # type: ignore[no-untyped-def]
         vy += turn * trig[i]
 
 
-@lean
+@non_allocating
 def unseen(chain, before, after, step, order):  # type: ignore[no-untyped-def]
     """Error of velocities, m/s, by air that begins to pull the other way where no column of a step looks.
 

@@ -1,14 +1,12 @@
 """Dense output: Hermite interpolation within a step, and what is observed at a sample."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from hyperflex.core.chain.articulated_body import Array, accelerations, can_stick, energies
 from hyperflex.core.chain.drive import base_state, segment
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
 from hyperflex.core.stiction.slip_modes import find_modes
 
@@ -28,7 +26,7 @@ _ANGLES = _hermite(2)  # (9, 9): value, first and second derivative at three nod
 _SUMS = _hermite(1)  # (6, 6): value and first derivative
 
 
-@lean
+@non_allocating
 def basis(order, theta, weight):  # type: ignore[no-untyped-def]
     """Derivative of the given order of the interpolation's basis (9,) at theta; of values, rates and accelerations."""
     for b in range(9):

@@ -1,14 +1,12 @@
 """Event functions that may end a run, and margins of the joint limits."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from hyperflex.core.chain.articulated_body import sincos
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 
 NOTHING, CROSSES, PEAK, PHASE, ANGLE = range(5)
 
@@ -32,7 +30,7 @@ class Until(NamedTuple):
 NEVER = Until(NOTHING, 0.0, 0.0, 0.0, 0.0, 0.0, -math.inf)
 
 
-@lean
+@non_allocating
 def tip_motion(chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
     """Position, m, velocity, m/s, and acceleration, m/s^2, of the tip: (x, y, vx, vy, ax, ay)."""
     x, y, vx, vy, ax, ay = base[7], base[8], base[5], base[6], base[0], base[1]
@@ -48,7 +46,7 @@ def tip_motion(chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
     return x, y, vx, vy, ax, ay
 
 
-@lean
+@non_allocating
 def event_value(until, chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
     """Reading of a state and its slope (0.0 for PEAK, where it is not known).
 
@@ -67,14 +65,14 @@ def event_value(until, chain, q, w, alpha, base):  # type: ignore[no-untyped-def
     return x * cos - until.b * vx * sin, vx * cos - until.b * ax * sin
 
 
-@lean
+@non_allocating
 def limit_gap(chain, i, angle, rate):  # type: ignore[no-untyped-def]
     """Gap of joint i, at a relative angle and rate, to the nearer of its limits, rad, and how fast the gap grows."""
     bend = angle - chain.rest[i]
     return chain.max_bend[i] - abs(bend), -rate if bend > 0.0 else rate
 
 
-@lean
+@non_allocating
 def limits(chain, q, w, base, out):  # type: ignore[no-untyped-def]
     """Write the gaps of all joints to their limits, rad, and how they grow to ``out[:, n : 2 * n]``."""
     n = q.size
@@ -84,7 +82,7 @@ def limits(chain, q, w, base, out):  # type: ignore[no-untyped-def]
         up, up_rate = q[i], w[i]
 
 
-@lean
+@non_allocating
 def watched_sense(until, value, slope, t):  # type: ignore[no-untyped-def]
     """Sense in which a reading is watched from the beginning of a step: margin = sense * reading; 0.0: not watched."""
     if until.kind == NOTHING or t < until.after:

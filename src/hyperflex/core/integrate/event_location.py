@@ -1,7 +1,5 @@
 """Event location: the step that ends at the first event, and the modes after it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.assign import assign, assign_rows
@@ -11,7 +9,7 @@ from hyperflex.core.chain.drive import base_state
 from hyperflex.core.integrate.end_conditions import NOTHING, PEAK, event_value, limits, on_right_side, watched_sense
 from hyperflex.core.integrate.event_search import AGAIN, EVENT, TRIES, assess_step, begin_search, first_past, is_past
 from hyperflex.core.integrate.progress import CHATTER, PENDING, REJECTED, TAKEN, T, advance
-from hyperflex.core.jit import lean
+from hyperflex.core.jit import non_allocating
 from hyperflex.core.stiction.constraint_torques import (
     margins,
     midpoint_state,
@@ -23,7 +21,7 @@ from hyperflex.core.stiction.constraint_torques import (
 from hyperflex.core.stiction.slip_modes import decide_modes
 
 
-@lean
+@non_allocating
 def update_modes(chain, drive, part, progress, workspace):  # type: ignore[no-untyped-def]
     """Decide the modes of the joints where a run stands; False where no modes obey the law, or joints chatter."""
     y, slip, clock = progress.y, progress.slip, progress.clock
@@ -37,7 +35,7 @@ def update_modes(chain, drive, part, progress, workspace):  # type: ignore[no-un
     return good
 
 
-@lean
+@non_allocating
 def end_margins(chain, until, sense, q, w, alpha, base, last, out):  # type: ignore[no-untyped-def]
     """Margins of the joints' limits, and in column `last` that of what may end the run, to ``out`` (2, last + 1)."""
     if sense != 0.0:
@@ -47,7 +45,7 @@ def end_margins(chain, until, sense, q, w, alpha, base, last, out):  # type: ign
         limits(chain, q, w, base, out)
 
 
-@lean
+@non_allocating
 def find_event(chain, drive, part, table, terms, progress, step, workspace):  # type: ignore[no-untyped-def]
     """Shorten the step to ``workspace.out`` until it holds no event, or ends at its first one; `terms` are the Limits.
 

@@ -5,15 +5,13 @@ Every event is a margin that falls from above zero to zero: of each joint that m
 the last column of what is to end the run. A margin comes with its slope where that is known.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
 from hyperflex.core.assign import assign_rows
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import INSTANT, QUICK, STILL
 
 DONE, EVENT, AGAIN = range(3)
@@ -41,7 +39,7 @@ def new_search(m):  # type: ignore[no-untyped-def]
     return Search(np.array([0.0, np.inf, 0.0, 0.0]), four[0], four[1], four[2], four[3])
 
 
-@lean
+@non_allocating
 def begin_search(search):  # type: ignore[no-untyped-def]
     """Forget earlier attempts; ``low`` holds the margins at the beginning of the step."""
     span = search.span
@@ -49,14 +47,14 @@ def begin_search(search):  # type: ignore[no-untyped-def]
     search.middle[:] = np.inf
 
 
-@lean
+@non_allocating
 def margin_polynomial(low, high, i, length, x):  # type: ignore[no-untyped-def]
     """Margin i at the part x in (0, 1] of an interval, s, divided by x: the cubic through both ends' (value, slope)."""
     v0, s0, v1, s1 = low[0, i], low[1, i] * length, high[0, i], high[1, i] * length
     return (v0 / x + s0) + x * (3.0 * (v1 - v0) - 2.0 * s0 - s1 + x * (2.0 * (v0 - v1) + s0 + s1))
 
 
-@lean
+@non_allocating
 def first_zero(low, high, i, length):  # type: ignore[no-untyped-def]
     """First part of an interval at which the course of margin i is at or below zero, its beginning aside; 1.0: none."""
     before, at = 0.0, 0.0
@@ -76,7 +74,7 @@ def first_zero(low, high, i, length):  # type: ignore[no-untyped-def]
     return at
 
 
-@lean
+@non_allocating
 def hidden_event(locked, search, length):  # type: ignore[no-untyped-def]
     """Part of the length, s, from LOW to the end of an attempt at which an event may hide; else 1.0.
 
@@ -109,7 +107,7 @@ def hidden_event(locked, search, length):  # type: ignore[no-untyped-def]
     return part
 
 
-@lean
+@non_allocating
 def is_past(locked, margin, i):  # type: ignore[no-untyped-def]
     """Whether margin i says that its event has happened; one that hardly differs from zero must not be growing."""
     if locked[i] == 0.0 and i < locked.size - 1 and margin[1, i] > 0.0:
@@ -117,7 +115,7 @@ def is_past(locked, margin, i):  # type: ignore[no-untyped-def]
     return margin[0, i] < 0.0 or (margin[0, i] == 0.0 and locked[i] == 0.0)
 
 
-@lean
+@non_allocating
 def first_past(locked, margin):  # type: ignore[no-untyped-def]
     """Return the first margin that says that its event has happened, -1: none."""
     for i in range(locked.size):
@@ -126,7 +124,7 @@ def first_past(locked, margin):  # type: ignore[no-untyped-def]
     return -1
 
 
-@lean
+@non_allocating
 def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
     """Judge an attempt of the length `step`, s, whose margins are in ``search.here``.
 
@@ -179,7 +177,7 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
     return AGAIN, at if at < step else estimate_event_time(locked, search)
 
 
-@lean
+@non_allocating
 def estimate_event_time(locked, search):  # type: ignore[no-untyped-def]
     """Where in the span the first event should lie, s."""
     span = search.span

@@ -1,7 +1,5 @@
 """State, bounds and workspace of a rollout."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +10,7 @@ from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.integrate.end_conditions import Until
 from hyperflex.core.integrate.event_search import Search, new_search
 from hyperflex.core.integrate.steps import extrapolate, runge_kutta
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import StictionWorkspace, new_stiction_workspace
 
 
@@ -36,7 +34,7 @@ class Progress(NamedTuple):
 
     y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
     mark: Array  # (2 n + 2,) the state before the first step that was cut short to end at `stop`
-    slip: Array  # (n,) modes of the joints, as in chain.accelerations
+    slip: Array  # (n,) modes of the joints, as in ``articulated_body.accelerations``
     mark_slip: Array
     clock: Array  # (CLOCK,) see the names below; the mark's time is -inf while no step has been cut
     log: Array  # (m, 3) or (m, 4 + n) with stiction: of the first m steps that succeed, see below
@@ -57,7 +55,7 @@ T, STEP, AFTER, RESTARTED, LAST, SIZE, UNDECIDED, CHATTER, ORDER, MARK = range(1
 INDEX, TAKEN, REJECTED, PENDING, CLOCK = range(2 * MARK, 2 * MARK + 5)
 
 
-@lean
+@non_allocating
 def restart(clock):  # type: ignore[no-untyped-def]
     """Note that the motion switches here: the next step is no longer than what succeeded after the last switch."""
     clock[STEP] = min(clock[STEP], clock[AFTER])
@@ -66,7 +64,7 @@ def restart(clock):  # type: ignore[no-untyped-def]
     clock[UNDECIDED] = 1.0
 
 
-@lean
+@non_allocating
 def save_mark(progress):  # type: ignore[no-untyped-def]
     """Save the state from which an uninterrupted run would go on, unless one is saved already."""
     clock = progress.clock
@@ -124,7 +122,7 @@ def new_workspace(chain):  # type: ignore[no-untyped-def]
     )
 
 
-@lean
+@non_allocating
 def advance(chain, drive, part, table, fixed, t, step, y, slip, out, workspace):  # type: ignore[no-untyped-def]
     """Take one step of the chosen integrator from y at t to `out`; the lanes of `workspace` know `slip`."""
     work, lanes, tip = workspace.stiction.work, workspace.lanes, workspace.tip

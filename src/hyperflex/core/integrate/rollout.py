@@ -1,7 +1,5 @@
 """Run loop of a rollout: error control, restarts at switches, dense output."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -49,14 +47,14 @@ from hyperflex.core.integrate.step_size import (
     shorter,
 )
 from hyperflex.core.integrate.steps import rates
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import QUICK, project_stuck, stuck_loss
 
 ENERGY = 10.0  # see error_norm
 TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
 
 
-@lean
+@non_allocating
 def error_norm(chain, limits, table, y, error, step, work):  # type: ignore[no-untyped-def]
     """Error of a step in units of what is allowed: of any joint's position, of its velocity, of energy.
 
@@ -109,7 +107,7 @@ def error_sizes(chain, limits, table, step, cut, workspace):  # type: ignore[no-
     return size, error_norm(chain, limits, table, workspace.out, workspace.errors[1], step, workspace.stiction.work)
 
 
-@lean
+@non_allocating
 def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, wanted, table):  # type: ignore[no-untyped-def]
     """Choose order and length of the step after one of the length `step`, s, which was wanted to be `wanted` long.
 
@@ -127,7 +125,7 @@ def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, want
         clock[RESTARTED] = 0.0
 
 
-@lean
+@non_allocating
 def log_step(progress, step, end, order, event, joint):  # type: ignore[no-untyped-def]
     """Keep a step that succeeded in the log, and count quick changes of the joints' modes."""
     clock = progress.clock
@@ -144,7 +142,7 @@ def log_step(progress, step, end, order, event, joint):  # type: ignore[no-untyp
         clock[CHATTER] = 0.0
 
 
-@lean
+@non_allocating
 def write_until(clock, t_out, t, y, y_out):  # type: ignore[no-untyped-def]
     """Write state y to every output up to time t that is not written yet."""
     while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= t:
@@ -152,7 +150,7 @@ def write_until(clock, t_out, t, y, y_out):  # type: ignore[no-untyped-def]
         clock[INDEX] += 1
 
 
-@lean
+@non_allocating
 def write_between(chain, drive, part, table, fixed, progress, step, workspace, t_out, y_out):  # type: ignore[no-untyped-def]
     """Write the outputs strictly within the step from where `progress` stands to ``workspace.out``."""
     y, slip, clock = progress.y, progress.slip, progress.clock
@@ -183,7 +181,7 @@ def write_between(chain, drive, part, table, fixed, progress, step, workspace, t
             y_out[index, 2 * slip.size + 1] += stuck_loss(workspace.power, step, (t_out[index] - t) / step)
 
 
-@lean
+@non_allocating
 def next_step(limits, part, clock):  # type: ignore[no-untyped-def]
     """Time at which the next step must end at the latest, s, the length that is wanted, and the length to take, s."""
     t = clock[T]

@@ -1,11 +1,9 @@
 """Step-size control: from the error, its trend, and the time that is left."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 
-from hyperflex.core.jit import lean
+from hyperflex.core.jit import non_allocating
 
 FIRST_STEP: Final = 0.01  # s, tried first; error control does the rest
 LARGEST_STEP: Final = 0.25  # s
@@ -19,7 +17,7 @@ LEAST: Final = 0.2
 TINY: Final = 1e-12
 
 
-@lean
+@non_allocating
 def fitted(wanted, left):  # type: ignore[no-untyped-def]
     """Length of a step, s, where `wanted` is good and `left` is left: all of it, half of it, or what is wanted.
 
@@ -30,7 +28,7 @@ def fitted(wanted, left):  # type: ignore[no-untyped-def]
     return 0.5 * left if wanted > 0.5 * left else wanted
 
 
-@lean
+@non_allocating
 def longer(step, size, last, last_size, order):  # type: ignore[no-untyped-def]
     """Length of the step after one that met the tolerance.
 
@@ -55,7 +53,7 @@ def longer(step, size, last, last_size, order):  # type: ignore[no-untyped-def]
     return step * min(MOST, max(LEAST, factor))
 
 
-@lean
+@non_allocating
 def cheapest(tables, least, most, order, step, lower_size, grown):  # type: ignore[no-untyped-def]
     """Order of the next step, and its length, s: the order whose rounds for each second are fewest.
 
@@ -88,13 +86,13 @@ def cheapest(tables, least, most, order, step, lower_size, grown):  # type: igno
     return order, grown
 
 
-@lean
+@non_allocating
 def shorter(step, size, order):  # type: ignore[no-untyped-def]
     """Length of the next attempt after a step whose error was too large (`size` > 1, or not finite)."""
     return step * (max(LEAST, SAFETY * size ** (-1.0 / order)) if size < float("inf") else LEAST)
 
 
-@lean
+@non_allocating
 def allowed(tol, step, rounding):  # type: ignore[no-untyped-def]
     """Error that a step may make, m: `tol`, and its share of that where it is short, but not less than rounding.
 
@@ -104,7 +102,7 @@ def allowed(tol, step, rounding):  # type: ignore[no-untyped-def]
     return max(tol * min(1.0, step / SHARE), min(tol, rounding))
 
 
-@lean
+@non_allocating
 def is_rounding(size, tol, step, rounding):  # type: ignore[no-untyped-def]
     """Whether a step's error, `size` in units of what is allowed, is rounding, which says nothing of its length.
 
@@ -113,7 +111,7 @@ def is_rounding(size, tol, step, rounding):  # type: ignore[no-untyped-def]
     return size * allowed(tol, step, rounding) <= rounding
 
 
-@lean
+@non_allocating
 def lasting(step):  # type: ignore[no-untyped-def]
     """Time, s, for which an error of a velocity made in a step counts: the geometric mean of the step and SHARE.
 

@@ -3,8 +3,6 @@
 The state y (2 n + 2,) holds angles, rates, work put in and energy dissipated.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -15,7 +13,7 @@ from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import accelerations, lost_power, sines
 from hyperflex.core.chain.drive import base_state
-from hyperflex.core.jit import inlined, kernel, lean
+from hyperflex.core.jit import inlined, kernel, non_allocating
 
 ROUNDING = 3e-16  # m, of a place a metre or two away
 
@@ -164,7 +162,7 @@ def rates(chain, drive, part, t, y, slip, dy, work):  # type: ignore[no-untyped-
     dy[2 * n + 1] = lost_power(chain, w, slip, base, work)
 
 
-@lean
+@non_allocating
 def runge_kutta(chain, drive, part, t, step, y, slip, out, stage, work):  # type: ignore[no-untyped-def]
     """Take one classical fourth-order Runge-Kutta step; `stage` is (3, 2 n + 2) scratch, `work` (6 n,)."""
     point, slope, total = stage[0], stage[1], stage[2]

@@ -5,8 +5,6 @@ constraint torque is at most the dry friction (M.16). The modes, `slip`, are con
 an event, and a step ends exactly there. Which modes hold at an instant is decided in ``slip_modes``.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +12,7 @@ import numpy as np
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import air_loads
 from hyperflex.core.chain.articulated_body import Array, accelerations, joint_of
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 
 SAME = 4e-15  # links whose rates differ by no more than this part of them, and
 STILL = 1e-12  # rad/s, this much, turn alike: one switch's rounding of the arm's rate
@@ -43,12 +41,12 @@ def new_stiction_workspace(n):  # type: ignore[no-untyped-def]
     return StictionWorkspace(np.zeros(n), np.zeros(n), np.zeros(n), np.empty(6 * n), np.empty(2 * n), np.empty((2, n)))
 
 
-@lean
+@non_allocating
 def constraint_torques(chain, q, w, slip, base, torque, workspace):  # type: ignore[no-untyped-def]
     """Accelerations, and the friction torque of each joint, also of stuck ones; two passes, O(n).
 
     Newton's and Euler's equations link by link, from the tip: independent of the elimination in the sweep. Arguments as
-    in ``chain.accelerations``; results in ``workspace.alpha``, ``workspace.load``, ``workspace.slack`` of `workspace`.
+    in ``articulated_body.accelerations``; results in ``alpha``, ``load`` and ``slack`` of `workspace`.
     """
     n = q.size
     alpha, work = workspace.alpha, workspace.work
@@ -84,37 +82,37 @@ def constraint_torques(chain, q, w, slip, base, torque, workspace):  # type: ign
         fy += mass * (py + com * (sin * alpha[i] + cos * rate2))
 
 
-@lean
+@non_allocating
 def chatter_allowance(n):  # type: ignore[no-untyped-def]
     """Quick events that are normal for n joints at rates near zero: each may stick, slip and stick again."""
     return 4.0 * n + 4.0
 
 
-@lean
+@non_allocating
 def tolerance_factor(chatter, n):  # type: ignore[no-untyped-def]
     """Factor on SLACK and NOISE after `chatter` quick events; above 1.0 beyond ``chatter_allowance``."""
     return 10.0 ** min(WIDEST, max(0.0, chatter - chatter_allowance(n)))
 
 
-@lean
+@non_allocating
 def chatter_exceeded(chatter, n):  # type: ignore[no-untyped-def]
     """Whether wider tolerances have not ended the chatter after so many quick events."""
     return chatter > chatter_allowance(n) + HOPELESS
 
 
-@lean
+@non_allocating
 def widened_count(chatter, n):  # type: ignore[no-untyped-def]
     """Count of quick events at which ``tolerance_factor`` is ten times that at `chatter`."""
     return max(chatter, chatter_allowance(n)) + 1.0
 
 
-@lean
+@non_allocating
 def at_rest(rate, up):  # type: ignore[no-untyped-def]
     """Whether two links' rates are the same but for rounding."""
     return abs(rate - up) <= STILL + SAME * (abs(rate) + abs(up))
 
 
-@lean
+@non_allocating
 def margins(chain, q, w, slip, base, torque, widen, workspace, out):  # type: ignore[no-untyped-def]
     """Margin of each joint to a change of its mode, and its slope.
 
@@ -131,7 +129,7 @@ def margins(chain, q, w, slip, base, torque, widen, workspace, out):  # type: ig
             out[1, i] = slip[i] * (workspace.alpha[i] - (workspace.alpha[i - 1] if i > 0 else base[2]))
 
 
-@lean
+@non_allocating
 def project_stuck(chain, slip, q, base_before, out, base):  # type: ignore[no-untyped-def]
     """Project ``out`` (2 n + 2,) onto stuck joints: rates become the parents', angles between links stay.
 
@@ -147,13 +145,13 @@ def project_stuck(chain, slip, q, base_before, out, base):  # type: ignore[no-un
                 out[0] = base[4] + (q[0] - base_before[4])
 
 
-@lean
+@non_allocating
 def stops(margin, i):  # type: ignore[no-untyped-def]
     """Whether slipping joint i is at rest by its margin and slope (2, n), or will be within an INSTANT."""
     return margin[0, i] + INSTANT * margin[1, i] <= 0.0
 
 
-@lean
+@non_allocating
 def stop_joints(chain, slip, margin, out, base):  # type: ignore[no-untyped-def]
     """Set the rates of joints that have just stopped, and of stuck ones, to those of their parents."""
     n = slip.size
@@ -162,7 +160,7 @@ def stop_joints(chain, slip, margin, out, base):  # type: ignore[no-untyped-def]
             out[n + i] = out[n + i - 1] if i > 0 else base[3]
 
 
-@lean
+@non_allocating
 def midpoint_state(step, q, w, alpha, out, workspace):  # type: ignore[no-untyped-def]
     """Middle of a step, to ``workspace.state``, from its ends: q, w, alpha (n,) before, ``out``, ``alpha`` after."""
     n = q.size
@@ -172,7 +170,7 @@ def midpoint_state(step, q, w, alpha, out, workspace):  # type: ignore[no-untype
         workspace.state[n + i] = 1.875 * (q1 - q[i]) / step - 0.4375 * (w[i] + w1) + 0.03125 * step * (a1 - alpha[i])
 
 
-@lean
+@non_allocating
 def stuck_power(chain, w, slip, load):  # type: ignore[no-untyped-def]
     """Power that stuck joints take from the chain, W: none if their torques act on both links, which turn alike."""
     power = 0.0
@@ -183,7 +181,7 @@ def stuck_power(chain, w, slip, load):  # type: ignore[no-untyped-def]
     return power
 
 
-@lean
+@non_allocating
 def stuck_loss(power, step, part):  # type: ignore[no-untyped-def]
     """Energy that stuck joints take within the first `part` of a step, J; power (3,), W, at 0, 1/2 and 1 of it."""
     p0, pm, p1 = power

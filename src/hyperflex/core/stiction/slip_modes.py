@@ -1,12 +1,10 @@
 """Slip modes of joints with dry friction: an active-set search (M.16)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.assign import assign
 from hyperflex.core.chain.articulated_body import ONE_SIDED, with_dry
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import (
     STILL,
     at_rest,
@@ -51,7 +49,7 @@ def decide_modes(chain, q, w, base, torque, chatter, slip, before, workspace):  
     return good and not chatter_exceeded(chatter, n), chatter
 
 
-@lean
+@non_allocating
 def stop_slow_joints(chain, w, base, still):  # type: ignore[no-untyped-def]
     """Set the rates in `w` (n,) of dry joints slower than `still`, rad/s, to those of their parents."""
     for i in range(w.size):
@@ -66,7 +64,7 @@ def find_modes(chain, q, w, base, torque, widen, slip, workspace):  # type: igno
 
     Parameters
     ----------
-    chain, q, w, base, torque : as in ``chain.accelerations``
+    chain, q, w, base, torque : as in ``articulated_body.accelerations``
     widen : float
         Factor on the tolerance of the dry friction; 1.0 unless joints chatter.
 
@@ -97,7 +95,7 @@ def find_modes(chain, q, w, base, torque, widen, slip, workspace):  # type: igno
     return False
 
 
-@lean
+@non_allocating
 def active_set_search(chain, q, w, base, torque, widen, resting, moved, slip, workspace):  # type: ignore[no-untyped-def]
     """Active-set search: change the modes of the `resting` joints, all stuck at first, until they obey (M.16).
 
@@ -119,7 +117,7 @@ def active_set_search(chain, q, w, base, torque, widen, resting, moved, slip, wo
     return False
 
 
-@lean
+@non_allocating
 def worst_violation(chain, q, w, base, torque, widen, slip, workspace, any_will_do):  # type: ignore[no-untyped-def]
     """Return the joint at rest that violates (M.16) most, or with `any_will_do` the first; -1: none."""
     constraint_torques(chain, q, w, slip, base, torque, workspace)
@@ -199,7 +197,7 @@ def continuation_margins(chain, q, w, base, torque, moved, part, slip, workspace
             out[0, i] = slip[i] * (workspace.alpha[i] - (workspace.alpha[i - 1] if i > 0 else base[2]))
 
 
-@lean
+@non_allocating
 def first_breakpoint(none, full, part, way):  # type: ignore[no-untyped-def]
     """Distance from `part` to the first zero of the margins (2, n), given at 0 and 1; its joint and side."""
     far, at, at_side = np.inf, -1, 0

@@ -5,13 +5,11 @@ the links, row n + 1 is what lies beyond the tip, where nothing acts. A step lea
 each direction's changes of angles and rates are copied in, and the changes of the torques on the links out.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.air import drag_slopes, link_drag
-from hyperflex.core.jit import inlined, kernel, lean
+from hyperflex.core.jit import inlined, kernel, non_allocating
 from hyperflex.core.tangent import step as tg
 
 # of a link: sine, cosine, length, rate; force across it and moment, N and N m, for a unit of drag; its drag
@@ -34,7 +32,7 @@ def new_air(width, chain):  # type: ignore[no-untyped-def]
     return np.zeros((chain.length.size + 2) * ROW * len(width) if chain.drag.any() else 0)
 
 
-@lean
+@non_allocating
 def begin(width, lanes, base, air):  # type: ignore[no-untyped-def]
     """Work out what all directions share from the lanes after ``tangent.step.prepare``; `base` (9, k) as there."""
     k = len(width)
@@ -102,7 +100,7 @@ def inward(row, k, j, d, longer):  # type: ignore[no-untyped-def]
     row[(DFY + d) * k + j] = fy - (change * sin + force * dq * cos)
 
 
-@lean
+@non_allocating
 def write_torques(width, lanes, air, links):  # type: ignore[no-untyped-def]
     """Write the changes of the torques to RHS of the links in `lanes`, for changes of their angles and rates there.
 

@@ -1,14 +1,12 @@
 """Tangent of the dense output: outputs within a step, with derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.integrate.dense_output import basis, interpolate
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.extrapolation import CELL, PARTS, K, begin_pairs, enter, set_ends, step_pair, tangent_step
 
@@ -85,7 +83,7 @@ def tangent_dense_output(t, step, t_out, workspace, y_out, dy_out):  # type: ign
                 )
 
 
-@lean
+@non_allocating
 def combine(weight, half, i, nodes, bends, dq, dw):  # type: ignore[no-untyped-def]
     """Derivatives (p,) of link i's angle and rate from those at the nodes; `weight` is (3, 9)."""
     n = bends.shape[1]
@@ -100,7 +98,7 @@ def combine(weight, half, i, nodes, bends, dq, dw):  # type: ignore[no-untyped-d
             dw[x] += e * q[x] + f * w[x] + g * bend[x]
 
 
-@lean
+@non_allocating
 def add_time_shift(weight, half, i, ys, dys, moving, longer, dq, dw):  # type: ignore[no-untyped-def]
     """Add what follows from the change of an output's place in its step, `moving` (p,), and of half the step (p,)."""
     n = (ys.shape[1] - 2) // 2

@@ -1,7 +1,5 @@
 """Directions of a derivative: changes of the chain, its drive and its base motion."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +7,7 @@ import numpy.typing as npt
 
 from hyperflex.core.chain.articulated_body import Array, sincos
 from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y, polynomial, segment, within
-from hyperflex.core.jit import inlined, kernel, lean
+from hyperflex.core.jit import inlined, kernel, non_allocating
 
 TIP_MASS, GRAVITY_X, GRAVITY_Y = range(3)  # columns of Directions.whole
 # what base_change writes
@@ -40,7 +38,7 @@ def cycle_shift(drive, part, breaks):  # type: ignore[no-untyped-def]
     return cycle * (breaks[last] - breaks[first])
 
 
-@lean
+@non_allocating
 def end_shift(drive, part, breaks):  # type: ignore[no-untyped-def]
     """Change of the time at which the Segment `part` ends, s."""
     return cycle_shift(drive, part, breaks) + breaks[part.last + 1]
@@ -55,7 +53,7 @@ def moved(c, dc, s, ds):  # type: ignore[no-untyped-def]
     return value + rate * ds, slope + second * ds, bend + third * ds
 
 
-@lean
+@non_allocating
 def base_change(drive, part, t, shift, directions, m, out):  # type: ignore[no-untyped-def]
     """Change of the first joint's motion at time t within the Segment `part`.
 

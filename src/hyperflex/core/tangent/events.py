@@ -5,8 +5,6 @@ to fall to zero (core/integrate/event_search.py), so its length has a derivative
 margin's slope. The slope is the derivative along one more direction, in which nothing changes but the step's length.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +13,7 @@ from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.chain.drive import base_state
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import (
     QUICK,
     StictionWorkspace,
@@ -64,7 +62,7 @@ def new_event_workspace(chain, drive, directions):  # type: ignore[no-untyped-de
     return EventWorkspace(workspace, longer, new_stiction_workspace(n), np.zeros(9), np.zeros(9), moved[0], moved[1])
 
 
-@lean
+@non_allocating
 def base_changes(drive, part, t, late, directions, moved):  # type: ignore[no-untyped-def]
     """Write the changes (p, CHANGES) of the base's motion at a time t, s, that itself changes by `late` (b, 2)."""
     for x in range(moved.shape[0]):
@@ -74,7 +72,7 @@ def base_changes(drive, part, t, late, directions, moved):  # type: ignore[no-un
             dr.base_change(drive, part, t, late[x // 2, x % 2], directions, m, moved[x])
 
 
-@lean
+@non_allocating
 def project_stuck_tangent(slip, before, moved_before, moved, values):  # type: ignore[no-untyped-def]
     """Project derivatives (2 n, p) onto stuck joints, as ``project_stuck`` does the state; `before` are earlier."""
     n = slip.size
@@ -89,7 +87,7 @@ def project_stuck_tangent(slip, before, moved_before, moved, values):  # type: i
                     values[0, x] = moved[x, dr.TURN] + (before[0, x] - moved_before[x, dr.TURN])
 
 
-@lean
+@non_allocating
 def stop_joints_tangent(slip, margin, moved, values):  # type: ignore[no-untyped-def]
     """Give the rates' derivatives of joints that stick, or have just come to rest, those of their parents."""
     n = slip.size
@@ -99,7 +97,7 @@ def stop_joints_tangent(slip, margin, moved, values):  # type: ignore[no-untyped
                 values[n + i, x] = values[n + i - 1, x] if i > 0 else moved[x, dr.RATE]
 
 
-@lean
+@non_allocating
 def relative(values, row, i, x, moved, kind):  # type: ignore[no-untyped-def]
     """Difference of a row's derivative along direction x between joint i's link and its parent."""
     return values[row, x] - (values[row - 1, x] if i > 0 else moved[x, kind])
@@ -140,7 +138,7 @@ def margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, 
     return result, slope
 
 
-@lean
+@non_allocating
 def is_chatter(drive, part, t, step, y, slip, joint, turn):  # type: ignore[no-untyped-def]
     """Whether the event at the end of a step is but rounding: of a joint at rest, within a step that is too short."""
     n = slip.size

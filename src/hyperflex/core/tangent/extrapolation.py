@@ -1,7 +1,5 @@
 """Tangent of an extrapolated step, for any number of directions."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +8,7 @@ from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, sines
 from hyperflex.core.integrate.steps import begin_columns, end_columns
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.tangent import air as dg
 from hyperflex.core.tangent import directions as dr
 from hyperflex.core.tangent import step as tg
@@ -76,7 +74,7 @@ def new_tangent_workspace(chain, pairs):  # type: ignore[no-untyped-def]
     )
 
 
-@lean
+@non_allocating
 def clear_ends(workspace):  # type: ignore[no-untyped-def]
     """Let neither the base's motion nor the tip mass change."""
     lanes = workspace.lanes
@@ -89,7 +87,7 @@ def clear_ends(workspace):  # type: ignore[no-untyped-def]
             workspace.air[x] = 0.0
 
 
-@lean
+@non_allocating
 def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-def]
     """Put the changes of the base's motion and of the tip mass into the first and the last row of the lanes."""
     lanes, moved = workspace.lanes, workspace.moved
@@ -118,7 +116,7 @@ def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-
             tip[(tg.BY + d) * K + j] = heavier * far[ln.PY * K + j]
 
 
-@lean
+@non_allocating
 def enter(lanes, own, anew, begins):  # type: ignore[no-untyped-def]
     """Put the derivatives of a pair, `own` (n PARTS CELL,), into the lanes, from their start where a column begins."""
     n = own.size // (PARTS * CELL)
@@ -133,7 +131,7 @@ def enter(lanes, own, anew, begins):  # type: ignore[no-untyped-def]
                 cell[x] = kept[NOW + x]
 
 
-@lean
+@non_allocating
 def leave(lanes, own, weight, ends):  # type: ignore[no-untyped-def]
     """Take the derivatives of one pair out of the lanes, and add the columns that are complete to their sum."""
     n = own.size // (PARTS * CELL)
@@ -147,7 +145,7 @@ def leave(lanes, own, weight, ends):  # type: ignore[no-untyped-def]
             kept[NOW + x] = cell[x]
 
 
-@lean
+@non_allocating
 def set_start(values, store):  # type: ignore[no-untyped-def]
     """Make derivatives (2 n, p) the start in every lane of `store` (b, n PARTS CELL)."""
     n = values.shape[0] // 2
@@ -161,7 +159,7 @@ def set_start(values, store):  # type: ignore[no-untyped-def]
                 cell[3 * K + j] = values[n + i, 2 * b + 1]
 
 
-@lean
+@non_allocating
 def sum_columns(store, values):  # type: ignore[no-untyped-def]
     """Sum the lanes of the sums in `store` to derivatives (2 n, p), and set them back."""
     n = values.shape[0] // 2
@@ -176,7 +174,7 @@ def sum_columns(store, values):  # type: ignore[no-untyped-def]
             cell[:] = 0.0
 
 
-@lean
+@non_allocating
 def begin_pairs(reaction, lanes, air, base):  # type: ignore[no-untyped-def]
     """Work out what the pairs have in common, after a step of ``lanes.euler``."""
     tg.prepare(ln.COLUMNS, reaction, lanes)
@@ -184,7 +182,7 @@ def begin_pairs(reaction, lanes, air, base):  # type: ignore[no-untyped-def]
         dg.begin(ln.COLUMNS, lanes, base, air)
 
 
-@lean
+@non_allocating
 def step_pair(reaction, lanes, air, links, stretch):  # type: ignore[no-untyped-def]
     """Derivatives of that step for changes of everything, see ``step.step_all``."""
     if air.size > 0:
@@ -194,7 +192,7 @@ def step_pair(reaction, lanes, air, links, stretch):  # type: ignore[no-untyped-
 
 @kernel
 def tangent_step(chain, drive, part, table, t, step, y, out, directions, result, workspace):  # type: ignore[no-untyped-def]
-    """One extrapolated step, as ``steppers.extrapolate``, with the derivatives of its result.
+    """One extrapolated step, as ``steps.extrapolate``, with the derivatives of its result.
 
     Parameters
     ----------

@@ -4,8 +4,6 @@ The steps stay what they were, so the result is the derivative of the very numbe
 its length but for one that ends at a switch, at an event or at an output, whose time depends on a direction.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.core.assign import assign, assign_rows
@@ -13,7 +11,7 @@ from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.drive import segment
 from hyperflex.core.integrate.progress import DEGREE, END, JOINT, LENGTH, MODES
 from hyperflex.core.integrate.steps import rates
-from hyperflex.core.jit import kernel, lean
+from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.tangent import directions as dr
 from hyperflex.core.tangent.dense_output import write_within_step
 from hyperflex.core.tangent.events import (
@@ -26,7 +24,7 @@ from hyperflex.core.tangent.events import (
 from hyperflex.core.tangent.extrapolation import new_tangent_workspace, set_start, tangent_step
 
 
-@lean
+@non_allocating
 def write_end(chain, drive, part, t, y, slip, workspace, values, y_out, dy_out):  # type: ignore[no-untyped-def]
     """Write the state at the end of a step, and its derivatives at that very time, where the step's end moves too."""
     assign(y_out, y)
@@ -39,7 +37,7 @@ def write_end(chain, drive, part, t, y, slip, workspace, values, y_out, dy_out):
                     dy_out[i, 2 * b + d] -= workspace.dys[0, i] * workspace.shift[b, d]
 
 
-@lean
+@non_allocating
 def set_change(drive, part, t_new, stop, directions, workspace):  # type: ignore[no-untyped-def]
     """Change of the length of the step that ends at t_new: none, unless a switch or the end of the run cuts it.
 

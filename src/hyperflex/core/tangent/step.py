@@ -7,11 +7,9 @@ place of what only whole rollouts need; two directions together make a loop body
 to turn into packed instructions (core/chain/lanes.py says more; tests/core/test_tangent.py looks).
 """
 
-from __future__ import annotations
-
 from hyperflex.core import joint_law
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.jit import inlined, lean
+from hyperflex.core.jit import inlined, non_allocating
 
 PAIR = (0, 0)
 # derivatives of angle and rate, of the right-hand side over D; on the way to the motor those of the answer's constant
@@ -39,7 +37,7 @@ def joint_motion(row, k, j, first):  # type: ignore[no-untyped-def]
     return bend - first * h * up_end, rate
 
 
-@lean
+@non_allocating
 def save_trig(width, lanes):  # type: ignore[no-untyped-def]
     """Keep the sines and cosines that ``lanes.euler`` will overwrite; comes before it."""
     k = len(width)
@@ -51,7 +49,7 @@ def save_trig(width, lanes):  # type: ignore[no-untyped-def]
             row[COS * k + j] = row[ln.COS * k + j]
 
 
-@lean
+@non_allocating
 def prepare(width, reaction, lanes):  # type: ignore[no-untyped-def]
     """Work out BEFORE and BY_Q to WY from what ``lanes.euler`` has left; once a step, for all directions."""
     k = len(width)
@@ -193,7 +191,7 @@ def load_seed(links, i, stretch):  # type: ignore[no-untyped-def]
     )
 
 
-@lean
+@non_allocating
 def step_state(width, reaction, lanes):  # type: ignore[no-untyped-def]
     """Derivatives of the step of ``lanes.euler``, for two changes of state and base alone; ``prepare`` comes first.
 
@@ -223,7 +221,7 @@ def step_state(width, reaction, lanes):  # type: ignore[no-untyped-def]
             back_one(row, k, j, 1, w, 0.0, 0.0)
 
 
-@lean
+@non_allocating
 def step_all(width, reaction, lanes, links, stretch):  # type: ignore[no-untyped-def]
     """Do the same for changes of everything: parameters, the step's length, the torque on link 0.
 

@@ -1,7 +1,5 @@
 """Baselines of the paper: inertia by natural frequency (8) and of a cylinder."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex import checks
@@ -95,8 +93,8 @@ def swing_period(recording: Recording, link: int = -1) -> float:
 
     Notes
     -----
-    Only samples beyond a tenth of the greatest angle count as a side, so noise about zero adds no crossing; a crossing
-    is the mean of the zeros of straight lines between the samples from side to side.
+    Noise about zero adds no crossing: only samples beyond a tenth of the greatest angle count as a side. A crossing is
+    the mean of the zeros of straight lines between the samples from side to side.
     """
     measured = recording.angles()
     column = measured.data[:, link]

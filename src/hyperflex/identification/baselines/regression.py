@@ -18,8 +18,7 @@ from hyperflex.core import joint_law
 from hyperflex.core.chain.air import link_drag
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.parameters import lumped
-from hyperflex.model import Rope
-from hyperflex.model.properties import RESISTANCES, parsed
+from hyperflex.model import RESISTANCES, Rope, parse_label
 
 LUMPED = ("p", "J", *(each.name for each in RESISTANCES))  # blocks of n columns, in this order
 NAMES = ("inertia", "mass", "tip_mass", *LUMPED)
@@ -86,10 +85,8 @@ class LeastSquares:
 
     Attributes
     ----------
-    names : tuple of str
-        The unknowns, (P,).
-    values : (P,) float64
-        In SI units, not bounded.
+    names, values : tuple of str, (P,) float64
+        The unknowns and their values, SI units, not bounded.
     covariance : (P, P) float64
         Of the values, for white errors in the known torques. Noise in the columns (rates and accelerations by
         differences) biases the values, and is not covered.
@@ -108,7 +105,6 @@ class LeastSquares:
         return np.sqrt(np.diag(self.covariance))
 
     def __getitem__(self, name: str) -> float:
-        """Return the value of one unknown by its name."""
         return float(self.values[self.names.index(name)])
 
 
@@ -170,15 +166,13 @@ def fit_regression(
     moved = checks.array("pivot_acceleration", moved, (shape[0], 2), unit="m/s^2")
     velocity = np.zeros((shape[0], 2)) if pivot_velocity is None else pivot_velocity
     velocity = checks.array("pivot_velocity", velocity, (shape[0], 2), unit="m/s")
-    first = [
-        checks.array(name, value, (shape[0],), unit=unit, scalar=True)
-        for name, value, unit in (("arm_angle", arm_angle, "rad"), ("arm_rate", arm_rate, "rad/s"))
-    ]
+    arm_angle = checks.array("arm_angle", arm_angle, shape[:1], unit="rad", scalar=True)
+    arm_rate = checks.array("arm_rate", arm_rate, shape[:1], unit="rad/s", scalar=True)
     unknowns = _unknowns(rope, names)
     every = np.concatenate(
         [
             *_moments(rope, angles, rates, accelerations, rope.gravity - moved),
-            *_joints(rope, angles, rates, first[0], first[1]),
+            *_joints(rope, angles, rates, arm_angle, arm_rate),
             _drag(rope, angles, rates, velocity),
         ],
         axis=2,
@@ -241,7 +235,7 @@ def _unknowns(rope: Rope, names: Sequence[str]) -> list[tuple[str, str, list[int
     """Return label, property and links of each unknown."""
     result = []
     for given in [names] if isinstance(names, str) else names:
-        label = parsed(given)
+        label = parse_label(given)
         if label is None or label.name not in NAMES or label.law not in ("", "shared"):
             raise InvalidInput(
                 "an unknown of the regression is not known",

@@ -1,7 +1,5 @@
 """Iterative revision (IR) of parameters and initial state, the paper's method (Fig. 4)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -49,10 +47,8 @@ class Round:
         Initial angles, rad, and rates, rad/s.
     error, measured_start : float
         E of (7) with that state, and with the measured initial angles, rad^2.
-    evaluations : int
-        Rollouts of the downhill simplex.
-    seconds : float
-        Time since the revision began.
+    evaluations, seconds : int, float
+        Rollouts of the downhill simplex; time since the revision began.
     """
 
     inertia: float
@@ -71,10 +67,8 @@ class IterativeRevision(Ended):
 
     Attributes
     ----------
-    rope : Rope
-        With the J and eta of the best round.
-    best : Round
-        The last round, or the one of least error if it did not converge.
+    rope, best : Rope, Round
+        The last round, or the one of least error if it did not converge, and the rope with its J and eta.
     std : dict of str to float
         Standard deviations of "inertia" and "friction" from the regression.
     rounds : tuple of Round
@@ -222,8 +216,7 @@ class _Revision:
 
     def rope(self, values: Array) -> Rope:
         """Return the guess with one J and one eta (2,) for all links."""
-        n = self.guess.n_links
-        return self.guess.replace(inertia=np.full(n, values[0]), friction=np.full(n, values[1]))
+        return self.guess.replace(inertia=values[0], friction=values[1])
 
     def state(self, values: Array, before: Round | None, began: float) -> Round:
         """Find the initial state (steps 2 and 3 of Fig. 4)."""

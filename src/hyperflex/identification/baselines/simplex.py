@@ -1,7 +1,5 @@
 """Initial state by the Nelder-Mead simplex method (paper (7))."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, cast
 

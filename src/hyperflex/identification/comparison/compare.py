@@ -3,24 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.errors import HyperflexError, InvalidInput
-from hyperflex.identification.comparison.candidates import Candidate, candidates
 from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend
 from hyperflex.identification.comparison.result import FittedModel, ModelComparison
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED
 from hyperflex.identification.fit.multiple_shooting import one_thread
+from hyperflex.identification.model.names import scales
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
-from hyperflex.model import Rope
+from hyperflex.model import DAMPING, FREE_PROPERTIES, MOST_LINKS, RESISTANCES, Rope, parse_label, recut
 from hyperflex.recording import Recording
-from hyperflex.simulation.rollouts import progress_bar
+from hyperflex.simulation import progress_bar
 
 WORSE = 1.001  # ratio of costs: within it fits have met the same optimum, as far as they go
+SLIGHT = 0.1  # of its scale, what a guess has none of at the start
+MAX_ADDED = 2  # resistances beside viscous friction in one candidate
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A model to be fitted: a name, a guess and the words of ``free``."""
+
+    name: str
+    guess: Rope
+    free: tuple[str, ...]
+
+    def nested_in(self, other: Candidate) -> bool:
+        """Tell whether all that is free here is free in `other` as well, which frees more."""
+        return set(self.free) < set(other.free) and self.guess.n_links == other.guess.n_links
+
+    def starting_guess(self, other: Candidate, rope: Rope) -> Rope:
+        """Return the guess of `other` with the values fitted here, of `rope`; laws keep their guess."""
+        labels = [label for word in self.free if (label := parse_label(word)) and label.law in ("", "shared")]
+        names = {label.name for label in labels if FREE_PROPERTIES[label.name].owner in ("link", "rope")} - {
+            "gravity_angle"
+        }
+        return other.guess.replace(**{name: getattr(rope, name) for name in sorted(names)})
+
+
+Done = tuple[Candidate, Identification | str]  # a fit, or why it failed
 
 
 @one_thread()
@@ -91,11 +120,11 @@ def _fit_all(
 ) -> tuple[list[Identification | str], bool]:
     """Return each candidate's fit, or why it failed; and whether Ctrl-C cut the rest."""
     done: list[Identification | str] = []
-    fit = partial(identify, recording, intervals=None, progress=False)
+    fit: Callable[..., Identification] = partial(identify, recording, intervals=None, progress=False, **options)
     for number, each in enumerate(todo):
         try:
-            found = fit(each.guess, each.free, **options)
-            found = _refit_from_nested(fit, each, found, zip(todo, done, strict=False), options)
+            found = fit(each.guess, each.free)
+            found = _refit_from_nested(fit, each, found, zip(todo, done, strict=False))
         except HyperflexError as failure:
             done.append(str(failure))
         except KeyboardInterrupt:
@@ -104,7 +133,7 @@ def _fit_all(
             return done, True
         else:
             done.append(found)
-            options = options | {"window": found.settings["window"]}  # the same for all
+            fit = partial(fit, window=found.settings["window"])  # the same for all
             if found.message == INTERRUPTED:
                 return done, True
         if report is not None:
@@ -113,11 +142,7 @@ def _fit_all(
 
 
 def _refit_from_nested(
-    fit: Callable[..., Identification],
-    candidate: Candidate,
-    found: Identification,
-    simpler: Iterable[tuple[Candidate, Identification | str]],
-    options: dict[str, Any],
+    fit: Callable[..., Identification], candidate: Candidate, found: Identification, simpler: Iterable[Done]
 ) -> Identification:
     """Return a fit no worse than those of models nested in it: where one is better, fitted again from there."""
     for other, before in simpler:
@@ -125,14 +150,13 @@ def _refit_from_nested(
             continue
         if before.residual_t.size == found.residual_t.size and WORSE * before.basis.fit.cost < found.basis.fit.cost:
             start = other.starting_guess(candidate, before.rope)
-            again = fit(start, candidate.free, **options | {"window": found.settings["window"]})
+            again = fit(start, candidate.free, window=found.settings["window"])
             if again.message == INTERRUPTED or again.basis.fit.cost < found.basis.fit.cost:
                 found = again
     return found
 
 
 def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], stopped: bool) -> ModelComparison:
-    """Return the comparison of the candidates done."""
     fits = [each.basis for each in done if not isinstance(each, str) and each.success]
     scores = dict(zip(map(id, fits), criteria(fits) if fits else [], strict=True))
     models, evidence, unit = [], [], "rad"
@@ -150,7 +174,6 @@ def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], s
 
 
 def _fitted_model(candidate: Candidate, found: Identification, bic: float | None) -> FittedModel:
-    """Return a candidate with its figures."""
     reason = "" if bic is not None else "it fits other samples than the rest, so its BIC is another thing"
     information = found.basis.information
     return FittedModel(
@@ -165,3 +188,66 @@ def _fitted_model(candidate: Candidate, found: Identification, bic: float | None
         error(found.held_out),
         information.whiteness,
     )
+
+
+def candidates(
+    guess: Rope, free: Sequence[str], models: Mapping[str, object] | None, links: Sequence[int]
+) -> list[Candidate]:
+    """Return the candidates, made of the arguments of :func:`compare_models`."""
+    if models is None:
+        result = _resistances(guess, free)
+    elif not isinstance(models, Mapping) or not models:
+        raise InvalidInput("models names no candidates", got=models, allowed="a mapping of names to what is free")
+    else:
+        result = [_own(str(name), guess, value) for name, value in models.items()]
+    simplest = result[0]
+    for count in links:
+        n = checks.count("links", count, most=MOST_LINKS)
+        if n != guess.n_links:
+            result.append(Candidate(f"{n} links", recut(simplest.guess, n), simplest.free))
+    names = [each.name for each in result]
+    if len(set(names)) < len(names):
+        raise InvalidInput("two candidates have one name", got=names, allowed="each name once")
+    return result
+
+
+def _own(name: str, guess: Rope, value: object) -> Candidate:
+    if isinstance(value, tuple) and len(value) == 2 and isinstance(value[0], Rope):
+        guess, value = value
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise InvalidInput(
+            f"candidate {name!r} cannot be used", got=value, allowed="what is free, or a pair (guess, what is free)"
+        )
+    return Candidate(name, guess, tuple(value))
+
+
+def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
+    """Return the viscous rope, alone and with one or two resistances added; and what else damps in its place.
+
+    What is not free is 0 in them, but viscous friction that is not in `free`, which all have as given.
+    """
+    if isinstance(free, str):
+        raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
+    own: dict[str, tuple[str, ...]] = {}
+    for word in free:
+        label = parse_label(word)
+        own.setdefault(label.name if label else "", ())
+        own[label.name if label else ""] += (word,)
+    viscous, *added = RESISTANCES
+    law = ":shared" if ":" in "".join(own.get(viscous.name, ())) else ""
+    for each in added:  # started from 0 it may stay there: a joint that never sticks tells little of dry friction
+        if each.least and not getattr(guess, each.name).any():
+            guess = guess.replace(**{each.name: SLIGHT * scales(guess, each.name)})
+    sets = [more for count in range(MAX_ADDED + 1) for more in combinations(added, count)]
+    chosen = [(viscous, *more) for more in sets]
+    varied = [*added, viscous] if viscous.name in own else added
+    if viscous in varied:
+        chosen += [those for those in sets if those and all(each.name in DAMPING for each in those)]
+    plain = tuple(word for name, words in own.items() for word in words if name not in [each.name for each in varied])
+    result = []
+    for those in chosen:
+        words = [word for each in those if each in varied for word in own.get(each.name, (each.name + law,))]
+        absent = {each.name: 0.0 for each in varied if each not in those}
+        name = " + ".join(each.field for each in those)
+        result.append(Candidate(name, guess.replace(**absent), (*plain, *words)))
+    return result

@@ -1,7 +1,5 @@
 """Evidence for models: BIC and held-out prediction, and the recommendation from both."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -90,8 +88,7 @@ def error(held_out: HeldOut | None) -> float:
 
 def _squares(held_out: HeldOut) -> Array:
     """Return the mean square of each stretch (W,)."""
-    result: Array = np.nanmean(held_out.window_rms**2, axis=1)
-    return result
+    return np.asarray(np.nanmean(held_out.window_rms**2, axis=1))
 
 
 def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, str]:
@@ -133,7 +130,6 @@ def _bic(each: Evidence) -> float:
 
 
 def _by_bic(chosen: Evidence, known: Sequence[Evidence]) -> str:
-    """Return what BIC says of a model beside the others."""
     rest = min(_bic(each) for each in known if each is not chosen)
     ahead = rest - _bic(chosen)
     next_one = next(each for each in known if each is not chosen and _bic(each) == rest)

@@ -25,14 +25,12 @@ class FittedModel:
     ----------
     name, free : str, tuple of str
         Its name, and what was free.
-    links : int
-        Number of links.
+    links, parameters : int
+        Numbers of links, and of free parameters that can be known.
     identification : Identification or None
         None where the fit failed.
     reason : str
         Why it failed, or why it cannot be compared; empty if all went well.
-    parameters : int
-        Free parameters that can be known.
     bic : float or None
         Bayesian information criterion; None where other samples were fitted than in the rest.
     fit_rms, held_out_rms : float, rad or m
@@ -132,7 +130,6 @@ class ModelComparison(Ended):
 
 
 def _row(model: FittedModel, wide: int, least: float, unit: int) -> str:
-    """Return a model's line of the table; `least` is the best BIC."""
     start = f"{model.name:<{wide}}  {model.links:5d}"
     if model.identification is None:
         return f"{start}  failed: {model.reason}"

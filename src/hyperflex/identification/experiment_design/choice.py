@@ -1,9 +1,7 @@
-"""Choice of the next experiment: candidates ranked by expected standard deviation."""
-
-from __future__ import annotations
+"""Choice of the next experiment: candidates ranked by expected standard deviation, and advice."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,14 +10,27 @@ from hyperflex import checks, files
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, Ended
-from hyperflex.identification.experiment_design.alternatives import DesignQuestion, advise_alternatives
 from hyperflex.identification.experiment_design.experiments import Experiment, default_experiments, variations
 from hyperflex.identification.experiment_design.fisher_information import ExpectedInformation, expected_information
 from hyperflex.identification.model.names import parse
+from hyperflex.identification.model.scale import common_factor
 from hyperflex.model import Arm, Rope
-from hyperflex.simulation.rollouts import progress_bar
+from hyperflex.simulation import progress_bar
 
+WEIGHED = ("mass", "com", "tip_mass")  # what a pair of scales can tell
+TORQUE_NOISE = 0.01  # part of the torque that holds arm and rope out level, all mass at the tip
 SHOWN = 3  # wanted numbers in a line of the table, the rest in the summary
+
+
+@dataclass(frozen=True)
+class DesignQuestion:
+    """What was asked of :func:`design_experiment`."""
+
+    rope: Rope
+    want: tuple[str, ...]
+    free: tuple[str, ...]
+    arm: Arm | None
+    noise: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,10 +40,9 @@ class Plan:
     Attributes
     ----------
     experiment : Experiment
-    std : dict of str to float
-        Predicted standard deviation of each wanted number, SI units; inf where the experiment cannot tell it.
-    relative : dict of str to float
-        The same over the number's value (over a typical change where it is 0, or an offset).
+    std, relative : dict of str to float
+        Predicted standard deviation of each wanted number, SI units, and over its value (over a typical change where
+        that is 0, or an offset); inf where the experiment cannot tell it.
     reason : str
         Why it could not be simulated, or empty.
     """
@@ -185,7 +195,6 @@ def design_experiment(
 
 
 def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) -> list[Experiment]:
-    """Return the candidates to begin with."""
     if not isinstance(rope, Rope):
         raise InvalidInput("design takes a Rope", got=type(rope).__name__)
     if candidates is None:
@@ -216,12 +225,11 @@ def _plan(asked: DesignQuestion, experiment: Experiment, seen: list[ExpectedInfo
 
 
 def _advice(asked: DesignQuestion, ranked: Sequence[Plan], seen: Sequence[ExpectedInformation]) -> str:
-    """Return what to do, in words."""
     if all(plan.reason for plan in ranked):
         return "No candidate could be simulated."
     best = ranked[0]
     if not np.isfinite(best.score):
-        return advise_alternatives(asked, [plan.experiment for plan in ranked if not plan.reason], seen[0])
+        return _alternatives(asked, [plan.experiment for plan in ranked if not plan.reason], seen[0])
     worst = max(best.relative, key=lambda name: best.relative[name])
     said = f"Make: {best.experiment.name}. It tells {worst} to {_percent(best.score)}"
     said += (
@@ -236,6 +244,63 @@ def _advice(asked: DesignQuestion, ranked: Sequence[Plan], seen: Sequence[Expect
     if blind:
         said += f" Cannot tell: {', '.join(blind)}."
     return said
+
+
+def _alternatives(asked: DesignQuestion, experiments: Sequence[Experiment], seen: ExpectedInformation) -> str:
+    """Return in words why none of the simulated `experiments` tells what is wanted, and what would."""
+    lost = [name for name, (std, _) in seen.spreads(asked.want).items() if not np.isfinite(std)]
+    names = ", ".join(lost) or ", ".join(asked.want)
+    if common_factor(seen.parameters, seen.information.x, seen.information.unknown) is None:
+        why = "it does not act in these motions, or acts just as others that are free"
+        weighed = _weigh(asked, experiments) or "Free fewer parameters, or try motions in which they act differently."
+        return f"No candidate can tell {names}: {why}. {weighed}"
+    why = "no known force or torque acts; all masses, inertias and frictions are known to a common factor only"
+    known = [name for name in ("J/p1", "p/p1", "c/p1") if _tells(seen, name)]
+    ratio = f"Known without it are the ratios over the first moment, want={known!r}." if known else ""
+    helps = (_weigh(asked, experiments), _torque(asked, experiments), ratio)
+    return " ".join([f"No candidate can tell {names}: {why}.", *(text for text in helps if text)])
+
+
+def _weigh(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
+    kept = tuple(word for word in asked.free if word.partition(":")[0].partition("[")[0] not in WEIGHED)
+    own = [word for word in asked.want if word.partition("[")[0] in WEIGHED]
+    if own:
+        return f"Weigh it: a pair of scales, and a knife edge for com, tell {', '.join(own)} directly."
+    if not kept or kept == asked.free:
+        return ""
+    found = _best(replace(asked, free=kept), experiments)
+    weighed = " and ".join(word for word in asked.free if word not in kept)
+    return "" if not found else f"Weigh the links and leave {weighed} out of free: {found}."
+
+
+def _torque(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
+    if asked.arm is None:
+        return "Or swing it by a motor whose torque is measured (arm=..., torque_noise)."
+    moved = [each for each in experiments if each.motion is not None and each.torque_noise is None]
+    reach = asked.arm.length + asked.rope.total_length
+    noise = float(f"{TORQUE_NOISE * asked.rope.total_mass * float(np.hypot(*asked.rope.gravity)) * reach:.1g}")
+    found = _best(asked, [replace(each, torque_noise=noise) for each in moved])
+    return "" if not found else f"Or measure the motor's torque, say to {noise:g} N m: {found}."
+
+
+def _tells(seen: ExpectedInformation, name: str) -> bool:
+    spreads = seen.spreads([name])
+    return bool(spreads) and all(np.isfinite(std) for std, _ in spreads.values())
+
+
+def _best(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
+    """Return which experiment then tells what is wanted, and how well; empty if none does."""
+    scores: dict[str, float] = {}
+    for experiment in experiments:
+        try:
+            expected = expected_information(asked.rope, experiment, asked.free, asked.arm, asked.noise)
+            scores[experiment.name] = max(part for _, part in expected.spreads(asked.want).values())
+        except HyperflexError:
+            continue
+    name = min(scores, key=lambda each: scores[each], default="")
+    if not name or not np.isfinite(scores[name]):
+        return ""
+    return f"then {name} tells {', '.join(asked.want)} to {100.0 * scores[name]:.3g} %"
 
 
 def _figure(value: float) -> str:

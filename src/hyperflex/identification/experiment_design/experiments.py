@@ -1,7 +1,5 @@
 """Candidate experiments: motion of the arm, frame rate, duration and markers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

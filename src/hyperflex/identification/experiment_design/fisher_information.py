@@ -1,7 +1,5 @@
 """Fisher information that a simulated experiment has of the parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,7 +16,7 @@ from hyperflex.identification.model.parameters import Parameter, Parameters
 from hyperflex.identification.model.plant import PRECISION, Plant, pivot_places
 from hyperflex.identification.model.scale import in_common_factor
 from hyperflex.identification.pipeline import build_plant
-from hyperflex.identification.uncertainty.covariance import UNKNOWN, Information, ratio_spread, ratios
+from hyperflex.identification.uncertainty.covariance import Information, known_directions, ratio_spread, ratios
 from hyperflex.model import Arm, Rope
 from hyperflex.recording import Recording
 from hyperflex.sensors import Markers
@@ -108,13 +106,11 @@ def expected_information(
 def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Information:
     """Return the information of windows that the model fits, the noise as given."""
     x, widths = plant.parameters.start, plant.parameters.widths
-    rows: list[Array] = [np.zeros((x.size, x.size))]
+    rows = [np.zeros((x.size, x.size))]
     for window, state in zip(windows, states, strict=True):
         linear = linearise(plant, window, x, state, np.zeros(window.y.size), Loss())
-        rows.append(np.asarray(np.linalg.qr(linear.reduced()[0] * widths, mode="r")))
-    _, singular, directions = np.linalg.svd(np.vstack(rows), full_matrices=False)
-    determined = singular > UNKNOWN * singular[0]
-    known, unknown = directions[determined].T, directions[~determined].T
-    covariance = (known / singular[determined] ** 2) @ known.T * np.outer(widths, widths)
+        rows.append(linear.reduced()[0] * widths)
+    singular, known, unknown = known_directions(rows)
+    covariance = (known / singular[: known.shape[1]] ** 2) @ known.T * np.outer(widths, widths)
     tied = in_common_factor(plant.parameters, x, unknown)
     return Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)

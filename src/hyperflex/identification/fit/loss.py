@@ -51,8 +51,7 @@ class Loss:
 
     def influence(self, residual: Array) -> Array:
         """Return psi (m,), half the slope of the cost: the residuals themselves while they are small."""
-        result: Array = self.weight(residual) ** 2 * residual
-        return result
+        return np.asarray(self.weight(residual) ** 2 * residual)
 
     def sensitivity(self, residual: Array) -> Array:
         """Return d psi / d residual (m,): 1 while residuals are small."""

@@ -210,8 +210,7 @@ def _step(at: Fit, linear: Sequence[Linear], lower: Array, damping: float) -> tu
 
 def least_squares(matrix: Array, right: Array) -> Array:
     """Return the minimum-norm solution (k,) of a least-squares problem (m, k), (m,)."""
-    result: Array = np.linalg.lstsq(matrix, right, rcond=None)[0].astype(np.float64, copy=False)
-    return result
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0].astype(np.float64, copy=False))
 
 
 def _predicted_decrease(at: Fit, linear: Sequence[Linear], lower: Array) -> float:

@@ -1,7 +1,5 @@
 """Windows: short parts of a recording, each with an initial state of its own."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

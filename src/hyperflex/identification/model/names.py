@@ -1,7 +1,5 @@
 """The names in `free`, and the parameters that they stand for."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 
@@ -10,12 +8,17 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.parameters import Parameter, Parameters, lumped
-from hyperflex.model import Arm, Rope
-from hyperflex.model.properties import FREE, Label, parsed
+from hyperflex.model import FREE_PROPERTIES, Arm, Label, Rope, parse_label
 
 SHARE = 0.01  # size of an unknown small torque, as a part of gravity's, in the scale of a friction that starts from 0
 DELAY = 0.05  # s, scale of the time between camera and motor
 ORIGIN = 0.1  # scale of the place of the first joint, in lengths of the rope
+NEEDS = {  # what must be measured for parameters that are not the rope's
+    "motion": ("nothing moves the first joint", "motion=..."),
+    "camera": ("no places are measured", "arc_lengths=..."),
+    "marker": ("no places are measured", "arc_lengths=..."),
+    "arm": ("no torque is measured", "torque=... and arm=..."),
+}
 
 
 def parse(
@@ -30,13 +33,13 @@ def parse(
         raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
     result: list[Parameter] = []
     for word in free:
-        label = parsed(word)
-        if label is None or label.name not in FREE:
+        label = parse_label(word)
+        if label is None or label.name not in FREE_PROPERTIES:
             raise InvalidInput(
                 "free has an unknown name",
                 got=word,
-                allowed=f"{', '.join(FREE)}; 'friction[2]' for one link, 'friction:shared' for one value of all "
-                "links, 'friction:factor' and 'friction:taper' for laws along the rope",
+                allowed=f"{', '.join(FREE_PROPERTIES)}; 'friction[2]' for one link, 'friction:shared' for one value of "
+                "all links, 'friction:factor' and 'friction:taper' for laws along the rope",
             )
         result += _one(guess, label, arc_lengths, moved, arm)
     _refuse_twice(result, free)
@@ -61,12 +64,17 @@ def _refuse_twice(chosen: list[Parameter], free: Sequence[str]) -> None:
 def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm: Arm | None) -> list[Parameter]:
     """Return the parameters of one word in `free`."""
     name, place, law = label
-    if FREE[name].owner == "marker":
+    owner = FREE_PROPERTIES[name].owner
+    unseen = arc_lengths is None
+    if {"motion": not moved, "camera": unseen, "marker": unseen, "arm": arm is None}.get(owner):
+        why, fix = NEEDS[owner]
+        raise InvalidInput(f"{name} is free, but {why}", fix=f"Give {fix}, or leave it out")
+    if arc_lengths is not None and owner == "marker":
         return _arcs(guess, place, law, arc_lengths)
-    if FREE[name].owner != "link":
+    if owner != "link":
         if place is not None or law:
             raise InvalidInput(f"{name} belongs to the whole rope, or camera", got=f"{name}[{place}]", allowed=name)
-        return [_whole(guess, name, arc_lengths, moved, arm)]
+        return [_whole(guess, name, arm or Arm())]
     n = guess.n_links
     if place is not None and place >= n:
         raise InvalidInput(
@@ -84,18 +92,8 @@ def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm:
     return [Parameter(name, (k,), f"{name}[{k}]", float(starts[k]), float(sizes[k])) for k in chosen]
 
 
-def _whole(guess: Rope, name: str, arc_lengths: Array | None, moved: bool, arm: Arm | None) -> Parameter:
+def _whole(guess: Rope, name: str, arm: Arm) -> Parameter:
     """Return a parameter that belongs to no link; what starts from 0 gets a typical size as scale."""
-    owner = FREE[name].owner
-    if owner == "motion" and not moved:
-        raise InvalidInput("delay is free, but nothing moves the first joint", fix="Give motion=..., or leave it out")
-    if owner == "camera" and arc_lengths is None:
-        raise InvalidInput(f"{name} is free, but no places are measured", fix="Give arc_lengths=..., or leave it out")
-    if owner == "arm" and arm is None:
-        raise InvalidInput(
-            f"{name} is free, but no torque is measured", fix="Give torque=... and arm=..., or leave it out"
-        )
-    held = arm or Arm()
     level = SHARE * guess.total_mass * guess.total_length**2  # of the level rope
     typical = level * float(np.sqrt(np.hypot(*guess.gravity) / guess.total_length))
     place = (0.0, ORIGIN * guess.total_length)
@@ -105,16 +103,13 @@ def _whole(guess: Rope, name: str, arc_lengths: Array | None, moved: bool, arm: 
         "delay": (0.0, DELAY),
         "origin_x": place,
         "origin_y": place,
-        "arm_inertia": (held.inertia, level),
-        "arm_friction": (held.friction, typical or level),
+        "arm_inertia": (arm.inertia, level),
+        "arm_friction": (arm.friction, typical or level),
     }[name]
     return Parameter(name, (), name, start, max(start, size))
 
 
-def _arcs(guess: Rope, marker: int | None, law: str, arc_lengths: Array | None) -> list[Parameter]:
-    """Return the places of markers along the rope."""
-    if arc_lengths is None:
-        raise InvalidInput("arc is free, but no places are measured", fix="Give a first guess, arc_lengths=...")
+def _arcs(guess: Rope, marker: int | None, law: str, arc_lengths: Array) -> list[Parameter]:
     if law or (marker is not None and marker >= arc_lengths.size):
         raise InvalidInput(
             "arc names no marker", got=law or marker, allowed=f"arc, or arc[0] to arc[{arc_lengths.size - 1}]"
@@ -127,7 +122,7 @@ def _arcs(guess: Rope, marker: int | None, law: str, arc_lengths: Array | None) 
 def scales(guess: Rope, name: str) -> Array:
     """Return the scales (n,) of a property of the links: its value, or what is typical by its unit, if that is more."""
     value: Array = np.array(getattr(guess, name))
-    if FREE[name].form == "log":
+    if FREE_PROPERTIES[name].form == "log":
         if not (value > 0.0).all():
             raise InvalidInput(f"{name} is free but starts from 0", got=value, allowed=f"a guess of {name} > 0")
         return value
@@ -142,7 +137,7 @@ def scales(guess: Rope, name: str) -> Array:
         "rad": 1.0,
         "kg/m^2": SHARE * guess.total_mass / guess.total_length**2,
     }
-    return np.maximum(np.abs(value), typical[FREE[name].unit])
+    return np.maximum(np.abs(value), typical[FREE_PROPERTIES[name].unit])
 
 
 def perturbed(rope: Rope, off: Mapping[str, float]) -> Rope:
@@ -156,7 +151,7 @@ def perturbed(rope: Rope, off: Mapping[str, float]) -> Rope:
         Changes by labels such as ``friction[1]``, SI units; of a factor relative. What is none of the rope's is left
         out.
     """
-    owners = {label: FREE[parts.name].owner for label in off if (parts := parsed(label))}
+    owners = {label: FREE_PROPERTIES[parts.name].owner for label in off if (parts := parse_label(label))}
     own = {label: off[label] for label, owner in owners.items() if owner in ("link", "rope")}
     if not own:
         return rope

@@ -1,7 +1,5 @@
 """Free parameters: their scales and bounds for the fit, and the rope with given values."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -10,9 +8,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Rope
-from hyperflex.model.properties import PROPERTIES, Form, Property
-from hyperflex.model.stretch import growth, stretched
+from hyperflex.model import PROPERTIES, Form, Property, Rope, growth, stretched
 
 Law = Literal["own", "factor", "taper"]
 Part = dict[str, Array]
@@ -65,8 +61,7 @@ class Parameter:
     def width(self) -> float:
         """Change of x that makes parameters comparable when judging what can be known.
 
-        A factor of e, a link's length, its whole inertia, a torque of 1 % of gravity's, 0.1 rad, 0.1 of a time or
-        place scale.
+        A factor of e, a length, a whole inertia, 1 % of gravity's torque, 0.1 rad, 0.1 of a time or place scale.
         """
         return SMALL if self.form == "linear" and self.law == "own" and self.name != "com" else 1.0
 

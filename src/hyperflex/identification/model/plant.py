@@ -17,10 +17,15 @@ from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import ARM, Parameters
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion, hold_arm
-from hyperflex.sensors import Angles, MotorTorque, Sensor
-from hyperflex.simulation.rollouts import finish, limits, prepare
-from hyperflex.simulation.sensitivity.directions import ParameterDirections
-from hyperflex.simulation.sensitivity.sensitivity import forward_derivatives, record_steps
+from hyperflex.sensors import Angles, MotorTorque, PostureSensor
+from hyperflex.simulation import (
+    ParameterDirections,
+    finish_rollout,
+    forward_derivatives,
+    prepare_rollout,
+    record_steps,
+    rollout_limits,
+)
 
 PRECISION = 1e-7  # tolerance of a rollout over the rope's length, far below any measured angle's error
 
@@ -33,7 +38,7 @@ class _Evaluation:
     chain: Chain
     motion: Motion
     drive: Drive
-    sensor: Sensor
+    sensor: PostureSensor
     motor: MotorTorque | None
     moving: list[int]  # which parameters move the rope
     parameter_directions: ParameterDirections  # state first, then those
@@ -58,7 +63,7 @@ class Plant:
     def __init__(
         self,
         parameters: Parameters,
-        sensor: Sensor | None = None,
+        sensor: PostureSensor | None = None,
         motion: Motion | None = None,
         arm: Arm | None = None,
         *,
@@ -150,13 +155,13 @@ class Plant:
         return moved, shared
 
     def _limits(self, at: _Evaluation, t: Array) -> Limits:
-        return limits(self._setup, at.chain, float(t[-1]), 1_000_000)
+        return rollout_limits(self._setup, at.chain, float(t[-1]), 1_000_000)
 
     def _run(self, at: _Evaluation, t: Array, state: Array) -> Array | None:
         """Return the rollout's states at t (m,) from `state` (2n,), or None where it fails."""
         n = at.rope.n_links
-        run = prepare(at.chain, at.drive, (state[:n], state[n:]), t, self._limits(at, t))
-        return run.y if finish(run) == status.OK else None
+        run = prepare_rollout(at.chain, at.drive, (state[:n], state[n:]), t, self._limits(at, t))
+        return run.y if finish_rollout(run) == status.OK else None
 
     def _channels(self, at: _Evaluation, t: Array, y: Array) -> Array:
         """Return the channels (m, C) of states y (m, 2n or more)."""

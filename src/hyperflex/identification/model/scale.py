@@ -1,15 +1,12 @@
 """The common factor of moments, frictions and stiffnesses; unknown without a known force or torque."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.identification.model.names import SHARE
 from hyperflex.identification.model.parameters import Parameters, lumped
-from hyperflex.model import Rope
-from hyperflex.model.properties import RESISTANCES
+from hyperflex.model import RESISTANCES, Rope
 
 PARALLEL = 0.1  # part of a direction that may lie outside of others for it to count as one of them
 Mask = npt.NDArray[np.bool_]

@@ -1,7 +1,5 @@
 """Parametric bootstrap: fits to recordings simulated from a fit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,10 +11,9 @@ from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit, one_thread
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.intervals import LEVEL, Interval, checked_level
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level
 from hyperflex.identification.uncertainty.noise import correlations
-from hyperflex.simulation.rollouts import progress_bar
+from hyperflex.simulation import progress_bar
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,7 +40,7 @@ class Bootstrap:
         return f"<Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}: {', '.join(self.names)}>"
 
     def interval(self, name: str, level: float = LEVEL) -> Interval:
-        """Return the percentile interval of a parameter `name` at a `level`; beside bounds prefer :func:`profile`."""
+        """Return the percentile interval of parameter `name` at a `level`; beside bounds :func:`profile` is better."""
         if name not in self.names:
             raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(self.names))
         side = 0.5 * (1.0 - checked_level(level))

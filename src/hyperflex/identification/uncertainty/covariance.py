@@ -1,13 +1,14 @@
-"""Covariance of the parameters: sandwich estimate for robust losses and coloured noise."""
-
-from __future__ import annotations
+"""Covariance of the parameters (sandwich estimate for robust losses and coloured noise), and intervals from it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, least_squares, linearise
 from hyperflex.identification.fit.windows import Window
@@ -15,13 +16,16 @@ from hyperflex.identification.model.parameters import Parameters, lumped
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import Mask, in_common_factor
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, autoregression, correlated, correlations
+from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.identification.uncertainty.whiteness import whiteness
-from hyperflex.model import Rope
-from hyperflex.model.properties import RESISTANCES
+from hyperflex.model import RESISTANCES, Rope
 
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
 TOUCHED = 1e-3  # a parameter or ratio is unknown when this part of it lies in an unknown direction
+End = Literal["crossed", "bound", "open"]
+LEVEL = 0.95
+SIGNED = ("p/p1",)  # ratios that may be negative: a centre of mass behind its joint
 
 
 @dataclass(frozen=True)
@@ -79,8 +83,6 @@ class Basis:
 def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
     """Return what the fit's windows tell, at the cost of one round of the fit.
 
-    Notes
-    -----
     Sandwich covariance A^+ M A^+ of x, with S the derivatives of the residuals less what the states absorb:
 
     - A = mean(psi') S^T S, and what each residual counts has the variance s^2 = K^2 sum(psi^2) / freedom / mean(psi'),
@@ -96,10 +98,9 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> In
     slopes = _sensitivities(windows, fit)
     mean = max(float(slopes.mean()), LEAST_SENSITIVITY)
     models = _models(plant, windows, fit, mean)
-    singular, directions = _svd([model.shared * widths for model in models], total)
-    determined = singular > UNKNOWN * singular[0]
-    known, unknown = directions[determined].T, directions[~determined].T
-    inner = known / singular[determined]  # A^+ = inner inner^T
+    rows = [model.shared * widths for model in models]
+    singular, known, unknown = known_directions([*rows, np.zeros((total, total))])
+    inner = known / singular[: known.shape[1]]  # A^+ = inner inner^T
     pieces = [model.piece(inner * widths[:, None]) for model in models]
     terms, agrees = autoregression(pieces)
     absorbed = sum(float((piece.basis * correlated(terms, piece.basis)).sum()) for piece in pieces)
@@ -153,8 +154,7 @@ class _Model:
         """Return S^T R S (P, P)."""
         size, shape = self.influence.size, self.influence.shape
         rows, prior = self.shared[:size].reshape(*shape, -1), self.shared[size:]
-        result: Array = np.tensordot(rows, correlated(terms, rows), axes=([0, 1], [0, 1])) + prior.T @ prior
-        return result
+        return np.asarray(np.tensordot(rows, correlated(terms, rows), axes=([0, 1], [0, 1])) + prior.T @ prior)
 
 
 def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float) -> list[_Model]:
@@ -178,11 +178,12 @@ def _sensitivities(windows: Sequence[Window], fit: Fit) -> Array:
     return np.concatenate([fit.loss.sensitivity(r)[s] for r, s in zip(fit.residuals, seen, strict=True)])
 
 
-def _svd(rows: Sequence[Array], total: int) -> tuple[Array, Array]:
-    """Return singular values (P,) and directions (P, P) of stacked rows (M, P)."""
+def known_directions(rows: Sequence[Array]) -> tuple[Array, Array, Array]:
+    """Return singular values (P,), known (P, k) and unknown (P, P - k) directions of stacked rows (M >= P, P)."""
     small = [np.linalg.qr(each, mode="r") for each in rows]
-    _, singular, directions = np.linalg.svd(np.vstack([*small, np.zeros((total, total))]), full_matrices=False)
-    return singular, directions
+    _, singular, directions = np.linalg.svd(np.vstack(small), full_matrices=False)
+    determined = singular > UNKNOWN * singular[0]
+    return singular, directions[determined].T, directions[~determined].T
 
 
 def ratios(rope: Rope, *, every: bool = False) -> dict[str, Array]:
@@ -209,3 +210,62 @@ def ratio_spread(parameters: Parameters, information: Information) -> dict[str, 
         above, below = (ratios(parameters.rope(end), every=True) for end in (up, down))
         columns.append({name: (above[name] - below[name]) / (up[k] - down[k]) for name in names})
     return {name: information.spread(np.stack([c[name] for c in columns], axis=1)) for name in names}
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Confidence interval, SI units.
+
+    `kind` is its method: ``covariance`` (Student's quantile times the standard deviation), ``profile``, ``bootstrap``,
+    or ``unknown`` where the data set no limits. `ends`: ``crossed``, the parameter's own ``bound``, or ``open``.
+    `remark` tells what went wrong, or nothing.
+    """
+
+    low: float
+    high: float
+    kind: Literal["covariance", "profile", "bootstrap", "unknown"]
+    ends: tuple[End, End] = ("crossed", "crossed")
+    level: float = LEVEL
+    remark: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.low:.5g} to {self.high:.5g} ({self.kind})"
+
+    def __contains__(self, value: float) -> bool:
+        return self.low <= value <= self.high
+
+
+def checked_level(level: float) -> float:
+    """Return a confidence level, refused outside of 0 to 1."""
+    if checks.number("level", level, sign="positive") >= 1.0:
+        raise InvalidInput("level is not a probability", got=level, allowed="between 0 and 1, such as 0.95")
+    return float(level)
+
+
+def from_covariance(basis: Basis, which: int, level: float = LEVEL) -> Interval:
+    """Return the interval of parameter number `which` from its standard deviation, within its bound."""
+    information, parameter = basis.information, basis.plant.parameters.all[which]
+    std = float(information.deviations(np.ones(information.x.size))[which])
+    if not np.isfinite(std):
+        low = -np.inf if parameter.form == "linear" else 0.0
+        return Interval(low, np.inf, "unknown", ("open" if low else "bound", "open"), level)
+    least, x = float(basis.plant.parameters.lower[which]), float(information.x[which])
+    half = std * float(np.sqrt(quantile(level, information.freedom)))
+    ends: tuple[End, End] = ("bound" if x - half < least else "crossed", "crossed")
+    return Interval(parameter.value(max(x - half, least)), parameter.value(x + half), "covariance", ends, level)
+
+
+def of_ratios(ratios: dict[str, Array], std: dict[str, Array], freedom: float) -> dict[str, Interval]:
+    """Return intervals of the ratios by name and link (``J/p1[0]``), from their standard deviations, within bounds."""
+    times, result = float(np.sqrt(quantile(LEVEL, freedom))), {}
+    for name, values in ratios.items():
+        for k, (value, spread) in enumerate(zip(values, std[name], strict=True)):
+            if not np.isfinite(spread):
+                low = -np.inf if name in SIGNED else 0.0
+                result[f"{name}[{k}]"] = Interval(low, np.inf, "unknown", ("bound" if low == 0.0 else "open", "open"))
+            elif spread > 0.0:
+                low, high = value - times * spread, value + times * spread
+                bounded = low < 0.0 and name not in SIGNED
+                ends: tuple[End, End] = ("bound" if bounded else "crossed", "crossed")
+                result[f"{name}[{k}]"] = Interval(0.0 if bounded else low, high, "covariance", ends)
+    return result

@@ -1,15 +1,12 @@
 """Choice of each interval's method: covariance, or profile likelihood where skewed."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.fit.multiple_shooting import Report, with_entries
-from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.intervals import LEVEL, Interval, from_covariance
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, from_covariance
 from hyperflex.identification.uncertainty.profile import BETTER, Profile, profiled
 from hyperflex.identification.uncertainty.threshold import near_bounds
 
@@ -46,7 +43,6 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Repor
 
 
 def _remark(found: Profile) -> str:
-    """Return a warning about a profile, or ""."""
     if found.gain > BETTER:
         return (
             f"Beside {found.name} the squares fall {found.gain:.3g} residual variances below those of this fit: it is "
@@ -82,7 +78,6 @@ def skewed(basis: Basis, which: int) -> bool:
 
 
 def _skewed_parameters(basis: Basis) -> list[int]:
-    """Return the parameters that "auto" profiles."""
     information = basis.information
     std = np.sqrt(np.diag(information.covariance))
     above = (information.x - basis.plant.parameters.lower) / np.where(std > 0.0, std, 1.0)

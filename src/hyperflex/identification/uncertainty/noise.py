@@ -1,7 +1,5 @@
 """Autoregressive model of the residuals as noise, its order chosen by BIC."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -34,17 +32,12 @@ class Piece:
 
 
 def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
-    """Return an autoregression of the residuals, r_t = sum of a_j r_(t - j) + white noise; often none.
+    """Return the a_j (k,) of r_t = sum of a_j r_(t - j) + white noise for the residuals, and whether it explains them.
 
-    Returns
-    -------
-    terms (k,), the a_j, of a stationary process; agrees, whether that process, less what the fit absorbs, has the
-    residuals' autocorrelations. If not, the terms are those of Yule and Walker for the residuals as they are.
-
-    Notes
-    -----
-    One process for all channels and windows; k is chosen by BIC. Partial autocorrelations, within NEAR_ONE and LATER,
-    are found by damped Gauss-Newton steps. Times are taken as even. Cost: a few Fourier transforms (m, C K) a window.
+    The process is stationary, one for all channels and windows; k, often 0, is chosen by BIC. Partial autocorrelations,
+    within NEAR_ONE and LATER, are found by damped Gauss-Newton steps, so that the process, less what the fit absorbs,
+    has the residuals' autocorrelations. If none has, the terms are those of Yule and Walker for the residuals as they
+    are. Times are taken as even. Cost: a few Fourier transforms (m, C K) a window.
     """
     observed = _lagged_products(pieces)
     longest = max(piece.residual.shape[0] for piece in pieces)
@@ -95,10 +88,8 @@ def correlations(terms: Array, count: int) -> Array:
     result[0] = 1.0
     if k:
         matrix, right = np.eye(k), terms.copy()
-        for lag in range(1, k + 1):
-            for j in range(1, k + 1):
-                if j != lag:
-                    matrix[lag - 1, abs(lag - j) - 1] -= terms[j - 1]
+        row, other = np.nonzero(~np.eye(k, dtype=bool))
+        np.subtract.at(matrix, (row, np.abs(row - other) - 1), terms[other])
         first = np.linalg.solve(matrix, right)
         result[1 : k + 1] = first[: count - 1]
         for lag in range(k + 1, count):
@@ -112,8 +103,7 @@ def correlated(terms: Array, values: Array) -> Array:
         return values
     m = values.shape[0]
     lags = np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
-    result: Array = np.tensordot(correlations(terms, m)[lags], values, axes=1)
-    return result
+    return np.asarray(np.tensordot(correlations(terms, m)[lags], values, axes=1))
 
 
 def autocorrelation(residuals: Sequence[Array]) -> float:
@@ -161,7 +151,6 @@ def expected_products(pieces: Sequence[Piece], most: int) -> Array:
 
 
 def _bic(parts: Array, count: float) -> float:
-    """Return the BIC of partial autocorrelations, less that of none."""
     return count * float(np.log(1.0 - parts**2).sum()) + parts.size * float(np.log(count))
 
 

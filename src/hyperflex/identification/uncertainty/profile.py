@@ -1,7 +1,5 @@
 """Profile likelihood: one parameter held at a value, all others fitted again."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,8 +11,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.intervals import End, checked_level, from_covariance
+from hyperflex.identification.uncertainty.covariance import Basis, End, checked_level, from_covariance
 from hyperflex.identification.uncertainty.threshold import quantile, threshold
 from hyperflex.model import Rope
 
@@ -34,10 +31,8 @@ class Profile:
     ----------
     name : str
         Of the parameter, as in ``Identification.parameters``.
-    low, high : float
-        The interval, SI units; inf where the data set no limit.
-    level : float
-        Confidence level.
+    low, high, level : float
+        The interval, SI units, inf where the data set no limit; its confidence level.
     ends : tuple of str
         Of either end: ``crossed`` where the curve crosses the limit, ``bound`` where the parameter's own bound comes
         first, ``open`` where neither was found (no limit in the data, or the rope cannot be simulated there).
@@ -141,15 +136,11 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Re
     if points:
         walk.fill(points)
     known = sorted((p for p in walk.points if np.isfinite(p.rise)), key=lambda p: float(p.x[which]))
-    curve = (
-        np.array([parameter.value(float(p.x[which])) for p in known]),
-        np.array([max(p.rise, 0.0) for p in known]),
-        np.array([p.limit for p in known]),
-    )
+    values, rise, limit = np.array([(parameter.value(float(p.x[which])), max(p.rise, 0.0), p.limit) for p in known]).T
     best = min(known, key=lambda p: p.rise)
     gain = (basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
     better = basis.plant.parameters.rope(best.x) if gain > BETTER else None
-    return Profile(parameter.label, low, high, level, ends, *curve, kind, max(gain, 0.0), better)
+    return Profile(parameter.label, low, high, level, ends, values, rise, limit, kind, max(gain, 0.0), better)
 
 
 class _BudgetExceeded(Exception):

@@ -6,8 +6,6 @@ taken at the very value that is tested, so that intervals hold the truth as ofte
 at the bound, near it or far off (the construction of Feldman and Cousins 1998, doi:10.1103/PhysRevD.57.3873).
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -34,26 +32,15 @@ def quantile(level: float, freedom: float) -> float:
 def near_bounds(covariance: Array, above: Array) -> Mask:
     """Return which parameters (P,) are less than NEAR standard deviations `above` their bounds (P,), inf for none."""
     std = np.sqrt(np.diag(covariance))
-    result: Mask = (above < NEAR * std) & (std > 0.0)
-    return result
+    return np.asarray((above < NEAR * std) & (std > 0.0))
 
 
 def threshold(level: float, freedom: float, which: int, covariance: Array, above: Array) -> float:
-    """Return the rise, over the residual variance, at which the value of parameter `which` is refused.
+    """Return the rise, over the residual variance, at which the value of parameter `which` is refused at a `level`.
 
-    Parameters
-    ----------
-    level, freedom : float
-        Confidence level; degrees of freedom of the residual variance.
-    covariance : (P, P) array
-        As it would be without bounds.
-    above : (P,) array
-        Distance above the bounds, at the tested value and the others' estimates there; inf where there is no bound.
-
-    Notes
-    -----
-    The other parameters stand at their estimates, not at the truth: the level is met nearly, not exactly. About 1 ms a
-    bound that is near.
+    `freedom` is of the residual variance; covariance (P, P) as it would be without bounds; above (P,) the distances
+    above the bounds, at the tested value and the others' estimates there, inf where there is no bound. The others stand
+    at their estimates, not at the truth: the level is met nearly, not exactly. About 1 ms a bound that is near.
     """
     usual = quantile(level, freedom)
     chosen = np.flatnonzero(near_bounds(covariance, above))
@@ -95,8 +82,7 @@ def _rise(points: Array, inverse: Array, limit: Array, *, tested: bool) -> Array
     crossing = (points + away < limit)[:, free].any(axis=1)
     if crossing.any():
         away[crossing] = _descend(points[crossing], away[crossing], inverse, limit, free)
-    rise: Array = np.einsum("ni,ij,nj->n", away, inverse, away)
-    return rise
+    return np.asarray(np.einsum("ni,ij,nj->n", away, inverse, away))
 
 
 def _descend(points: Array, away: Array, inverse: Array, limit: Array, free: npt.NDArray[np.intp]) -> Array:

@@ -1,7 +1,5 @@
 """Whiteness of residuals: a portmanteau test and the correlogram."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,8 +13,6 @@ LAGS = 10  # samples, or a quarter of the shortest window
 def whiteness(parts: Sequence[Piece]) -> float:
     """Return the p-value of the residuals' autocorrelation under white noise; 1 where they are too few to tell.
 
-    Notes
-    -----
     Portmanteau test: products of residuals k samples apart, k = 1..10, summed over channels and windows, are compared
     with their mean and covariance under white noise (Ljung and Box 1978, doi:10.1093/biomet/65.2.297; for several
     channels Hosking 1980, doi:10.1080/01621459.1980.10477520). Channels may be correlated with each other. The moments
@@ -44,8 +40,7 @@ def _channel_covariance(parts: Sequence[Piece]) -> Array:
     pairs = sum(part.seen.T @ part.seen for part in parts)
     taken = sum(float((part.basis**2).sum()) for part in parts)
     values = sum(float(part.seen.sum()) for part in parts)
-    result: Array = products / np.maximum(pairs, 1.0) * values / max(1.0, values - taken)
-    return result
+    return np.asarray(products / np.maximum(pairs, 1.0) * values / max(1.0, values - taken))
 
 
 def _moments(part: Piece, spread: Array, lags: Array) -> tuple[Array, Array]:

@@ -27,8 +27,7 @@ from hyperflex.paper.casting import (
 from hyperflex.paper.linearization import linearized
 from hyperflex.paper.report.part import Item, Part
 from hyperflex.paper.results import Claim
-from hyperflex.report.page import Picture, Section, TextTable
-from hyperflex.report.style import BLUE, GREY, INK, OUTCOME_COLOUR, new_figure
+from hyperflex.report import BLUE, GREY, INK, OUTCOME_COLOUR, Picture, Section, TextTable, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

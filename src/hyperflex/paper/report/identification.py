@@ -30,8 +30,7 @@ from hyperflex.paper.identification import (
     true_rope,
 )
 from hyperflex.paper.report.part import Item, Part
-from hyperflex.report.page import Picture, Section, TextTable
-from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, new_figure
+from hyperflex.report import BLUE, GREEN, GREY, INK, RED, Picture, Section, TextTable, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING
 from hyperflex import files
 from hyperflex.paper.casting import Reading
 from hyperflex.paper.results import Claim, Table
-from hyperflex.report.folder import Progress
-from hyperflex.report.page import Picture, Section, TextTable
-from hyperflex.report.style import png
+from hyperflex.report import Picture, Progress, Section, TextTable, png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

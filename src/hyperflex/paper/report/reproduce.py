@@ -1,19 +1,16 @@
 """The paper's figures, tables and claims as files: pictures, tables of numbers, a Markdown table and a page."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from hyperflex import checks, files
-from hyperflex.paper.report import casting, identification, timing
+from hyperflex.paper.report import casting, estimation, identification, timing
 from hyperflex.paper.report.part import Part, Written, claims_table, verdicts, write_part
 from hyperflex.paper.results import Claim
-from hyperflex.report.folder import Progress, silent, whole_folder
-from hyperflex.report.page import Section, sections_markdown, write_page
+from hyperflex.report import Progress, Section, sections_markdown, silent, whole_folder, write_page
 
-PARTS = (identification.PART, casting.PART, timing.PART)
+PARTS = (identification.PART, estimation.PART, casting.PART, timing.PART)
 FIGURES = tuple(name for part in PARTS for name in part.items)
 
 
@@ -31,9 +28,9 @@ def reproduce(names: Sequence[str], directory: str | Path, *, progress: Progress
     Parameters
     ----------
     names : sequence of str
-        Which figures and tables: "table1", "table2", "fig3", "fig5", "fig6" on identification, "fig9" to "fig12" on
-        casting, "fig13" on timing control, or "all". The claims of whichever of the three is asked for are measured
-        with them.
+        Which figures and tables: "table1", "table2", "fig3", "fig5", "fig6" on identification, "fig8" on online
+        estimation, "fig9" to "fig12" on casting, "fig13" on timing control, or "all". The claims of whichever of the
+        four is asked for are measured with them.
     directory, progress
         Folder to write to, see :func:`hyperflex.report.folder.whole_folder`; called with what is being done.
 

@@ -10,8 +10,7 @@ from hyperflex.paper import timing
 from hyperflex.paper.casting import READINGS, Reading
 from hyperflex.paper.report.part import Item, Part
 from hyperflex.paper.timing import DURATION, LEADS, WINDOW, timed
-from hyperflex.report.page import Picture, Section, TextTable
-from hyperflex.report.style import BLUE, GREEN, GREY, RED, legend, new_figure
+from hyperflex.report import BLUE, GREEN, GREY, RED, Picture, Section, TextTable, legend, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """A planned throw in closed loop: at each rest of the arm, what is left is planned again from the observed state."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,10 +1,7 @@
 """State sources that simulate the true rope: in a sampled scenario, or on a simulated motor."""
 
-from __future__ import annotations
-
 from hyperflex.control import TrueState
-from hyperflex.hardware import SimulatedMotor
-from hyperflex.hardware.motor import SAMPLE_TIME
+from hyperflex.hardware import SAMPLE_TIME, SimulatedMotor
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion

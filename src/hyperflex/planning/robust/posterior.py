@@ -13,8 +13,7 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import perturbed
-from hyperflex.model import Rope
-from hyperflex.model.properties import PROPERTIES, parsed
+from hyperflex.model import PROPERTIES, Rope, parse_label
 
 if TYPE_CHECKING:
     from hyperflex.identification import Identification
@@ -98,7 +97,7 @@ class RopePosterior:
 
 def _properties(labels: Sequence[str]) -> tuple[str, ...]:
     """Return the properties of a rope among labels of parameters."""
-    found = dict.fromkeys(each.name for label in labels if (each := parsed(label)))
+    found = dict.fromkeys(each.name for label in labels if (each := parse_label(label)))
     return tuple(name for name in found if PROPERTIES[name].owner in ("link", "rope"))
 
 
@@ -110,7 +109,7 @@ def _undetermined(labels: Sequence[str], covariance: Array, stds: Mapping[str, A
 
 def _finite(label: str, stds: Mapping[str, Any]) -> bool:
     """Whether a standard deviation is finite, or not in the table."""
-    parts = parsed(label)
+    parts = parse_label(label)
     std = stds.get(label, stds.get(parts.name) if parts else None)
     if std is None:
         return True

@@ -1,7 +1,5 @@
 """Robust refinement of throws: successive halving of candidates in sampled scenarios, then CMA-ES about the best."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field

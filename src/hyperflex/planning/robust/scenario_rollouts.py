@@ -1,7 +1,5 @@
 """Throws in sampled scenarios: batch rollouts, and the success probability that they estimate."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -12,8 +12,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Peg, Rope
-from hyperflex.model.properties import DAMPING
+from hyperflex.model import DAMPING, Peg, Rope
 from hyperflex.motion import Motion, arm_moves, lagged
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.robust.posterior import RopePosterior

@@ -4,8 +4,6 @@ Each swing is continued with several rests and strokes. Of the swings that do no
 energy are continued in turn, if they are nearly the same with shorter links: a rope that goes slack is unpredictable.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace

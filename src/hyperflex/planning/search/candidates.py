@@ -1,7 +1,5 @@
 """Candidates of a search: swings that strike and throws that were simulated in contact; which of them are alike."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple, TypeVar
 

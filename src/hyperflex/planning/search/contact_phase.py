@@ -1,7 +1,5 @@
 """The contact phase of throws: coarse batch rollouts beside the peg from shortly before the strike, and their score."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,8 +11,7 @@ from hyperflex.model import Arm, Setup
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.strikes import arm_tip
-from hyperflex.simulation import Batch
-from hyperflex.simulation.contact.start import check_outside
+from hyperflex.simulation import Batch, check_outside
 from hyperflex.winding import slid
 
 COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search; coarser ones of wound ropes took longer, not less
@@ -45,7 +42,7 @@ class WindingScores:
 def simulate_contact(
     batch: RolloutBatch, begin: Array, *, arm: Arm, time_budget: float = TIME_BUDGET, threads: int | None = None
 ) -> WindingScores:
-    """Simulate ropes (M,) beside pegs from shortly before their strikes, under motions that end.
+    """Simulate ropes (M,) with pegs from shortly before their strikes, under motions that end.
 
     A strike that begins later, at `begin` (M,), s, lowers the score. `time_budget` is the processor time of each run,
     s; a run that takes more has failed.

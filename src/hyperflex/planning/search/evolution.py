@@ -1,7 +1,5 @@
 """CMA-ES (Hansen 2016, arXiv:1604.00772) without output, with random numbers of its own."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

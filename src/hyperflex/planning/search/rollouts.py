@@ -12,8 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.simulation import Batch, simulate_batch
-from hyperflex.simulation.time_budget import INTERRUPTED
+from hyperflex.simulation import INTERRUPTED, Batch, simulate_batch
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,5 @@
 """The search for a throw: first over free swings with promising strikes, then over the last moves in contact."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

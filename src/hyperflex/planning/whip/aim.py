@@ -1,7 +1,5 @@
 """Gauss-Newton on strokes and rests, with exact derivatives, that moves the peak of the tip's speed onto the target."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import SimulationError
-from hyperflex.model.properties import DAMPING
+from hyperflex.model import DAMPING
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.whip.search import SPREAD_ENDS, SPREAD_RESTS, WhipCandidate
 from hyperflex.planning.whip.strokes import Strokes

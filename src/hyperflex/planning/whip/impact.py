@@ -1,7 +1,5 @@
 """The impact of a whip on a small peg at its target: impulse and energy from a run with contact."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The outcome of a whip in a simulated run: the peak of the tip's speed at the target."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plan a whip: swings of a map are aimed at the target one after the other, and the best ones are verified."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,7 +26,7 @@ from hyperflex.planning.whip.search import (
 )
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.planning.whip.whip_plan import WhipPlan
-from hyperflex.simulation.rollouts import progress_bar
+from hyperflex.simulation import progress_bar
 
 TIME_BUDGET, PERIODS = 30.0, 3.0  # s; swing periods within which the tip strikes by default
 DIRECT = 8  # peaks of the map that are aimed as they are

@@ -1,7 +1,5 @@
 """The search for a whip: a map of the peaks of random swings, the feasibility check by it, and CMA-ES from a peak."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

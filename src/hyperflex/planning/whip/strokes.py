@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.motion.variation import variation
+from hyperflex.motion import motion_derivatives
 from hyperflex.planning.cast_setup import MotorLimits
 from hyperflex.planning.throw import Moves
 
@@ -77,7 +77,7 @@ class Strokes(Moves):
 
         def by(name: str, k: int) -> Array:
             """Derivatives of breaks and coefficients in one array, by number k of a list of the motion."""
-            return np.concatenate([part.ravel() for part in variation(motion, f"{name}[{k}]")])
+            return np.concatenate([part.ravel() for part in motion_derivatives(motion, f"{name}[{k}]")])
 
         # by each stroke's size alone: its duration, and the fraction of that which speeds up
         timing = [by_way[k] * by("durations", k) for k in range(ways.size)]

@@ -1,7 +1,5 @@
 """A planned whip: the strokes, their outcome in simulation, or why there are none."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Plan a cast: check the target, search for a throw that winds and holds, verify it, and look for fallbacks."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -18,7 +16,7 @@ from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fal
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
 from hyperflex.planning.wind.planner import NOMINAL, CastPlanner
 from hyperflex.planning.wind.remedies import find_remedies
-from hyperflex.simulation.rollouts import progress_bar
+from hyperflex.simulation import progress_bar
 
 TIME_BUDGET = 60.0  # s
 

@@ -1,7 +1,5 @@
 """Fallback targets for a plan that fails: the nearest one with a plan that succeeds, or expected to be feasible."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator

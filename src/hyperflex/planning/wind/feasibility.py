@@ -10,8 +10,6 @@ links, or gain less. ``benchmarks/results`` has the counts, and the part of the 
 are called infeasible.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The planner of casts: rounds of free swings, then of throws in contact; the best candidates are verified."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Remedies for an infeasible target: a faster motor, a longer arm or rope, more time, a thinner peg."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

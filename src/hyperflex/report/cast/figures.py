@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperflex import winding
 from hyperflex.planning import MIN_TURNS, SETTLING_TIME, CastPlan, HoldingForce
-from hyperflex.report.strobe import strobe
+from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure, note
 from hyperflex.report.time_course import ArmMoves, time_course
 
@@ -25,7 +25,7 @@ def strike_figure(plan: CastPlan) -> Figure:
     middle = _strike(plan) if np.isfinite(_strike(plan)) else _stop(plan) - _AFTER
     start, end = max(middle - _BEFORE, run.t[0]), min(middle + _AFTER, run.t[-1])
     title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); red: the target"
-    return strobe(run, start=float(start), end=float(end), count=56, title=title)
+    return strobe_figure(run, start=float(start), end=float(end), count=56, title=title)
 
 
 def course_figure(plan: CastPlan) -> Figure:

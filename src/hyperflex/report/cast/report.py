@@ -26,7 +26,7 @@ from hyperflex.report.cast.target_map import target_map, target_map_caption
 from hyperflex.report.page import Picture, Section, TextTable
 from hyperflex.report.plan import NOT_KNOWN, PlanReport, counted, searched
 from hyperflex.report.style import png
-from hyperflex.simulation.time_budget import NAME as OUT_OF_TIME
+from hyperflex.simulation import OUT_OF_TIME
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -194,10 +194,10 @@ def _failure(plan: CastPlan) -> str:
     """Return why a plan fails, without a full stop; a heuristic criterion is called one."""
     if plan.message == plan.feasibility.message and not plan.feasibility.impossible:
         return plan.message.replace("out of reach", "out of reach by a rule of thumb", 1)
-    return plain(plan.message)
+    return plain_reason(plan.message)
 
 
-def plain(reason: str) -> str:
+def plain_reason(reason: str) -> str:
     """Return why a cast fails, with names of status codes put into words."""
     message = "the verification of the best throw took longer than the time allowed for it; give more --time-budget"
     return reason.replace(_TOO_LONG, message)
@@ -263,7 +263,7 @@ def _outcome(plan: CastPlan, cast: CastOutcome) -> str:
         return "The rope does not touch the target."
     struck = f"{_grazes(cast)}The rope strikes the target at {cast.strike_time:.2f} s"
     if not math.isfinite(cast.slip):
-        return f"{struck} and does not stay wound on it: {plain(cast.message)}."
+        return f"{struck} and does not stay wound on it: {plain_reason(cast.message)}."
     return (
         f"{struck}, winds {way(plan)}, and lies round it with "
         f"{abs(cast.turns):.2f} turns: the angle swept about the target's centre from the arm's tip along the rope to "

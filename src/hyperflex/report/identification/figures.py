@@ -12,7 +12,7 @@ from hyperflex.model import Rope
 from hyperflex.report.identification.fitted import FittedChannels
 from hyperflex.report.identification.parameters import Number, numbers
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
-from hyperflex.report.units import Unit, readable
+from hyperflex.report.units import Unit, readable_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,7 +54,7 @@ def fit_figure(view: FittedChannels) -> Figure:
         for row, channel in zip(axes, view.chosen, strict=True):
             _draw_fit(row[0], view, channel)
             rms = view.found.residual_rms[channel]
-            unit = readable(view.found.unit, rms)
+            unit = readable_unit(view.found.unit, rms)
             row[0].set_title(f"{view.names[channel]}: {rms / unit.size:.3g} {unit.name} rms")
             row[0].set(ylabel=_label(view, channel), xlim=(view.t[0], view.t[-1]))
             if zoomed:
@@ -94,7 +94,7 @@ def _draw_worst(axis: Any, view: FittedChannels, channel: int) -> None:
     samples(axis, view.t[near], view.measured[near, channel])
     broken(axis, view.fit_t[fit_near], view.fitted[fit_near, channel], view.window[fit_near], color=BLUE)
     worst = float(np.sqrt(np.nanmean(view.found.residuals[fit_near & (view.window == number), channel] ** 2)))
-    unit = readable(view.found.unit, worst)
+    unit = readable_unit(view.found.unit, worst)
     axis.set_title(f"its worst window: {worst / unit.size:.3g} {unit.name}")
     axis.locator_params(axis="x", nbins=4)
 
@@ -124,7 +124,7 @@ def _draw_error(axis: Any, view: FittedChannels, held: HeldOut, channel: int) ->
     error = held.measured[:, channel] - np.where(np.isfinite(predicted), predicted, np.nan)
     band = BAND * held.std[:, channel]
     rms = held.rms[channel]
-    unit = readable(view.found.unit, rms if np.isfinite(rms) else np.nanmax(np.abs(error), initial=0.0))
+    unit = readable_unit(view.found.unit, rms if np.isfinite(rms) else np.nanmax(np.abs(error), initial=0.0))
     for number in np.unique(_stretch(held)):
         part = _stretch(held) == number
         label = "expected for 95 %" if number == 1 else None
@@ -146,7 +146,7 @@ def residual_figure(view: FittedChannels) -> Figure:
     with new_figure(_WIDTH, 0.6 + 1.75 * len(view.chosen)) as figure:
         axes = figure.subplots(len(view.chosen), 3, squeeze=False, width_ratios=(2.2, 1.0, 1.3))
         for row, channel in zip(axes, view.chosen, strict=True):
-            unit = readable(found.unit, found.residual_rms[channel])
+            unit = readable_unit(found.unit, found.residual_rms[channel])
             values = found.residuals[:, channel] / unit.size
             row[0].plot(view.fit_t, values, ".", ms=2.0, color=BLUE)
             row[0].axhline(0.0, color=GREY, lw=0.8)
@@ -191,7 +191,7 @@ def multiples_figure(view: FittedChannels) -> Figure:
                 continue
             _draw_fit(axis, view, channel)
             rms = view.found.residual_rms[channel]
-            unit = readable(view.found.unit, rms)
+            unit = readable_unit(view.found.unit, rms)
             axis.set_title(f"{view.names[channel]}: {rms / unit.size:.2g} {unit.name}", fontsize=8.0)
             axis.tick_params(labelsize=7.0)
             axis.locator_params(nbins=4)
@@ -253,7 +253,7 @@ def along_figure(found: Identification, guess: Rope | None = None) -> Figure | N
         for axis, (name, every) in zip(axes, shown.items(), strict=True):
             places = np.array([each.place for each in every])
             values, low, high = (np.array([getattr(each, key) for each in every]) for key in ("value", "low", "high"))
-            unit = readable(name, values)
+            unit = readable_unit(name, values)
             axis.vlines(places, low / unit.size, high / unit.size, color=BLUE, lw=2.0, alpha=0.45)
             axis.plot(places, values / unit.size, "o", ms=4.0, color=BLUE, label="identified, 95 % interval")
             if guess is not None:

@@ -1,7 +1,5 @@
 """What was measured beside what was fitted, channel by channel, for figures and tables."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

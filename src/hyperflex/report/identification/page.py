@@ -25,7 +25,7 @@ from hyperflex.report.identification.parameters import numbers, parameters_table
 from hyperflex.report.identification.setting import fit_table, lead, recording_table
 from hyperflex.report.page import Picture, Section, TextTable, write_page
 from hyperflex.report.style import png
-from hyperflex.report.units import readable
+from hyperflex.report.units import readable_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,7 +77,7 @@ def identification_page(
 def _verdict(found: Identification) -> Section:
     every = numbers(found)
     rms = found.residual_rms_all
-    unit = readable(found.unit, rms)
+    unit = readable_unit(found.unit, rms)
     known = sum(np.isfinite(each.std) for each in every)
     tiles = [
         (f"{known} of {len(every)}", "free numbers that this motion can tell on their own"),
@@ -90,7 +90,7 @@ def _verdict(found: Identification) -> Section:
     held = found.held_out
     if held is not None:
         error = float(np.sqrt(np.mean(held.rms**2)))
-        told = readable(found.unit, error)
+        told = readable_unit(found.unit, error)
         error_words = f"{error / told.size:.3g} {told.name}" if np.isfinite(error) else "failed"
         tiles.append((error_words, f"off when {held.ahead:g} s are predicted that the fit has not seen (rms)"))
         if np.isfinite(held.inside):

@@ -1,17 +1,14 @@
 """Tables of identified parameters, ratios and the rope, in units for people."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification import BAND, Identification
-from hyperflex.model import Rope
-from hyperflex.model.properties import LINKS, PROPERTIES, RATIOS, Label, parsed
+from hyperflex.model import LINK_PROPERTIES, PROPERTIES, RATIOS, Label, Rope, parse_label
 from hyperflex.report.page import TextTable
-from hyperflex.report.units import readable, rounded, short
+from hyperflex.report.units import readable_unit, rounded, short
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ def numbers(found: Identification) -> tuple[Number, ...]:
 
 
 def _number(found: Identification, label: str) -> Number:
-    name, place, law = parsed(label) or Label(label, None, "")
+    name, place, law = parse_label(label) or Label(label, None, "")
     key = label if law in ("factor", "taper") else name
     index = () if found.values[key].ndim == 0 else (place or 0,)
     value, std = float(found.values[key][index]), float(found.std[key][index])
@@ -77,7 +74,7 @@ def parameters_table(found: Identification, guess: Rope | None) -> TextTable:
     for each in every:
         plain = each.law in ("factor", "taper")
         alike = [other.value for other in every if other.name == each.name and other.law == each.law]
-        unit = readable("" if plain else each.name, alike)
+        unit = readable_unit("" if plain else each.name, alike)
         value, std = each.value / unit.size, each.std / unit.size
         cells = [each.label, each.words, rounded(value, std) + unit.after]
         if np.isfinite(std):
@@ -122,7 +119,7 @@ def ratios_table(found: Identification) -> TextTable | None:
     """Return the ratios that a motion without known forces determines, or None where none of them was free."""
     rows = []
     for name, values in found.ratios.items():
-        unit, spreads = readable(name, values), found.ratio_std[name]
+        unit, spreads = readable_unit(name, values), found.ratio_std[name]
         pairs = list(zip(values, spreads, strict=True))
         alike = len(pairs) > 1 and np.ptp(values) <= 1e-12 * np.abs(values).max() and len({*spreads.round(15)}) == 1
         for link, (value, std) in enumerate(pairs[:1] if alike else pairs):
@@ -153,14 +150,14 @@ def _span(low: float, high: float, std: float) -> str:
 
 def present(rope: Rope) -> dict[str, bool]:
     """Return for each property of the links whether the rope has any of it."""
-    return {each.name: bool((getattr(rope, each.name) != each.default).any()) for each in LINKS}
+    return {each.name: bool((getattr(rope, each.name) != each.default).any()) for each in LINK_PROPERTIES}
 
 
 def rope_table(rope: Rope, found: Identification) -> TextTable:
     """Return the identified rope link by link; what was free is marked with a star."""
     free = {each.name for each in numbers(found)}
     shown = [name for name, there in present(rope).items() if there]
-    units = [readable(name, getattr(rope, name)) for name in shown]
+    units = [readable_unit(name, getattr(rope, name)) for name in shown]
     header = [
         f"{name.replace('_', ' ')}{'*' if name in free else ''}, {unit.name}"
         for name, unit in zip(shown, units, strict=True)

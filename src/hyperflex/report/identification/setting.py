@@ -1,7 +1,5 @@
 """How an identification was set up: recording, fit, what was held, versions."""
 
-from __future__ import annotations
-
 import platform
 from importlib.metadata import version
 
@@ -12,7 +10,7 @@ from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.report.identification.parameters import numbers, present
 from hyperflex.report.page import TextTable
-from hyperflex.report.units import readable
+from hyperflex.report.units import readable_unit
 
 _PACKAGES = ("hyperflex", "numpy", "numba")
 _LOSS = {
@@ -54,7 +52,7 @@ def _noise(recording: Recording) -> str:
     if recording.noise is None:
         return "not given: all samples count alike"
     low, high = float(recording.noise.min()), float(recording.noise.max())
-    unit = readable("rad" if recording.kind == "angles" else "m", high)
+    unit = readable_unit("rad" if recording.kind == "angles" else "m", high)
     span = f"{low / unit.size:.3g}" if low == high else f"{low / unit.size:.3g} to {high / unit.size:.3g}"
     return f"{span} {unit.name} as given"
 

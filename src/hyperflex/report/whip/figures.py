@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.planning import WhipPlan
 from hyperflex.report.shapes import shapes
-from hyperflex.report.strobe import strobe
+from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure, note
 from hyperflex.report.time_course import ArmMoves, time_course
 
@@ -27,7 +27,9 @@ def peak_figure(plan: WhipPlan) -> Figure:
     run = plan.required(plan.run, "run")
     start, end = max(seen.t - _BEFORE, run.t[0]), min(seen.t + _AFTER, run.t[-1])
     title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); ring: the target"
-    return strobe(run, start=float(start), end=float(end), count=48, title=title, targets=plan.target.point[None])
+    return strobe_figure(
+        run, start=float(start), end=float(end), count=48, title=title, targets=plan.target.point[None]
+    )
 
 
 def passing_figure(plan: WhipPlan) -> Figure:

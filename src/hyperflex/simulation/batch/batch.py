@@ -145,7 +145,7 @@ def simulate_batch(
     t_eval : (T,) array_like, optional
         Times of the output, s, from 0 on; by default the end alone. A step ends at each, so ask for what you need.
     step : float, optional
-        A step chosen beforehand, s, without error control; not beside pegs.
+        A step chosen beforehand, s, without error control; not with pegs.
     keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns", "peg_angle", "peg_rate"}
         What to keep; memory is (M, T) times this, beside the blocks in work. Turns are those about each round peg.
     pegs : sequence of Peg, Wall or Ground, or of such sequences, optional
@@ -154,7 +154,7 @@ def simulate_batch(
     contact_step, refine
         As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
     time_budget : float, optional
-        Processor time, s, after which a member beside pegs or with joint limits has failed ("time budget exceeded"); by
+        Processor time, s, after which a member with pegs or with joint limits has failed ("time budget exceeded"); by
         default it may take any.
     threads : int, optional
         By default one a processor. Results do not depend on it.
@@ -190,7 +190,7 @@ def simulate_batch(
     if any(setup.touches for setup in setups):
         if step is not None:
             raise InvalidInput(
-                "step is not there beside pegs or with joint limits", got=step, fix="Give contact_step or tol"
+                "step is not there with pegs or with joint limits", got=step, fix="Give contact_step or tol"
             )
         t = _outputs(t_eval, setups[0].duration)
         shapes = {name: KEPT[name][0] for name in keep}
@@ -198,7 +198,7 @@ def simulate_batch(
         return Batch(t, values, tuple(names), reached)
     if time_budget is not None:
         raise InvalidInput(
-            "time_budget is for members beside pegs or with joint limits, and there are none", got=time_budget
+            "time_budget is for members with pegs or with joint limits, and there are none", got=time_budget
         )
     chains = [setup.chain() for setup in setups]
     drives = [setup.drive() for setup in setups]

@@ -1,7 +1,5 @@
 """Contact batch: members with pegs or joint limits, one by one on threads."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 

@@ -1,7 +1,5 @@
 """Members of a batch: from ropes, motions and starts to the arrays of the lanes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

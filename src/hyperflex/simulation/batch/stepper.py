@@ -1,10 +1,9 @@
 """Batch stepper: many runs taken one interval at a time, each with its own command."""
 
-from __future__ import annotations
-
 import os
+import weakref
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -82,6 +81,10 @@ class BatchStepper:
     InvalidInput
         If an argument cannot be used.
 
+    Notes
+    -----
+    Threads of your own need a stepper each: it works in arrays of its own.
+
     Examples
     --------
     >>> import hyperflex as hf
@@ -122,6 +125,8 @@ class BatchStepper:
         size = -(-len(setups) // (workers * len(MEMBERS))) * len(MEMBERS)
         self._blocks = [(low, min(low + size, len(setups))) for low in range(0, len(setups), size)]
         self._pool = ThreadPoolExecutor(len(self._blocks)) if len(self._blocks) > 1 else None
+        if self._pool is not None:
+            weakref.finalize(self, self._pool.shutdown, wait=False)
 
     def start(
         self,
@@ -141,9 +146,13 @@ class BatchStepper:
         begin = starts_of(setups_of(ropes, start=(q0, qd0), arm=self.setups[0].arm))
         angle = checks.array("arm_angle", arm_angle, (count,), scalar=True, unit="rad")
         rate = checks.array("arm_rate", arm_rate, (count,), scalar=True, unit="rad/s")
-        codes, nothing = np.full(count, status.OK), np.zeros(count)
-        time, memory = checks.number("t", t, unit="s"), np.tile(INITIAL_CLOCK, (count, 1))
-        return BatchState(time, begin[:, :n], begin[:, n : 2 * n], angle, rate, nothing, nothing, codes, memory)
+        codes, time, memory = (
+            np.full(count, status.OK),
+            checks.number("t", t, unit="s"),
+            np.tile(INITIAL_CLOCK, (count, 1)),
+        )
+        none = np.zeros(count), np.zeros(count)
+        return _read_only(BatchState(time, begin[:, :n], begin[:, n : 2 * n], angle, rate, *none, codes, memory))
 
     def restart(
         self,
@@ -162,13 +171,22 @@ class BatchStepper:
         ----------
         state : BatchState
         which : (K,) array_like of int, or (M,) of bool
-            The members.
+            The members. With none, the state is returned as it is.
         ropes : Rope or sequence of Rope, optional
-            New ropes for them, one or one each; the stepper has them from here on.
+            New ropes for them, one or one each. The stepper has them from here on, so that states from before, too, go
+            on with the new ropes.
         q0, qd0, arm_angle, arm_rate
             Of these members, as in :meth:`start`.
+
+        Raises
+        ------
+        InvalidInput
+            If an argument cannot be used; the stepper is then as before.
         """
-        chosen = np.arange(len(self.setups))[np.asarray(which)]
+        self._check(state)
+        chosen = _members(which, len(self.setups))
+        if not chosen.size:
+            return state
         old = [self.setups[m] for m in chosen]
         given = [setup.rope for setup in old] if ropes is None else ropes
         given = [given] * len(old) if isinstance(given, Rope) else list(given)
@@ -178,6 +196,10 @@ class BatchStepper:
         ):
             allowed = f"{len(old)} ropes of {first.rope.n_links} links and the batch's friction model"
             raise InvalidInput("ropes do not fit the members", got=[rope.n_links for rope in given], allowed=allowed)
+        n = first.rope.n_links
+        begin = starts_of(setups_of(given, start=(q0, qd0), arm=first.arm))
+        angle = checks.array("arm_angle", arm_angle, (len(old),), scalar=True, unit="rad")
+        rate = checks.array("arm_rate", arm_rate, (len(old),), scalar=True, unit="rad/s")
         if ropes is not None:
             setups = [replace(first, rope=rope) for rope in given]
             if any(setup.touches for setup in setups):
@@ -190,19 +212,16 @@ class BatchStepper:
             self._members = self._members._replace(links=links)
             changed = dict(zip(chosen.tolist(), setups, strict=True))
             self.setups = tuple(changed.get(m, setup) for m, setup in enumerate(self.setups))
-        n = first.rope.n_links
-        begin = starts_of(setups_of(given, start=(q0, qd0), arm=first.arm))
-        angle = checks.array("arm_angle", arm_angle, (len(old),), scalar=True, unit="rad")
-        rate = checks.array("arm_rate", arm_rate, (len(old),), scalar=True, unit="rad/s")
         new = (begin[:, :n], begin[:, n : 2 * n], angle, rate, 0.0, 0.0, status.OK, INITIAL_CLOCK)
         names = ("q", "qd", "arm_angle", "arm_rate", "work", "dissipated", "codes", "memory")
         values = {name: getattr(state, name).copy() for name in names}
         for name, value in zip(names, new, strict=True):
             values[name][chosen] = value
-        return replace(state, **values)
+        return _read_only(replace(state, **values))
 
     def tips(self, state: BatchState) -> tuple[Array, Array]:
         """Return places (M, 2), m, and velocities (M, 2), m/s, of the tips in a `state`."""
+        self._check(state)
         lengths = np.stack([setup.rope.length for setup in self.setups])
         arm = self.setups[0].arm or Arm()  # a batch has one
         place, turn = arm.tip(state.arm_angle), (arm.length * state.arm_rate)[:, None]
@@ -234,13 +253,7 @@ class BatchStepper:
         """
         members, own, count = self._members, self._own, len(self.setups)
         n = members.links.shape[2]
-        if not isinstance(state, BatchState) or state.q.shape != (count, n - own) or state.qd.shape != state.q.shape:
-            raise InvalidInput("state is not one of this batch", got=state, allowed=f"{count} x {n - own} angles")
-        if np.ndim(state.t) or any(
-            np.shape(value) != (count,) for value in (state.arm_angle, state.arm_rate, state.work, state.dissipated)
-        ):
-            allowed = f"one time for all; arm_angle, arm_rate, work and dissipated of {count} members"
-            raise InvalidInput("state has values of the wrong shape", got=np.shape(state.t), allowed=allowed)
+        self._check(state)
         given = checks.array("commands", commands, (count,), scalar=True)
         span = checks.number("dt", dt, sign="positive", unit="s")
         if span != self._polynomials[0]:
@@ -255,17 +268,29 @@ class BatchStepper:
         members.coef[0::2, self._channel] = known @ self._polynomials[1]
         y, codes = self._run(state.t, state.t + span)
         angle, rate = (y[:, 0].copy(), y[:, n].copy()) if own else (known @ self._polynomials[2]).T
-        return BatchState(
-            state.t + span,
-            y[:, own:n],
-            y[:, n + own : 2 * n],
-            angle,
-            rate,
-            y[:, 2 * n],
-            y[:, 2 * n + 1],
-            np.where(state.codes == status.OK, codes, state.codes),
-            members.clock.copy(),
-        )
+        codes = np.where(state.codes == status.OK, codes, state.codes)
+        q, qd, work, lost = y[:, own:n], y[:, n + own : 2 * n], y[:, 2 * n], y[:, 2 * n + 1]
+        return _read_only(BatchState(state.t + span, q, qd, angle, rate, work, lost, codes, members.clock.copy()))
+
+    def _check(self, state: object) -> None:
+        """Refuse what is no state of this batch, or holds what no member can begin with."""
+        count, n = len(self.setups), self.setups[0].rope.n_links
+        if not isinstance(state, BatchState):
+            raise InvalidInput("state is not a BatchState", got=state, allowed="what start() or step() returned")
+        checks.number("state t", state.t, unit="s")
+        shapes: dict[str, tuple[int, ...]] = {"q": (count, n), "qd": (count, n), "memory": (count, len(INITIAL_CLOCK))}
+        shapes |= dict.fromkeys(("arm_angle", "arm_rate", "work", "dissipated", "codes"), (count,))
+        for name, shape in shapes.items():
+            value = getattr(state, name)
+            if np.shape(value) != shape or np.asarray(value).dtype.kind not in "if":
+                raise InvalidInput(f"state {name} is not of this batch", got=value, allowed=f"numbers of shape {shape}")
+        moving = state.codes == status.OK
+        for name in ("q", "qd", "arm_angle", "arm_rate", "work", "dissipated"):
+            if not np.isfinite(getattr(state, name)[moving]).all():
+                raise InvalidInput(f"state {name} is not finite", got=getattr(state, name), allowed="finite numbers")
+        if not (state.memory[moving, 0] > 0.0).all() or np.isnan(state.memory[moving]).any():
+            fix = "Take it from start() or step()"
+            raise InvalidInput("state memory is no integrator's", got=state.memory, allowed="a first step > 0", fix=fix)
 
     def _run(self, begin: float, end: float) -> tuple[Array, npt.NDArray[np.int64]]:
         """Run all members over a span of time, s; returns their states (M, 2 n + 2) and codes (M,)."""
@@ -277,5 +302,37 @@ class BatchStepper:
             rows = slice(*span)
             core.run_block(self._members, terms, *span, after, y[rows], codes[rows], reached[rows], self._stop)
 
-        list(map(block, self._blocks) if self._pool is None else self._pool.map(block, self._blocks))
+        if self._pool is None:
+            block(self._blocks[0])
+            return y[:, 0], codes
+        running = [self._pool.submit(block, span) for span in self._blocks]
+        try:
+            for each in running:
+                each.result()
+        except KeyboardInterrupt:  # Ctrl-C
+            self._stop[0] = 1
+            wait(running)
+            self._stop[0] = 0
+            raise
         return y[:, 0], codes
+
+
+def _members(which: npt.ArrayLike, count: int) -> npt.NDArray[np.intp]:
+    """Return the numbers of members that were chosen by their numbers or by a mask."""
+    chosen = np.asarray(which)
+    if chosen.dtype == np.bool_ and chosen.shape == (count,):
+        return np.flatnonzero(chosen)
+    if not chosen.size and chosen.ndim == 1:
+        return np.zeros(0, dtype=np.intp)
+    numbers = chosen.astype(np.intp) if chosen.dtype.kind in "iu" and chosen.ndim == 1 else np.full(1, -1)
+    if (numbers < 0).any() or (numbers >= count).any() or np.unique(numbers).size < numbers.size:
+        allowed = f"each a number from 0 to {count - 1}, once, or a mask of {count}"
+        raise InvalidInput("these are no members of the batch", got=which, allowed=allowed)
+    return numbers
+
+
+def _read_only(state: BatchState) -> BatchState:
+    """Return a state whose arrays cannot be written to."""
+    for name in ("q", "qd", "arm_angle", "arm_rate", "work", "dissipated", "codes", "memory"):
+        getattr(state, name).setflags(write=False)
+    return state

@@ -4,8 +4,6 @@ A flight is so short that no joint can reach a peg meanwhile, as far as the spee
 more than was allowed for, it is flown again by the stepper for contacts. A flight ends where a joint reaches its limit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -39,7 +37,7 @@ APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/ra
 BUDGET = 250  # steps between two looks at progress and Ctrl-C; some take milliseconds
 STEP = "contact_step"
 # in a state's checkpoint, in the order of ``contact.step.ContactMemory``
-KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_heavy", "joint_torque", "joint_mode")
+KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_penalty", "joint_torque", "joint_mode")
 
 
 class ContactRun:

@@ -1,7 +1,5 @@
 """Checks of the start: outside obstacles, and within the joint limits."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.checks import Array

@@ -1,7 +1,5 @@
 """Pegs that turn: their start, coasting in free flight, and output."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parameter directions: names and mappings, checked, as kernel arrays."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
@@ -18,24 +16,25 @@ from hyperflex.core.tangent import directions as dr
 from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.directions import Directions
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Setup
-from hyperflex.model.properties import LINKS
-from hyperflex.motion.variation import parameters, variation
+from hyperflex.model import LINK_PROPERTIES, Arm, Setup
+from hyperflex.motion import motion_derivatives, motion_parameters
 
-LINK_NAMES = tuple(each.name for each in LINKS if each.form)
+DIFFERENTIABLE = tuple(each.name for each in LINK_PROPERTIES if each.form)
 STATE_NAMES = ("q0", "qd0")
 # parts of a direction that the user makes himself: how often it is told
-PARTS = (*STATE_NAMES, *LINK_NAMES, "tip_mass", "gravity", "arm_length", "breaks", "coef")
+PARTS = (*STATE_NAMES, *DIFFERENTIABLE, "tip_mass", "gravity", "arm_length", "breaks", "coef")
 # of a torque-driven arm, the chain's first link: its own names, and those of the links
 ARM_NAMES = {
-    **{f"arm.{each.name}": each.name for each in fields(Arm) if each.name in LINK_NAMES},
+    **{f"arm.{each.name}": each.name for each in fields(Arm) if each.name in DIFFERENTIABLE},
     "arm_angle0": "q0",
     "arm_rate0": "qd0",
 }
-Part = dict[str, Array]
+ParameterChange = dict[str, Array]
 Wrt = Iterable[str | Mapping[str, Mapping[str, npt.ArrayLike]]] | str
 _MOMENTS = ("mass", "com", "inertia")  # they come in as moments about the joint
-_SEED_OF = {each.name: getattr(tg, each.field.upper()) for each in LINKS if each.form and each.name not in _MOMENTS}
+_SEED_OF = {
+    each.name: getattr(tg, each.field.upper()) for each in LINK_PROPERTIES if each.form and each.name not in _MOMENTS
+}
 FAINT = 1e-300  # N m, kg/m^2: dry friction and drag that change no run, and are felt by its derivatives alone
 
 
@@ -44,7 +43,7 @@ class ParameterDirections:
     """Directions of a derivative by name; each is a dict of changes per unit of its parameter, see PARTS."""
 
     names: tuple[str, ...]
-    parts: tuple[Part, ...]
+    parts: tuple[ParameterChange, ...]
 
     def start(self, n: int) -> Array:
         """Derivatives of the start, angles above rates: (2 n, p), p even."""
@@ -66,7 +65,7 @@ class ParameterDirections:
 
     def with_faint_terms(self, chain: Chain) -> Chain:
         """The chain, with FAINT dry friction or drag where a direction changes one that is zero."""
-        for each in (each for each in LINKS if each.least):
+        for each in (each for each in LINK_PROPERTIES if each.least):
             now, faint = getattr(chain, each.field), np.zeros(chain.length.size)
             for part in self.parts:
                 faint[part.get(each.name, faint) != 0.0] = FAINT
@@ -79,7 +78,7 @@ class ParameterDirections:
         n, pairs, pieces = chain.length.size, self.width // 2, drive.coef.shape[0]
         links, whole = np.zeros((self.width, n, tg.SEEDS)), np.zeros((self.width, 3))
         driven = np.full(self.width, -1, dtype=np.int64)
-        rows: list[Part] = []
+        rows: list[ParameterChange] = []
         for p, part in enumerate(self.parts):
             _link_seeds(part, chain, links[p])
             whole[p, dr.TIP_MASS] = part.get("tip_mass", np.zeros(1))[0]
@@ -111,7 +110,7 @@ class ParameterDirections:
         )
 
 
-def _link_seeds(part: Part, chain: Chain, out: Array) -> None:
+def _link_seeds(part: ParameterChange, chain: Chain, out: Array) -> None:
     """Write a direction's changes of a chain's links, in the kernels' own parameters, to out (n, SEEDS)."""
     for name, slot in _SEED_OF.items():
         if name in part:
@@ -126,7 +125,7 @@ def parameter_directions(setup: Setup, wrt: Wrt) -> ParameterDirections:
     """Check what a user wants derivatives with respect to; see :func:`hyperflex.sensitivities`."""
     entries = [wrt] if isinstance(wrt, (str, Mapping)) else list(wrt)
     names: list[str] = []
-    parts: list[Part] = []
+    parts: list[ParameterChange] = []
     for entry in entries:
         if isinstance(entry, str):
             found = _by_name(setup, entry)
@@ -145,23 +144,23 @@ def parameter_directions(setup: Setup, wrt: Wrt) -> ParameterDirections:
     return ParameterDirections(tuple(names), tuple(parts))
 
 
-def _with_arm(part: Part, n: int) -> Part:
+def _with_arm(part: ParameterChange, n: int) -> ParameterChange:
     """A direction of the rope's n links, and of the arm, as one of a chain that begins with the arm."""
-    joined = {name: value for name, value in part.items() if name not in (*STATE_NAMES, *LINK_NAMES, *ARM_NAMES)}
+    joined = {name: value for name, value in part.items() if name not in (*STATE_NAMES, *DIFFERENTIABLE, *ARM_NAMES)}
     if "arm_length" in joined:
         part = {**part, "arm.length": joined.pop("arm_length")}
     arm = {name: part[own] for own, name in ARM_NAMES.items() if own in part}
-    for name in (*STATE_NAMES, *LINK_NAMES):
+    for name in (*STATE_NAMES, *DIFFERENTIABLE):
         if name in part or name in arm:
             joined[name] = np.append(arm.get(name, 0.0), part.get(name, np.zeros(n)))
     return joined
 
 
 def _allowed(setup: Setup) -> str:
-    links = ", ".join((*STATE_NAMES, *LINK_NAMES))
-    moving = ", ".join(f"motion.{name}" for name in parameters(setup.motion)[:8]) if setup.motion else ""
+    links = ", ".join((*STATE_NAMES, *DIFFERENTIABLE))
+    moving = ", ".join(f"motion.{name}" for name in motion_parameters(setup.motion)[:8]) if setup.motion else ""
     if setup.torque is not None:
-        moving = ", ".join(f"torque.{name}" for name in parameters(setup.torque)[:8])
+        moving = ", ".join(f"torque.{name}" for name in motion_parameters(setup.torque)[:8])
     arm = ", arm.length" if setup.arm is not None else ""
     if setup.torque_driven:
         arm = "".join(f", {name}" for name in ARM_NAMES)
@@ -171,12 +170,12 @@ def _allowed(setup: Setup) -> str:
     )
 
 
-def _by_name(setup: Setup, name: str) -> dict[str, Part]:
+def _by_name(setup: Setup, name: str) -> dict[str, ParameterChange]:
     n = setup.rope.n_links
     match = re.fullmatch(r"([a-z_0-9]+)(?:\[(\d+|:)\])?", name)
     base, index = match.groups() if match else (name, None)
-    if base in LINK_NAMES or base in STATE_NAMES:
-        if index is None and base in LINK_NAMES:
+    if base in DIFFERENTIABLE or base in STATE_NAMES:
+        if index is None and base in DIFFERENTIABLE:
             return {name: {base: np.ones(n)}}
         if index is None or index == ":":
             return {f"{base}[{i}]": {base: row} for i, row in enumerate(np.eye(n))}
@@ -192,12 +191,12 @@ def _by_name(setup: Setup, name: str) -> dict[str, Part]:
         return {name: {"arm_length": np.ones(1)}}
     for prefix, source in (("motion.", setup.motion), ("torque.", setup.torque)):
         if name.startswith(prefix) and source is not None:
-            breaks, coef = variation(source, name.removeprefix(prefix))
+            breaks, coef = motion_derivatives(source, name.removeprefix(prefix))
             return {name: {"breaks": breaks, "coef": coef}}
     raise InvalidInput("wrt names what is not there", got=name, allowed=_allowed(setup))
 
 
-def _gravity(setup: Setup, change: Array) -> Part:
+def _gravity(setup: Setup, change: Array) -> ParameterChange:
     """Direction of a change of gravity; it also changes the start where that is the rope at rest."""
     part = {"gravity": change}
     gx, gy = setup.rope.gravity
@@ -206,10 +205,10 @@ def _gravity(setup: Setup, change: Array) -> Part:
     return part
 
 
-def _own(setup: Setup, name: str, given: Mapping[str, npt.ArrayLike]) -> Part:
+def _own(setup: Setup, name: str, given: Mapping[str, npt.ArrayLike]) -> ParameterChange:
     """Direction that the user gives as a mapping, checked."""
     n = setup.rope.n_links
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*STATE_NAMES, *LINK_NAMES), (n,))
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*STATE_NAMES, *DIFFERENTIABLE), (n,))
     shapes |= {"tip_mass": (1,), "gravity": (2,), "arm_length": (1,)}
     if setup.torque_driven:
         shapes |= dict.fromkeys(ARM_NAMES, (1,))

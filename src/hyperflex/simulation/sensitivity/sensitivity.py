@@ -12,7 +12,8 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import Drive, base_state, segment
 from hyperflex.core.chain.lanes import COLUMNS, set_slip
-from hyperflex.core.integrate.progress import JOINT, MODES, REJECTED, TAKEN, Limits
+from hyperflex.core.integrate.progress import JOINT, MODES, REJECTED, STEP, TAKEN, Limits
+from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
 from hyperflex.core.stiction.slip_modes import find_modes
 from hyperflex.core.tangent import forward_sensitivity as core
@@ -23,7 +24,7 @@ from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import output_times, setup_of
 from hyperflex.simulation.outcome import refuse_failure, refuse_unbalanced
-from hyperflex.simulation.rollouts import TABLES, Rollout, finish, limits, prepare
+from hyperflex.simulation.rollouts import TABLES, Rollout, finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.sensitivity.directions import ParameterDirections, Wrt, check_smooth, parameter_directions
 from hyperflex.simulation.sensitivity.stiction import stiction_projection
 
@@ -165,7 +166,7 @@ def sensitivities(
     directions = parameter_directions(setup, wrt)
     t = output_times(t_eval, 0.0, setup.duration)
     chain, drive = directions.with_faint_terms(setup.chain()), setup.drive()
-    run = record_steps(chain, drive, setup.start(), limits(setup, chain, setup.duration))
+    run = record_steps(chain, drive, setup.start(), rollout_limits(setup, chain, setup.duration))
     refuse_unbalanced(run, setup)
     y, dy = forward_derivatives(run, directions, setup.start(), t)
     return _labelled(chain, drive, directions, t, y, dy, own=1 if setup.torque_driven else 0)
@@ -205,19 +206,27 @@ class AngleJacobian:
         """
         if (rope or self.setup.rope) is not self.rope:
             self._begin(rope or self.setup.rope)
-        chain, bounds = self.chain, limits(self.setup, self.chain, float(t[-1]))
+        chain, bounds = self.chain, rollout_limits(self.setup, self.chain, float(t[-1]))
         run = record_steps(chain, self.drive, (q0, qd0), bounds, float(t[0]))
         y, dy = forward_derivatives(run, self.wrt, (q0, qd0), t, self.seeds)
         n, p = chain.length.size, len(self.names)
         return y[:, :n], y[:, n : 2 * n], dy[:, :n, :p], dy[:, n:, :p]
 
 
-def record_steps(chain: Chain, drive: Drive, start: tuple[Array, Array], bounds: Limits, begin: float = 0.0) -> Rollout:
-    """Run to the end, noting every step; raises where that fails."""
+def record_steps(
+    chain: Chain,
+    drive: Drive,
+    start: tuple[Array, Array],
+    bounds: Limits,
+    begin: float = 0.0,
+    first_step: float = FIRST_STEP,
+) -> Rollout:
+    """Run to the end, noting every step, `first_step` (s) being tried first; raises where that fails."""
     count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
     while True:
-        run = prepare(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
-        refuse_failure(finish(run), run)
+        run = prepare_rollout(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
+        run.progress.clock[STEP] = first_step
+        refuse_failure(finish_rollout(run), run)
         steps = int(run.progress.clock[TAKEN] - run.progress.clock[REJECTED])
         if steps <= count:
             run.progress = run.progress._replace(log=run.progress.log[:steps])

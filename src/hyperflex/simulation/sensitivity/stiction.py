@@ -1,7 +1,5 @@
 """Stiction projection: derivatives of the start where joints stick."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.checks import Array

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
-from hyperflex.estimate.linear_smoother import Measurement, Smoothed, Step, smooth_linear
 from hyperflex.estimate.observations import MarkerModel, Observations
 from hyperflex.estimate.process import Prediction, Process
+from hyperflex.estimate.smoothing.linear_smoother import Measurement, Smoothed, Step, smooth_linear
 from hyperflex.interfaces import RopeState
 
 CLOSE = 0.03  # of a standard deviation: converged
@@ -143,10 +143,15 @@ class Interval:
 
     @property
     def rope_states(self) -> tuple[RopeState, ...]:
-        """The same as states of the rope, with covariances."""
-        n = self.process.rope.n_links
+        """The same as states of the rope, with covariances, each at the time of its picture less an estimated delay."""
+        n, parameters = self.process.rope.n_links, self.process.parameters
         return tuple(
-            RopeState(frame.seen.t, x[:n], x[n : 2 * n], rows[:, : 2 * n].T @ rows[:, : 2 * n])
+            RopeState(
+                frame.seen.t - parameters.value("delay", x[2 * n :]),
+                x[:n],
+                x[n : 2 * n],
+                rows[:, : 2 * n].T @ rows[:, : 2 * n],
+            )
             for frame, x, rows in zip(self.frames, self.states, self.smoothed.rows, strict=True)
         )
 
@@ -305,7 +310,7 @@ class Interval:
         seen, good = frame.seen, frame.used
         if not good.any():
             return Measurement(np.zeros(0), np.zeros((0, x.size)))
-        places, slope = self.model.predict(x, self.process.base(seen.t), seen.rows, qdd)
+        places, slope = self.model.predict(x, self.process.base(seen.t, x), seen.rows, qdd)
         whiten = np.linalg.inv(np.linalg.cholesky(seen.covariances[good])) / frame.level
         left = whiten @ (seen.places[good] - places[good])[:, :, None]
         return Measurement(left.ravel(), (whiten @ slope[good]).reshape(left.size, -1))

@@ -14,10 +14,11 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
 from hyperflex.estimate import square_root as sr
+from hyperflex.estimate.change_detection import Found
 from hyperflex.estimate.filter import RopeFilter
-from hyperflex.estimate.interval import InputFrame, Interval
 from hyperflex.estimate.noise import NoiseLevel
 from hyperflex.estimate.observations import Observations
+from hyperflex.estimate.smoothing.interval import InputFrame, Interval
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Rope
 
@@ -29,7 +30,7 @@ START_ROUNDS = 6  # from each of several starts
 REPEATED = 5  # starts in a row that come to nothing new, after which no more are tried
 NEGLIGIBLE = 7.0  # by how much a logarithm of a likelihood is below the best where its start is dropped
 LOST = 10.0  # how many times too large what is squared is where no explanation is right
-PATIENT = 4  # beginnings without an explanation that holds, after which levels of noise must have been too low
+PATIENT = 8  # beginnings without an explanation that holds, after which levels of noise must have been too low
 ALIKE = 0.1  # of a standard deviation: two starts have come to the same
 
 
@@ -94,6 +95,7 @@ class MovingHorizon(RopeFilter):
         self.starts = checks.count("starts", starts)
         self._explanations: list[Interval] = []
         self.begun: Prior | None = None
+        self._changed = False  # whether the last update noticed that something has
         self._trusted, self._given_up = self._learnt(), 0  # beginnings since an explanation held
 
     @property
@@ -120,30 +122,38 @@ class MovingHorizon(RopeFilter):
         super().restart()
         self._explanations = []
 
-    def _correct(self, seen: Observations, rounds: int) -> npt.NDArray[np.bool_]:
-        """Let the filter say which markers are plausible, and fit the horizon."""
-        prior, unsure = Prior(self.x.copy(), self.factor), self._unsure()
-        used = super()._correct(seen, rounds)
+    def _correct(self, seen: Observations, rounds: int) -> None:
+        """Let the filter say which markers are plausible and what has changed, and fit the horizon."""
+        prior, unsure, self._changed = Prior(self.x.copy(), self.factor), self._unsure(), False
+        super()._correct(seen, rounds)
+        used = self.used
         frame = InputFrame(seen, used, self.measurement_noise.value, self._noise_until(seen.t))
         if not self._explanations:
             self.begun = prior
             self._explanations = [Interval(self.process, self.model, *prior, frame, self._qdd)]
             self._fit(FIRST_ROUNDS)
             self._take()
-            return used
+            return
+        if self._changed:  # what was seen before is of another rope, or of one that was not touched
+            self._explanations = [self._beginning(seen, self.x, self.factor, self._qdd)]
+            return
         if unsure and self.starts > 1 and self._given_up <= PATIENT and used.any() and len(self._explanations) == 1:
             self._explanations = self._started(frame)
             self._fit(0)
         else:
             self._explanations = [each for each in self._explanations if _appended(each, frame)]
             self._fit(ROUNDS if used.any() else 0)
-        if not self._explanations or (used.any() and self._explanations[0].misfit > LOST):
+        if used.any() and (not self._explanations or self._explanations[0].misfit > LOST):
             self._begin_anew(seen)
         elif self._settled():
             self._trusted, self._given_up = self._learnt(), 0
         if self._explanations:
             self._take()
-        return used
+
+    def _adopt(self, found: Found) -> None:
+        """Take over a change, as the filter does; the horizon begins after it."""
+        super()._adopt(found)
+        self._changed = True
 
     def _learn(self, *innovation: Any) -> None:
         """Correct the levels of noise, where the horizon is known to be right."""
@@ -183,8 +193,7 @@ class MovingHorizon(RopeFilter):
     def _started(self, frame: InputFrame) -> list[Interval]:
         """Return fits from several starts, spread where the angles expected now are uncertain."""
         last = self._explanations[0]
-        nothing = InputFrame(last.frames[-1].seen, np.zeros_like(frame.used), frame.level, np.zeros((0, self.x.size)))
-        begun = Interval(self.process, self.model, last.x, last.factor, nothing, last.qdd)
+        begun = self._beginning(last.frames[-1].seen, last.x, last.factor, last.qdd)
         try:
             begun.append(frame)
         except SimulationError:
@@ -208,6 +217,11 @@ class MovingHorizon(RopeFilter):
                 break
         return found
 
+    def _beginning(self, seen: Observations, x: Array, factor: Array, qdd: Array) -> Interval:
+        """Return an interval that begins with what is known after a frame."""
+        nothing = InputFrame(seen, np.zeros(len(seen.places), dtype=bool), 1.0, np.zeros((0, x.size)))
+        return Interval(self.process, self.model, x.copy(), factor, nothing, qdd)
+
     def _fit(self, rounds: int) -> None:
         """Improve all explanations, order them, and drop those that are negligible or alike."""
         for each in self._explanations:
@@ -226,9 +240,10 @@ class MovingHorizon(RopeFilter):
         best, weights = self._explanations[0], self.explanations
         rows = [np.sqrt(weight) * each.factor for weight, each in zip(weights, self._explanations, strict=True)]
         rows += [
-            np.sqrt(weight) * (each.x - best.x)[None] for weight, each in zip(weights, self._explanations, strict=True)
+            np.sqrt(weight) * (each.x - best.x)[None]
+            for weight, each in zip(weights[1:], self._explanations[1:], strict=True)
         ]
-        self.factor = sr.triangular(np.concatenate(rows)) if len(weights) > 1 else best.factor
+        self.factor = sr.compressed(np.concatenate(rows), self._least)
         first = 2 * self.n_links
         x = best.x.copy()
         x[first:] = self.parameters.possible(x[first:])

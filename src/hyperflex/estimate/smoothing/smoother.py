@@ -9,9 +9,9 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.estimate.interval import InputFrame, Interval
-from hyperflex.estimate.moving_horizon import MovingHorizon
 from hyperflex.estimate.observations import Observations
+from hyperflex.estimate.smoothing.interval import InputFrame, Interval
+from hyperflex.estimate.smoothing.moving_horizon import MovingHorizon
 from hyperflex.interfaces import RopeState
 
 WHOLE_ROUNDS = 30  # of Gauss-Newton
@@ -96,12 +96,13 @@ def _track(whole: Interval, estimator: MovingHorizon) -> SmoothedTrack:
     n, model, process = estimator.n_links, estimator.model, estimator.process
     qdds = [np.zeros(n), *(each.qdd for each in whole.path.predictions)]
     places = [
-        model.predict(x, process.base(frame.seen.t), np.zeros(len(model.arc_lengths)), qdd)[0]
+        model.predict(x, process.base(frame.seen.t, x), np.zeros(len(model.arc_lengths)), qdd)[0]
         for x, frame, qdd in zip(whole.states, whole.frames, qdds, strict=True)
     ]
     last, std = whole.x[2 * n :], np.linalg.norm(whole.factor[:, 2 * n :], axis=0)
     values = {
         name: (float(value), float(each))
         for name, value, each in zip(estimator.parameters.names, last, std, strict=True)
+        if name in estimator.values
     }
     return SmoothedTrack(whole.rope_states, np.array(places), values, whole.log_likelihood)

@@ -1,0 +1,284 @@
+"""``hyperflex watch``: a rope followed live, frame by frame, from a camera, a stream or a file."""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hyperflex import checks
+from hyperflex.cli import output
+from hyperflex.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from hyperflex.estimate import FrameThread, LiveEstimate, RopeTracker, Watch
+    from hyperflex.vision import MarkerColour, VideoWriter
+
+_TICK, _FILE_TICK = 0.1, 5.0  # s without a frame after which an estimate is handed out all the same
+
+
+def watch(
+    camera: Annotated[
+        str,
+        typer.Option(
+            help="The camera's number (0 is the first), a stream (rtsp://...), or a video.", show_default=False
+        ),
+    ],
+    rope: Annotated[Path, typer.Option(help="TOML file with the rope.", show_default=False)],
+    calibration: Annotated[
+        Path, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).", show_default=False)
+    ],
+    arc_lengths: Annotated[
+        list[str],
+        typer.Option(
+            help="How far along the rope each marker sits, m; several times or with commas.", show_default=False
+        ),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the log.")] = Path("watch.nc"),
+    preview: Annotated[
+        Path | None, typer.Option(help="MP4 file of the pictures with what is known drawn on them.", show_default=False)
+    ] = None,
+    page: Annotated[
+        int | None,
+        typer.Option(
+            help="Show the pictures in a browser of this machine, at this port; 0: any free one.", show_default=False
+        ),
+    ] = None,
+    click: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            help="A pixel of a marker in the first frame, u v. [default: the colour that most small things share]",
+            show_default=False,
+        ),
+    ] = None,
+    estimate: Annotated[
+        str,
+        typer.Option(help="What is estimated beside the rope's state: scale=0.01,delay=0.02 (standard deviations)."),
+    ] = "",
+    duration: Annotated[float | None, typer.Option(help="Stop after so long, s.", show_default=False)] = None,
+    patience: Annotated[float, typer.Option(help="How long a source that broke off is tried again, s.")] = 10.0,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print a JSON object a line: one for each estimate, and a summary.")
+    ] = False,
+) -> None:
+    """Follow a rope live by its markers and its dynamics, until the source ends or Ctrl-C.
+
+    At every frame, and while none comes, it says where the rope is, how old that is and how sure. The log is written
+    when the run ends; an interrupted one is kept, and marked. A video is followed frame by frame, with --page at its
+    own speed.
+    """
+    from threadpoolctl import threadpool_limits
+
+    from hyperflex.estimate import PicturePage, TrackingTask, Watch, WatchLog, open_frames
+    from hyperflex.model import Rope
+    from hyperflex.vision import read_camera
+
+    inputs = [rope, calibration, Path(camera)]
+    output.check_destination(out, ".nc", inputs)
+    if preview is not None:
+        output.check_destination(preview, ".mp4", inputs)
+    until = math.inf if duration is None else checks.number("--duration", duration, sign="positive", unit="s")
+    lens, line = read_camera(calibration), Rope.from_toml(rope)
+    arcs = output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6")
+    with ExitStack() as stack:
+        stack.enter_context(threadpool_limits(1))
+        pictures = None if page is None else stack.enter_context(PicturePage(page))
+        frames = stack.enter_context(open_frames(camera, paced=page is not None, patience=patience))
+        colour = _colour(frames, click, patience)
+        task = TrackingTask(
+            camera, line, checks.array("--arc-lengths", arcs, (-1,)), lens, colour, None, output.parameters(estimate)
+        )
+        task.rehearse()
+        tracker = task.tracker()
+        follow = Watch(frames, tracker, interval=_TICK if frames.live or page is not None else _FILE_TICK)
+        if pictures is not None:
+            sys.stderr.write(f"hyperflex: pictures at {pictures.address}\n")
+        shown = _Pictures(tracker, preview, pictures)
+        tally = _Tally()
+        with _noticing_termination(), WatchLog(out, line.n_links, len(arcs), camera) as log, shown:
+            try:
+                _run(follow, until, [log.note, tally.note, shown.draw], json)
+                log.ending = frames.ended or f"stopped after {duration:g} s"
+            except KeyboardInterrupt:
+                log.interrupted = True
+    result = {"output": out, "ending": log.ending, "interrupted": log.interrupted, **tally.summary(tracker)}
+    if log.interrupted:
+        raise typer.Exit(output.interrupted(f"Interrupted; the log is kept in {out}.", result, as_json=json))
+    _tell(result, json)
+
+
+def _run(follow: Watch, until: float, takers: list[Callable[[LiveEstimate], None]], as_json: bool) -> None:
+    """Hand each estimate to all who take it, until the source or the time ends."""
+    begin = time.monotonic()
+    with output.spinner(as_json) as said:
+        for estimate in follow:
+            for take in takers:
+                take(estimate)
+            if as_json:
+                output.print_json(_line(estimate), one_line=True)
+            else:
+                said("   ".join(_status(estimate)))
+                for words in estimate.news:
+                    sys.stderr.write(f"hyperflex: {estimate.t:.2f} s: {words}\n")
+            if time.monotonic() - begin > until:
+                return
+
+
+def _status(estimate: LiveEstimate) -> list[str]:
+    """Return the status in two short lines."""
+    sure = f"tip ± {1e3 * estimate.tip_std:.1f} mm" if estimate.found else "rope not found"
+    late = "no frame" if estimate.frame is None else f"latency {1e3 * estimate.latency:.1f} ms"
+    age = "never seen" if math.isinf(estimate.age) else f"seen {1e3 * estimate.age:.0f} ms ago"
+    return [
+        f"{estimate.t:.2f} s   {estimate.rate:.1f} frames/s   {late}",
+        f"{estimate.seen} of {estimate.markers} markers, {age}   {sure}",
+    ]
+
+
+def _line(estimate: LiveEstimate) -> dict[str, Any]:
+    """Return an estimate for a program."""
+    return {
+        "t": estimate.t,
+        "found": estimate.found,
+        "tip": estimate.tip,
+        "tip_std": estimate.tip_std,
+        "age": estimate.age,
+        "latency": estimate.latency,
+        "rate": estimate.rate,
+        "seen": estimate.seen,
+        "markers": estimate.markers,
+        "frame": estimate.frame is not None,
+        "q": estimate.state.q,
+        "qd": estimate.state.qd,
+        "news": list(estimate.news),
+    }
+
+
+def _tell(result: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        output.print_json(result, one_line=True)
+        return
+    latency = result["latency_s"]
+    output.print_pairs(
+        f"Watched {result['frames']} frames",
+        [
+            ("ended", result["ending"]),
+            ("seen", f"{100.0 * result['seen']:.1f} % of all markers, {result['found']} frames with a rope"),
+            ("latency", f"median {1e3 * latency['median']:.1f} ms, of 99 % at most {1e3 * latency['p99']:.1f} ms"),
+            *((name, f"{each['value']:.5g} ± {each['std']:.2g}") for name, each in result["estimated"].items()),
+            ("events", str(result["news"])),
+            *([("doubt", result["doubt"])] if result["doubt"] else []),
+            ("written", str(result["output"])),
+        ],
+    )
+
+
+class _Tally:
+    """Counts what a run has seen."""
+
+    def __init__(self) -> None:
+        self.frames = self.found = self.seen = self.markers = self.news = 0
+        self.latency = [0] * 4096  # frames of 0 to 0.1 ms, 0.1 to 0.2 ms, ...
+
+    def note(self, estimate: LiveEstimate) -> None:
+        """Count an estimate."""
+        self.news += len(estimate.news)
+        if estimate.frame is None:
+            return
+        self.frames += 1
+        self.found += estimate.found
+        self.seen, self.markers = self.seen + estimate.seen, self.markers + estimate.markers
+        self.latency[min(int(1e4 * estimate.latency), len(self.latency) - 1)] += 1
+
+    def summary(self, tracker: RopeTracker) -> dict[str, Any]:
+        """Return the counts by name."""
+        return {
+            "frames": self.frames,
+            "found": self.found,
+            "seen": self.seen / max(self.markers, 1),
+            "latency_s": {"median": self._quantile(0.5), "p99": self._quantile(0.99)},
+            "news": self.news,
+            "noise_level": tracker.estimator.measurement_noise.value,
+            "doubt": tracker.doubt,
+            "estimated": {
+                name: {"value": value, "std": std} for name, (value, std) in tracker.estimator.values.items()
+            },
+        }
+
+    def _quantile(self, part: float) -> float:
+        """Return the latency, s, that a part of the frames did not exceed."""
+        left = part * self.frames
+        for k, count in enumerate(self.latency):
+            left -= count
+            if left <= 0.0:
+                return 1e-4 * (k + 1)
+        return math.nan
+
+
+class _Pictures:
+    """Draws what is known on the frames, for a film and for the page."""
+
+    def __init__(self, tracker: RopeTracker, preview: Path | None, page: Any) -> None:
+        self.tracker, self.preview, self.page = tracker, preview, page
+        self._stack, self._begin = ExitStack(), 0.0
+        self._writer: VideoWriter | None = None
+
+    def __enter__(self) -> None:
+        self._stack.__enter__()
+
+    def __exit__(self, *error: Any) -> None:
+        self._stack.__exit__(*error)
+
+    def draw(self, estimate: LiveEstimate) -> None:
+        """Draw an estimate, if its frame can be used and somebody wants it."""
+        from hyperflex.estimate import draw_frame
+        from hyperflex.vision import VideoWriter
+
+        looked = self.page is not None and self.page.watched
+        if estimate.frame is None or estimate.tracked is None or (self.preview is None and not looked):
+            return
+        image = draw_frame(estimate.frame.image, self.tracker, estimate.tracked, _status(estimate))
+        if looked:
+            self.page.show(image)
+        if self.preview is not None:
+            if self._writer is None:
+                self._writer = self._stack.enter_context(VideoWriter(self.preview, self.tracker.camera.image_size))
+                self._begin = estimate.frame.time
+            self._writer.write(image, estimate.frame.time - self._begin)
+
+
+def _colour(frames: FrameThread, click: tuple[float, float] | None, patience: float) -> MarkerColour:
+    """Return the markers' colour from the first frame that shows it."""
+    from hyperflex.vision import MarkerColour
+
+    until, last = time.monotonic() + patience, InvalidInput("no frame came", fix="Check the camera")
+    while (frame := frames.peek(max(0.0, until - time.monotonic()))) is not None:
+        if click is not None:
+            return MarkerColour.from_click(frame.image, click)
+        try:
+            return MarkerColour.from_frame(frame.image)
+        except InvalidInput as error:
+            last = error
+            frames.take(0.0)
+    raise last
+
+
+@contextmanager
+def _noticing_termination() -> Iterator[None]:
+    """Make of the signal that asks a program to end what Ctrl-C is."""
+    try:
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    except ValueError:  # signals are the main thread's alone
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

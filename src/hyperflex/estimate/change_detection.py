@@ -1,0 +1,349 @@
+"""Tests for changes of a named parameter and for a touch: generalised likelihood ratios of a filter's innovations."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import log_ndtr
+
+from hyperflex.checks import Array
+from hyperflex.errors import SimulationError
+from hyperflex.estimate import square_root as sr
+from hyperflex.estimate.changes import MISFIT, TOUCH, Change, ChangeTests
+from hyperflex.estimate.noise import NoiseLevel
+from hyperflex.estimate.observations import lever_arms
+from hyperflex.estimate.parameters import ParameterStates
+from hyperflex.estimate.process import Process
+
+PLACES = 10  # along the rope, at which a touch is tried
+SETTLED = 1.0  # s after the first frame from which on is tested
+MISFIT_LONGEST = 2.0  # s that a misfit lasts until it is told: noise levels remember a touch for about as long
+MISFITTING = 1.25  # times the declared noise of the markers that does not count
+DARK = 0.25  # s without any marker after which all tests begin anew
+SPACING = 0.1  # s between the moments at which a parameter may have changed; twice as much where they are twice as old
+PER_DOUBLING = 4
+LONGEST = 10.0  # s, the oldest of them
+TOUCH_SPACING = 0.03  # s between the moments at which a touch may have begun
+TOUCH_LONGEST = 0.35  # s, the oldest of them
+LIKELY_MASS = 0.04  # of the rope's mass: at what size the effect of a mass at the tip is computed
+SHARED = 0.25  # s after a touch was noticed in which what was seen may yet turn out to be the change of a parameter
+CALM = 0.5  # s without a sign of a touch after which the next one is another touch
+POSSIBLE = 2.0  # standard deviations by which a size may lie beyond what a rope can have
+DOUBT = 2.0  # by which the standard deviation of a noticed change is widened: its moment was chosen among many
+
+
+class Found(NamedTuple):
+    """What a frame showed.
+
+    Attributes
+    ----------
+    change : Change or None
+        None of a touch that goes on.
+    moved : (N,) float64
+        By how much the mean of the state moves.
+    rows : (r, N) float64
+        Rows that widen its covariance.
+    """
+
+    change: Change | None
+    moved: Array
+    rows: Array
+
+
+class ChangeDetector:
+    """Tests the innovations of a filter for what a change would leave in them.
+
+    Parameters
+    ----------
+    tests : ChangeTests
+    process : Process
+    states : ParameterStates
+        That hold all tested parameters.
+
+    Notes
+    -----
+    A change of size theta moves the mean of the whitened innovations by ``G theta``, where G is carried through the
+    filter: an error d of the prediction becomes ``F (I - K H) d`` in the next one (Willsky and Jones 1976, IEEE
+    Transactions on Automatic Control 21, 108-112). A parameter jumps at one of some moments in the last 10 s, tighter
+    the later; a touch is a force along x and y at one of some places, in one interval between two frames or from then
+    until now. With the sums ``A = G' G`` and ``b = G' nu``, theta is ``A^-1 b`` of covariance ``A^-1``, and
+    ``(|theta| - tolerance)^2 A`` is a chi square at most if nothing more than the tolerance has changed.
+    A sign counts as an alarm if its probability is less than 1 / (false alarms wanted per frame x number of tests),
+    by Bonferroni's bound; the tests are alike, so that false alarms are rarer than stated.
+    """
+
+    def __init__(self, tests: ChangeTests, process: Process, states: ParameterStates) -> None:
+        rope = process.rope
+        self.tests, self._process = tests, process
+        names = tests.names_for(rope)
+        first = 2 * rope.n_links
+        self.names = tuple(name for name in names if name != TOUCH)
+        self._columns = [first + states.names.index(name) for name in self.names]
+        self._heavier, self._mass = process.copy(), LIKELY_MASS * rope.total_mass
+        self._tolerances = np.array([tests.tolerance(name, rope) for name in self.names])
+        least = states.possible(np.full(len(states), -np.inf))
+        self._least = least[[states.names.index(name) for name in self.names]]
+        self._values = np.zeros(len(self.names))
+        self._size = first + len(states)
+        self.places: Array = np.arange(1.0, (PLACES if TOUCH in names else 0) + 1.0) * (rope.total_length / PLACES)
+        self._arms = lever_arms(rope, self.places)[1]
+        self._force_tolerance = tests.tolerance(TOUCH, rope)
+        self._latest = self._touched = -math.inf
+        self._interval = math.inf
+        self._shared_until = math.inf
+        self._misfits, self._fitted = False, math.inf
+        self.begin(math.inf)
+
+    def begin(self, t: float) -> None:
+        """Test nothing before `t`, s."""
+        self._since = t
+        self._parameters = [_Signatures(self._size) for _ in self.names]
+        self._touches = _Signatures(self._size)
+        self._moments, self._indices, self._begun = np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
+        self._kicks: Array | None = None
+        self._count = 0
+
+    def predict(self, x: tuple[Array, Array], t: float, until: float, transition: Array) -> None:
+        """Go on from time t, s, to `until`.
+
+        Parameters
+        ----------
+        x : (N,), (N,) float64
+            States at both times.
+        t, until : float
+        transition : (N, N) float64
+            Derivatives of the latter state by the former.
+        """
+        if t < self._since:
+            return
+        n = self._arms.shape[1]
+        self._values = x[1][self._columns]
+        fresh = not self._moments.size or t >= self._moments[-1] + SPACING * (1.0 - 1e-6)
+        for name, column, each in zip(self.names, self._columns, self._parameters, strict=True):
+            by_change = self._with_mass(x, t, until, transition, column) if name == "tip_mass" else transition
+            each.predict(by_change)
+            if fresh:
+                each.add(by_change[:, [column]])
+        if fresh:
+            self._moments, self._indices = np.append(self._moments, t), np.append(self._indices, self._count)
+            self._count += 1
+        self._touches.predict(transition)
+        if not self.places.size:
+            return
+        dt = until - t
+        before = self._process.kicks(x[0][:n], self._arms) if self._kicks is None else self._kicks
+        self._kicks = after = self._process.kicks(x[1][:n], self._arms)
+        pushed = 0.5 * dt * (transition[:, n : 2 * n] @ before)
+        pushed[n : 2 * n] += 0.5 * dt * after
+        if not self._begun.size or t >= self._begun[-1] + TOUCH_SPACING * (1.0 - 1e-6):
+            self._touches.add(pushed)
+            self._begun = np.append(self._begun, t)
+        else:
+            self._touches.states[:, -pushed.shape[1] :] += pushed
+
+    def update(self, t: float, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> Found | None:
+        """Take in an innovation; returns what change it shows, and what that has done to the state.
+
+        Parameters
+        ----------
+        t : float
+        jacobian : (m, N) float64
+            Derivatives H of the whitened observations.
+        gain : (N, m) float64
+            K, by which the state was corrected.
+        upper : (m, m) float64
+            Factor of the innovation's covariance.
+        whitened : (m,) float64
+            The innovation over its standard deviation.
+        """
+        latest, self._latest = self._latest, t
+        if t < self._since:
+            return None
+        self._interval = t - latest
+        if self._interval > DARK:
+            self.begin(t)
+            return None
+        for each in (*self._parameters, self._touches):
+            each.update(jacobian, gain, upper, whitened)
+        self._kicks = None  # the state has changed
+        found = self._evaluate(t, self._interval)
+        good = self._lasting(t)
+        if self._touched == latest:  # it is over
+            self._shared_until = t
+        if self._shared_until <= t:  # it was a touch: what it did to the innovations is none of a parameter's doing
+            good[:], self._shared_until = False, math.inf
+        for each in self._parameters:
+            each.keep(good)
+        self._moments, self._indices = self._moments[good], self._indices[good]
+        good = self._begun > t - TOUCH_LONGEST
+        self._touches.keep(np.repeat(good, 2 * self.places.size))
+        self._begun = self._begun[good]
+        if found is not None and found.moved.any():
+            self.begin(t)
+        return found
+
+    def misfit(self, t: float, noise: NoiseLevel) -> tuple[Change, ...]:
+        """Return whether markers are off by more than they should, by the level of their noise that was found.
+
+        Nothing that is tested for explains that: the rope swings out of its plane, the camera is not where it is taken
+        to be, or the noise is not as declared. It is told once, after two seconds, until it is over.
+        """
+        excess = (math.log(noise.value) - math.log(MISFITTING)) / noise.log_std
+        log_p = float(log_ndtr(-excess))
+        clear = self._interval > 0.0 and log_p < math.log(self._interval / self.tests.false_alarm_interval)
+        if excess < 0.0 or t < self._since:
+            self._fitted, self._misfits = t, False
+        if not clear or self._misfits or t - self._fitted < MISFIT_LONGEST:
+            return ()
+        self._misfits = True
+        return (Change(MISFIT, t, self._fitted, noise.value, noise.value * noise.log_std, 1.0, log_p),)
+
+    def _with_mass(self, x: tuple[Array, Array], t: float, until: float, transition: Array, column: int) -> Array:
+        """Return the derivatives as they are with a mass at the tip.
+
+        A mass is soon many times that of the last link, so that its effect is far from linear. With one, an error d
+        of the state becomes ``F d`` and what the mass itself does, F being that of the heavier rope.
+        """
+        start = x[0].copy()
+        start[column] += self._mass
+        try:
+            found = self._heavier.predict(start, t, until)
+        except SimulationError:
+            return transition
+        result, n = found.transition, 2 * self._arms.shape[1]
+        result[:n, column] = (found.x[:n] - x[1][:n]) / self._mass
+        return result
+
+    def _lasting(self, t: float) -> npt.NDArray[np.bool_]:
+        """Return which moments at which parameters may have changed are kept: the older, the farther apart."""
+        age = t - self._moments
+        doublings = np.floor(np.log2(np.maximum(age / (PER_DOUBLING * SPACING), 1.0))).astype(int)
+        return np.asarray((age < LONGEST) & (self._indices % 2**doublings == 0))
+
+    def _evaluate(self, t: float, dt: float) -> Found | None:
+        """Return the clearest sign of a change, if it is clear enough."""
+        scores, theta = self._parameter_scores()
+        touch, forces = self._touch_scores()
+        count = scores.size + 2 * touch.size
+        if not count or not dt:
+            return None
+        log_p = [log_ndtr(-each) + math.log(2.0) for each in scores.T]
+        if touch.size:
+            log_p.append(-0.5 * touch.ravel() ** 2)
+        least = np.array([each.min(initial=0.0) for each in log_p])
+        if not least.min() < math.log(dt / self.tests.false_alarm_interval / count):
+            return None
+        evidence = -least - np.log([max(each.size, 1) for each in log_p])
+        name = int(evidence.argmax())
+        sure = 1.0 / float(np.exp(evidence - evidence[name]).sum())
+        best = int(log_p[name].argmin())
+        if name < len(self.names):
+            return self._parameter_change(best, name, float(theta[best, name]), t, sure, float(least[name]))
+        again, self._touched = t - self._touched < CALM, t
+        if not again:
+            self._shared_until = t + SHARED
+        change, rows = self._touch_change(best, forces, t, sure, float(least[name]), again)
+        return Found(None if again else change, np.zeros(self._size), rows)
+
+    def _parameter_scores(self) -> tuple[Array, Array]:
+        """Return by how many standard deviations each parameter (p) has changed since each moment (w, p), and sizes."""
+        w, p = self._moments.size, len(self.names)
+        information = np.array([np.diag(each.information) for each in self._parameters]).reshape(p, w).T
+        information = np.maximum(information, 1e-300)
+        theta = np.array([each.score for each in self._parameters]).reshape(p, w).T / information
+        std = 1.0 / np.sqrt(information)
+        score = np.maximum(np.abs(theta) - self._tolerances, 0.0) / std
+        score[self._values + theta + POSSIBLE * std < self._least] = 0.0
+        return score, theta
+
+    def _touch_scores(self) -> tuple[Array, tuple[Array, Array]]:
+        """Return the same of touches (2, w, places), the first of a single interval and then until now, with forces.
+
+        Of the forces come sizes (2, w, places, 2), N, and covariances (2, w, places, 2, 2).
+        """
+        bank, p, w = self._touches, self.places.size, self._begun.size
+        if not w:
+            return np.zeros((2, 0, p)), (np.zeros((2, 0, p, 2)), np.zeros((2, 0, p, 2, 2)))
+        # of one place: (p, w, 2, w, 2)
+        every = np.moveaxis(np.diagonal(bank.information.reshape(w, p, 2, w, p, 2), axis1=1, axis2=4), -1, 0)
+        lasting = every[:, ::-1, :, ::-1].cumsum(axis=1).cumsum(axis=3)[:, ::-1, :, ::-1]
+        score = bank.score.reshape(w, p, 2)
+        b = np.stack([score, score[::-1].cumsum(axis=0)[::-1]])
+        a = np.stack([np.moveaxis(np.diagonal(each, axis1=1, axis2=3), -1, 0) for each in (every, lasting)])
+        trace = np.trace(a, axis1=-2, axis2=-1)[..., None, None]
+        covariance = np.linalg.inv(a + (1e-9 * trace + 1e-300) * np.eye(2))
+        force = (covariance @ b[..., None])[..., 0]
+        size = np.linalg.norm(force, axis=-1)
+        clear = np.sqrt(np.maximum((force * b).sum(axis=-1), 0.0))
+        part = np.maximum(1.0 - self._allowed_force()[:, :, None] / np.maximum(size, 1e-300), 0.0)
+        return clear * part, (force, covariance)
+
+    def _allowed_force(self) -> Array:
+        """Return the tolerance of forces (2, w), N: as an impulse, that of 0.1 s at least."""
+        ends = np.append(self._begun[1:], self._latest)
+        lasted = np.stack([ends - self._begun, self._latest - self._begun])
+        return np.asarray(self._force_tolerance * np.maximum(0.1 / lasted, 1.0))
+
+    def _parameter_change(self, moment: int, k: int, theta: float, t: float, sure: float, log_p: float) -> Found:
+        bank = self._parameters[k]
+        std = 1.0 / math.sqrt(bank.information[moment, moment])
+        change = Change(self.names[k], t, float(self._moments[moment]), theta, std, sure, log_p)
+        return Found(change, theta * bank.states[:, moment], DOUBT * std * bank.states[:, moment][None])
+
+    def _touch_change(
+        self, best: int, forces: tuple[Array, Array], t: float, sure: float, log_p: float, again: bool
+    ) -> tuple[Change, Array]:
+        """Return a touch, and rows by which the covariance widens: by all of it, or `again` by its last interval."""
+        w, p = self._begun.size, self.places.size
+        lasting, since, place = np.unravel_index(best, (2, w, p))
+        force, covariance = forces[0][lasting, since, place], forces[1][lasting, since, place]
+        begun = float(self._begun[since])
+        lasted = (t if lasting else float(np.append(self._begun[1:], t)[since])) - begun
+        size = float(np.linalg.norm(force))
+        std = math.sqrt(force @ covariance @ force) / size
+        impulse = float(force[0] * lasted), float(force[1] * lasted)
+        change = Change(TOUCH, t, begun, size * lasted, std * lasted, sure, log_p, float(self.places[place]), impulse)
+        of_interval = self._touches.states.reshape(-1, w, p, 2)[:, :, place]
+        whole = of_interval[:, since:].sum(axis=1) if lasting else of_interval[:, since]
+        return change, size * (of_interval[:, -1] if again else whole).T
+
+
+class _Signatures:
+    """What changes do to the state, and the sums of what they would leave in the innovations.
+
+    Attributes
+    ----------
+    states : (N, c) float64
+        Errors of the state, per unit of each change.
+    information : (c, c), score : (c,) float64
+    """
+
+    def __init__(self, size: int) -> None:
+        self.states, self.information, self.score = np.zeros((size, 0)), np.zeros((0, 0)), np.zeros(0)
+
+    def predict(self, transition: Array) -> None:
+        """Carry the errors on."""
+        self.states = transition @ self.states
+
+    def add(self, columns: Array) -> None:
+        """Add changes (N, k) that begin."""
+        k = columns.shape[1]
+        self.states = np.concatenate([self.states, columns], axis=1)
+        self.information, self.score = np.pad(self.information, (0, k)), np.pad(self.score, (0, k))
+
+    def keep(self, good: npt.NDArray[np.bool_]) -> None:
+        """Keep some (c,) of the changes."""
+        if not good.all():
+            self.states, self.score = self.states[:, good], self.score[good]
+            self.information = self.information[np.ix_(good, good)]
+
+    def update(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
+        """Take in an innovation, and correct the errors as the filter does its own."""
+        seen = jacobian @ self.states
+        left = sr.solved(upper, seen, transposed=True)
+        self.score = self.score + left.T @ whitened
+        self.information = self.information + left.T @ left
+        self.states = self.states - gain @ seen

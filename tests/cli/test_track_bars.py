@@ -1,0 +1,47 @@
+"""``hyperflex track --bar``: a rendered pendulum's video in, a file for identify out; what is missing is said."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+import hyperflex as hf
+from hyperflex.vision import VideoReader
+from tests.estimate.test_bars import CAMERA, filmed
+
+
+def test_a_video_becomes_angles(hyperflex, tmp_path):
+    run, _ = filmed(tmp_path / "pendulum.mp4", duration=0.6)
+    clicks = CAMERA.project(run.joints[0, [0, 1, 2]])
+    middles = 0.5 * (clicks[1:] + clicks[:-1])
+    bars = [word for place in middles for word in ("--bar", f"{place[0]:.1f},{place[1]:.1f}")]
+    out, seen = tmp_path / "angles.nc", tmp_path / "seen.mp4"
+    code, text, err = hyperflex(
+        "track", tmp_path / "pendulum.mp4", *bars, "--pivot", "158", "150", "-o", out, "--preview", seen, "--json"
+    )
+    assert (code, err) == (0, "")
+    said = json.loads(text)
+    recording = hf.read_recording(out)
+    assert recording.kind == "angles"
+    assert said["frames"] == len(recording.t)
+    assert min(said["seen"]) > 0.9
+    with VideoReader(seen) as video:
+        assert len(list(video)) == said["frames"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--bar", "120,100"], "--pivot is missing"),
+        (["--bar", "120", "--pivot", "1", "2"], "--bar is a pixel"),
+        (["--bar", "120,100", "--pivot", "1", "2", "--at", "9"], "after the end of the video"),
+        ([], "a rope with markers needs more"),
+    ],
+)
+def test_what_is_missing_is_said(hyperflex, tmp_path, options, message):
+    filmed(tmp_path / "pendulum.mp4", duration=0.2)
+    code, out, err = hyperflex("track", tmp_path / "pendulum.mp4", *options, "-o", tmp_path / "angles.nc")
+    assert (code, out) == (2, "")
+    assert message in err
+    assert not (tmp_path / "angles.nc").exists()

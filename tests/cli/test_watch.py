@@ -1,0 +1,288 @@
+"""``hyperflex watch`` and ``track``: what programs get from them, and videos as bad as they come."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.files.netcdf import read_netcdf
+from hyperflex.vision import Camera, Renderer, RopeMotion, Scene, VideoReader, VideoWriter
+from tests.estimate.runs import free_swing, rope
+
+ARCS = np.linspace(0.25, 2.0, 8)
+COUNT = 30
+Run = Callable[..., tuple[int, str, str]]
+
+
+def facing(size: tuple[int, int] = (640, 480), scale: float = 200.0, v: float = 20.0) -> Camera:
+    return Camera.facing(size, pixels_per_metre=scale, origin=(0.5 * size[0], v), exposure=0.004)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A free swing of a finer rope, the rope, and the camera."""
+    path = tmp_path_factory.mktemp("watch")
+    render(path / "swing.mp4")
+    rope(20).to_toml(path / "rope.toml")
+    facing().write(path / "camera.toml")
+    return path
+
+
+def render(path: Path, camera: Camera | None = None, seed: int = 0, count: int = COUNT) -> np.ndarray:
+    """Write the video of a swing; return where the markers are seen (T, K, 2), px."""
+    swing = free_swing(seed, 4.0)
+    motion = RopeMotion(swing.t, swing.q, swing.qd, rope(100).length)
+    renderer = Renderer(camera or facing(), motion, Scene(ARCS, marker_diameter=0.035))
+    return renderer.write(path, 0.05 + np.arange(count) / 30.0).pixels
+
+
+def words(command: str, video: Path, folder: Path, out: Path, *more: object, camera: str = "camera.toml") -> list[str]:
+    place = ["track", video] if command == "track" else ["watch", "--camera", video]
+    lens = "--camera" if command == "track" else "--calibration"
+    named = ["--rope", folder / "rope.toml", lens, folder / camera, "--arc-lengths", ",".join(map(str, ARCS))]
+    return [str(each) for each in [*place, *named, "-o", out, *more]]
+
+
+def lines(text: str) -> list[dict[str, Any]]:
+    return [json.loads(each) for each in text.splitlines()]
+
+
+def test_a_line_for_each_frame_and_a_summary(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+    arguments = words("watch", folder / "swing.mp4", folder, tmp_path / "log.nc", "--preview", tmp_path / "seen.mp4")
+    code, out, err = hyperflex(*arguments, "--estimate", "scale=0.01", "--json")
+    assert (code, err) == (0, "")
+    *estimates, summary = lines(out)
+    assert len(estimates) == summary["frames"] == summary["found"] == COUNT
+    assert all(each["found"] and each["frame"] and each["seen"] == each["markers"] == 8 for each in estimates)
+    assert [len(each[name]) for each in estimates[:1] for name in ("tip", "q", "qd")] == [2, 20, 20]
+    assert all(0.0 < each["tip_std"] < 0.1 and each["age"] == 0.0 and each["latency"] > 0.0 for each in estimates)
+    assert (summary["ending"], summary["interrupted"]) == ("the source ended", False)
+    assert abs(summary["estimated"]["scale"]["value"]) < 0.02
+    assert 0.0 < summary["latency_s"]["median"] <= summary["latency_s"]["p99"]
+    kept = read_netcdf(tmp_path / "log.nc")
+    np.testing.assert_array_equal(kept.variables["t"].values, [each["t"] for each in estimates])
+    np.testing.assert_array_equal(kept.variables["tip"].values, [each["tip"] for each in estimates])
+    with VideoReader(tmp_path / "seen.mp4") as seen:
+        assert sum(1 for _ in seen) == COUNT
+
+
+def test_it_says_how_it_went(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+    code, out, _ = hyperflex(*words("watch", folder / "swing.mp4", folder, tmp_path / "log.nc"))
+    assert code == 0
+    assert f"Watched {COUNT} frames" in out
+    assert "100.0 % of all markers" in out
+    assert "the source ended" in out
+
+
+def test_it_stops_in_time(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+    arguments = words("watch", folder / "swing.mp4", folder, tmp_path / "log.nc", "--page", 0, "--duration", 0.4)
+    code, out, err = hyperflex(*arguments, "--json")
+    assert code == 0
+    assert "pictures at http://127.0.0.1:" in err
+    summary = lines(out)[-1]
+    assert summary["ending"] == "stopped after 0.4 s"
+    assert 2 <= summary["frames"] < COUNT - 5  # at its own speed
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.skipif(sys.platform == "win32", reason="signals cannot be sent to one process")
+def test_an_interrupted_run_is_kept(folder: Path, tmp_path: Path, number: signal.Signals) -> None:
+    code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    code += "from hyperflex.cli import main; main()"
+    more = ["--page", "0", "--preview", str(tmp_path / "seen.mp4"), "--json"]
+    arguments = words("watch", folder / "swing.mp4", folder, tmp_path / "log.nc", *more)
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as program:
+        assert program.stdout is not None
+        first = program.stdout.readline()
+        assert json.loads(first)["t"] >= 0.0
+        program.send_signal(number)
+        rest, err = program.communicate(timeout=60.0)
+    assert program.returncode == 130
+    assert "Interrupted; the log is kept" in err
+    end = lines(rest)[-1]
+    assert end["error"] == "interrupted"
+    kept = read_netcdf(tmp_path / "log.nc")
+    assert (kept.attributes["interrupted"], kept.attributes["ending"]) == (1, "interrupted")
+    assert kept.variables["t"].values[0] == json.loads(first)["t"]
+    with VideoReader(tmp_path / "seen.mp4") as seen:
+        assert sum(1 for _ in seen) >= 1
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["log.nc", "seen.mp4"]
+
+
+def damaged(folder: Path, path: Path, kind: str) -> Path:
+    whole = bytearray((folder / "swing.mp4").read_bytes())
+    if kind == "cut off":  # within what says where the pictures are
+        whole = whole[: whole.find(b"mdat") // 2]
+    elif kind == "empty":
+        whole = bytearray()
+    elif kind == "noise":
+        whole = bytearray(np.random.default_rng(0).bytes(50_000))
+    elif kind == "words":
+        whole = bytearray(b"t, x, y\n0, 0, 0\n")
+    path.write_bytes(whole)
+    return path
+
+
+@pytest.mark.parametrize("command", ["track", "watch"])
+@pytest.mark.parametrize("kind", ["cut off", "empty", "noise", "words"])
+def test_what_is_no_video_is_refused(hyperflex: Run, folder: Path, tmp_path: Path, command: str, kind: str) -> None:
+    video = damaged(folder, tmp_path / "bad.mp4", kind)
+    code, out, err = hyperflex(*words(command, video, folder, tmp_path / "out.nc"))
+    assert (code, out) == (2, "")
+    assert err.startswith("hyperflex: ")
+    assert "bad.mp4" in err
+    assert [each.name for each in tmp_path.iterdir()] == ["bad.mp4"]
+
+
+@pytest.mark.parametrize("command", ["track", "watch"])
+@pytest.mark.parametrize("kind", ["cut off", "noise"])
+def test_a_video_that_is_damaged_within_is_followed(
+    hyperflex: Run, folder: Path, tmp_path: Path, command: str, kind: str
+) -> None:
+    """The pictures' data end early, or are noise for a while: what can be decoded is followed, and that is said."""
+    whole = bytearray((folder / "swing.mp4").read_bytes())
+    begin = whole.find(b"mdat")
+    assert 0 < begin < len(whole) // 4
+    at = begin + int(0.6 * (len(whole) - begin))
+    if kind == "cut off":
+        del whole[at:]
+    else:
+        whole[at : at + 3000] = np.random.default_rng(1).bytes(3000)
+    (tmp_path / "bad.mp4").write_bytes(whole)
+    code, out, _ = hyperflex(*words(command, tmp_path / "bad.mp4", folder, tmp_path / "out.nc", "--json"))
+    assert code == 0
+    if command == "track":
+        result = json.loads(out)
+        said = " ".join(result["notes"])
+    else:
+        *estimates, result = lines(out)
+        said = " ".join(words for each in estimates for words in each["news"])
+        assert all(each["found"] for each in estimates)
+    assert COUNT // 4 < result["frames"] <= COUNT
+    assert f"the file lists {COUNT} frames" in said or "cannot be decoded" in said
+
+
+def test_another_size_than_the_cameras(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+    facing((1280, 960)).write(folder / "large.toml")
+    video = folder / "swing.mp4"
+    code, _, err = hyperflex(*words("track", video, folder, tmp_path / "out.nc", camera="large.toml"))
+    assert code == 2
+    assert "another size than the camera's" in err
+    code, out, _ = hyperflex(*words("watch", video, folder, tmp_path / "out.nc", "--json", camera="large.toml"))
+    assert code == 0
+    *estimates, summary = lines(out)
+    assert summary["found"] == 0
+    assert all(each["tip_std"] is None and each["age"] is None and not each["found"] for each in estimates)
+    assert ["are left out" in " ".join(each["news"]) for each in estimates] == [True] + [False] * (COUNT - 1)
+
+
+@pytest.mark.parametrize("scale", [150.0, 260.0])
+def test_a_wrong_scale_is_refused_or_admitted(hyperflex: Run, folder: Path, tmp_path: Path, scale: float) -> None:
+    """A third off: markers further apart than the rope between them, or a rope that is bent where none is.
+
+    The first is refused. The second cannot be told from one picture; then what is seen and what the rope can do are far
+    apart, and the level of the noise says so (1 is what the detector states).
+    """
+    facing(scale=scale).write(folder / "wrong.toml")
+    arguments = words("track", folder / "swing.mp4", folder, tmp_path / "out.nc", "--json", camera="wrong.toml")
+    code, out, _ = hyperflex(*arguments)
+    result = json.loads(out)
+    if scale < 200.0:
+        assert code == 2
+        assert "not found in the video" in result["error"]
+        assert "swing plane" in result["error"]
+    else:
+        assert code == 0
+        assert result["noise_level"] > 2.0
+        assert "check the camera's scale" in " ".join(result["notes"])
+
+
+def test_markers_out_of_view(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+    """The picture ends above the lower half of the rope: what is below is known less well, and that is said."""
+    cut = facing((640, 240))
+    cut.write(folder / "cut.toml")
+    render(tmp_path / "cut.mp4", cut, count=3 * COUNT)
+    code, out, _ = hyperflex(
+        *words("watch", tmp_path / "cut.mp4", folder, tmp_path / "out.nc", "--json", camera="cut.toml")
+    )
+    assert code == 0
+    swing, found = free_swing(0, 4.0), [each for each in lines(out)[:-1] if each["found"]]
+    assert len(found) > COUNT  # for a second it waits for a frame that shows the whole rope
+    assert max(each["seen"] for each in found) < 8
+    off = [np.linalg.norm(each["tip"] - swing.joints[round(each["t"] * 600.0), -1]) for each in found]
+    std = np.array([each["tip_std"] for each in found])
+    assert std[0] > 0.1  # the tip's own marker is not seen
+    assert (np.array(off) < 3.5 * std).mean() > 0.95
+
+
+@pytest.mark.parametrize("command", ["track", "watch"])
+def test_two_ropes(hyperflex: Run, folder: Path, tmp_path: Path, command: str) -> None:
+    """Another rope with the same markers hangs half a metre beside: ours, which hangs from the origin, is followed."""
+    other = render(tmp_path / "other.mp4", seed=3)
+    with VideoReader(folder / "swing.mp4") as ours, VideoWriter(tmp_path / "two.mp4", (640, 480)) as both:
+        for frame, places in zip(ours, other, strict=True):
+            image = frame.image.copy()
+            for u, v in places - [120.0, 0.0]:
+                cv2.circle(image, (round(u), round(v)), 4, (40, 30, 210), -1, cv2.LINE_AA)
+            both.write(image, frame.time)
+    code, _, _ = hyperflex(*words(command, tmp_path / "two.mp4", folder, tmp_path / "out.nc", "--json"))
+    assert code == 0
+    swing = free_swing(0, 4.0)
+    if command == "track":
+        recording = hf.read_recording(tmp_path / "out.nc")
+        times, places = recording.t, recording.data.reshape(-1, 8, 2)
+    else:
+        kept = read_netcdf(tmp_path / "out.nc").variables
+        times, places = kept["t"].numbers("t"), kept["places"].numbers("places")
+    ends = np.linspace(0.0, 2.0, 101)
+    for t, row in zip(times, places, strict=True):
+        joints = swing.joints[round(t * 600.0)]
+        true = np.stack([np.interp(ARCS, ends, joints[:, c]) for c in (0, 1)], axis=1)
+        off = np.linalg.norm(row - true, axis=1)
+        assert not (off > 0.1).any(), (t, off)  # the other one is half a metre away
+
+
+@pytest.mark.parametrize("command", ["track", "watch"])
+def test_no_markers(hyperflex: Run, folder: Path, tmp_path: Path, command: str) -> None:
+    with VideoWriter(tmp_path / "wall.mp4", (640, 480)) as video:
+        rng = np.random.default_rng(0)
+        for k in range(5):
+            video.write(rng.integers(120, 130, (480, 640, 3), dtype=np.uint8), k / 30.0)
+    begin = time.monotonic()
+    code, out, err = hyperflex(*words(command, tmp_path / "wall.mp4", folder, tmp_path / "out.nc"))
+    assert (code, out) == (2, "")
+    assert "hyperflex: " in err
+    assert "bug" not in err
+    assert time.monotonic() - begin < 30.0
+    assert not (tmp_path / "out.nc").exists()
+
+
+def test_markers_that_are_no_ropes(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+    """Things of the markers' colour lie about at random: nothing is found, or what is stated is unsure."""
+    rng = np.random.default_rng(2)
+    with VideoWriter(tmp_path / "litter.mp4", (640, 480)) as video:
+        for k in range(12):
+            image = np.full((480, 640, 3), 170, np.uint8)
+            for u, v in rng.uniform(20.0, 460.0, (8, 2)):
+                cv2.circle(image, (round(u) + 80, round(v)), 4, (40, 30, 210), -1, cv2.LINE_AA)
+            video.write(image, k / 30.0)
+    code, out, _ = hyperflex(*words("watch", tmp_path / "litter.mp4", folder, tmp_path / "out.nc", "--json"))
+    assert code == 0
+    *estimates, summary = lines(out)
+    assert len(estimates) == summary["frames"] == 12
+    for each in estimates:
+        assert not each["found"] or each["tip_std"] > 0.0
+        assert np.isfinite(each["tip"]).all()

@@ -1,0 +1,212 @@
+"""Tests for changes: what they notice, when and as what; finer truths, places in metres. All data are simulated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import hyperflex as hf
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.estimate import Change, ChangeTests, EstimatedParameter, Observations, RopeFilter
+from tests.estimate.runs import disturbed, rope, track
+from tests.oracles.mujoco_chain import HingeChain
+
+AT = 3.0
+CAMERA = np.array([0.0, -1.0, 4.0])  # m: where the picture is taken from, in front of the swing plane
+
+
+def noticed(changes: list[Change], name: str) -> float:
+    """Seconds after the change until it was noticed as what it is."""
+    return next((each.noticed for each in changes if each.name == name), np.inf) - AT
+
+
+@pytest.mark.parametrize(("moved", "allowed"), [(True, 0.5), (False, 2.0)], ids=["cast", "free swing"])
+def test_a_mass_at_the_tip(moved: bool, allowed: float) -> None:
+    """5 g of 125 g. It is noticed, from then on it is estimated, and 2 s later known to 10 %."""
+    truth = disturbed(moved=moved, duration=AT + 2.3, at=AT, tip_mass=5e-3)
+    found = track(truth, frames=30.0, moved=moved, tests=ChangeTests())
+    assert found.changes[0].noticed - AT < allowed
+    assert 0.0 < noticed(found.changes, "tip_mass") < allowed + 0.5
+    change = next(each for each in found.changes if each.name == "tip_mass")
+    assert change.size == pytest.approx(5e-3, abs=3.0 * change.std)
+    assert change.probability > 0.5
+    value, std = found.tracker.values["tip_mass"]
+    assert value == pytest.approx(5e-3, rel=0.1)
+    assert std < 5e-4
+    assert {each.name for each in found.changes} <= {"tip_mass", "touch"}
+
+
+@pytest.mark.parametrize("moved", [True, False], ids=["cast", "free swing"])
+@pytest.mark.parametrize(("force", "allowed"), [(0.2, 0.1), (0.02, 0.3)])
+def test_a_touch(moved: bool, force: float, allowed: float) -> None:
+    """For 0.1 s, across the rope, between two of the places where touches are tried."""
+    angle = float(disturbed(moved=moved, duration=AT, at=AT).q[-1, 65])
+    touch = (1.3, force * np.cos(angle), force * np.sin(angle), 0.1)
+    found = track(
+        disturbed(moved=moved, duration=AT + 1.2, at=AT, touch=touch), frames=30.0, moved=moved, tests=ChangeTests()
+    )
+    assert [each.name for each in found.changes] == ["touch"]
+    change = found.changes[0]
+    assert 0.0 < change.noticed - AT <= allowed + 1e-6
+    assert abs(change.time - AT) < 0.15
+    assert change.arc_length == pytest.approx(1.3, abs=0.3)
+    assert change.impulse is not None
+    assert np.hypot(*change.impulse) == pytest.approx(change.size)
+    assert change.impulse[0] * touch[1] + change.impulse[1] * touch[2] > 0.0  # it points the right way
+    assert found.rms("tip", AT + 0.5) < 3e-3
+
+
+def test_nothing_has_changed() -> None:
+    """A finer rope, swinging freely and pumped: no alarm in 15 s, where one in 600 s is allowed."""
+    for moved, duration in ((False, 10.0), (True, 7.0)):
+        found = track(disturbed(moved=moved, duration=duration, at=1.0), frames=30.0, moved=moved, tests=ChangeTests())
+        assert found.changes == []
+
+
+def test_the_rate_of_false_alarms_is_what_was_asked_for() -> None:
+    """White innovations, 1.5 s between alarms asked for: at most as many, by Bonferroni's bound, but not none."""
+    cable, rng = rope(6), np.random.default_rng(0)
+    interval, dt, frames, count = 1.5, 1 / 30, 3000, 0
+    tests = ChangeTests(("length", "touch"), interval, {"length": 0.0, "touch": 0.0})
+    tracker = RopeFilter(cable, [0.7, 1.4, 2.0], tests=tests)
+    detector = tracker._detector  # its own innovations are never quite white: it is given some that are
+    assert detector is not None
+    x, n = np.zeros(13), 6
+    transition = np.eye(13)
+    transition[:n, n : 2 * n] = dt * np.eye(n)
+    transition[: 2 * n] *= 0.97
+    jacobian = rng.normal(size=(6, 13))
+    detector.begin(0.0)
+    for k in range(frames):
+        detector.predict((x, x), k * dt, (k + 1) * dt, transition)
+        found = detector.update((k + 1) * dt, jacobian, np.zeros((13, 6)), np.eye(6), rng.normal(size=6))
+        if found is not None and found.change is not None:
+            count += 1
+            detector.begin((k + 1) * dt)
+    mean = frames * dt / interval
+    assert count <= stats.poisson.ppf(0.999, mean)
+    assert count >= 1
+
+
+def test_the_signature_of_a_mass_and_of_a_touch() -> None:
+    """What the tests expect in the next picture, against runs with and without the change (differences)."""
+    cable, dt, n = rope(10), 1 / 30, 10
+    rng = np.random.default_rng(1)
+    q, qd = 0.4 + 0.2 * rng.normal(size=n), rng.normal(size=n)
+    tracker = RopeFilter(cable, [1.0, 2.0], tests=ChangeTests(("length", "tip_mass", "touch")))
+    detector, process = tracker._detector, tracker.process
+    assert detector is not None
+    x = np.concatenate([q, qd, np.zeros(2)])
+    found = process.predict(x, 0.0, dt)
+    detector.begin(0.0)
+    detector.predict((x, found.x), 0.0, dt, found.transition)
+
+    def run(cable: hf.Rope, pushes: int = 0, arc: float = 0.0) -> Array:
+        """State after a frame; a force of 0.01 N along x in so many small kicks."""
+        state = hf.State(t=0.0, q=q, qd=qd)
+        for _ in range(max(pushes, 1)):
+            if pushes:
+                arms = np.clip(arc - (np.cumsum(cable.length) - cable.length), 0.0, cable.length)
+                kick = np.linalg.solve(hf.mass_matrix(cable, state.q), arms * np.cos(state.q)) * 0.01 * dt / pushes
+                state = hf.State(t=state.t, q=state.q, qd=state.qd + kick)
+            state = hf.simulate(cable, state=state, duration=dt / max(pushes, 1), tol=1e-9).state
+        return np.concatenate([state.q, state.qd])
+
+    base = run(cable)
+    mass = 0.04 * cable.total_mass
+    by_mass = (run(cable.replace(tip_mass=mass)) - base) / mass
+    k = detector.names.index("tip_mass")
+    np.testing.assert_allclose(detector._parameters[k].states[: 2 * n, 0], by_mass, atol=2e-3 * np.abs(by_mass).max())
+    by_force = (run(cable, 200, 1.0) - base) / 0.01
+    place = int(np.abs(detector.places - 1.0).argmin())
+    # the force of a frame is taken as two halves, at its beginning and its end: 6 % where two links bend fast
+    np.testing.assert_allclose(
+        detector._touches.states[:n, 2 * place], by_force[:n], atol=0.07 * np.abs(by_force[:n]).max()
+    )
+
+
+def test_the_kick_of_an_impulse_is_that_of_mujoco() -> None:
+    """M^-1 J' by MuJoCo's mass matrix and its Jacobian of a point on a link, in relative angles."""
+    import mujoco
+
+    cable, n = rope(7), 7
+    rng = np.random.default_rng(4)
+    q = rng.normal(size=n)
+    chain = HingeChain(cable)
+    chain.put(q, np.zeros(n))
+    matrix, jacobian = np.zeros((n, n)), np.zeros((3, n))
+    mujoco.mj_fullM(chain.model, chain.data, matrix)
+    joints = chain.joints()
+    point = np.array([joints[4, 0], 0.0, joints[4, 1]])  # where the fourth link ends
+    mujoco.mj_jac(chain.model, chain.data, jacobian, None, point, 4)  # body 0 is the world
+    expected = np.cumsum(np.linalg.solve(matrix, jacobian[[0, 2]].T), axis=0)
+    tracker = RopeFilter(cable, [1.0])
+    arms = np.where(np.arange(n) < 4, cable.length, 0.0)[None]
+    np.testing.assert_allclose(tracker.process.kicks(q, arms), expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def tilted(t: float, places: Array) -> Array:
+    """The swing plane turned by 5 degrees about a vertical line, as the camera that does not know it shows it."""
+    apart = places - CAMERA[:2]
+    depth = apart[:, :1] * np.sin(np.deg2rad(5.0))
+    return CAMERA[:2] + apart * [np.cos(np.deg2rad(5.0)), 1.0] / (1.0 + depth / CAMERA[2])
+
+
+def swaying(t: float, places: Array) -> Array:
+    """The tip sways by 50 mm towards the camera and back, once a swing."""
+    depth = 0.05 * np.sin(2.0 * np.pi * t / 2.8) * np.linspace(0.1, 1.0, len(places))[:, None]
+    return CAMERA[:2] + (places - CAMERA[:2]) / (1.0 + depth / CAMERA[2])
+
+
+@pytest.mark.parametrize("view", [tilted, swaying])
+@pytest.mark.parametrize("moved", [False, True], ids=["free swing", "cast"])
+def test_motion_out_of_the_plane_is_told(view: object, moved: bool) -> None:
+    """Within 5 s; the same run in its plane says nothing."""
+    truth = disturbed(moved=moved, duration=5.5, at=1.0)
+    found = track(truth, frames=30.0, moved=moved, view=view, tests=ChangeTests())  # type: ignore[arg-type]
+    assert any(each.name == "misfit" and each.size > 1.25 for each in found.changes)
+    assert track(truth, frames=30.0, moved=moved, tests=ChangeTests()).changes == []
+
+
+def test_only_touches() -> None:
+    """No parameter is tested; frames without a marker, or at the same time, or after half a second, are no matter."""
+    quick = RopeFilter(rope(5), [1.0, 2.0], tests=ChangeTests(("touch",)))
+    run = hf.simulate(rope(5), duration=3.0, q0=np.full(5, 0.3), t_eval=np.arange(0.0, 3.0, 0.05))
+    for k, (t, joints) in enumerate(zip(run.t, np.asarray(run.joints), strict=True)):
+        if 30 <= k < 40:
+            continue
+        places = joints[[2, 5]] if k % 7 else np.full((2, 2), np.nan)
+        quick.update(Observations(float(t), places if k else joints[[2, 5]], 1e-3))
+        quick.update(Observations(float(t), places, 1e-3))
+    assert quick.values == {}
+
+
+def test_what_is_estimated_is_tested_too() -> None:
+    tests = ChangeTests(("scale", "touch"))
+    tracker = RopeFilter(rope(5), [1.0, 2.0], parameters=[EstimatedParameter("scale", 0.01)], tests=tests)
+    assert list(tracker.values) == ["scale"]
+    assert tracker.parameters.names == ("scale",)
+
+
+def test_words() -> None:
+    mass = Change("tip_mass", 3.2, 3.0, 5e-3, 1e-3, 0.9, -20.0)
+    assert str(mass) == "tip_mass: +0.005 ± 0.001 kg, since 3.00 s, noticed at 3.20 s, 90 % sure"
+    touch = Change("touch", 3.2, 3.0, 0.02, 1e-3, 1.0, -20.0, 1.25, (0.02, 0.0))
+    assert str(touch).startswith("touch at 1.25 m: 0.02 ± 0.001 N s, since")
+    assert "off by 1.5 times" in str(Change("misfit", 3.2, 3.2, 1.5, 0.1, 1.0, -20.0))
+
+
+def test_bad_input() -> None:
+    with pytest.raises(InvalidInput, match="no test for a change of this"):
+        ChangeTests(("colour",))
+    with pytest.raises(InvalidInput, match="no test for a change of this"):
+        ChangeTests(tolerances={"colour": 1.0})
+    with pytest.raises(InvalidInput, match="false_alarm_interval"):
+        ChangeTests(false_alarm_interval=0.0)
+    with pytest.raises(InvalidInput, match="tolerance of length"):
+        ChangeTests(tolerances={"length": -1.0})
+    with pytest.raises(InvalidInput, match="the rope has none"):
+        RopeFilter(rope(5), [1.0], tests=ChangeTests(("drag",)))
+    assert ChangeTests().names_for(rope(5)) == ("length", "friction", "tip_mass", "touch")

@@ -1,0 +1,440 @@
+"""Live: sources that stall, end, change their size or drop frames; shared memory; the process that estimates."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import EstimatorLost, FileProblem, InvalidInput
+from hyperflex.estimate import CameraStateSource, FrameThread, RopeFilter, RopeTracker, Watch, WatchLog, open_frames
+from hyperflex.estimate.live.page import PicturePage
+from hyperflex.estimate.live.shared_array import SharedArray
+from hyperflex.estimate.live.worker import Packet, StampClock, packed_motion, unpacked_motion
+from hyperflex.files.netcdf import read_netcdf
+from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector, Renderer, RopeMotion, Scene, VideoReader
+from tests.estimate.runs import ARM, SWINGS, free_swing, rope
+
+ARCS = np.linspace(0.25, 2.0, 8)
+FRAMES = 40
+
+
+def camera() -> Camera:
+    return Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0), exposure=0.004)
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, MarkerColour]:
+    """A free swing at 30 frames/s."""
+    path = tmp_path_factory.mktemp("live") / "swing.mp4"
+    swing = free_swing(0, 4.0)
+    motion = RopeMotion(swing.t, swing.q, swing.qd, rope(100).length)
+    renderer = Renderer(camera(), motion, Scene(ARCS, marker_diameter=0.035))
+    truth = renderer.write(path, 0.05 + np.arange(3 * FRAMES) / 30.0)
+    with VideoReader(path) as reader:
+        return path, MarkerColour.from_click(next(iter(reader)).image, truth.pixels[0, 3])
+
+
+@pytest.fixture(scope="module")
+def pictures(video: tuple[Path, MarkerColour]) -> list[Frame]:
+    with VideoReader(video[0]) as reader:
+        return list(itertools.islice(reader, FRAMES))
+
+
+def tracker(video: tuple[Path, MarkerColour]) -> RopeTracker:
+    return RopeTracker(RopeFilter(rope(20), ARCS, camera=camera()), MarkerDetector(video[1]))
+
+
+class Scripted:
+    """A source that gives out frames, and does in between what it is told: a number is a pause, s."""
+
+    def __init__(self, *script: Frame | float | Exception) -> None:
+        self.script, self.notes, self.closed = script, [], False
+        self.image_size = next(each.image.shape[1::-1] for each in script if isinstance(each, Frame))
+
+    def __iter__(self) -> Iterator[Frame]:
+        for each in self.script:
+            if isinstance(each, Exception):
+                raise each
+            if isinstance(each, float):
+                time.sleep(each)
+            else:
+                yield each
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_every_frame_has_an_estimate(video: tuple[Path, MarkerColour], pictures: list[Frame]) -> None:
+    with open_frames(str(video[0])) as frames:
+        found = list(itertools.islice(Watch(frames, tracker(video), interval=30.0), FRAMES))
+    assert [each.frame.time for each in found if each.frame] == [each.time for each in pictures]
+    assert all(each.found and each.age == 0.0 and each.seen == 8 and not each.news for each in found)
+    swing = free_swing(0, 4.0)
+    true = [swing.joints[round(each.t * 600.0), -1] for each in found[10:]]
+    off = np.linalg.norm([each.tip - place for each, place in zip(found[10:], true, strict=True)], axis=1)
+    assert np.sqrt((off**2).mean()) < 0.01  # a pixel is 5 mm; 20 links for 100
+    assert all(0.0 < each.tip_std < 0.02 for each in found[10:])
+
+
+def test_a_stall_is_said_and_bridged(video: tuple[Path, MarkerColour], pictures: list[Frame]) -> None:
+    """Half a second and more without a frame: estimates go on, older and less sure; then frames come again."""
+    source = Scripted(*pictures[:10], 0.8, *[Frame(f.time + 0.8, f.image, f.index) for f in pictures[33:36]])
+    with FrameThread(lambda: source, live=False) as frames:
+        found = list(Watch(frames, tracker(video), interval=0.05))
+    blind = [each for each in found if each.frame is None]
+    assert len(blind) > 5
+    assert all(each.found and each.seen == 0 for each in blind)
+    assert np.all(np.diff([each.age for each in blind]) > 0.0)
+    assert blind[-1].age == pytest.approx(blind[-1].t - found[9].t, abs=1e-6)
+    assert blind[-1].tip_std > blind[0].tip_std > found[9].tip_std
+    news = " ".join(words for each in found for words in each.news)
+    assert "no frame for" in news
+    assert "frames come again" in news
+    assert source.closed
+
+
+def test_dropped_frames_and_another_size_are_said(video: tuple[Path, MarkerColour], pictures: list[Frame]) -> None:
+    small = [Frame(each.time, np.zeros((240, 320, 3), np.uint8), each.index) for each in pictures]
+    source = Scripted(*pictures[:8], *pictures[11:14], *small[14:17], *pictures[17:20])
+    with FrameThread(lambda: source, live=False) as frames:
+        found = list(Watch(frames, tracker(video), interval=30.0))
+    assert len(found) == 17
+    assert found[8].news == (f"3 frames missing before {pictures[11].time:.3f} s",)
+    assert "frames of 320x240 px are left out" in found[11].news[0]
+    assert [each.tracked is None for each in found[11:14]] == [True] * 3
+    assert all(each.found for each in found)  # the rope's equations go on
+    assert found[13].age == pytest.approx(pictures[16].time - pictures[13].time, abs=1e-9)
+    assert "640x480 px again" in found[14].news[0]
+    assert found[-1].seen == 8
+    assert found[-1].age == 0.0
+
+
+def test_a_long_gap_is_not_bridged(video: tuple[Path, MarkerColour], pictures: list[Frame]) -> None:
+    dark = np.zeros((480, 640, 3), np.uint8)
+    later = [Frame(each.time + 600.0, each.image if k else dark, each.index) for k, each in enumerate(pictures[:3])]
+    source = Scripted(*pictures[:5], *later)
+    begin = time.monotonic()
+    with FrameThread(lambda: source, live=False) as frames:
+        found = list(Watch(frames, tracker(video), interval=30.0))
+    assert time.monotonic() - begin < 20.0  # ten minutes are not simulated
+    assert "a gap of 599" in found[5].news[0] or "a gap of 600" in found[5].news[0]
+    assert not found[5].found
+    assert np.isinf(found[5].tip_std)
+    assert found[5].age > 590.0
+    assert found[-1].found
+
+
+def test_a_live_source_is_opened_again(video: tuple[Path, MarkerColour], pictures: list[Frame]) -> None:
+    sources = iter([Scripted(*pictures[:3]), FileProblem("busy"), Scripted(*pictures[3:6])])
+
+    def open_source() -> Scripted:
+        each = next(sources, FileProblem("gone"))
+        if isinstance(each, Exception):
+            raise each
+        return each
+
+    with FrameThread(open_source, live=True, patience=1.0) as frames:
+        found = []
+        while frames.ended is None:
+            found.append(frames.take(0.05))
+        said = frames.news()
+    taken = [each for each in found if each is not None]
+    assert {3, 4, 5} & {each.frame.index for each in taken}
+    assert said.count("no more frames come; the source is opened again") == 2
+    assert "could not be opened again within 1 s" in str(frames.ended)
+
+
+def test_a_live_source_gives_the_newest(pictures: list[Frame]) -> None:
+    """Nobody takes frames for a while: the newest is kept, and how many were left out is told."""
+    with FrameThread(lambda: Scripted(*pictures[:6], 30.0), live=True) as frames:
+        time.sleep(0.5)
+        arrival = frames.take(1.0)
+        assert arrival is not None
+        assert (arrival.frame.index, arrival.missed) == (5, 5)
+        begin = time.monotonic()
+        assert frames.take(0.1) is None
+        assert time.monotonic() - begin < 5.0  # the source sleeps on; nobody waits for it
+
+
+def test_a_driver_that_fails_is_told(pictures: list[Frame]) -> None:
+    with FrameThread(lambda: Scripted(pictures[0], RuntimeError("cable")), live=False) as frames:
+        assert frames.take(5.0) is not None
+        assert frames.take(5.0) is None
+        assert frames.ended == "the source failed: RuntimeError: cable"
+
+
+def test_a_source_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(FileProblem, match="There is no video"):
+        open_frames(str(tmp_path / "none.mp4"))
+
+
+def test_the_log_of_an_interrupted_run_is_kept(
+    video: tuple[Path, MarkerColour], pictures: list[Frame], tmp_path: Path
+) -> None:
+    path = tmp_path / "watch.nc"
+    with FrameThread(lambda: Scripted(*pictures[:6]), live=False) as frames:
+        estimates = list(Watch(frames, tracker(video), interval=30.0))
+
+    def interrupted() -> None:
+        with WatchLog(path, 20, 8, "a test") as log:
+            for each in estimates[:4]:
+                log.note(each)
+            assert list(tmp_path.iterdir()) == []  # nothing stands there until the end
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    kept = read_netcdf(path)
+    assert (kept.attributes["interrupted"], kept.attributes["ending"]) == (1, "interrupted")
+    np.testing.assert_array_equal(kept.variables["t"].values, [each.t for each in estimates[:4]])
+    np.testing.assert_array_equal(kept.variables["q"].values[-1], estimates[3].state.q)
+    assert kept.variables["pixels"].dims == ("time", "marker", "axis")
+    with WatchLog(path, 20, 8, "a test") as log:
+        log.note(estimates[0])
+        log.ending = "the source ended"
+    assert read_netcdf(path).attributes["interrupted"] == 0
+    with pytest.raises(FileProblem, match="No log can be written"), WatchLog(tmp_path / "no" / "a.nc", 20, 8, "a test"):
+        pass
+
+
+def test_the_page_is_for_this_machine_alone(pictures: list[Frame]) -> None:
+    with PicturePage() as page:
+        assert page.address.startswith("http://127.0.0.1:")
+        with urllib.request.urlopen(page.address, timeout=5.0) as answer:
+            assert b"stream" in answer.read()
+        for host, path in (("evil.example", "/"), (f"127.0.0.1:{page.port}", "/etc/passwd")):
+            with pytest.raises(urllib.error.HTTPError) as refused:
+                urllib.request.urlopen(
+                    urllib.request.Request(page.address.rstrip("/") + path, headers={"Host": host}), timeout=5.0
+                )
+            assert refused.value.code == (403 if host == "evil.example" else 404)
+            refused.value.close()
+        assert not page.watched
+        with urllib.request.urlopen(page.address + "stream", timeout=5.0) as stream:
+            until = time.monotonic() + 5.0
+            while not page.watched and time.monotonic() < until:
+                time.sleep(0.01)
+            page.show(pictures[0].image)
+            head = stream.read(200)
+        assert b"Content-Type: image/jpeg" in head
+        assert b"\xff\xd8\xff" in head  # a JPEG begins
+        with pytest.raises(InvalidInput, match="no page can be shown at this port"):
+            PicturePage(page.port)
+
+
+def test_shared_arrays_are_whole_or_not_there() -> None:
+    """A writer that stops within a write leaves what was there; one that is overtaken is read again."""
+    mine = SharedArray(1000)
+    try:
+        other = SharedArray(1000, mine.name)
+        assert other.read() is None
+        mine.write(np.arange(3.0))
+        mine.write(np.arange(5.0))
+        mine._data[1][:3] = 7.0  # the third write has begun and never ends
+        mine._heads[1][0] = 0
+        found = other.read()
+        assert found is not None
+        assert found[0] == 2
+        np.testing.assert_array_equal(found[1], np.arange(5.0))
+        stop, torn = threading.Event(), []
+
+        def write() -> None:
+            for k in itertools.count(1):
+                mine.write(np.full(1 + k % 1000, float(k)))
+                if stop.is_set():
+                    return
+
+        writer = threading.Thread(target=write)
+        writer.start()
+        last = 0
+        for _ in range(3000):
+            number, values = other.read() or (0, np.zeros(0))
+            torn.append(number < last or np.ptp(values) != 0.0 if number > 2 else False)
+            last = number
+        stop.set()
+        writer.join()
+        assert not any(torn)
+        assert last > 2
+        other.close()
+    finally:
+        mine.close()
+    with pytest.raises(FileNotFoundError):
+        SharedMemory(mine.name)
+
+
+def test_motions_and_packets_come_through_unchanged() -> None:
+    assert unpacked_motion(packed_motion(SWINGS, 0.0)) == SWINGS
+    moved = unpacked_motion(packed_motion(SWINGS, 100.0))
+    t = np.linspace(0.0, 3.0, 50)
+    np.testing.assert_allclose(moved.angle(t + 100.0), SWINGS.angle(t), atol=1e-9)
+    packet = Packet(1.0, 2.0, 3.0, 1.0, 5.0, 6.0, np.array([7.0, 8.0]), np.arange(4.0), np.arange(12.0).reshape(3, 4))
+    again = Packet.unpacked(packet.packed())
+    assert again[:6] == packet[:6]
+    np.testing.assert_array_equal(again.noise, packet.noise)
+    np.testing.assert_array_equal(again.rows, packet.rows)
+    long = hf.sampled_motion(np.linspace(0.0, 10.0, 700), np.zeros(700))
+    with pytest.raises(InvalidInput, match="too long"):
+        packed_motion(long, 0.0)
+
+
+def test_stamps_are_put_on_the_clock_of_the_quickest_frame() -> None:
+    from hyperflex.estimate.live.frames import Arrival
+
+    clock, image = StampClock(), np.zeros((2, 2, 3), np.uint8)
+    late = [0.2, 0.05, 0.3, 0.1]
+    times = [clock(Arrival(Frame(10.0 + k, image, k), 1000.0 + k + late[k], 0)).time for k in range(4)]
+    np.testing.assert_allclose(times, [1000.2, 1001.05, 1002.05, 1003.05], atol=1e-3)
+
+
+@pytest.fixture
+def source(video: tuple[Path, MarkerColour]) -> Iterator[CameraStateSource]:
+    with CameraStateSource(
+        str(video[0]), rope(20), ARCS, camera=camera(), colour=video[1], longest=2.0, stalled=0.6
+    ) as found:
+        yield found
+
+
+def ask(source: CameraStateSource, seconds: float) -> None:
+    """Ask for the state again and again."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        source.state(source.now, hf.hold_arm(0.0))
+        time.sleep(0.005)
+
+
+def test_a_state_source_predicts_to_now(source: CameraStateSource) -> None:
+    """The video plays at its own speed; the state asked for now is that of the rope now, and says how sure it is."""
+    source.wait_until_found(30.0)
+    swing, motion = free_swing(0, 4.0), hf.hold_arm(0.0)
+    time.sleep(0.7)
+    packet = source._newest()
+    assert packet is not None
+    offset = packet.t - 0.05  # the first frame's stamp is 0.05 s
+    now = source.now
+    begin = time.monotonic()
+    state = source.state(now, motion)
+    assert time.monotonic() - begin < 0.5
+    assert state.t == now
+    assert state.covariance is not None
+    assert state.covariance.shape == (40, 40)
+    first = offset - (packet.frames - 1.0) / 30.0  # on the machine's clock, when the video's time was 0
+    at = now + source._zero - first
+    tip = rope(20).joints(state.q, np.zeros(2))[-1]
+    true = swing.joints[min(round(at * 600.0), len(swing.t) - 1), -1]
+    assert np.linalg.norm(tip - true) < 0.05  # the tip moves at 3 m/s: 17 ms
+
+
+def test_a_killed_estimator_is_told_and_replaced(source: CameraStateSource) -> None:
+    source.wait_until_found(30.0)
+    first = source.pid
+    assert first is not None
+    os.kill(first, signal.SIGKILL)
+    with pytest.raises(EstimatorLost, match="has ended: its process ended by signal 9"):
+        ask(source, 2.0)
+    assert not Path(f"/proc/{first}").exists()  # no zombie
+    source.restart()
+    source.wait_until_found(30.0)
+    assert source.pid != first
+    assert source.state(source.now, hf.hold_arm(0.0)).t >= 0.0
+
+
+def test_a_stopped_estimator_is_told(source: CameraStateSource) -> None:
+    source.wait_until_found(30.0)
+    assert source.pid is not None
+    os.kill(source.pid, signal.SIGSTOP)
+    time.sleep(0.8)
+    with pytest.raises(EstimatorLost, match="no sign of life"):
+        source.state(source.now, hf.hold_arm(0.0))
+    source.restart()
+    source.wait_until_found(30.0)
+
+
+def test_a_video_that_ends_is_told(source: CameraStateSource) -> None:
+    source.wait_until_found(30.0)
+    with pytest.raises(EstimatorLost, match="has ended: no more frames come: the source ended"):
+        ask(source, 10.0)
+
+
+def test_an_estimator_that_cannot_begin_says_why(video: tuple[Path, MarkerColour], tmp_path: Path) -> None:
+    source = CameraStateSource(str(tmp_path / "none.mp4"), rope(20), ARCS, camera=camera(), colour=video[1])
+    with pytest.raises(EstimatorLost, match="did not begin: There is no video"), source:
+        pass
+    with pytest.raises(InvalidInput, match="knows the swing plane"):
+        CameraStateSource("0", rope(20), ARCS, camera=Camera.pinhole((640, 480)), colour=video[1])
+    with pytest.raises(InvalidInput, match="closed"):
+        source.wait_until_found(1.0)
+
+
+PARENT = """
+import os, signal, sys, time
+import numpy as np
+from hyperflex.estimate import CameraStateSource
+from hyperflex.model import Rope
+from hyperflex.vision import MarkerColour, read_camera
+
+if __name__ == "__main__":
+    folder = sys.argv[1]
+    source = CameraStateSource(
+        folder + "/swing.mp4", Rope.from_toml(folder + "/rope.toml"), np.linspace(0.25, 2.0, 8),
+        camera=read_camera(folder + "/camera.toml"), colour=MarkerColour([float(v) for v in sys.argv[2].split(",")]),
+    )
+    source.__enter__()
+    print(source.pid, source._states.name, source._motions.name, flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_nothing_is_left_of_a_killed_parent(video: tuple[Path, MarkerColour], tmp_path: Path) -> None:
+    """The estimator ends by itself, and the resource tracker removes the shared memory."""
+    folder = video[0].parent
+    rope(20).to_toml(folder / "rope.toml")
+    camera().write(folder / "camera.toml")
+    program = tmp_path / "parent.py"
+    program.write_text(PARENT)
+    colour = ",".join(map(str, video[1].bgr))
+    done = subprocess.run(
+        [sys.executable, str(program), str(folder), colour], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    pid, *names = done.stdout.split()
+    until = time.monotonic() + 10.0
+    while time.monotonic() < until and (alive(int(pid)) or any(Path("/dev/shm", name).exists() for name in names)):
+        time.sleep(0.05)
+    assert not alive(int(pid))
+    assert [name for name in names if Path("/dev/shm", name).exists()] == []
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_the_motion_reaches_the_estimator() -> None:
+    """A motion that is handed over on the way gives what one known from the start does."""
+    from hyperflex.estimate.parameters import ParameterStates
+    from hyperflex.estimate.process import Process
+
+    x = np.concatenate([np.full(20, 0.3), np.zeros(20)])
+    cable = rope(20)
+    known = Process(cable, ParameterStates((), cable, (), True), SWINGS, ARM)
+    told = Process(cable, ParameterStates((), cable, (), True), hf.hold_arm(0.0), ARM)
+    assert not np.allclose(told.carry(x, np.eye(40), 0.2, 0.4)[0], known.carry(x, np.eye(40), 0.2, 0.4)[0])
+    told.set_motion(SWINGS)
+    for one, two in zip(told.carry(x, np.eye(40), 0.2, 0.4), known.carry(x, np.eye(40), 0.2, 0.4), strict=True):
+        np.testing.assert_array_equal(one, two)
