@@ -103,7 +103,7 @@ def test_single_pendulum(data_dir: Path) -> None:
 
 def double(data_dir: Path, run: int, masses: tuple[float, ...] = (0.1, 0.1)) -> Identification:
     path = data_dir / "ibm_double_pendulum" / f"run{run:02d}_500Hz.csv"
-    recording = read_recording(path, time_unit="s", unit="m", y_axis="up")
+    recording = read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 30.0)
     guess = Rope(length=recording.link_lengths(), mass=masses, friction=1e-5)
     return identify(recording, guess, [*FREE, "gravity_angle"], window=0.2, train=np.inf)
 

@@ -163,11 +163,10 @@ def swaying(t: float, places: Array) -> Array:
 @pytest.mark.parametrize("view", [tilted, swaying])
 @pytest.mark.parametrize("moved", [False, True], ids=["free swing", "cast"])
 def test_motion_out_of_the_plane_is_told(view: object, moved: bool) -> None:
-    """Within 5 s; the same run in its plane says nothing."""
+    """Within 5 s; runs in their plane say nothing (above)."""
     truth = disturbed(moved=moved, duration=5.5, at=1.0)
     found = track(truth, frames=30.0, moved=moved, view=view, tests=ChangeTests())  # type: ignore[arg-type]
     assert any(each.name == "misfit" and each.size > 1.25 for each in found.changes)
-    assert track(truth, frames=30.0, moved=moved, tests=ChangeTests()).changes == []
 
 
 def test_only_touches() -> None:

@@ -23,7 +23,7 @@ MODELS = {
 
 def swing(rope: hf.Rope, seed: int = 1) -> tuple[Recording, Array]:
     """Markers at every second joint of `rope` while one swings whose links are half as long; and where they sit, m."""
-    t = np.arange(301) / 50
+    t = np.arange(201) / 50
     run = hf.simulate(divided(rope, 2), duration=t[-1], t_eval=t, q0=np.full(2 * rope.n_links, 1.0), tol=1e-9)
     places = run.joints[:, ::4]
     noise = NOISE * np.random.default_rng(seed).standard_normal(places.shape)

@@ -154,7 +154,7 @@ def _frames(
         text = f"t = {time:5.2f} s" if note is None else f"t = {time:5.2f} s\n{note(float(time))}"
         draw.text((corner, corner), title, fill=_WHITE, font=fonts[0])
         draw.multiline_text((corner, corner + 20 * _FINE), text, fill=_PALE, font=fonts[1], spacing=4 * _FINE)
-        yield image.resize((view.width // _FINE, view.height // _FINE), Image.Resampling.BOX)
+        yield image.reduce(_FINE)
         if progress is not None:
             progress(number + 1, times.size)
 

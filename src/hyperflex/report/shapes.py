@@ -59,4 +59,5 @@ def view(run: Trajectory, points: Array, above: float) -> tuple[Array, Array]:
 def _between(t: Array, value: Array, rate: Array, times: Array) -> Array:
     from scipy.interpolate import CubicHermiteSpline
 
-    return np.asarray(CubicHermiteSpline(t, value, rate)(times))
+    near = slice(max(t.searchsorted(times.min()) - 1, 0), t.searchsorted(times.max()) + 2)
+    return np.asarray(CubicHermiteSpline(t[near], value[near], rate[near])(times))
