@@ -117,8 +117,9 @@ def identify(
             progress=report,
             **driven,
         )
-    files = _write(out, measured, result, first, json)
-    summary = result.ending() | {"output": out, "files": files, **result.summary()}
+    summary = result.ending() | {"output": out, **result.summary()}
+    files = _write(out, measured, result, first, summary, json)
+    summary["files"] = files
     if result.message == "interrupted":  # the best so far is written, and says what it is
         if not json:
             _show(result, files)
@@ -162,16 +163,19 @@ def _drive(path: Path | None) -> dict[str, Any]:
     return {"motion": setup.motion or hold_arm(0.0), "arm": setup.arm}
 
 
-def _write(out: Path, measured: Recording, found: Identification, guess: Rope, as_json: bool) -> dict[str, Path]:
+def _write(
+    out: Path, measured: Recording, found: Identification, guess: Rope, summary: dict[str, Any], as_json: bool
+) -> dict[str, Path]:
     """Write the folder, or the one file; return the files by what they are."""
     if not _folder(out):
         found.to_toml(out)
         return {"rope": out}
-    from hyperflex.report import write_identification
+    from hyperflex.report import identification_page, write_found
 
-    with output.spinner(as_json) as progress:
+    written = write_found(out, found)
+    with output.keeping(written, "the page", summary, as_json=as_json), output.spinner(as_json) as progress:
         progress("drawing the report")
-        return write_identification(out, measured, found, guess)
+        return written | identification_page(out / "report.html", measured, found, guess)
 
 
 def _show(found: Identification, files: dict[str, Path]) -> None:

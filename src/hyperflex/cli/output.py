@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+import signal
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -60,6 +63,56 @@ def interrupted(message: str, left: Mapping[str, Any], *, as_json: bool) -> int:
     if as_json:
         print_json({**left, "error": "interrupted", "type": "Interrupted", "message": message}, one_line=True)
     return INTERRUPTED
+
+
+class _CtrlC:
+    """Handler of the signal: raises KeyboardInterrupt, and knows that it did, whatever becomes of that."""
+
+    met = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.met = True
+        signal.default_int_handler(number, frame)
+
+
+@contextmanager
+def noticing_ctrl_c() -> Iterator[None]:
+    """Raise KeyboardInterrupt for whatever error comes out of the block after Ctrl-C.
+
+    Compiled libraries that call back into Python may meet the interrupt there and report it as a failed conversion.
+    """
+    before, here = signal.getsignal(signal.SIGINT), _CtrlC()
+    ours = before is signal.default_int_handler or isinstance(before, _CtrlC)  # not ignored, nor somebody else's
+    if not ours or threading.current_thread() is not threading.main_thread():  # signals are the main thread's alone
+        yield
+        return
+    signal.signal(signal.SIGINT, here)
+    try:
+        yield
+    except typer.Exit:  # the command has met the interrupt itself and said so
+        raise
+    except Exception as error:
+        if here.met:
+            raise KeyboardInterrupt from error
+        raise
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def keeping(written: Mapping[str, Path], missing: str, result: Mapping[str, Any], *, as_json: bool) -> Iterator[None]:
+    """Exit with INTERRUPTED where Ctrl-C is met in the block, and say which files are `written` and what is `missing`.
+
+    `result` is what JSON tells beside it.
+    """
+    try:
+        with noticing_ctrl_c():
+            yield
+    except KeyboardInterrupt:
+        there = ", ".join(str(path) for path in written.values()) or "nothing"
+        left = {**result, "files": written, "missing": missing}
+        message = f"Interrupted. Written: {there}. Missing: {missing}."
+        raise typer.Exit(interrupted(message, left, as_json=as_json)) from None
 
 
 def check_destination(out: Path, suffix: str, inputs: Sequence[Path]) -> None:

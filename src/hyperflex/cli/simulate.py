@@ -50,7 +50,8 @@ def simulate(
         "energy_error_J": np.abs(trajectory.energy_error).max(),
         "energy_moved_J": worked,
     }
-    trust = {} if horizon is None else _trust(wanted, duration, horizon)
+    with output.keeping({"run": out}, "until when it can be trusted", result, as_json=json):
+        trust = {} if horizon is None else _trust(wanted, duration, horizon)
     result |= trust
     if json:
         output.print_json(result)

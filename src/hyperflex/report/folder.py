@@ -69,7 +69,7 @@ def _move(stage: Path, target: Path, own: Sequence[str]) -> None:
     """Put the files of `stage` in place of `own` ones; on any failure put everything back as it was."""
     names = sorted(path.name for path in stage.iterdir())
     old = [name for name in own if name not in names]
-    for name in names:
+    for name in (*names, *own):
         if (target / name).is_dir():
             raise FileProblem(f"{target / name} is a folder where a file shall go. Nothing was written. Move it away.")
     try:
