@@ -10,11 +10,19 @@ import re
 import subprocess
 import sys
 import warnings
+from dataclasses import fields
+from inspect import signature
 from pathlib import Path
 
 import pytest
 
 import hyperflex
+from hyperflex.model import Arm, Setup
+from hyperflex.model.obstacles import KINDS
+from hyperflex.model.rope_table import TOTALS
+from hyperflex.model.setup import PLANNING
+from hyperflex.motion.tables import MAKERS
+from hyperflex.planning import MotorLimits, TipTarget
 from tests.names import code_names
 
 ROOT = Path(__file__).parent.parent
@@ -83,6 +91,34 @@ def test_site_builds_and_needs_no_network(tmp_path: Path) -> None:
         assert "arithmatex" not in text, f"{page.name}: LaTeX that was not converted"
         assert not re.search(r"<m[ion]>(&amp;|&|\\\w*)</m[ion]>", text), f"{page.name}: LaTeX within MathML"
         assert not re.search(r'<(script|img|link|iframe)[^>]*(src|href)="?(https?:)?//', text), page.name
+
+
+def rows_of(page: str, key: str) -> str:
+    """Return the rows of a page's tables that begin with `key`."""
+    return "\n".join(re.findall(rf"^\| `{re.escape(key)}` \|.*$", page, re.M))
+
+
+def test_page_on_files_names_every_table_and_key_of_a_set_up() -> None:
+    page = (ROOT / "docs" / "how-to" / "files.md").read_text("utf-8")
+    words = set(re.findall(r"`(\w+)`", page)) | set(re.findall(r"\[(\w+)\]", page))
+    keys = {each.name for kind in (Setup, Arm, MotorLimits, TipTarget) for each in fields(kind)}
+    keys |= {"walls", "grounds", *PLANNING, "n_links", *signature(hyperflex.Rope).parameters}
+    keys |= {f"{whole}_{name}" for whole in ("total", "link") for name in TOTALS}
+    assert keys - words == set()
+    for kind, maker in MAKERS.items():
+        row = rows_of(page, f'"{kind}"') or page
+        assert {name for name in signature(maker).parameters if f"`{name}`" not in row} == set(), kind
+    for table, obstacle in KINDS.items():
+        row = rows_of(page, f"[{table}]")
+        assert {each.name for each in fields(obstacle) if f"`{each.name}`" not in row} == set(), table
+
+
+def test_set_ups_on_the_page_on_files_can_be_read() -> None:
+    page = (ROOT / "docs" / "how-to" / "files.md").read_text("utf-8")
+    first, *others = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
+    for other in others:
+        setup = Setup.loads(other if "[rope]" in other else first + other)
+        assert ("[pegs]" in other) == bool(setup.pegs)
 
 
 def glossary_names() -> set[str]:
