@@ -66,6 +66,7 @@ def calibrate(
         "readout_direction": readout_direction,
         "delay": number("--delay", delay, unit="s"),
     }
+    picture, known = (None if plane is None else read_image(plane)), (None if points is None else _known_points(points))
     board = Board(squares, square, marker, dictionary)
     with output.spinner(json) as progress:
         found = calibrate_camera(
@@ -75,10 +76,10 @@ def calibrate(
             **timing,
         )
     camera = found.camera
-    if plane is not None:
-        camera = found.place_plane(read_image(plane), origin)
-    if points is not None:
-        camera = camera.with_plane(*_known_points(points))
+    if picture is not None:
+        camera = found.place_plane(picture, origin)
+    if known is not None:
+        camera = camera.with_plane(*known)
     camera.write(out)
     result = {
         "output": out,

@@ -69,9 +69,9 @@ def cast(
     reason and with the nearest target that should work.
     """
     from hyperflex.planning import Uncertainty, plan_cast
-    from hyperflex.report import CastReport
+    from hyperflex.report import CastReport, check_folder
 
-    planner.check_folder(out)
+    check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
     uncertainty = Uncertainty.from_rope_file(rope or setup or Path()) if robust else None

@@ -142,8 +142,11 @@ def _check_output(out: Path, inputs: Sequence[Path]) -> None:
     if not _folder(out):
         output.check_destination(out, ".toml", inputs)
         return
+    from hyperflex.report import check_folder
+
+    check_folder(out)
     for name in ("rope.toml", "identification.json", "report.html"):
-        output.check_destination(out / name, Path(name).suffix, inputs)
+        output.check_no_input(out / name, inputs)
 
 
 def _drive(path: Path | None) -> dict[str, Any]:

@@ -115,8 +115,20 @@ def keeping(written: Mapping[str, Path], missing: str, result: Mapping[str, Any]
         raise typer.Exit(interrupted(message, left, as_json=as_json)) from None
 
 
-def check_destination(out: Path, suffix: str, inputs: Sequence[Path]) -> None:
-    """Refuse, before any work, an output of another kind than `suffix` or one that is among the inputs."""
+def check_destination(out: Path | None, suffix: str, inputs: Sequence[Path]) -> None:
+    """Refuse, before any work, an output of another kind than `suffix`, among the inputs, or that cannot be written."""
+    if out is None:
+        return
+    check_no_input(out, inputs)
+    if out.suffix.lower() != suffix:
+        raise InvalidInput(
+            "the output has the wrong suffix", got=str(out), allowed=f"a name ending in {suffix}", fix="Change -o"
+        )
+    files.check_writable(out)
+
+
+def check_no_input(out: Path, inputs: Sequence[Path]) -> None:
+    """Refuse an output that is among the inputs."""
     for path in inputs:
         if _exists(out) and _exists(path) and out.samefile(path):
             raise InvalidInput(
@@ -125,10 +137,6 @@ def check_destination(out: Path, suffix: str, inputs: Sequence[Path]) -> None:
                 allowed=f"a file other than {path}",
                 fix="Give another name with -o",
             )
-    if out.suffix.lower() != suffix:
-        raise InvalidInput(
-            "the output has the wrong suffix", got=str(out), allowed=f"a name ending in {suffix}", fix="Change -o"
-        )
 
 
 def words(given: Sequence[str] | None) -> list[str]:

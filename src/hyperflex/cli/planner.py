@@ -13,7 +13,7 @@ import typer
 
 from hyperflex import checks
 from hyperflex.cli import output
-from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.errors import InvalidInput
 
 if TYPE_CHECKING:
     from hyperflex.model import Arm, Ground, Peg, Rope, Wall
@@ -146,12 +146,6 @@ def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, 
     if missing:
         raise InvalidInput(f"{' and '.join(missing)} missing", fix="Give them, or a set-up file with a table [pegs]")
     return Peg(**named)
-
-
-def check_folder(out: Path) -> None:
-    """Refuse, before any work, a folder's name that is a file's."""
-    if out.exists() and not out.is_dir():
-        raise FileProblem(f"{out} is a file, not a folder. Give another name with -o.")
 
 
 @contextmanager

@@ -27,7 +27,9 @@ def reproduce(
     """
     from hyperflex.paper import reproduce as run
     from hyperflex.paper import verdicts
+    from hyperflex.report import check_folder
 
+    check_folder(out)
     written: dict[str, Path] = {}
     missing = "the figures not named here, the claims and the page"
     with output.keeping(written, missing, {}, as_json=json), output.spinner(json) as progress:

@@ -89,8 +89,7 @@ def track(
     from hyperflex.vision import MarkerColour, MarkerDetector, VideoReader, read_camera
 
     output.check_destination(out, ".nc", [video, rope, camera])
-    if preview is not None:
-        output.check_destination(preview, ".mp4", [video, rope, camera])
+    output.check_destination(preview, ".mp4", [video, rope, camera])
     lens = read_camera(camera)
     with VideoReader(video) as reader:
         first = next(iter(reader)).image
@@ -159,8 +158,7 @@ def _track_bars(
     if pivot is None:
         raise InvalidInput("--pivot is missing", fix="Give the pixel of the first joint, as --pivot 167 147")
     output.check_destination(out, ".nc", [video])
-    if preview is not None:
-        output.check_destination(preview, ".mp4", [video])
+    output.check_destination(preview, ".mp4", [video])
     detector = _clicked(video, [output.numbers("--bar", [each], "213,140") for each in clicks], at)
     with output.spinner(json) as said:
         found = track_bars(video, detector, pivot, preview=preview, progress=lambda count: said(f"frame {count}"))

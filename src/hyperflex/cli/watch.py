@@ -82,8 +82,7 @@ def watch(
 
     inputs = [rope, calibration, Path(camera)]
     output.check_destination(out, ".nc", inputs)
-    if preview is not None:
-        output.check_destination(preview, ".mp4", inputs)
+    output.check_destination(preview, ".mp4", inputs)
     until = math.inf if duration is None else checks.number("--duration", duration, sign="positive", unit="s")
     lens, line = read_camera(calibration), Rope.from_toml(rope)
     arcs = output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6")

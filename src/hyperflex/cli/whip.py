@@ -64,9 +64,9 @@ def whip(
     The exit code is 4 if no whip that meets the target was found; the best is written all the same, with the reason.
     """
     from hyperflex.planning import plan_whip
-    from hyperflex.report import WhipReport
+    from hyperflex.report import WhipReport, check_folder
 
-    planner.check_folder(out)
+    check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
     if task.obstacles:

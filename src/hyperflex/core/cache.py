@@ -95,7 +95,7 @@ def module_folder(module: str) -> Path:
 
 
 def files(kernels: Iterable[tuple[str, str]]) -> Iterator[tuple[str, Path]]:
-    """Yield the files of compiled kernels, each with its kernel's name; `kernels` are names of modules and functions."""
+    """Yield the files of compiled kernels, each with its kernel's name; `kernels` are modules and functions."""
     for module in dict.fromkeys(module for module, _ in kernels):
         place = module_folder(module)
         for path in place.glob("*.nbc") if place.is_dir() else ():

@@ -50,6 +50,11 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
         shutil.rmtree(stage, ignore_errors=True)
 
 
+def check_folder(directory: str | Path) -> None:
+    """Refuse, before any work, a folder that cannot be made or filled now: FileProblem as of :func:`whole_folder`."""
+    _stage(Path(os.path.realpath(directory))).rmdir()
+
+
 def _stage(target: Path) -> Path:
     """Make the temporary folder, in `target` or, where that is not there yet, in the nearest folder above it."""
     try:
