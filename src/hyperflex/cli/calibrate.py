@@ -11,31 +11,25 @@ from hyperflex.errors import InvalidInput
 
 
 def calibrate(
-    pictures: Annotated[
-        list[Path], typer.Argument(help="Pictures of the board, or a video of it.", show_default=False)
-    ],
+    pictures: Annotated[list[Path], typer.Argument(help="Pictures of the board, or a video of it.")],
     squares: Annotated[
         tuple[int, int],
-        typer.Option(help="Numbers of squares of the board, to the right and down.", show_default=False),
+        typer.Option(help="Numbers of squares of the board, to the right and down."),
     ],
-    square: Annotated[float, typer.Option(help="Side of a square, m, measured on the print.", show_default=False)],
+    square: Annotated[float, typer.Option(help="Side of a square, m, measured on the print.")],
     out: Annotated[Path, typer.Option("-o", "--output", help="TOML file for the camera.")] = Path("camera.toml"),
     marker: Annotated[
         float | None, typer.Option(help="Side of a marker, m, of a ChArUco board. [default: a plain chessboard]")
     ] = None,
     dictionary: Annotated[str, typer.Option(help="Of the markers, as OpenCV names it.")] = "DICT_4X4_50",
-    plane: Annotated[
-        Path | None, typer.Option(help="Picture of the board held in the swing plane.", show_default=False)
-    ] = None,
+    plane: Annotated[Path | None, typer.Option(help="Picture of the board held in the swing plane.")] = None,
     points: Annotated[
         Path | None,
-        typer.Option(
-            help="In place of --plane: CSV table x,y,u,v of 4 or more known points (m, px).", show_default=False
-        ),
+        typer.Option(help="In place of --plane: CSV table x,y,u,v of 4 or more known points (m, px)."),
     ] = None,
     origin: Annotated[
         tuple[float, float] | None,
-        typer.Option(help="Where --plane shows the arm's axis, px. [default: the board's corner]", show_default=False),
+        typer.Option(help="Where --plane shows the arm's axis, px. [default: the board's corner]"),
     ] = None,
     exposure: Annotated[float, typer.Option(help="Of the videos to come, s.")] = 0.0,
     readout: Annotated[float, typer.Option(help="From the first row to the last, s; 0 for a global shutter.")] = 0.0,

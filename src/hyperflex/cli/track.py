@@ -17,38 +17,32 @@ if TYPE_CHECKING:
 
 
 def track(
-    video: Annotated[Path, typer.Argument(help="Video of the rope, MP4, MOV, ...", show_default=False)],
-    rope: Annotated[Path | None, typer.Option(help="TOML file with the rope.", show_default=False)] = None,
+    video: Annotated[Path, typer.Argument(help="Video of the rope, MP4, MOV, ...")],
+    rope: Annotated[Path | None, typer.Option(help="TOML file with the rope.")] = None,
     camera: Annotated[
-        Path | None, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).", show_default=False)
+        Path | None, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).")
     ] = None,
     arc_lengths: Annotated[
         list[str] | None,
-        typer.Option(
-            help="How far along the rope each marker sits, m; several times or with commas.", show_default=False
-        ),
+        typer.Option(help="How far along the rope each marker sits, m; several times or with commas."),
     ] = None,
     bar: Annotated[
         list[str] | None,
         typer.Option(
             help="In place of markers: a pixel u,v in the middle of a link that is a bar of its own colour; once for "
-            "each link, from the pivot on.",
-            show_default=False,
+            "each link, from the pivot on."
         ),
     ] = None,
-    pivot: Annotated[
-        tuple[float, float] | None, typer.Option(help="Pixel of the first joint, u v, for --bar.", show_default=False)
-    ] = None,
+    pivot: Annotated[tuple[float, float] | None, typer.Option(help="Pixel of the first joint, u v, for --bar.")] = None,
     at: Annotated[float, typer.Option(help="Time of the frame in which the bars were clicked, s.")] = 0.0,
     out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the places or angles.")] = Path(
         "markers.nc"
     ),
-    preview: Annotated[Path | None, typer.Option(help="MP4 file that shows what was seen.", show_default=False)] = None,
+    preview: Annotated[Path | None, typer.Option(help="MP4 file that shows what was seen.")] = None,
     click: Annotated[
         tuple[float, float] | None,
         typer.Option(
-            help="A pixel of a marker in the first frame, u v. [default: the colour that most small things share]",
-            show_default=False,
+            help="A pixel of a marker in the first frame, u v. [default: the colour that most small things share]"
         ),
     ] = None,
     estimate: Annotated[
@@ -58,8 +52,7 @@ def track(
     changes: Annotated[
         str,
         typer.Option(
-            help="What is tested for changes: tip_mass,touch; none. [default: length, tip_mass, friction, drag, touch]",
-            show_default=False,
+            help="What is tested for changes: tip_mass,touch; none. [default: length, tip_mass, friction, drag, touch]"
         ),
     ] = "",
     false_alarm_interval: Annotated[

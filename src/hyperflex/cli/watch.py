@@ -27,42 +27,33 @@ _TICK, _FILE_TICK = 0.1, 5.0  # s without a frame after which an estimate is han
 def watch(
     camera: Annotated[
         str,
-        typer.Option(
-            help="The camera's number (0 is the first), a stream (rtsp://...), or a video.", show_default=False
-        ),
+        typer.Option(help="The camera's number (0 is the first), a stream (rtsp://...), or a video."),
     ],
-    rope: Annotated[Path, typer.Option(help="TOML file with the rope.", show_default=False)],
-    calibration: Annotated[
-        Path, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).", show_default=False)
-    ],
+    rope: Annotated[Path, typer.Option(help="TOML file with the rope.")],
+    calibration: Annotated[Path, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).")],
     arc_lengths: Annotated[
         list[str],
-        typer.Option(
-            help="How far along the rope each marker sits, m; several times or with commas.", show_default=False
-        ),
+        typer.Option(help="How far along the rope each marker sits, m; several times or with commas."),
     ],
     out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the log.")] = Path("watch.nc"),
     preview: Annotated[
-        Path | None, typer.Option(help="MP4 file of the pictures with what is known drawn on them.", show_default=False)
+        Path | None, typer.Option(help="MP4 file of the pictures with what is known drawn on them.")
     ] = None,
     page: Annotated[
         int | None,
-        typer.Option(
-            help="Show the pictures in a browser of this machine, at this port; 0: any free one.", show_default=False
-        ),
+        typer.Option(help="Show the pictures in a browser of this machine, at this port; 0: any free one."),
     ] = None,
     click: Annotated[
         tuple[float, float] | None,
         typer.Option(
-            help="A pixel of a marker in the first frame, u v. [default: the colour that most small things share]",
-            show_default=False,
+            help="A pixel of a marker in the first frame, u v. [default: the colour that most small things share]"
         ),
     ] = None,
     estimate: Annotated[
         str,
         typer.Option(help="What is estimated beside the rope's state: scale=0.01,delay=0.02 (standard deviations)."),
     ] = "",
-    duration: Annotated[float | None, typer.Option(help="Stop after so long, s.", show_default=False)] = None,
+    duration: Annotated[float | None, typer.Option(help="Stop after so long, s.")] = None,
     patience: Annotated[float, typer.Option(help="How long a source that broke off is tried again, s.")] = 10.0,
     json: Annotated[
         bool, typer.Option("--json", help="Print a JSON object a line: one for each estimate, and a summary.")

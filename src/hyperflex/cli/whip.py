@@ -26,7 +26,7 @@ def whip(
     target: planner.Target = None,
     direction: Annotated[
         float | None,
-        typer.Option(help="Of the tip there, rad: 0 is +x, pi/2 is up. [default: any]", show_default=False),
+        typer.Option(help="Of the tip there, rad: 0 is +x, pi/2 is up. [default: any]"),
     ] = None,
     angle_tolerance: Annotated[
         float | None, typer.Option(help="Greatest angle from that direction, rad. [default: 0.349, 20 degrees]")
