@@ -87,10 +87,7 @@ def calibrate(
         "pixels_per_metre": None if camera.rotation is None else camera.pixels_per_metre,
         "notes": list(found.notes),
     }
-    if json:
-        output.print_json(result)
-        return
-    _print(result)
+    _show(result, json)
 
 
 def _known_points(path: Path) -> tuple[Any, Any]:
@@ -105,9 +102,10 @@ def _known_points(path: Path) -> tuple[Any, Any]:
     return table[:, :2], table[:, 2:]
 
 
-def _print(result: dict[str, Any]) -> None:
+def _show(result: dict[str, Any], as_json: bool) -> None:
     scale = result["pixels_per_metre"]
-    output.print_pairs(
+    output.show(
+        result,
         f"Calibrated from {result['views']} views in {result['pictures']} pictures",
         [
             ("reprojection error", f"{result['reprojection_error_px']:.3f} px"),
@@ -117,4 +115,5 @@ def _print(result: dict[str, Any]) -> None:
             *(("note", note) for note in result["notes"]),
             ("written", str(result["output"])),
         ],
+        as_json=as_json,
     )

@@ -35,10 +35,7 @@ def identify(
         float | None, typer.Option(help="Fit the samples before this time, s; predict the rest. inf fits all.")
     ] = None,
     window: Annotated[float | None, typer.Option(help="Length of the windows that are fitted one by one, s.")] = None,
-    arc_lengths: Annotated[
-        list[str] | None,
-        typer.Option(help="How far along the rope each marker sits, m; several times or with commas."),
-    ] = None,
+    arc_lengths: Annotated[list[str] | None, output.ARC_LENGTHS] = None,
     origin: Annotated[
         str | None, typer.Option(help="Where the camera sees the origin of the motion, X,Y in m; else it is fitted.")
     ] = None,

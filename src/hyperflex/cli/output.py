@@ -29,6 +29,17 @@ _ADVICE = re.compile(  # an argument with its value, as errors advise it
 )
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
 
+ARC_LENGTHS = typer.Option(help="How far along the rope each marker sits, m; several times or with commas.")
+Click = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        help="A pixel of a marker in the first frame, u v. [default: the colour that most small things share]"
+    ),
+]
+Estimate = Annotated[
+    str, typer.Option(help="What is estimated beside the rope's state: scale=0.01,delay=0.02 (standard deviations).")
+]
+
 
 def print_json(result: Mapping[str, Any], *, one_line: bool = False) -> None:
     """Print one JSON object on standard output; what JSON has no number for (NaN, infinity) becomes null."""
@@ -196,6 +207,21 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     for row in rows:
         table.add_row(*row)
     console().print(table)
+
+
+def show(
+    result: Mapping[str, Any],
+    title: str,
+    pairs: Sequence[tuple[str, str]],
+    *,
+    as_json: bool,
+    one_line: bool = False,
+) -> None:
+    """Print a `result` as JSON, or its named values in words below a title; in JSON on `one_line` if wanted."""
+    if as_json:
+        print_json(result, one_line=one_line)
+    else:
+        print_pairs(title, pairs)
 
 
 def watched(as_json: bool) -> bool:

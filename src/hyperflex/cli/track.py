@@ -22,10 +22,7 @@ def track(
     camera: Annotated[
         Path | None, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).")
     ] = None,
-    arc_lengths: Annotated[
-        list[str] | None,
-        typer.Option(help="How far along the rope each marker sits, m; several times or with commas."),
-    ] = None,
+    arc_lengths: Annotated[list[str] | None, output.ARC_LENGTHS] = None,
     bar: Annotated[
         list[str] | None,
         typer.Option(
@@ -39,16 +36,8 @@ def track(
         "markers.nc"
     ),
     preview: Annotated[Path | None, typer.Option(help="MP4 file that shows what was seen.")] = None,
-    click: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            help="A pixel of a marker in the first frame, u v. [default: the colour that most small things share]"
-        ),
-    ] = None,
-    estimate: Annotated[
-        str,
-        typer.Option(help="What is estimated beside the rope's state: scale=0.01,delay=0.02 (standard deviations)."),
-    ] = "",
+    click: output.Click = None,
+    estimate: output.Estimate = "",
     changes: Annotated[
         str,
         typer.Option(
@@ -120,10 +109,8 @@ def _show(found: VideoTrack, estimator: RopeFilter, out: Path, as_json: bool) ->
         "changes": [asdict(change) for change in found.changes],
         "notes": list(found.notes),
     }
-    if as_json:
-        output.print_json(result)
-        return
-    output.print_pairs(
+    output.show(
+        result,
         f"Tracked {result['markers']} markers in {found.frames} frames",
         [
             ("found at", f"{found.found_at:.3f} s"),
@@ -133,6 +120,7 @@ def _show(found: VideoTrack, estimator: RopeFilter, out: Path, as_json: bool) ->
             *(("note", note) for note in found.notes),
             ("written", str(out)),
         ],
+        as_json=as_json,
     )
 
 
@@ -163,16 +151,15 @@ def _track_bars(
         "seen": found.seen.tolist(),
         "notes": list(found.notes),
     }
-    if json:
-        output.print_json(result)
-        return
-    output.print_pairs(
+    output.show(
+        result,
         f"Tracked {len(found.seen)} bars in {found.frames} frames",
         [
             *((f"link {k}", f"seen in {100.0 * part:.1f} % of the frames") for k, part in enumerate(found.seen)),
             *(("note", note) for note in found.notes),
             ("written", str(out)),
         ],
+        as_json=json,
     )
 
 

@@ -31,10 +31,7 @@ def watch(
     ],
     rope: Annotated[Path, typer.Option(help="TOML file with the rope.")],
     calibration: Annotated[Path, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).")],
-    arc_lengths: Annotated[
-        list[str],
-        typer.Option(help="How far along the rope each marker sits, m; several times or with commas."),
-    ],
+    arc_lengths: Annotated[list[str], output.ARC_LENGTHS],
     out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the log.")] = Path("watch.nc"),
     preview: Annotated[
         Path | None, typer.Option(help="MP4 file of the pictures with what is known drawn on them.")
@@ -43,16 +40,8 @@ def watch(
         int | None,
         typer.Option(help="Show the pictures in a browser of this machine, at this port; 0: any free one."),
     ] = None,
-    click: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            help="A pixel of a marker in the first frame, u v. [default: the colour that most small things share]"
-        ),
-    ] = None,
-    estimate: Annotated[
-        str,
-        typer.Option(help="What is estimated beside the rope's state: scale=0.01,delay=0.02 (standard deviations)."),
-    ] = "",
+    click: output.Click = None,
+    estimate: output.Estimate = "",
     duration: Annotated[float | None, typer.Option(help="Stop after so long, s.")] = None,
     patience: Annotated[float, typer.Option(help="How long a source that broke off is tried again, s.")] = 10.0,
     json: Annotated[
@@ -134,29 +123,15 @@ def _status(estimate: LiveEstimate) -> list[str]:
 
 def _line(estimate: LiveEstimate) -> dict[str, Any]:
     """Return an estimate for a program."""
-    return {
-        "t": estimate.t,
-        "found": estimate.found,
-        "tip": estimate.tip,
-        "tip_std": estimate.tip_std,
-        "age": estimate.age,
-        "latency": estimate.latency,
-        "rate": estimate.rate,
-        "seen": estimate.seen,
-        "markers": estimate.markers,
-        "frame": estimate.frame is not None,
-        "q": estimate.state.q,
-        "qd": estimate.state.qd,
-        "news": list(estimate.news),
-    }
+    names = ("t", "found", "tip", "tip_std", "age", "latency", "rate", "seen", "markers")
+    state = {"frame": estimate.frame is not None, "q": estimate.state.q, "qd": estimate.state.qd}
+    return {name: getattr(estimate, name) for name in names} | state | {"news": list(estimate.news)}
 
 
 def _tell(result: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        output.print_json(result, one_line=True)
-        return
     latency = result["latency_s"]
-    output.print_pairs(
+    output.show(
+        result,
         f"Watched {result['frames']} frames",
         [
             ("ended", result["ending"]),
@@ -167,6 +142,8 @@ def _tell(result: dict[str, Any], as_json: bool) -> None:
             *([("doubt", result["doubt"])] if result["doubt"] else []),
             ("written", str(result["output"])),
         ],
+        as_json=as_json,
+        one_line=True,
     )
 
 
