@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
+
 import pytest
 from PIL import Image
 
@@ -66,8 +69,15 @@ INPUTS = [
 ]
 
 
+@pytest.fixture(scope="module")
+def loaded():
+    """All modules, so that none is loaded while its neighbours are replaced, and keeps what replaces them."""
+    for module in pkgutil.walk_packages(hf.__path__, "hyperflex."):
+        importlib.import_module(module.name)
+
+
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path, monkeypatch, loaded):
     """A folder with usable inputs, in which the commands run; to begin any work fails the test."""
 
     def work(*_, **__):
