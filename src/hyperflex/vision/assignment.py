@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -133,8 +132,11 @@ def _best(
         return np.full(len(mean), -1)
     cost = _costs(seen, mean, prior, gate, unseen)
     cost[forbidden] = _FORBIDDEN
+    possible = cost < _FORBIDDEN
+    if not possible.any():
+        return np.full(len(mean), -1)
     greedy = _settle(seen, mean, prior, gate, unseen, forbidden, None)
-    if not (cost < _FORBIDDEN).any() or not _correlated(prior) or _margins(cost)[cost < _FORBIDDEN].max() > UNSURE:
+    if _margins(cost)[possible].max() > UNSURE or not _correlated(prior):
         return greedy
     widths = np.array([prior[2 * k, 2 * k] + prior[2 * k + 1, 2 * k + 1] for k in range(len(mean))])
     widths[(cost >= _FORBIDDEN).all(axis=1)] = np.inf
@@ -191,7 +193,7 @@ def _settle(
     count, many = forbidden.shape
     indices = np.full(count, -1)
     m, P = mean.ravel().copy(), prior.copy()
-    taken, correlated = np.zeros(many, bool), _correlated(prior)
+    taken = np.zeros(many, bool)
     while True:
         cost = _costs(seen, m.reshape(-1, 2), P, gate, unseen)
         cost[forbidden] = _FORBIDDEN
@@ -210,17 +212,18 @@ def _settle(
         pairs = [(k, j) for k, j in zip(rows.tolist(), columns.tolist(), strict=True) if j < many]
         if not pairs:
             return indices
-        margins = _margins(cost)[tuple(np.transpose(pairs))]
+        markers, blobs = np.transpose(pairs)
+        margins = _margins(cost)[markers, blobs]
         clear = np.flatnonzero(margins > CLEAR)
-        for i in clear if clear.size else [int(np.argmax(margins))]:
-            k, j = pairs[i]
-            indices[k], taken[j] = j, True
-            if not correlated:
-                continue
-            own = slice(2 * k, 2 * k + 2)
-            gain = np.linalg.solve(P[own, own] + seen.covariances[j], P[own]).T
-            m = m + gain @ (seen.places[j] - m[own])
-            P = P - gain @ P[own]
+        settled = clear if clear.size else np.array([np.argmax(margins)])
+        markers, blobs = markers[settled], blobs[settled]
+        indices[markers], taken[blobs] = blobs, True
+        if taken.all() or (indices >= 0).all():
+            return indices
+        off, S = _innovation(seen, m.reshape(-1, 2), P, indices, markers)
+        known = P[(2 * markers[:, None] + [0, 1]).ravel()]
+        gain = np.linalg.solve(S, known).T
+        m, P = m + gain @ off, P - gain @ known
 
 
 def _costs(seen: Observations, mean: Array, P: Array, gate: float, unseen: Array) -> Array:
@@ -258,14 +261,14 @@ def _check_reach(
     distances[found] = (off * np.linalg.solve(S, off[:, :, None])[:, :, 0]).sum(axis=1)
     if limits is None:
         return distances, -1
-    along = np.concatenate([[0.0], np.cumsum(limits)])
-    for one, two in pairwise(found.tolist()):
-        i, j = indices[one], indices[two]
-        doubt = 3.0 * math.sqrt(np.trace(seen.covariances[i]) + np.trace(seen.covariances[j]))
-        apart = float(np.linalg.norm(seen.places[i] - seen.places[j]))
-        if apart > (1.0 + SLACK) * (along[two] - along[one]) + doubt:
-            return distances, one if distances[one] > distances[two] else two
-    return distances, -1
+    along = np.concatenate([[0.0], np.cumsum(limits)])[found]
+    apart = np.linalg.norm(np.diff(seen.places[indices[found]], axis=0), axis=1)
+    variances = np.trace(seen.covariances[indices[found]], axis1=1, axis2=2)
+    beyond = apart > (1.0 + SLACK) * np.diff(along) + 3.0 * np.sqrt(variances[1:] + variances[:-1])
+    if not beyond.any():
+        return distances, -1
+    one, two = found[np.argmax(beyond) :][:2]
+    return distances, int(one if distances[one] > distances[two] else two)
 
 
 def _spread_swaps(
