@@ -97,25 +97,26 @@ def label_blobs(weights, threshold, label, members, most):  # type: ignore[no-un
     """
     h, w = weights.shape
     count, size = 0, 0
-    for start in range(h * w):
-        if weights[start // w, start % w] <= threshold or label[start // w, start % w] != 0:
-            continue
-        if count == most:
-            break
-        count += 1
-        done = size
-        members[size] = start
-        size += 1
-        label[start // w, start % w] = count
-        while done < size:
-            v, u = members[done] // w, members[done] % w
-            done += 1
-            for b in range(max(v - 1, 0), min(v + 2, h)):
-                for a in range(max(u - 1, 0), min(u + 2, w)):
-                    if label[b, a] == 0 and weights[b, a] > threshold:
-                        label[b, a] = count
-                        members[size] = b * w + a
-                        size += 1
+    for row in range(h):
+        for column in range(w):
+            if weights[row, column] <= threshold or label[row, column] != 0:
+                continue
+            if count == most:
+                return count, size
+            count += 1
+            done = size
+            members[size] = row * w + column
+            size += 1
+            label[row, column] = count
+            while done < size:
+                v, u = members[done] // w, members[done] % w
+                done += 1
+                for b in range(max(v - 1, 0), min(v + 2, h)):
+                    for a in range(max(u - 1, 0), min(u + 2, w)):
+                        if label[b, a] == 0 and weights[b, a] > threshold:
+                            label[b, a] = count
+                            members[size] = b * w + a
+                            size += 1
     return count, size
 
 
