@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -131,18 +131,22 @@ def _best(
     """
     if not forbidden.size:
         return np.full(len(mean), -1)
-    cost = _costs(seen, mean, prior, gate, unseen)
-    cost[forbidden] = _FORBIDDEN
-    greedy = _settle(seen, mean, prior, gate, unseen, forbidden, None)
-    if not (cost < _FORBIDDEN).any() or not _correlated(prior) or _margins(cost)[cost < _FORBIDDEN].max() > UNSURE:
+
+    def costs(mean: Array, P: Array) -> Array:
+        """Return the cost (K, M) of each pair that is not forbidden."""
+        return np.where(forbidden, _FORBIDDEN, _costs(seen, mean, P, gate, unseen))
+
+    cost = costs(mean, prior)
+    greedy = _settle(seen, mean, prior, cost, costs)
+    if not (cost < _FORBIDDEN).any() or _margins(cost)[cost < _FORBIDDEN].max() > UNSURE or not _correlated(prior):
         return greedy
     widths = np.array([prior[2 * k, 2 * k] + prior[2 * k + 1, 2 * k + 1] for k in range(len(mean))])
     widths[(cost >= _FORBIDDEN).all(axis=1)] = np.inf
-    surest = int(np.argmin(widths))
-    tries = [greedy] + [
-        _settle(seen, mean, prior, gate, unseen, forbidden, (surest, int(j)))
-        for j in np.flatnonzero(cost[surest] < _FORBIDDEN)
-    ]
+    surest, tries = int(np.argmin(widths)), [greedy]
+    for j in np.flatnonzero(cost[surest] < _FORBIDDEN):
+        given = np.full_like(cost, _FORBIDDEN)  # a pair that is settled before all others
+        given[surest, j] = -_FORBIDDEN
+        tries.append(_settle(seen, mean, prior, given, costs))
     return min(tries, key=lambda indices: _joint_cost(seen, mean, prior, unseen, indices))
 
 
@@ -159,68 +163,52 @@ def _joint_cost(seen: Observations, mean: Array, prior: Array, unseen: Array, in
     found = np.flatnonzero(indices >= 0)
     if not found.size:
         return 0.0
-    off, S = _innovation(seen, mean, prior, indices, found)
+    off, S, _ = _innovation(seen, mean, prior, indices, found)
     return float(off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1] + unseen[indices[found]].sum())
 
 
 def _innovation(
     seen: Observations, mean: Array, prior: Array, indices: npt.NDArray[np.int64], found: npt.NDArray[np.intp]
-) -> tuple[Array, Array]:
-    """Return the innovation (2 F,) of the markers found, and its covariance (2 F, 2 F)."""
+) -> tuple[Array, Array, npt.NDArray[np.intp]]:
+    """Return the innovation (2 F,) of the markers found, its covariance (2 F, 2 F), and its rows of the prior."""
     rows, count = (2 * found[:, None] + [0, 1]).ravel(), np.arange(found.size)
     S = prior[np.ix_(rows, rows)]
     S.reshape(found.size, 2, found.size, 2)[count, :, count] += seen.covariances[indices[found]]
-    return (seen.places[indices[found]] - mean[found]).ravel(), S
+    return (seen.places[indices[found]] - mean[found]).ravel(), S, rows
 
 
 def _settle(
-    seen: Observations,
-    mean: Array,
-    prior: Array,
-    gate: float,
-    unseen: Array,
-    forbidden: npt.NDArray[np.bool_],
-    given: tuple[int, int] | None,
+    seen: Observations, mean: Array, prior: Array, cost: Array, costs: Callable[[Array, Array], Array]
 ) -> npt.NDArray[np.int64]:
     """Return the observation (K,) of each marker, or -1; the clearest first, the others conditioned on them.
 
-    `given` is a pair that is settled before all others.
+    `costs` returns the cost (K, M) of each pair for a mean and its covariance; that of the first round is given.
     """
     from scipy.optimize import linear_sum_assignment
 
-    count, many = forbidden.shape
-    indices = np.full(count, -1)
-    m, P = mean.ravel().copy(), prior.copy()
-    taken, correlated = np.zeros(many, bool), _correlated(prior)
-    while True:
-        cost = _costs(seen, m.reshape(-1, 2), P, gate, unseen)
-        cost[forbidden] = _FORBIDDEN
-        if given is not None:
-            cost[:] = _FORBIDDEN
-            cost[given] = -_FORBIDDEN
-            given = None
-        cost[indices >= 0] = _FORBIDDEN
-        cost[:, taken] = _FORBIDDEN
-        if not (cost < _FORBIDDEN).any():
-            return indices
+    count, many = cost.shape
+    indices, taken = np.full(count, -1), np.zeros(many, bool)
+    while (cost < _FORBIDDEN).any():
         full = np.full((count, many + count), _FORBIDDEN)
         full[:, :many] = cost
         full[np.arange(count), many + np.arange(count)] = 0.0  # not seen
         rows, columns = linear_sum_assignment(full)
-        pairs = [(k, j) for k, j in zip(rows.tolist(), columns.tolist(), strict=True) if j < many]
-        if not pairs:
-            return indices
-        margins = _margins(cost)[tuple(np.transpose(pairs))]
-        clear = np.flatnonzero(margins > CLEAR)
-        for i in clear if clear.size else [int(np.argmax(margins))]:
-            k, j = pairs[i]
-            indices[k], taken[j] = j, True
-            if not correlated:
-                continue
-            own = slice(2 * k, 2 * k + 2)
-            gain = np.linalg.solve(P[own, own] + seen.covariances[j], P[own]).T
-            m = m + gain @ (seen.places[j] - m[own])
-            P = P - gain @ P[own]
+        pairs = np.column_stack([rows, columns])[columns < many]
+        if not len(pairs):
+            break
+        margins = _margins(cost)[pairs[:, 0], pairs[:, 1]]
+        k, j = pairs[margins > CLEAR if margins.max() > CLEAR else [int(np.argmax(margins))]].T
+        indices[k], taken[j] = j, True
+        if (indices >= 0).all() or taken.all():
+            break
+        if _correlated(prior):
+            off, S, own = _innovation(seen, mean, prior, indices, k)
+            gain = np.linalg.solve(S, prior[own]).T
+            mean, prior = mean + (gain @ off).reshape(-1, 2), prior - gain @ prior[own]
+        cost = costs(mean, prior)
+        cost[indices >= 0] = _FORBIDDEN
+        cost[:, taken] = _FORBIDDEN
+    return indices
 
 
 def _costs(seen: Observations, mean: Array, P: Array, gate: float, unseen: Array) -> Array:
@@ -259,13 +247,15 @@ def _check_reach(
     if limits is None:
         return distances, -1
     along = np.concatenate([[0.0], np.cumsum(limits)])
-    for one, two in pairwise(found.tolist()):
-        i, j = indices[one], indices[two]
-        doubt = 3.0 * math.sqrt(np.trace(seen.covariances[i]) + np.trace(seen.covariances[j]))
-        apart = float(np.linalg.norm(seen.places[i] - seen.places[j]))
-        if apart > (1.0 + SLACK) * (along[two] - along[one]) + doubt:
-            return distances, one if distances[one] > distances[two] else two
-    return distances, -1
+    one, two = found[:-1], found[1:]
+    i, j = indices[one], indices[two]
+    variance = np.trace(seen.covariances, axis1=1, axis2=2)
+    apart = np.linalg.norm(seen.places[i] - seen.places[j], axis=1)
+    far = apart > (1.0 + SLACK) * (along[two] - along[one]) + 3.0 * np.sqrt(variance[i] + variance[j])
+    if not far.any():
+        return distances, -1
+    a, b = one[far][0], two[far][0]
+    return distances, int(a if distances[a] > distances[b] else b)
 
 
 def _spread_swaps(
@@ -281,7 +271,7 @@ def _spread_swaps(
     swappable = np.zeros(len(indices), bool)
     if found.size < 2:
         return swappable
-    off, S = _innovation(seen, mean, prior, indices, found)
+    off, S, _ = _innovation(seen, mean, prior, indices, found)
     precision = np.linalg.inv(S)
     pull = (precision @ off).reshape(-1, 2)
     blocks = precision.reshape(found.size, 2, found.size, 2).transpose(0, 2, 1, 3)
