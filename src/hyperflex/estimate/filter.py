@@ -155,11 +155,14 @@ class RopeFilter:
             return
         carried = [self.factor, *self._by_noise.rows]
         with np.errstate(over="ignore", invalid="ignore"):
-            x, rows = self.process.carry(self.x, np.concatenate(carried), self.t, t)
+            if self._detector is None:
+                x, rows = self.process.carry(self.x, np.concatenate(carried), self.t, t)
+            else:
+                x, transition, _ = self.process.predict(self.x, self.t, t)
+                rows = np.concatenate(carried) @ transition.T
         if not (np.abs(rows).max() < BEYOND and np.abs(x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
         if self._detector is not None:
-            transition = self.process.predict(self.x, self.t, t).transition
             self._detector.predict((self.x, x), self.t, t, transition)
         factor, *by_noise = np.split(rows, np.cumsum([len(each) for each in carried])[:-1])
         noise = self.process.noise(t - self.t, self.process_noise.value)
