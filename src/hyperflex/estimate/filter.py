@@ -121,7 +121,7 @@ class RopeFilter:
         n, t = self.n_links, self._now - self.parameters.value("delay", self.x[2 * self.n_links :])
         part = self.factor[:, : 2 * n]
         covariance = part.T @ part
-        covariance[range(2 * n), range(2 * n)] += self._least[: 2 * n] ** 2
+        covariance.flat[:: 2 * n + 1] += self._least[: 2 * n] ** 2
         return RopeState(t, self.x[:n].copy(), self.x[n : 2 * n].copy(), covariance)
 
     @property
@@ -157,8 +157,9 @@ class RopeFilter:
         with np.errstate(over="ignore", invalid="ignore"):
             if self._detector is None:
                 x, rows = self.process.carry(self.x, np.concatenate(carried), self.t, t)
+                self._qdd = self.process.accelerations(x, t)
             else:
-                x, transition, _ = self.process.predict(self.x, self.t, t)
+                x, transition, self._qdd = self.process.predict(self.x, self.t, t)
                 rows = np.concatenate(carried) @ transition.T
         if not (np.abs(rows).max() < BEYOND and np.abs(x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
@@ -171,7 +172,7 @@ class RopeFilter:
         noises = [self.process.noise_of(t - self.t, kind, level) for kind, level in levels]
         self._by_noise.predict(by_noise, noises, ROUGHLY * self._least)
         self.age += t - self.t
-        self.x, self.t, self._qdd = x, t, self.process.accelerations(x, t)
+        self.x, self.t = x, t
 
     def state_at(self, t: float) -> RopeState:
         """Return what is expected at a time t, s, not earlier than the last; the filter stays as it is.
@@ -293,7 +294,8 @@ class RopeFilter:
             """Return what is seen of a state, with the derivatives."""
             return self.model.predict(x, self.process.base(seen.t, x), seen.rows, self._qdd)
 
-        good = seen.seen & (self._believed(seen, *predicted(self.x)) if rounds == ROUNDS else True)
+        before = predicted(self.x)
+        good = seen.seen & (self._believed(seen, *before) if rounds == ROUNDS else True)
         self.used = good
         if not good.any():
             return
@@ -303,7 +305,7 @@ class RopeFilter:
 
         def compared(x: Array) -> tuple[Array, Array]:
             """Return whitened differences (m,) from what is seen of a state, and the whitened derivatives (m, N)."""
-            places, slope = predicted(x)
+            places, slope = before if x is self.x else predicted(x)
             left = whiten @ (seen.places[good] - places[good])[:, :, None]
             return left.ravel(), (whiten @ slope[good]).reshape(left.size, -1)
 

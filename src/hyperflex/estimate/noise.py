@@ -72,7 +72,8 @@ class NoiseLevel:
             ``S^-1/2 m`` of each, where that counts.
         """
         score = 0.5 * (whitened @ parts @ whitened - np.trace(parts, axis1=1, axis2=2))
-        information = 0.5 * np.einsum("aij,bij->ab", parts, parts)
+        flat = parts.reshape(len(parts), -1)
+        information = 0.5 * (flat @ flat.T)
         if moved is not None:
             score += moved @ whitened
             information += moved @ moved.T

@@ -182,17 +182,20 @@ class MarkerModel:
         q, qd = x[:n], x[n : 2 * n]
         slope, along = jacobian[:, :, :n].copy(), np.stack([np.sin(q), -np.cos(q)])
         across = np.stack([np.cos(q), np.sin(q)])
-        velocity, bend = base[1] + slope @ qd, np.zeros_like(place)
-        if qdd is not None and tau.any():
-            bend = base[2] + slope @ qdd - arms @ (along * qd * qd).T
-        if tau.any():
+        velocity, bend, late = np.zeros_like(place), np.zeros_like(place), bool(rows.any())
+        if late:
+            velocity = base[1] + slope @ qd
+            if qdd is not None:
+                bend = base[2] + slope @ qdd - arms @ (along * qd * qd).T
             jacobian[:, :, :n] -= (tau[:, None, None] * arms[:, None, :]) * along * qd
             jacobian[:, :, n : 2 * n] = tau[:, None, None] * slope
         now = velocity + tau[:, None] * bend
         for k, name in enumerate(self.parameters.names):
             column = jacobian[:, :, 2 * n + k]
             if name == "length":
-                column[:] = self.arms @ along.T + tau[:, None] * ((self.arms[:, None, :] * across) @ qd)
+                column[:] = self.arms @ along.T
+                if late:
+                    column += tau[:, None] * ((self.arms[:, None, :] * across) @ qd)
             elif name == "delay":
                 column[:] = -(base[1] + tau[:, None] * base[2])
             elif name == "readout":

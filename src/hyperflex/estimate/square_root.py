@@ -13,9 +13,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dgeqp3, dgeqrf, dtrtrs
+from scipy.linalg.lapack import dgeqrf, dtrtrs
 
 from hyperflex.checks import Array
+from hyperflex.core.rank_revealing_qr import rank_revealing_qr
 
 SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
@@ -58,15 +59,12 @@ def compressed(rows: Array, least: Array) -> Array:
 
     Notes
     -----
-    Of the columns, divided by `least`, a QR factorisation with pivoting (LAPACK's dgeqp3) makes rows that grow smaller
-    and smaller. What follows a row whose first number is below 1 adds less than that to the deviation of any state.
+    Of the columns, divided by `least`, a QR factorisation with pivoting makes rows that grow smaller and smaller. What
+    follows a row whose pivot is below 1 adds less than that to the deviation of any state.
     """
-    packed, pivots, _, _, _ = dgeqp3(rows / least, overwrite_a=True)
-    size = np.abs(np.diag(packed))
-    rank = max(1, int((size > 1.0).sum()))
-    result = np.empty((rank, rows.shape[1]))
-    result[:, pivots - 1] = np.triu(packed[:rank])
-    return np.asarray(result * least)
+    result = np.divide(rows, least, order="C")
+    rank = rank_revealing_qr(result, np.empty((3, rows.shape[1])))
+    return np.asarray(result[:rank] * least)
 
 
 def updated(factor: Array, across: Array, upper: Array) -> Array:

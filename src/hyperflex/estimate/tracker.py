@@ -197,7 +197,8 @@ class RopeTracker:
         """Return how far apart markers that follow each other can be seen (K - 1,), px."""
         if not np.isfinite(predicted).all():
             return None
-        scale = np.linalg.norm(self.camera.linearize(self.camera.locate(predicted)).by_point, ord=2, axis=(1, 2))
+        (a, b), (c, d) = self.camera.place_slopes(self.camera.locate(predicted))[1].transpose(1, 2, 0)
+        scale = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))  # the greater singular value
         apart = np.abs(np.diff(self.estimator.model.arc_lengths)) * np.maximum(scale[1:], scale[:-1])
         return np.asarray(np.maximum(apart, 1.0))
 

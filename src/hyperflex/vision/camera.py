@@ -264,7 +264,7 @@ class Camera:
 
     def place_slopes(self, places: Array) -> tuple[Array, Array]:
         """Return the pixels (K, 2) of places (K, 2) in the swing plane, m, and the derivatives (K, 2, 2), px/m."""
-        pixels, slopes = self._project(np.column_stack([places, np.zeros(len(places))]))
+        pixels, slopes = self._project(adjusted(places, AS_CALIBRATED))
         return pixels, slopes[:, :, :2]
 
     def locate(self, pixels: npt.ArrayLike, adjustment: PlaneAdjustment = AS_CALIBRATED) -> Array:
@@ -335,9 +335,9 @@ class Camera:
         if not len(places):
             return np.zeros((0, 2)), np.zeros((0, 2, 3))
         pixels, jacobian = cv2.projectPoints(places, self.rotation, translation, self.matrix, self.distortion)
-        slopes = jacobian[:, 3:6].reshape(-1, 2, 3) @ rotation  # by the translation, so by what the point moves
+        slopes = (jacobian[:, 3:6] @ rotation).reshape(-1, 2, 3)  # by the translation, so by what the point moves
         pixels = pixels.reshape(-1, 2)
-        behind = ~(places @ rotation[2] + translation[2] > 0.0)
-        if behind.any():
-            pixels[behind], slopes[behind] = np.nan, np.nan
+        before = places @ rotation[2] + translation[2] > 0.0
+        if not before.all():
+            pixels[~before], slopes[~before] = np.nan, np.nan
         return pixels, slopes

@@ -83,11 +83,10 @@ class ClutterMap:
         """Return which places were surely searched."""
         if gates is None:
             return np.ones(len(self._places), bool)
-        result = np.zeros(len(self._places), bool)
-        for gate in gates:
-            off = np.abs(self._places - np.asarray(gate.centre))
-            result |= (off < WITHIN * np.sqrt(np.diagonal(np.asarray(gate.covariance)))).all(axis=1)
-        return result
+        centres = np.array([gate.centre for gate in gates], dtype=np.float64).reshape(-1, 2)
+        wide = np.array([gate.covariance for gate in gates], dtype=np.float64).reshape(-1, 2, 2)
+        off = np.abs(self._places[:, None] - centres)
+        return np.asarray((off < WITHIN * np.sqrt(np.diagonal(wide, axis1=1, axis2=2))).all(axis=2).any(axis=1))
 
     def _known(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
         """Return the nearest place of each blob (M,), and whether it is that place (M,)."""
