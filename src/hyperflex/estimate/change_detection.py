@@ -269,7 +269,7 @@ class ChangeDetector:
     def _touch_scores(self) -> tuple[Array, tuple[Array, Array]]:
         """Return the same of touches (2, w, places), the first of a single interval and then until now, with forces.
 
-        Of the forces come sizes (2, w, places, 2), N, and covariances (2, w, places, 2, 2).
+        Of the forces come sizes (2, w, places, 2), N, and their information (2, w, places, 2, 2), 1/N^2.
         """
         bank, p, w = self._touches, self.places.size, self._begun.size
         if not w:
@@ -279,13 +279,14 @@ class ChangeDetector:
         score = bank.score.reshape(p, w, 2).transpose(1, 0, 2)
         b = np.stack([score, score[::-1].cumsum(axis=0)[::-1]])
         a = np.stack([np.moveaxis(np.diagonal(each, axis1=1, axis2=3), -1, 0) for each in (every, lasting)])
-        trace = np.trace(a, axis1=-2, axis2=-1)[..., None, None]
-        covariance = np.linalg.inv(a + (1e-9 * trace + 1e-300) * np.eye(2))
-        force = (covariance @ b[..., None])[..., 0]
-        size = np.linalg.norm(force, axis=-1)
-        clear = np.sqrt(np.maximum((force * b).sum(axis=-1), 0.0))
+        a += ((1e-9 * np.trace(a, axis1=-2, axis2=-1) + 1e-300)[..., None, None]) * np.eye(2)
+        (xx, xy, yy), (x, y) = (a[..., 0, 0], a[..., 0, 1], a[..., 1, 1]), (b[..., 0], b[..., 1])
+        determinant = np.maximum(xx * yy - xy * xy, 1e-300)
+        force = np.stack([yy * x - xy * y, xx * y - xy * x], axis=-1) / determinant[..., None]
+        size = np.hypot(force[..., 0], force[..., 1])
+        clear = np.sqrt(np.maximum(force[..., 0] * x + force[..., 1] * y, 0.0))
         part = np.maximum(1.0 - self._allowed_force()[:, :, None] / np.maximum(size, 1e-300), 0.0)
-        return clear * part, (force, covariance)
+        return clear * part, (force, a)
 
     def _allowed_force(self) -> Array:
         """Return the tolerance of forces (2, w), N: as an impulse, that of 0.1 s at least."""
@@ -305,7 +306,7 @@ class ChangeDetector:
         """Return a touch, and rows by which the covariance widens: by all of it, or `again` by its last interval."""
         w, p = self._begun.size, self.places.size
         lasting, since, place = np.unravel_index(best, (2, w, p))
-        force, covariance = forces[0][lasting, since, place], forces[1][lasting, since, place]
+        force, covariance = forces[0][lasting, since, place], np.linalg.inv(forces[1][lasting, since, place])
         begun = float(self._begun[since])
         lasted = (t if lasting else float(np.append(self._begun[1:], t)[since])) - begun
         size = float(np.linalg.norm(force))

@@ -81,8 +81,8 @@ class NoiseLevel:
         self._information, self._weight = keep * self._information + information, keep * self._weight + 1.0
         self._count = self._keep * self._count + 1.0
         self._known = self._count * self._information / self._weight + self._prior
-        change = np.clip(np.linalg.solve(self._known, score), -LONGEST, LONGEST)
-        self._values = np.clip(self._values * np.exp(0.5 * change), self._least, MOST * self._first)
+        change = np.minimum(np.maximum(np.linalg.solve(self._known, score), -LONGEST), LONGEST)
+        self._values = np.minimum(np.maximum(self._values * np.exp(0.5 * change), self._least), MOST * self._first)
 
 
 class NoiseDerivatives:

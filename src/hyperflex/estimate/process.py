@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import mass_matrix
@@ -184,7 +184,7 @@ class Process:
         mass_matrix(self._run.chain, q, mass)
         across = np.stack([np.cos(q), np.sin(q)])
         moments = (arms[:, None, :] * across).reshape(-1, q.size)
-        return np.asarray(cho_solve(cho_factor(mass, check_finite=False), moments.T, check_finite=False))
+        return np.asarray(dposv(mass, moments.T)[1])
 
     def base(self, t: float, x: Array | None = None) -> Array:
         """Return place, velocity and acceleration (3, 2) of the first joint, m, m/s and m/s^2.

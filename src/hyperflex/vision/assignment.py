@@ -227,11 +227,10 @@ def _costs(seen: Observations, mean: Array, P: Array, gate: float, unseen: Array
 def _margins(cost: Array) -> Array:
     """Return by how much each pair (K, M) is better than the next one of its marker or observation, or than none."""
     others = np.zeros_like(cost)
-    for axis in (0, 1):
-        if cost.shape[axis] > 1:
-            two = np.partition(cost, 1, axis=axis).take([0, 1], axis=axis)
-            least, second = np.split(two, 2, axis=axis)
-            others = np.minimum(others, np.where(cost > least, least, second))
+    for each, best in ((cost, others), (cost.T, others.T)):
+        if len(each) > 1:
+            least, second = np.partition(each, 1, axis=0)[:2]
+            np.minimum(best, np.where(each > least, least, second), out=best)
     return np.asarray(others - cost)
 
 
@@ -278,8 +277,8 @@ def _spread_swaps(
     own = blocks[np.arange(found.size), np.arange(found.size)]
     between = seen.places[indices[found]][None] - seen.places[indices[found]][:, None]
     stiffness = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
-    apart = 2.0 * ((pull[:, None] - pull[None]) * between).sum(axis=2)
-    dearer = apart + np.einsum("abi,abij,abj->ab", between, stiffness, between)  # the swapped pair than this one
+    bent = (stiffness @ between[..., None])[..., 0]
+    dearer = ((2.0 * (pull[:, None] - pull[None]) + bent) * between).sum(axis=2)  # the swapped pair than this one
     for a, b in np.argwhere(np.triu(dearer < UNSURE, 1)).tolist():
         one, two, step = found[a], found[b], between[a, b]
         swappable[[one, two]] = True

@@ -223,6 +223,12 @@ class Camera:
             )
         return rodrigues(self.rotation), self.translation
 
+    @cached_property
+    def _to_plane(self) -> Array:
+        """Homography (3, 3) from the ideal picture to the plane."""
+        rotation, translation = self.axes
+        return np.linalg.inv(np.column_stack([rotation[:, :2], translation]))
+
     @property
     def pixels_per_metre(self) -> float:
         """Scale at the plane's origin, px/m: the root of the area that a square metre has there."""
@@ -275,12 +281,10 @@ class Camera:
         import cv2
 
         seen = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-        rotation, translation = self.axes
         if not len(seen):  # OpenCV takes no empty arrays
             return np.empty((0, 2))
         ideal = cv2.undistortPoints(np.ascontiguousarray(seen)[:, None], self.matrix, self.distortion)
-        plane = np.column_stack([rotation[:, :2], translation])  # homography from the plane to the ideal picture
-        rays = np.linalg.solve(plane, np.column_stack([ideal.reshape(-1, 2), np.ones(len(seen))]).T).T
+        rays = cv2.convertPointsToHomogeneous(ideal)[:, 0] @ self._to_plane.T
         with np.errstate(divide="ignore", invalid="ignore"):
             places = rays[:, :2] / rays[:, 2:]
         error = np.full(len(seen), np.nan)
@@ -295,6 +299,8 @@ class Camera:
                 step = np.stack([d * missed[:, 0] - b * missed[:, 1], a * missed[:, 1] - c * missed[:, 0]], axis=1)
                 places = places + step / (a * d - b * c)[:, None]
         places[~(error <= 1e-6)] = np.nan
+        if adjustment is AS_CALIBRATED:
+            return places
         offset = np.asarray(adjustment.offset, dtype=np.float64)
         return (places - offset) @ turn(adjustment.roll)[:2, :2] / adjustment.scale
 
