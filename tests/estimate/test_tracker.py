@@ -11,7 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.cli.app import run
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.estimate import RopeFilter, RopeTracker, track_video
+from hyperflex.estimate import MovingHorizon, RopeFilter, RopeTracker, track_video
 from hyperflex.vision import (
     Camera,
     MarkerColour,
@@ -50,10 +50,10 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Truth]:
     return folder / "swing.mp4", renderer.truth(stamps())
 
 
-def tracker(path: Path, truth: Truth) -> RopeTracker:
+def tracker(path: Path, truth: Truth, kind: type[RopeFilter] = RopeFilter, links: int = 50) -> RopeTracker:
     with VideoReader(path) as reader:
         first = next(iter(reader)).image
-    estimator = RopeFilter(rope(50), ARCS, camera=camera(exposure=0.005, readout=0.02))
+    estimator = kind(rope(links), ARCS, camera=camera(exposure=0.005, readout=0.02))
     return RopeTracker(estimator, MarkerDetector(MarkerColour.from_click(first, truth.pixels[0, 3])))
 
 
@@ -78,6 +78,19 @@ def test_markers_are_followed_through_clutter_and_a_blackout(video: tuple[Path, 
     assert np.isfinite(error[:, :, 0]).sum() > 0.95 * visible.sum()
     with VideoReader(tmp_path / "seen.mp4") as seen:
         assert sum(1 for _ in seen) == found.frames == stamps().size
+
+
+def test_a_tracker_on_a_moving_horizon(video: tuple[Path, Truth]) -> None:
+    """In place of the filter: the markers seen, and where they must be in the blackout."""
+    path, truth = video
+    follower, ends = tracker(path, truth, MovingHorizon, 20), np.linspace(0.0, 2.0, 101)
+    found = track_video(path, follower)
+    assert found.seen > 0.86  # 7 % are in the blackout
+    swing, last = free_swing(0, 4.0), follower.estimator.state
+    joints = swing.joints[round(last.t * 600.0)]
+    true = np.stack([np.interp(ARCS, ends, joints[:, c]) for c in (0, 1)], axis=1)
+    places = follower.camera.locate(follower.estimator.markers()[0])
+    assert np.linalg.norm(places - true, axis=1).max() < 0.01
 
 
 def test_a_video_becomes_a_rope(video: tuple[Path, Truth], tmp_path: Path) -> None:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from hyperflex.estimate.live.worker import TrackingTask
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter
+    from hyperflex.estimate.smoothing.moving_horizon import MovingHorizon
+    from hyperflex.estimate.smoothing.smoother import SmoothedTrack, smooth
     from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, draw_frame
     from hyperflex.estimate.video_track import VideoTrack, track_video
 

@@ -294,8 +294,8 @@ class RopeFilter:
             """Return what is seen of a state, with the derivatives."""
             return self.model.predict(x, self.process.base(seen.t, x), seen.rows, self._qdd)
 
-        before = predicted(self.x)
-        good = seen.seen & (self._believed(seen, *before) if rounds == ROUNDS else True)
+        expected = predicted(self.x)
+        good = seen.seen & (self._believed(seen, *expected) if rounds == ROUNDS else True)
         self.used = good
         if not good.any():
             return
@@ -305,7 +305,7 @@ class RopeFilter:
 
         def compared(x: Array) -> tuple[Array, Array]:
             """Return whitened differences (m,) from what is seen of a state, and the whitened derivatives (m, N)."""
-            places, slope = before if x is self.x else predicted(x)
+            places, slope = expected if x is self.x else predicted(x)
             left = whiten @ (seen.places[good] - places[good])[:, :, None]
             return left.ravel(), (whiten @ slope[good]).reshape(left.size, -1)
 

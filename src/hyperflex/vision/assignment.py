@@ -245,16 +245,14 @@ def _check_reach(
     distances[found] = (off * np.linalg.solve(S, off[:, :, None])[:, :, 0]).sum(axis=1)
     if limits is None:
         return distances, -1
-    along = np.concatenate([[0.0], np.cumsum(limits)])
-    one, two = found[:-1], found[1:]
-    i, j = indices[one], indices[two]
-    variance = np.trace(seen.covariances, axis1=1, axis2=2)
-    apart = np.linalg.norm(seen.places[i] - seen.places[j], axis=1)
-    far = apart > (1.0 + SLACK) * (along[two] - along[one]) + 3.0 * np.sqrt(variance[i] + variance[j])
-    if not far.any():
+    along = np.concatenate([[0.0], np.cumsum(limits)])[found]
+    apart = np.linalg.norm(np.diff(seen.places[indices[found]], axis=0), axis=1)
+    variances = np.trace(seen.covariances[indices[found]], axis1=1, axis2=2)
+    beyond = apart > (1.0 + SLACK) * np.diff(along) + 3.0 * np.sqrt(variances[1:] + variances[:-1])
+    if not beyond.any():
         return distances, -1
-    a, b = one[far][0], two[far][0]
-    return distances, int(a if distances[a] > distances[b] else b)
+    one, two = found[np.argmax(beyond) :][:2]
+    return distances, int(one if distances[one] > distances[two] else two)
 
 
 def _spread_swaps(

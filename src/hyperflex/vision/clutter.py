@@ -83,9 +83,8 @@ class ClutterMap:
         """Return which places were surely searched."""
         if gates is None:
             return np.ones(len(self._places), bool)
-        centres = np.array([gate.centre for gate in gates], dtype=np.float64).reshape(-1, 2)
-        wide = np.array([gate.covariance for gate in gates], dtype=np.float64).reshape(-1, 2, 2)
-        off = np.abs(self._places[:, None] - centres)
+        off = np.abs(self._places[:, None] - np.array([gate.centre for gate in gates]).reshape(-1, 2))
+        wide = np.array([gate.covariance for gate in gates]).reshape(-1, 2, 2)
         return np.asarray((off < WITHIN * np.sqrt(np.diagonal(wide, axis1=1, axis2=2))).all(axis=2).any(axis=1))
 
     def _known(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:

@@ -1,0 +1,324 @@
+"""Gauss-Newton over the frames of an interval: a moving horizon's and a whole recording's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.checks import Array
+from hyperflex.errors import SimulationError
+from hyperflex.estimate.observations import MarkerModel, Observations
+from hyperflex.estimate.process import Prediction, Process
+from hyperflex.estimate.smoothing.linear_smoother import Measurement, Smoothed, Step, smooth_linear
+from hyperflex.interfaces import RopeState
+
+CLOSE = 0.03  # of a standard deviation: converged
+SHORTEST = 1.0 / 64.0  # part of a Gauss-Newton step
+BEYOND = 1e6  # rad, rad/s: a state that no rope has
+ROOM = 6  # squares that are allowed beside one for each measurement
+RIDGE = 1e-9  # of a covariance's diagonal, added to it where it is inverted
+
+
+@dataclass(frozen=True, eq=False)
+class InputFrame:
+    """What is known of one frame before it is smoothed.
+
+    Attributes
+    ----------
+    seen : Observations
+    used : (K,) bool
+        Which of its markers count.
+    level : float
+        Of the measurement noise: what its covariances' square roots are multiplied by.
+    noise : (r, N) float64
+        Rows of the process noise since the frame before (of the first frame: none).
+    """
+
+    seen: Observations
+    used: npt.NDArray[np.bool_]
+    level: float
+    noise: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """States that the process and some noise make of a start, linearised.
+
+    Attributes
+    ----------
+    start : (r,) float64
+        The first state over the factor of its prior.
+    noises : list of (r,) float64
+        Of the steps, of variance 1.
+    x : list of (N,) float64
+    predictions : list of Prediction
+        To each frame from the one before.
+    measurements : list of Measurement
+        What is left of what was seen, whitened, and the derivatives.
+    """
+
+    start: Array
+    noises: list[Array] = field(default_factory=list)
+    x: list[Array] = field(default_factory=list)
+    predictions: list[Prediction] = field(default_factory=list)
+    measurements: list[Measurement] = field(default_factory=list)
+
+    def copy(self) -> Path:
+        """Return another one that can go on by itself."""
+        return Path(self.start, [*self.noises], [*self.x], [*self.predictions], [*self.measurements])
+
+    @property
+    def cost(self) -> float:
+        """Twice the negative logarithm of the posterior's density, but for a constant."""
+        return float(
+            self.start @ self.start
+            + sum(w @ w for w in self.noises)
+            + sum(each.z @ each.z for each in self.measurements)
+        )
+
+
+class Interval:
+    """Fits the states of all frames of an interval at once (maximum a posteriori).
+
+    Parameters
+    ----------
+    process, model : Process, MarkerModel
+    mean, rows : (N,), (r, N) float64
+        Prior of the first frame's state: its mean, and rows whose squares are its covariance. In a moving horizon it
+        is the arrival cost.
+    first : InputFrame
+    qdd : (n,) float64
+        Angular accelerations at the first frame, rad/s^2, for markers read before or after its time.
+
+    Attributes
+    ----------
+    smoothed : Smoothed
+        The last Gauss-Newton step: deviations from `path`, and the covariances of all frames.
+
+    Notes
+    -----
+    What is minimised is ``|u|^2 + sum |w|^2 + sum |z|^2``, of the start u, the process noise w and what is left of the
+    measurements z, all of variance 1. A path has no defects: each state is what the process makes of the one before,
+    and the noise. Each step is that of :func:`smooth_linear`: an iterated Kalman smoother is Gauss-Newton (Bell 1994,
+    SIAM J. Optim. 4(3), 626). Shooting alone would fail where motion is chaotic, so the noise of a trial steers the
+    path to where the linear step wants it, as far as its covariance there does not allow for the difference. To first
+    order that changes nothing. A step that does not lessen the cost is halved.
+    """
+
+    def __init__(
+        self, process: Process, model: MarkerModel, mean: Array, rows: Array, first: InputFrame, qdd: Array
+    ) -> None:
+        self.process, self.model = process, model
+        self.mean, self.rows, self.frames, self._qdd = mean, rows, [first], qdd
+        self.smoothed: Smoothed
+        self.path = Path(np.zeros(len(rows)))
+        self.path.x.append(mean.copy())
+        self.path.measurements.append(self._measurement(first, mean, qdd))
+        self._forgotten = 0.0
+        self._smoothe()
+
+    @property
+    def x(self) -> Array:
+        """The last frame's state (N,)."""
+        return np.asarray(self.states[-1])
+
+    @property
+    def factor(self) -> Array:
+        """Rows (r, N) whose squares are its covariance."""
+        return self.smoothed.rows[-1]
+
+    @property
+    def qdd(self) -> Array:
+        """The last frame's angular accelerations (n,), rad/s^2."""
+        return self.path.predictions[-1].qdd if self.path.predictions else self._qdd
+
+    @property
+    def states(self) -> Array:
+        """The states of all frames (T, N)."""
+        x = np.array(self.path.x)
+        return x + self.smoothed.means if self._largest(self.smoothed) < CLOSE else x
+
+    @property
+    def rope_states(self) -> tuple[RopeState, ...]:
+        """The same as states of the rope, with covariances, each at the time of its picture less an estimated delay."""
+        n, parameters = self.process.rope.n_links, self.process.parameters
+        return tuple(
+            RopeState(
+                frame.seen.t - parameters.value("delay", x[2 * n :]),
+                x[:n],
+                x[n : 2 * n],
+                rows[:, : 2 * n].T @ rows[:, : 2 * n],
+            )
+            for frame, x, rows in zip(self.frames, self.states, self.smoothed.rows, strict=True)
+        )
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of all that was seen since the interval began, about the best path (Laplace's approximation)."""
+        return self._forgotten + float(self.smoothed.log_likelihoods.sum())
+
+    @property
+    def misfit(self) -> float:
+        """What is left of the posterior's squares for each that a right model would leave: about 1, with some room."""
+        return self.path.cost / (ROOM + sum(len(each.z) for each in self.path.measurements))
+
+    def append(self, frame: InputFrame) -> None:
+        """Take one more frame; its state is at first the one predicted.
+
+        Raises
+        ------
+        SimulationError
+            If no rope can move on to it.
+        """
+        path, found = self.path.copy(), self._predicted(self.path.x[-1], len(self.frames), frame)
+        self._extend(path, frame, found)
+        self.path, self.frames = path, [*self.frames, frame]
+        self._smoothe()
+
+    def follow(self, frames: Sequence[InputFrame], states: Sequence[tuple[Array, Array]]) -> None:
+        """Take all further frames, on a path near states that are known to about their covariances.
+
+        Parameters
+        ----------
+        frames : sequence of InputFrame
+        states : sequence of tuple of (N,) float64 and (r, N) float64
+            Of the first frame and all further ones: means, and rows whose squares are the covariances.
+
+        Raises
+        ------
+        SimulationError
+            If no rope can move along them.
+        """
+        start = np.asarray(np.linalg.lstsq(self.rows.T, states[0][0] - self.mean, rcond=RIDGE)[0])
+        self.frames = [*self.frames[:1], *frames]
+        found = self._run(start, None, states)
+        if found is None:
+            raise SimulationError("no rope moves along these states", status="not finite", time=frames[0].seen.t)
+        self.path = found
+        self._smoothe()
+
+    def forget(self) -> None:
+        """Leave out the first of two frames or more: what it told goes on in the prior of the second."""
+        self._forgotten += float(self.smoothed.log_likelihoods[0])
+        self.smoothed, path = self.smoothed.without_first(), self.path
+        mean, rows = self.smoothed.priors[0]
+        self.mean, self.rows, self._qdd = path.x[1] + mean, rows, path.predictions[0].qdd
+        # where the path is not at its best quite, its start is not the smoothed one
+        start = self.smoothed.coordinates[0] - np.linalg.lstsq(rows.T, self.smoothed.means[0], rcond=RIDGE)[0]
+        self.path = Path(start, path.noises[1:], path.x[1:], path.predictions[1:], path.measurements[1:])
+        self.frames = self.frames[1:]
+
+    def solve(self, rounds: int) -> None:
+        """Improve the path by at most `rounds` steps of Gauss-Newton."""
+        for _ in range(rounds):
+            if self._largest(self.smoothed) < CLOSE:
+                return
+            part, found = 1.0, None
+            while part >= SHORTEST:
+                found = self._steered(part)
+                if found is not None:
+                    break
+                part *= 0.5
+            if found is None:
+                return
+            gained = self.path.cost - found.cost
+            self.path = found
+            self._smoothe()
+            if gained < CLOSE**2:
+                return
+
+    def begin_at(self, start: Array) -> bool:
+        """Go to the path without noise from a start (r,) over the prior's factor; return whether there is one."""
+        path = self._run(start, None, None)
+        if path is None:
+            return False
+        self.path = path
+        self._smoothe()
+        return True
+
+    def _smoothe(self) -> None:
+        """Find the next Gauss-Newton step, and the covariances about the path."""
+        path = self.path
+        steps = [
+            Step(found.transition, -frame.noise.T @ w, frame.noise)
+            for found, w, frame in zip(path.predictions, path.noises, self.frames[1:], strict=True)
+        ]
+        self.smoothed = smooth_linear(-self.rows.T @ path.start, self.rows, steps, path.measurements)
+
+    def _largest(self, step: Smoothed) -> float:
+        """Return by how many standard deviations a step moves a noise or the start at most."""
+        changes = [step.coordinates[0] - self.path.start, *map(np.subtract, step.noises, self.path.noises)]
+        return max(float(np.abs(each).max(initial=0.0)) for each in changes)
+
+    def _steered(self, part: float) -> Path | None:
+        """Return the path a part of a Gauss-Newton step away, or None if it is none, or no better one."""
+        step, path = self.smoothed, self.path
+        noises = [w + part * (new - w) for w, new in zip(path.noises, step.noises, strict=True)]
+        states = [(x + part * change, rows) for x, change, rows in zip(path.x, step.means, step.rows, strict=True)]
+        return self._run(path.start + part * (step.coordinates[0] - path.start), noises, states, path.cost)
+
+    def _run(
+        self,
+        start: Array,
+        noises: list[Array] | None,
+        states: Sequence[tuple[Array, Array]] | None,
+        limit: float = np.inf,
+    ) -> Path | None:
+        """Return the path from a start that noises near the given ones steer along states.
+
+        None if there is none, or its cost is not below the limit.
+        """
+        path, first = Path(start), self.frames[0]
+        path.x.append(self.mean + self.rows.T @ start)
+        path.measurements.append(self._measurement(first, path.x[0], self._qdd))
+        for k, frame in enumerate(self.frames[1:], start=1):
+            if not path.cost < limit:
+                return None
+            try:
+                found = self._predicted(path.x[-1], k, frame)
+            except SimulationError:
+                return None
+            w = np.zeros(len(frame.noise)) if noises is None else noises[k - 1]
+            if states is not None:
+                target, rows = states[k]
+                w = w + _gain(frame.noise, rows) @ (target - found.x - frame.noise.T @ w)
+            self._extend(path, frame, found, w)
+        return path if path.cost < limit else None
+
+    def _extend(self, path: Path, frame: InputFrame, found: Prediction, w: Array | None = None) -> None:
+        """Add to a path the state that a prediction and noise make."""
+        w = np.zeros(len(frame.noise)) if w is None else w
+        path.predictions.append(found)
+        path.noises.append(w)
+        path.x.append(found.x + frame.noise.T @ w)
+        path.measurements.append(self._measurement(frame, path.x[-1], found.qdd))
+
+    def _predicted(self, x: Array, k: int, frame: InputFrame) -> Prediction:
+        """Return what comes of the state x at the frame before the k-th."""
+        first = 2 * self.process.rope.n_links
+        possible = np.concatenate([x[:first], self.process.parameters.possible(x[first:])])
+        found = self.process.predict(possible, self.frames[k - 1].seen.t, frame.seen.t)
+        if not (np.abs(found.x).max() < BEYOND and np.abs(found.transition).max() < BEYOND**2):
+            raise SimulationError("the state is beyond all numbers", status="not finite", time=frame.seen.t)
+        return found._replace(x=np.concatenate([found.x[:first], x[first:]]))
+
+    def _measurement(self, frame: InputFrame, x: Array, qdd: Array) -> Measurement:
+        """Return what is left of a frame's measurements, over their standard deviation, and its derivatives."""
+        seen, good = frame.seen, frame.used
+        if not good.any():
+            return Measurement(np.zeros(0), np.zeros((0, x.size)))
+        places, slope = self.model.predict(x, self.process.base(seen.t, x), seen.rows, qdd)
+        whiten = np.linalg.inv(np.linalg.cholesky(seen.covariances[good])) / frame.level
+        left = whiten @ (seen.places[good] - places[good])[:, :, None]
+        return Measurement(left.ravel(), (whiten @ slope[good]).reshape(left.size, -1))
+
+
+def _gain(noise: Array, rows: Array) -> Array:
+    """Return N (N^T N + P)^-1, (r, N): how much noise answers a difference of states whose covariance is P."""
+    wide = noise.T @ noise + rows.T @ rows
+    size = np.sqrt(np.maximum(np.diag(wide), np.finfo(float).tiny))
+    even = wide / size / size[:, None] + RIDGE * np.eye(len(wide))
+    return np.asarray(np.linalg.solve(even, (noise / size).T).T / size)

@@ -1,0 +1,268 @@
+"""Moving-horizon estimator: Gauss-Newton over the last frames, from several starts where one may be wrong."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import SimulationError
+from hyperflex.estimate import square_root as sr
+from hyperflex.estimate.change_detection import Found
+from hyperflex.estimate.filter import RopeFilter
+from hyperflex.estimate.noise import NoiseLevel
+from hyperflex.estimate.observations import Observations
+from hyperflex.estimate.smoothing.interval import InputFrame, Interval
+from hyperflex.interfaces import RopeState
+from hyperflex.model import Rope
+
+ROUNDS = 3  # of Gauss-Newton, at each frame
+FIRST_ROUNDS = 12  # at the first frame, and from the expected state where there are other starts
+AMBIGUOUS = 0.5  # rad, standard deviation of a link's angle beyond which what is seen may have several explanations
+DIMENSIONS = 4  # in which starts differ
+START_ROUNDS = 6  # from each of several starts
+REPEATED = 5  # starts in a row that come to nothing new, after which no more are tried
+NEGLIGIBLE = 7.0  # by how much a logarithm of a likelihood is below the best where its start is dropped
+LOST = 10.0  # how many times too large what is squared is where no explanation is right
+PATIENT = 8  # beginnings without an explanation that holds, after which levels of noise must have been too low
+ALIKE = 0.1  # of a standard deviation: two starts have come to the same
+
+
+class Prior(NamedTuple):
+    """What was known of a state before its frame was seen.
+
+    Attributes
+    ----------
+    mean : (N,) float64
+    rows : (r, N) float64
+        Their squares are its covariance.
+    """
+
+    mean: Array
+    rows: Array
+
+
+class MovingHorizon(RopeFilter):
+    """Estimates a rope's state from its markers in the last frames, all fitted at once.
+
+    It is used as the filter is. Where that corrects the last state alone, about derivatives that were taken at worse
+    estimates, this corrects the states of the last frames together, and takes all derivatives anew. What was seen
+    before goes on as the prior of the first of them (arrival cost), from the square root of the same factorisation.
+
+    Parameters
+    ----------
+    rope : Rope
+    arc_lengths : (K,) array_like
+        How far along the rope each marker sits, m from the first joint.
+    frames : int
+        How many frames are fitted together, at least 2.
+    starts : int
+        How many start states are tried at most where the state may have several explanations: after the first frame,
+        and after a blackout. Each is fitted to the next frames; the most likely one goes on, and others are dropped as
+        they become unlikely. 1: none but the expected one.
+    **options
+        As of :class:`RopeFilter`.
+
+    Attributes
+    ----------
+    begun : Prior or None
+        Of the frame with which the horizon began, or began anew.
+
+    Notes
+    -----
+    The prior of the second frame when the first leaves is the filter's, linearised where the horizon has come to
+    (Rao, Rawlings and Mayne 2003, IEEE Trans. Automatic Control 48(2), 246; smoothing update). Cost: some ROUNDS times
+    `frames` times that of the filter.
+
+    Levels of noise are learnt once an explanation has held for a whole horizon, or if none ever does. Where all of
+    them fit badly (a wrong start is off by hundreds of standard deviations after two or three frames), the estimator
+    begins anew at the frame, with the parameters and levels of before.
+
+    While several explanations are alive, the covariance is that of their mixture about the most likely one.
+    """
+
+    def __init__(
+        self, rope: Rope, arc_lengths: npt.ArrayLike, *, frames: int = 8, starts: int = 16, **options: Any
+    ) -> None:
+        super().__init__(rope, arc_lengths, **options)
+        self.frames = checks.count("frames", frames, least=2)
+        self.starts = checks.count("starts", starts)
+        self._explanations: list[Interval] = []
+        self.begun: Prior | None = None
+        self._changed = False  # whether the last update noticed that something has
+        self._trusted, self._given_up = self._learnt(), 0  # beginnings since an explanation held
+
+    @property
+    def horizon(self) -> Interval | None:
+        """The frames of the horizon, as the most likely explanation fits them; None before anything was seen."""
+        return self._explanations[0] if self._explanations else None
+
+    @property
+    def smoothed(self) -> tuple[RopeState, ...]:
+        """The states of the frames of the horizon, with covariances, the oldest first."""
+        return () if self.horizon is None else self.horizon.rope_states
+
+    @property
+    def explanations(self) -> Array:
+        """Weights of the explanations that are alive, the most likely first; their sum is 1."""
+        if not self._explanations:
+            return np.zeros(0)
+        known = np.array([each.log_likelihood for each in self._explanations])
+        weights = np.exp(known - known[0])
+        return np.asarray(weights / weights.sum())
+
+    def restart(self) -> None:
+        """Forget the state; what was learnt of parameters and noise stays as a first guess."""
+        super().restart()
+        self._explanations = []
+
+    def _correct(self, seen: Observations, rounds: int) -> None:
+        """Let the filter say which markers are plausible and what has changed, and fit the horizon."""
+        prior, unsure, self._changed = Prior(self.x.copy(), self.factor), self._unsure(), False
+        super()._correct(seen, rounds)
+        used = self.used
+        frame = InputFrame(seen, used, self.measurement_noise.value, self._noise_until(seen.t))
+        if not self._explanations:
+            self.begun = prior
+            self._explanations = [Interval(self.process, self.model, *prior, frame, self._qdd)]
+            self._fit(FIRST_ROUNDS)
+            self._take()
+            return
+        if self._changed:  # what was seen before is of another rope, or of one that was not touched
+            self._explanations = [self._beginning(seen, self.x, self.factor, self._qdd)]
+            return
+        if unsure and self.starts > 1 and self._given_up <= PATIENT and used.any() and len(self._explanations) == 1:
+            self._explanations = self._started(frame)
+            self._fit(0)
+        else:
+            self._explanations = [each for each in self._explanations if _appended(each, frame)]
+            self._fit(ROUNDS if used.any() else 0)
+        if used.any() and (not self._explanations or self._explanations[0].misfit > LOST):
+            self._begin_anew(seen)
+        elif self._settled():
+            self._trusted, self._given_up = self._learnt(), 0
+        if self._explanations:
+            self._take()
+
+    def _adopt(self, found: Found) -> None:
+        """Take over a change, as the filter does; the horizon begins after it."""
+        super()._adopt(found)
+        self._changed = True
+
+    def _learn(self, *innovation: Any) -> None:
+        """Correct the levels of noise, where the horizon is known to be right."""
+        before = copy(self.process_noise), copy(self.measurement_noise)
+        super()._learn(*innovation)
+        if not self._settled() and self._given_up <= PATIENT:
+            self.process_noise, self.measurement_noise = before
+
+    def _settled(self) -> bool:
+        """Return whether one explanation has held for a whole horizon."""
+        return len(self._explanations) == 1 and len(self._explanations[0].frames) == self.frames
+
+    def _learnt(self) -> tuple[Array, NoiseLevel, NoiseLevel]:
+        """Return copies of the parameters' values and the levels of noise."""
+        return self.x[2 * self.n_links :].copy(), copy(self.process_noise), copy(self.measurement_noise)
+
+    def _begin_anew(self, seen: Observations) -> None:
+        """Begin at this frame, with what was learnt while an explanation held."""
+        self.restart()
+        self._given_up += 1
+        values, *levels = self._trusted
+        if self._given_up <= PATIENT:
+            self.process_noise, self.measurement_noise = map(copy, levels)
+        self.x[2 * self.n_links :] = values
+        self._begin(seen)
+
+    def _unsure(self) -> bool:
+        """Return whether what was expected is too wide to be linear."""
+        return bool(np.linalg.norm(self.factor[:, : self.n_links], axis=0).max() > AMBIGUOUS)
+
+    def _noise_until(self, t: float) -> Array:
+        """Return rows of the process noise since the last frame."""
+        if not self._explanations:
+            return np.zeros((0, self.x.size))
+        return self.process.noise(t - self._explanations[0].frames[-1].seen.t, self.process_noise.value)
+
+    def _started(self, frame: InputFrame) -> list[Interval]:
+        """Return fits from several starts, spread where the angles expected now are uncertain."""
+        last = self._explanations[0]
+        begun = self._beginning(last.frames[-1].seen, last.x, last.factor, last.qdd)
+        try:
+            begun.append(frame)
+        except SimulationError:
+            return []
+        angles = last.factor @ begun.path.predictions[-1].transition[: self.n_links].T
+        ways, sizes, _ = np.linalg.svd(angles, full_matrices=False)
+        ways, fresh = ways[:, sizes > AMBIGUOUS][:, :DIMENSIONS], copy(begun)
+        begun.solve(FIRST_ROUNDS)
+        found, repeated = [begun], 0
+        if not ways.size:
+            return found
+        for point in ndtri(qmc.Halton(ways.shape[1], rng=0).random(self.starts - 1)):
+            twin = copy(fresh)
+            if twin.begin_at(ways @ point):
+                twin.solve(START_ROUNDS)
+            if twin.misfit < LOST and not any(_alike(twin, each) for each in found):
+                found, repeated = [*found, twin], 0
+            else:
+                repeated += 1
+            if repeated == REPEATED:
+                break
+        return found
+
+    def _beginning(self, seen: Observations, x: Array, factor: Array, qdd: Array) -> Interval:
+        """Return an interval that begins with what is known after a frame."""
+        nothing = InputFrame(seen, np.zeros(len(seen.places), dtype=bool), 1.0, np.zeros((0, x.size)))
+        return Interval(self.process, self.model, x.copy(), factor, nothing, qdd)
+
+    def _fit(self, rounds: int) -> None:
+        """Improve all explanations, order them, and drop those that are negligible or alike."""
+        for each in self._explanations:
+            each.solve(rounds)
+            while len(each.frames) > self.frames:
+                each.forget()
+        kept: list[Interval] = []
+        for each in sorted(self._explanations, key=lambda one: -one.log_likelihood):
+            unlikely = kept and each.log_likelihood < kept[0].log_likelihood - NEGLIGIBLE
+            if not unlikely and not any(_alike(each, other) for other in kept):
+                kept.append(each)
+        self._explanations = kept
+
+    def _take(self) -> None:
+        """Hand out the most likely explanation, as unsure as all of them."""
+        best, weights = self._explanations[0], self.explanations
+        rows = [np.sqrt(weight) * each.factor for weight, each in zip(weights, self._explanations, strict=True)]
+        rows += [
+            np.sqrt(weight) * (each.x - best.x)[None]
+            for weight, each in zip(weights[1:], self._explanations[1:], strict=True)
+        ]
+        self.factor = sr.compressed(np.concatenate(rows), self._least)
+        first = 2 * self.n_links
+        x = best.x.copy()
+        x[first:] = self.parameters.possible(x[first:])
+        self.x, self._qdd = x, best.qdd
+
+
+def _appended(each: Interval, frame: InputFrame) -> bool:
+    try:
+        each.append(frame)
+    except SimulationError:
+        return False
+    return True
+
+
+def _alike(one: Interval, other: Interval) -> bool:
+    """Return whether two fits have come to the same path."""
+    if len(one.frames) != len(other.frames):
+        return False
+    return all(
+        np.abs(a - b).max(initial=0.0) < ALIKE
+        for a, b in zip([one.path.start, *one.path.noises], [other.path.start, *other.path.noises], strict=True)
+    )
