@@ -11,12 +11,12 @@ from scipy.special import log_ndtr
 
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
-from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.changes import MISFIT, TOUCH, Change, ChangeTests
 from hyperflex.estimate.noise import NoiseLevel
 from hyperflex.estimate.observations import lever_arms
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.estimate.process import Process
+from hyperflex.estimate.signatures import Signatures
 
 PLACES = 10  # along the rope, at which a touch is tried
 SETTLED = 1.0  # s after the first frame from which on is tested
@@ -100,8 +100,8 @@ class ChangeDetector:
     def begin(self, t: float) -> None:
         """Test nothing before `t`, s."""
         self._since = t
-        self._parameters = [_Signatures(self._size) for _ in self.names]
-        self._touches = _Signatures(self._size, len(self.places), 2)
+        self._parameters = [Signatures(self._size) for _ in self.names]
+        self._touches = Signatures(self._size, len(self.places), 2)
         self._moments, self._indices, self._begun = np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
         self._kicks: Array | None = None
         self._count = 0
@@ -316,54 +316,3 @@ class ChangeDetector:
         of_interval = self._touches.states.reshape(-1, w, p, 2)[:, :, place]
         whole = of_interval[:, since:].sum(axis=1) if lasting else of_interval[:, since]
         return change, size * (of_interval[:, -1] if again else whole).T
-
-
-class _Signatures:
-    """What changes do to the state, and the sums of what they would leave in the innovations.
-
-    Parameters
-    ----------
-    size : int
-        Of the state, N.
-    places, axes : int
-        At how many places a change is possible, and along how many axes: P and a. What w changes of different moments
-        have in common is summed for each place alone.
-
-    Attributes
-    ----------
-    states : (N, w P a) float64
-        Errors of the state, per unit of each change: moment by moment, in these place by place.
-    information : (P, w a, w a), score : (P, w a) float64
-    """
-
-    def __init__(self, size: int, places: int = 1, axes: int = 1) -> None:
-        self._places, self._axes = places, axes
-        self.states, self.information, self.score = np.zeros((size, 0)), np.zeros((places, 0, 0)), np.zeros((places, 0))
-
-    def predict(self, transition: Array) -> None:
-        """Carry the errors on."""
-        self.states = transition @ self.states
-
-    def add(self, columns: Array) -> None:
-        """Add changes (N, P a) that begin."""
-        before, now = self.score.shape[1], self.score.shape[1] + self._axes
-        information, score = np.zeros((self._places, now, now)), np.zeros((self._places, now))
-        information[:, :before, :before], score[:, :before] = self.information, self.score
-        self.states, self.information, self.score = np.concatenate([self.states, columns], axis=1), information, score
-
-    def keep(self, good: npt.NDArray[np.bool_]) -> None:
-        """Keep the changes of some moments (w,)."""
-        if not good.all():
-            own = np.flatnonzero(np.repeat(good, self._axes))
-            self.states = self.states[:, np.repeat(good, self._places * self._axes)]
-            self.information, self.score = self.information[:, own[:, None], own], self.score[:, own]
-
-    def update(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
-        """Take in an innovation, and correct the errors as the filter does its own."""
-        seen = jacobian @ self.states
-        count, shape = self.score.shape[1], (self.score.shape[1] // self._axes, self._places, self._axes, len(seen))
-        left = sr.solved(upper, seen, transposed=True).T.reshape(shape).swapaxes(0, 1)
-        left = left.reshape(self._places, count, len(seen))
-        self.score = self.score + left @ whitened
-        self.information = self.information + left @ left.transpose(0, 2, 1)
-        self.states = self.states - gain @ seen

@@ -157,9 +157,8 @@ class RopeFilter:
         with np.errstate(over="ignore", invalid="ignore"):
             if self._detector is None:
                 x, rows = self.process.carry(self.x, np.concatenate(carried), self.t, t)
-                self._qdd = self.process.accelerations(x, t)
             else:
-                x, transition, self._qdd = self.process.predict(self.x, self.t, t)
+                x, transition = self.process.predict(self.x, self.t, t)[:2]
                 rows = np.concatenate(carried) @ transition.T
         if not (np.abs(rows).max() < BEYOND and np.abs(x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
@@ -168,11 +167,9 @@ class RopeFilter:
         factor, *by_noise = np.split(rows, np.cumsum([len(each) for each in carried])[:-1])
         noise = self.process.noise(t - self.t, self.process_noise.value)
         self.factor = sr.compressed(np.concatenate([factor, noise]), self._least)
-        levels = enumerate(self.process_noise.value.tolist())
-        noises = [self.process.noise_of(t - self.t, kind, level) for kind, level in levels]
-        self._by_noise.predict(by_noise, noises, ROUGHLY * self._least)
+        self._by_noise.predict(by_noise, np.split(noise, self.process.noise_ends)[:2], ROUGHLY * self._least)
         self.age += t - self.t
-        self.x, self.t = x, t
+        self.x, self.t, self._qdd = x, t, self.process.accelerations(x, t)
 
     def state_at(self, t: float) -> RopeState:
         """Return what is expected at a time t, s, not earlier than the last; the filter stays as it is.
@@ -321,10 +318,9 @@ class RopeFilter:
                 self.changes = self._detector.misfit(seen.t, self.measurement_noise)
                 adopted.extend([] if change is None else [change])
 
-        x, self.factor = sr.iterated_update(self.x, self.factor, compared, rounds, look)
+        self.x, self.factor = sr.iterated_update(self.x, self.factor, compared, rounds, look)
         first = 2 * self.n_links
-        x[first:] = self.parameters.possible(x[first:])
-        self.x = x
+        self.x[first:] = self.parameters.possible(self.x[first:])
         for change in adopted:
             self._adopt(change)
 

@@ -68,6 +68,7 @@ class Process:
         beyond = (np.cumsum(rope.length[::-1])[::-1] - 0.5 * rope.length) / rope.total_length
         end = (END / (beyond + END)) ** 1.5
         self._shapes = smooth_shapes(rope, CORRELATION), smooth_shapes(rope, END_CORRELATION, end)
+        self.noise_ends = np.cumsum([2 * len(each) for each in self._shapes])
 
     def copy(self) -> Process:
         """Return another one, for other values of the parameters."""
@@ -151,22 +152,15 @@ class Process:
         dt : float
         density : (2,) array_like or float
             Of the links' angular accelerations, rad/s^2 per square root of Hz: of disturbances along the whole rope,
-            and of those at its free end (one number: for both).
+            and of those at its free end (one number: for both). The rows of both end at `noise_ends`.
         """
-        both = np.broadcast_to(density, (2,))
-        rows = [self.noise_of(dt, k, level) for k, level in enumerate(both.tolist())]
-        if self._walk.any():
-            rows.append(np.zeros((self._walk.size, rows[0].shape[1])))
-            rows[-1][:, 2 * self.rope.n_links :] = np.diag(self._walk * np.sqrt(dt))
-        return np.concatenate(rows)
-
-    def noise_of(self, dt: float, kind: int, density: float) -> Array:
-        """Return the same rows of one kind of disturbances: 0 along the whole rope, 1 at its free end."""
-        n, r = self.rope.n_links, len(self._shapes[kind])
-        shapes = density * np.sqrt(dt) * self._shapes[kind]
-        rows = np.zeros((2 * r, 2 * n + self._walk.size))
-        rows[:r, :n], rows[:r, n : 2 * n] = 0.5 * dt * shapes, shapes
-        rows[r:, :n] = dt / np.sqrt(12.0) * shapes
+        n, last = self.rope.n_links, self.noise_ends[-1]
+        rows = np.zeros((last + self._walk.size * int(self._walk.any()), 2 * n + self._walk.size))
+        for end, level, shapes in zip(self.noise_ends, np.broadcast_to(density, (2,)), self._shapes, strict=True):
+            moved, turned = rows[end - 2 * len(shapes) : end - len(shapes)], rows[end - len(shapes) : end]
+            moved[:, n : 2 * n] = level * np.sqrt(dt) * shapes
+            moved[:, :n], turned[:, :n] = 0.5 * dt * moved[:, n : 2 * n], dt / np.sqrt(12.0) * moved[:, n : 2 * n]
+        np.fill_diagonal(rows[last:, 2 * n :], self._walk * np.sqrt(dt))
         return rows
 
     def kicks(self, q: Array, arms: Array) -> Array:
