@@ -65,6 +65,7 @@ class Process:
         self._run = Propagator(setup, parameters.directions(), 3 * (2 * rope.n_links + len(parameters) + 1))
         self._rope, self._at = rope, np.zeros(len(parameters))
         self._walk = parameters.walk
+        self._moment, self._base = np.nan, np.zeros((3, 2))  # when the first joint was looked at last, and where it was
         beyond = (np.cumsum(rope.length[::-1])[::-1] - 0.5 * rope.length) / rope.total_length
         end = (END / (beyond + END)) ** 1.5
         self._shapes = smooth_shapes(rope, CORRELATION), smooth_shapes(rope, END_CORRELATION, end)
@@ -141,7 +142,7 @@ class Process:
 
     def set_motion(self, motion: Motion) -> None:
         """Let the arm move in another way from now on."""
-        self._motion = motion
+        self._motion, self._moment = motion, np.nan
         self._run.set_motion(motion)
 
     def noise(self, dt: float, density: npt.ArrayLike) -> Array:
@@ -190,10 +191,12 @@ class Process:
         x : (N,) float64, optional
             State with the pictures' delay; by default there is none.
         """
-        drive, now = self._run.drive, np.empty(9)
         moment = t if x is None else t - self.parameters.value("delay", x[2 * self.rope.n_links :])
-        base_state(drive, segment(drive, moment), moment, now)
-        return np.array([now[7:9], now[5:7], now[0:2]])
+        if moment != self._moment:
+            drive, now = self._run.drive, np.empty(9)
+            base_state(drive, segment(drive, moment), moment, now)
+            self._moment, self._base = moment, np.array([now[7:9], now[5:7], now[0:2]])
+        return self._base.copy()
 
     def _rope_at(self, values: Array) -> Rope:
         """Return the rope with its estimated values, made anew only when they have changed."""

@@ -6,7 +6,7 @@ from hyperflex.core.jit import kernel
 
 AREA, MEAN_U, MEAN_V, COV_UU, COV_UV, COV_VV, PEAK, PIXELS, BORDER, SPREAD, FULL, COLOUR = range(12)
 COLUMNS = COLOUR + 3
-LARGEST = 64  # blobs in one picture
+LARGEST = 64  # blobs in one picture, 255 at most
 GROWTH = 2  # px beyond the threshold that still count
 FAINT = 0.2  # of a blob's greatest weight: less is no part of it
 FULLY = 0.85  # weight from which a pixel shows the marker alone
@@ -48,7 +48,7 @@ def blob_moments(image, weights, threshold, out):  # type: ignore[no-untyped-def
     their shares, and the mean is not displaced.
     """
     h, w = weights.shape
-    label, members = np.zeros((h, w), np.int64), np.empty(h * w, np.int64)
+    label, members = np.zeros((h, w), np.uint8), np.empty(h * w, np.int64)
     _, size = label_blobs(weights, threshold, label, members, out.shape[0])
     sure = weights.copy()
     drop_faint(sure, label, members, size)
@@ -97,17 +97,17 @@ def label_blobs(weights, threshold, label, members, most):  # type: ignore[no-un
     """
     h, w = weights.shape
     count, size = 0, 0
-    for row in range(h):
-        for column in range(w):
-            if weights[row, column] <= threshold or label[row, column] != 0:
+    for y in range(h):
+        for x in range(w):
+            if weights[y, x] <= threshold or label[y, x] != 0:
                 continue
             if count == most:
                 return count, size
             count += 1
             done = size
-            members[size] = row * w + column
+            members[size] = y * w + x
             size += 1
-            label[row, column] = count
+            label[y, x] = count
             while done < size:
                 v, u = members[done] // w, members[done] % w
                 done += 1
