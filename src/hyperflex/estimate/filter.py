@@ -25,8 +25,8 @@ from hyperflex.vision import Camera
 
 ROUNDS = 4  # of Gauss-Newton in an update; more at the start
 FIRST_ROUNDS = 30
-NEGLIGIBLE = 1e-5  # rad, standard deviation of an angle that is left out; of rates over sqrt(g / L)
-ROUGHLY = 30.0  # times that, of what tells of noise levels alone
+NEGLIGIBLE = 5e-5  # rad, standard deviation of an angle that is left out; of rates over sqrt(g / L)
+ROUGHLY = 6.0  # times that, of what tells of noise levels alone
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
 
 
@@ -203,7 +203,7 @@ class RopeFilter:
 
         The speeds (K,) are in px/s or m/s; `rows` (K,) are those of :class:`Observations`.
         """
-        base = self._base()
+        base = self.base
         rows = np.zeros(len(self.model.arc_lengths)) if rows is None else rows
         places, slope = self.model.predict(self.x, base, rows, self._qdd)
         n, camera = self.n_links, self.model.camera
@@ -219,7 +219,7 @@ class RopeFilter:
         """
         if not self.model.reads_rows:
             return np.zeros((len(rows), 2)), np.zeros((len(rows), 2, 2))
-        base = self._base()
+        base = self.base
         late, now = (self.model.predict(self.x, base, each, self._qdd) for each in (rows, np.zeros_like(rows)))
         return late[0] - now[0], self._spread(late[1] - now[1])
 
@@ -234,8 +234,9 @@ class RopeFilter:
         spread = (slope.reshape(-1, self.x.size) @ self.factor.T).reshape(len(slope), 2, -1)
         return np.asarray(np.matmul(spread, spread.transpose(0, 2, 1)))
 
-    def _base(self) -> Array:
-        """Return place, velocity and acceleration (3, 2) of the first joint now."""
+    @property
+    def base(self) -> Array:
+        """Place, velocity and acceleration (3, 2) of the first joint now, m, m/s, m/s^2."""
         return self.process.base(self._now, self.x)
 
     def update(self, seen: Observations) -> None:

