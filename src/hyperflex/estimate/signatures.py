@@ -53,8 +53,8 @@ class Signatures:
         """Take in an innovation, and correct the errors as the filter does its own."""
         seen = jacobian @ self.states
         count, shape = self.score.shape[1], (self.score.shape[1] // self._axes, self._places, self._axes, len(seen))
-        left = sr.solved(upper, seen, transposed=True).T.reshape(shape).swapaxes(0, 1)
-        left = left.reshape(self._places, count, len(seen))
+        by_moment = sr.solved(upper, seen, transposed=True).T.reshape(shape)
+        left = by_moment.swapaxes(0, 1).reshape(self._places, count, len(seen))
         self.score = self.score + left @ whitened
         self.information = self.information + left @ left.transpose(0, 2, 1)
         self.states = self.states - gain @ seen

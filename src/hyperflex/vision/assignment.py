@@ -171,7 +171,7 @@ def _innovation(
     seen: Observations, mean: Array, prior: Array, indices: npt.NDArray[np.int64], found: npt.NDArray[np.intp]
 ) -> tuple[Array, Array, npt.NDArray[np.intp]]:
     """Return the innovation (2 F,) of the markers found, its covariance (2 F, 2 F), and its rows of the prior."""
-    rows, count = (2 * found[:, None] + [0, 1]).ravel(), np.arange(found.size)
+    rows, count = np.asarray(2 * found[:, None] + [0, 1], np.intp).ravel(), np.arange(found.size)
     S = prior[np.ix_(rows, rows)]
     S.reshape(found.size, 2, found.size, 2)[count, :, count] += seen.covariances[indices[found]]
     return (seen.places[indices[found]] - mean[found]).ravel(), S, rows

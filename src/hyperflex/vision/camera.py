@@ -284,7 +284,7 @@ class Camera:
         if not len(seen):  # OpenCV takes no empty arrays
             return np.empty((0, 2))
         ideal = cv2.undistortPoints(np.ascontiguousarray(seen)[:, None], self.matrix, self.distortion)
-        rays = cv2.convertPointsToHomogeneous(ideal)[:, 0] @ self._to_plane.T
+        rays: Array = cv2.convertPointsToHomogeneous(ideal)[:, 0] @ self._to_plane.T
         with np.errstate(divide="ignore", invalid="ignore"):
             places = rays[:, :2] / rays[:, 2:]
         error = np.full(len(seen), np.nan)
