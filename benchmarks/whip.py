@@ -84,7 +84,7 @@ def cast_setup(rope: hf.Rope) -> CastSetup:
 
 def targets() -> list[TipTarget]:
     """The committed targets."""
-    return [TipTarget(speed=SPEED, angle_tolerance=WITHIN, **row) for row in json.loads(TARGETS.read_text())]
+    return [TipTarget(least_speed=SPEED, angle_tolerance=WITHIN, **row) for row in json.loads(TARGETS.read_text())]
 
 
 def drawn(seed: int, known: WhipMap) -> Iterator[tuple[dict[str, float], WhipFeasibility]]:
@@ -93,7 +93,7 @@ def drawn(seed: int, known: WhipMap) -> Iterator[tuple[dict[str, float], WhipFea
     while True:
         r, a, direction = far * np.sqrt(rng.uniform()), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
         row = {"x": round(r * np.cos(a), 4), "y": round(r * np.sin(a), 4), "direction": round(direction, 4)}
-        yield row, check_whip_feasibility(known, TipTarget(speed=SPEED, angle_tolerance=WITHIN, **row))
+        yield row, check_whip_feasibility(known, TipTarget(least_speed=SPEED, angle_tolerance=WITHIN, **row))
 
 
 def draw() -> list[dict[str, float]]:
@@ -180,7 +180,7 @@ def beyond(known: WhipMap) -> Iterator[tuple[dict[str, float], TipTarget, int]]:
     count = 0
     for number, (row, told) in enumerate(drawn(3, known), start=1):
         if not told.feasible and np.isfinite(told.cost):
-            yield row, TipTarget(speed=SPEED, angle_tolerance=WITHIN, **row), number
+            yield row, TipTarget(least_speed=SPEED, angle_tolerance=WITHIN, **row), number
             count += 1
             if count == BEYOND:
                 return

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from docs.commands import commands, settings
+from PIL import Image
 
 import hyperflex as hf
+from hyperflex.cli.app import run
+from hyperflex.demo import twin
 from hyperflex.paper.report import casting, estimation, identification
 from hyperflex.report.animation import animate
 from hyperflex.report.identification.figures import prediction_figure
 from hyperflex.report.identification.fitted import fitted_channels
 from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import BLUE, GREY, RED, new_figure, save_png
+from hyperflex.vision import VideoReader
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,6 +76,40 @@ def identified() -> Figure:
     return prediction_figure(view, held)
 
 
+def tutorial(folder: Path) -> None:
+    """Draw the pictures of tutorials/video.md in what its commands find, in an empty folder."""
+    page = Path(__file__).parent / "tutorials" / "video.md"
+    for name, content in zip(("rope.toml", "finer.toml"), settings(page), strict=True):
+        (folder / name).write_text(content, "utf-8")
+    (folder / "swing.mp4").write_bytes(twin.BUNDLED.read_bytes())
+    twin.camera().write(folder / "camera.toml")
+    with contextlib.chdir(folder):
+        for command in commands(page):
+            if command[0] != "calibrate" and run(command):
+                raise SystemExit(f"failed: {' '.join(command)}")
+    with VideoReader(folder / "seen.mp4") as video:
+        frames = [frame.image for frame in video]
+    pair = np.hstack([frames[k] for k in (4, 42)])[..., ::-1]  # blue, green, red to red, green, blue
+    picture(Image.fromarray(np.ascontiguousarray(pair)), "tutorial-seen.png", 1400)
+    rope = hf.Rope.from_toml(folder / "finer.toml")
+    recording = hf.read_recording(folder / "markers.nc")
+    found = hf.identify(
+        recording, rope, ["friction:shared", "inertia:shared"], arc_lengths=twin.ARC_LENGTHS, origin=(0.0, 0.0)
+    )
+    if found.held_out is None:
+        raise SystemExit("nothing is held out")
+    save_png(
+        prediction_figure(fitted_channels(recording, found), found.held_out), IMAGES / "tutorial-predicted.png", dpi=DPI
+    )
+    picture(Image.open(folder / "cast" / "strike.png").convert("RGB"), "tutorial-strike.png", 640)
+
+
+def picture(image: Image.Image, name: str, width: int) -> None:
+    """Save a picture, made smaller to `width`, px."""
+    size = (width, round(image.height * width / image.width))
+    image.resize(size, Image.Resampling.LANCZOS).save(IMAGES / name, optimize=True)
+
+
 def main() -> None:
     """Draw them all, and print the figures that the captions name."""
     IMAGES.mkdir(exist_ok=True)
@@ -84,6 +125,8 @@ def main() -> None:
     save_png(identified(), IMAGES / "identified.png", dpi=DPI)
     for draw in (casting.fig10, casting.fig11, casting.fig12):
         save_png(draw(), IMAGES / f"{draw.__name__}.png", dpi=DPI)
+    with tempfile.TemporaryDirectory() as folder:
+        tutorial(Path(folder))
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ Case = tuple[str, Callable[[], object], tuple[str, ...]]
 
 THREE: dict[str, Any] = {"length": [0.1, 0.2, 0.3], "mass": [0.01, 0.02, 0.03]}
 PUSH = hf.torque_profile([0.0, 1.0], [0.0, 1.0])
+ROD = hf.Rope(length=[0.3, 0.3], mass=[0.1, 0.1], friction=1e-4)
 CABLE: dict[str, Any] = {"length": 2.0, "mass": 0.125, "n_links": 5}
 
 
@@ -271,3 +272,42 @@ def test_missing_file_is_named(tmp_path: Path, read: Callable[[Path], object]) -
     path = tmp_path / "nowhere.x"
     with pytest.raises(FileProblem, match=r"nowhere\.x"):
         read(path)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: hf.simulate(ROD, arm=hf.Arm(), duration=0.1, arm_angle0=1.0), "no torque drives the arm"),
+        (
+            lambda: hf.simulate(ROD, duration=0.1, q0=[0.1, 0.1], state=hf.simulate(ROD, duration=0.1).state),
+            "the start is given twice",
+        ),
+        (lambda: hf.simulate(ROD, duration=0.1, pegs=hf.Peg(1.0, 1.0, 0.1)), "a sequence of Peg"),
+        (lambda: hf.Setup(ROD, pegs=(None,)), "a sequence of Peg"),
+        (lambda: hf.Stepper(ROD, arm=hf.Arm(), pegs=hf.Peg(1.0, 1.0, 0.1)), "a sequence of Peg"),
+        (lambda: hf.sensitivities(ROD, duration=0.1, wrt=None), "neither a name nor a mapping"),
+        (lambda: hf.simulate(hf.Setup(ROD, tol=1e-3), tol=1e-5), "arguments beside a whole set-up"),
+        (lambda: hf.Stepper(hf.Setup(ROD, arm=hf.Arm()), tol=1e-5), "arguments beside a whole set-up"),
+        (lambda: hf.predictability(hf.Setup(ROD), tol=1e-5), "arguments beside a whole set-up"),
+        (lambda: hf.simulate(hf.Setup(ROD, arm=hf.Arm()), arm_angle0=0.0), "arguments beside a whole set-up"),
+    ],
+)
+def test_what_would_be_ignored_is_refused(call: Callable[[], object], words: str) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        call()
+
+
+def test_a_stepper_begins_where_the_motion_of_its_setup_does() -> None:
+    motion = hf.arm_swings(t_move=0.7, t_rest=0.5)
+    start = hf.Stepper(hf.Setup(ROD, motion, hf.Arm())).start()
+    assert start.arm_angle == motion.angle(0.0) != 0.0
+    assert start.arm_rate == motion.rate(0.0)
+
+
+def test_results_say_whether_they_succeeded() -> None:
+    assert hf.simulate(ROD, duration=0.1).success
+    batch = hf.simulate_batch([ROD, ROD], duration=0.1)
+    assert batch.success
+    assert batch.message == ""
+    late = hf.simulate(ROD.replace(friction=0.0), duration=1e5, t_eval=[1e5], throw=False, time_budget=0.2)
+    assert not late.success

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import doctest
 import importlib
+import inspect
 import os
 import pkgutil
 import re
 import subprocess
 import sys
 import warnings
+from dataclasses import fields
+from inspect import signature
 from pathlib import Path
 
 import pytest
 
 import hyperflex
+from hyperflex.core import status
+from hyperflex.model import Arm, Setup
+from hyperflex.model.obstacles import KINDS
+from hyperflex.model.rope_table import TOTALS
+from hyperflex.model.setup import PLANNING
+from hyperflex.motion.tables import MAKERS
+from hyperflex.planning import MotorLimits, TipTarget
+from hyperflex.simulation import INTERRUPTED, OUT_OF_TIME
 from tests.names import code_names
 
 ROOT = Path(__file__).parent.parent
@@ -83,6 +95,74 @@ def test_site_builds_and_needs_no_network(tmp_path: Path) -> None:
         assert "arithmatex" not in text, f"{page.name}: LaTeX that was not converted"
         assert not re.search(r"<m[ion]>(&amp;|&|\\\w*)</m[ion]>", text), f"{page.name}: LaTeX within MathML"
         assert not re.search(r'<(script|img|link|iframe)[^>]*(src|href)="?(https?:)?//', text), page.name
+
+
+def rows_of(page: str, key: str) -> str:
+    """Return the rows of a page's tables that begin with `key`."""
+    return "\n".join(re.findall(rf"^\| `{re.escape(key)}` \|.*$", page, re.M))
+
+
+def test_page_on_files_names_every_table_and_key_of_a_set_up() -> None:
+    page = (ROOT / "docs" / "how-to" / "files.md").read_text("utf-8")
+    words = set(re.findall(r"`(\w+)`", page)) | set(re.findall(r"\[(\w+)\]", page))
+    keys = {each.name for kind in (Setup, Arm, MotorLimits, TipTarget) for each in fields(kind)}
+    keys |= {"walls", "grounds", *PLANNING, "n_links", *signature(hyperflex.Rope).parameters}
+    keys |= {f"{whole}_{name}" for whole in ("total", "link") for name in TOTALS}
+    assert keys - words == set()
+    for kind, maker in MAKERS.items():
+        row = rows_of(page, f'"{kind}"') or page
+        assert {name for name in signature(maker).parameters if f"`{name}`" not in row} == set(), kind
+    for table, obstacle in KINDS.items():
+        row = rows_of(page, f"[{table}]")
+        assert {each.name for each in fields(obstacle) if f"`{each.name}`" not in row} == set(), table
+
+
+def test_set_ups_on_the_page_on_files_can_be_read() -> None:
+    page = (ROOT / "docs" / "how-to" / "files.md").read_text("utf-8")
+    first, *others = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
+    for other in others:
+        setup = Setup.loads(other if "[rope]" in other else first + other)
+        assert ("[pegs]" in other) == bool(setup.pegs)
+
+
+def test_page_on_accuracy_has_a_row_for_every_status_of_a_run() -> None:
+    page = (ROOT / "docs" / "how-to" / "accuracy.md").read_text("utf-8")
+    table = page[page.index("| status | what happened") :].split("\n\n")[0]
+    ends = {name for code, name in status.NAMES.items() if code != status.RUNNING}  # in which a run never ends
+    assert set(re.findall(r"^\| `([^`]+)` \|", table, re.M)) == {*ends, OUT_OF_TIME, INTERRUPTED} - {"ok"}
+
+
+def public_names() -> set[str]:
+    """Return the names that users meet: of public objects and modules, their attributes and arguments."""
+    rooms = [
+        importlib.import_module(name) for name in MODULES if name.count(".") == 1 and not name.endswith("__main__")
+    ]
+    offered = [getattr(room, name) for room in (hyperflex, *rooms) for name in getattr(room, "__all__", ())]
+    members = [getattr(each, name) for each in offered if inspect.isclass(each) for name in dir(each)]
+    names = {part for module in MODULES for part in module.split(".")} | {"hf", "benchmarks"}
+    names |= {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
+    for each in (*offered, *members):
+        names |= {getattr(each, "__name__", ""), *(dir(each) if inspect.isclass(each) else ())}
+        names |= set(getattr(each, "__annotations__", ()))
+        with contextlib.suppress(TypeError, ValueError):  # what has no signature
+            names |= set(signature(each).parameters)
+    return names
+
+
+def test_changelog_uses_the_names_of_today() -> None:
+    text = re.sub(r"\(before[^()]*(\([^()]*\)[^()]*)*\)", "", (ROOT / "CHANGELOG.md").read_text("utf-8"))
+    cli, known = (ROOT / "docs" / "cli.md").read_text("utf-8"), public_names()
+    files_of_benchmarks = "\n".join(path.read_text("utf-8") for path in (ROOT / "benchmarks").glob("*.py"))
+    stale = []
+    for word in sorted(set(re.findall(r"`([^`]+)`", text))):
+        stale += [option for option in re.findall(r"--[a-z-]+", word) if option not in cli + files_of_benchmarks]
+        if "/" in word and "/p1" not in word and not (ROOT / word).exists():
+            stale.append(word)
+        if re.fullmatch(r"(\w+\.)*\w+(\(.*\))?", word):  # a name, or a call
+            plain = re.sub(r"\"[^\"]*\"|=[^,)]*", "", word)
+            more = code_names() if re.match(r"[A-Z]\w+\.", word) else set()  # attributes that __init__ makes
+            stale += [f"{name} in {word}" for name in re.findall(r"[A-Za-z_]\w+", plain) if name not in known | more]
+    assert stale == [], stale
 
 
 def glossary_names() -> set[str]:

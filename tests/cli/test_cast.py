@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import signal
 
 import pytest
 
@@ -11,6 +13,7 @@ from hyperflex import files, planning
 from hyperflex.planning import FallbackTarget
 from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
 from hyperflex.planning.robust.uncertainty import Uncertainty
+from hyperflex.report import CastReport
 from tests.planning.known import CABLE, late, planned, stopped
 
 NAMES = {"report.html", "cast.gif", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "cast.nc"}
@@ -189,6 +192,39 @@ def test_ctrl_c_leaves_the_best_so_far(hyperflex, hyperflex_json, rope_file, rea
     assert (code, told["error"], told["interrupted"]) == (130, "interrupted", True)
     assert "the best so far" in told["message"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES - {"tug.png"}
+
+
+@pytest.mark.parametrize("when", ["tug", "figures"])
+def test_ctrl_c_while_drawing_leaves_the_plan(hyperflex, hyperflex_json, rope_file, ready, tmp_path, monkeypatch, when):
+    def stop(*_):
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        raise ValueError("a library made this of it")
+
+    monkeypatch.setattr(
+        *((planning.CastPlan, "measure_holding_force") if when == "tug" else (CastReport, "film")), stop
+    )
+    monkeypatch.setattr("signal.getsignal", lambda _: signal.default_int_handler)  # whatever runs the tests has set
+    ready("winds")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "tug.png").write_text("an earlier cast's")
+    code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
+    assert (code, told["error"], told["success"]) == (130, "interrupted", True)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"motion.csv", "cast.toml", "cast.nc"}
+    assert sorted(told["files"]) == ["motion", "plan", "run"]
+    code, out, err = hyperflex(*arguments(rope_file, tmp_path / "out"))
+    assert (code, out) == (130, "")
+    assert f"Written: {tmp_path / 'out' / 'motion.csv'}" in err
+    assert "Missing: the page, its figures and the film" in err
+
+
+def test_a_folder_where_a_picture_shall_go_is_told_before_anything_is_written(hyperflex, rope_file, ready, tmp_path):
+    ready("winds")
+    (tmp_path / "out" / "course.png").mkdir(parents=True)
+    code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out"))
+    assert code == 2
+    assert "course.png is a folder" in err
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["course.png"]
 
 
 def test_a_throw_that_was_not_verified_has_no_numbers(hyperflex, hyperflex_json, rope_file, ready, tmp_path):

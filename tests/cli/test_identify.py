@@ -195,6 +195,19 @@ def test_a_folder_does_not_overwrite_its_own_input(hyperflex, swing):
     assert guess.read_bytes() == before
 
 
+def test_ctrl_c_while_the_page_is_drawn_leaves_the_rope(hyperflex_json, swing, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hyperflex.report.identification.page.residual_figure", interrupted)
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", *DECLARED)
+    code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "-o", swing / "found")
+    assert (code, result["error"], result["success"]) == (130, "interrupted", True)
+    assert sorted(path.name for path in (swing / "found").iterdir()) == ["identification.json", "rope.toml"]
+    assert (sorted(result["files"]), result["missing"]) == (["figures", "rope"], "the page")
+    assert result["values"]["friction"]
+
+
 def test_an_interrupted_fit_leaves_a_whole_folder_marked_as_such(hyperflex, swing, monkeypatch):
     whole = identification.identify
 

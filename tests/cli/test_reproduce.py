@@ -39,17 +39,17 @@ def test_an_unknown_figure_is_refused(hyperflex_json, tmp_path):
     assert not (tmp_path / "paper").exists()
 
 
-def test_ctrl_c_while_drawing_leaves_the_folder_as_it_was(hyperflex, tmp_path, monkeypatch):
+def test_ctrl_c_while_drawing_leaves_the_figures_that_are_done(hyperflex_json, tmp_path, monkeypatch):
     def interrupted():
         raise KeyboardInterrupt
 
     monkeypatch.setitem(casting.PART.items, "fig10", Item(fig10, interrupted))
-    (tmp_path / "fig9.png").write_text("earlier")
-    code, out, err = hyperflex("reproduce", "fig9", "fig10", "-o", tmp_path)
-    assert (code, out) == (130, "")
-    assert err.startswith("hyperflex: Interrupted")
-    assert [path.name for path in tmp_path.iterdir()] == ["fig9.png"]
-    assert (tmp_path / "fig9.png").read_text() == "earlier"
+    (tmp_path / "report.html").write_text("an earlier run's")
+    code, result = hyperflex_json("reproduce", "fig9", "fig10", "-o", tmp_path)
+    assert (code, result["error"]) == (130, "interrupted")
+    assert sorted(result["files"]) == sorted(path.name for path in tmp_path.iterdir()) == ["fig9.csv", "fig9.png"]
+    assert "the claims" in result["missing"]
+    assert str(tmp_path / "fig9.png") in result["message"]
 
 
 def test_a_figure_on_identification_comes_with_its_own_claims(hyperflex_json, tmp_path):

@@ -91,6 +91,17 @@ def test_ctrl_c_exits_with_130_and_leaves_nothing(hyperflex, setup_file, tmp_pat
     assert [path.name for path in tmp_path.iterdir()] == ["cast.toml"]
 
 
+def test_ctrl_c_after_the_run_says_that_it_is_written(hyperflex_json, setup_file, tmp_path, monkeypatch):
+    def interrupted(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(simulation, "predictability", interrupted)
+    code, result = hyperflex_json("simulate", setup_file, "-o", tmp_path / "cast.nc", "--horizon", "0.01")
+    assert (code, result["error"], result["status"]) == (130, "interrupted", "ok")
+    assert (tmp_path / "cast.nc").exists()
+    assert "cast.nc" in result["message"]
+
+
 @pytest.mark.parametrize("name", ["cast.toml", "link.nc", "hard.nc"])
 def test_the_setup_is_never_overwritten(hyperflex, setup_file, tmp_path, name):
     (tmp_path / "link.nc").symlink_to(setup_file)

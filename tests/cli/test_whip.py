@@ -10,6 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import planning
+from hyperflex.report import WhipReport
 from tests.planning.known_whip import ROPE, far_whip, planned_whip
 
 NAMES = {"report.html", "whip.gif", "peak.png", "passing.png", "course.png", "motion.csv", "whip.toml", "whip.nc"}
@@ -45,9 +46,9 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     asked = ready(planned_whip())
     options = (
         "--direction",
-        "30",
+        "0.5235987755982988",
         "--angle-tolerance",
-        "15",
+        "0.2617993877991494",
         "--least-speed",
         "2",
         "--arm-length",
@@ -80,7 +81,7 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
 def test_a_set_up_file_gives_rope_arm_and_target(hyperflex, ready, tmp_path):
     setup = tmp_path / "setup.toml"
     hf.Setup(ROPE, arm=hf.Arm(length=0.15)).to_toml(setup)
-    target = "[target]\nx = 0.3\ny = -0.9\ndirection = 0.5\nangle_tolerance = 0.2\nspeed = 3.0\n"
+    target = "[target]\nx = 0.3\ny = -0.9\ndirection = 0.5\nangle_tolerance = 0.2\nleast_speed = 3.0\n"
     setup.write_text(setup.read_text() + target)
     asked = ready(planned_whip())
     assert hyperflex("whip", setup, "-o", tmp_path / "out")[0] == 0
@@ -93,6 +94,25 @@ def test_a_set_up_file_gives_rope_arm_and_target(hyperflex, ready, tmp_path):
     code, _, err = hyperflex("whip", setup, "-o", tmp_path / "out")
     assert code == 2
     assert "[target] does not fit" in err
+
+
+def test_file_and_options_have_the_same_names_and_units(hyperflex, ready, tmp_path):
+    setup = tmp_path / "setup.toml"
+    hf.Setup(ROPE).to_toml(setup)
+    plain, asked = setup.read_text(), ready(planned_whip())
+    seen = []
+    for more, options in (
+        ("direction = 0.7\nangle_tolerance = 0.3\nleast_speed = 4.0\n", ()),
+        ("", ("--direction", "0.7", "--angle-tolerance", "0.3", "--least-speed", "4.0")),
+    ):
+        setup.write_text(f"{plain}[target]\nx = 0.3\ny = -0.9\n{more}")
+        assert hyperflex("whip", setup, *options, "-o", tmp_path / "out")[0] == 0
+        seen.append([asked[name] for name in ("direction", "angle_tolerance", "least_speed")])
+    assert seen[0] == seen[1] == [(math.cos(0.7), math.sin(0.7)), 0.3, 4.0]
+    setup.write_text(f"{plain}[target]\nx = 0.3\ny = -0.9\ndirection = 40.0\n")
+    code, _, err = hyperflex("whip", setup, "-o", tmp_path / "out")
+    assert code == 2
+    assert "target direction is more than a turn" in err
 
 
 def test_obstacles_and_a_missing_target_are_refused(hyperflex, rope_file, tmp_path):
@@ -131,6 +151,23 @@ def test_ctrl_c_leaves_the_best_so_far(hyperflex_json, rope_file, ready, tmp_pat
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.html", "motion.csv", "whip.toml"}
 
 
+@pytest.mark.parametrize("when", ["impact", "figures"])
+def test_ctrl_c_while_drawing_leaves_the_plan(hyperflex_json, rope_file, ready, tmp_path, monkeypatch, when):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(*((planning.WhipPlan, "impact") if when == "impact" else (WhipReport, "figures")), stop)
+    ready(planned_whip())
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "report.html").write_text("an earlier whip's")
+    code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
+    assert (code, told["error"], told["success"]) == (130, "interrupted", True)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"motion.csv", "whip.toml", "whip.nc"}
+    assert sorted(told["files"]) == ["motion", "plan", "run"]
+    assert "film" in told["missing"]
+    assert "motion.csv" in told["message"]
+
+
 def test_a_target_out_of_reach_is_a_page_with_the_reason(hyperflex, rope_file, ready, tmp_path):
     ready(far_whip())
     code, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out"))
@@ -144,7 +181,9 @@ def test_a_target_out_of_reach_is_a_page_with_the_reason(hyperflex, rope_file, r
     [
         (("--direction", "nan"), "--direction"),
         (("--angle-tolerance", "0"), "--angle-tolerance"),
-        (("--angle-tolerance", "200"), "angle_tolerance is too large"),
+        (("--angle-tolerance", "4"), "angle_tolerance is too large"),
+        (("--direction", "30"), "If these are degrees, give 0.5236"),
+        (("--angle-tolerance", "15"), "If these are degrees, give 0.2618"),
         (("--least-speed", "0"), "--least-speed"),
         (("--arm-length", "0"), "--arm-length"),
         (("--speed", "0"), "motor speed"),
@@ -165,7 +204,7 @@ def test_bad_input_is_refused(hyperflex, rope_file, tmp_path, more, words):
 def test_a_point_that_is_none_is_refused(hyperflex, rope_file, tmp_path):
     code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out", target=("nan", "0")))
     assert code == 2
-    assert "point" in err
+    assert "--target is not finite" in err
 
 
 def test_a_file_in_the_way_is_told_before_the_search(hyperflex, rope_file, tmp_path):

@@ -82,6 +82,20 @@ def test_an_edit_recompiles_what_depends_on_it_and_nothing_else(package: Path, t
     assert run(package, root) == ([7.0, 27.0, 6.0], set())
 
 
+def test_what_is_said_on_compiling_goes_by_what_is_there(package: Path, tmp_path: Path) -> None:
+    def told() -> list[str]:
+        err = start(package, tmp_path / "cache").communicate()[1]
+        return [line for line in err.splitlines() if line.startswith("hyperflex: compiling")]
+
+    [first] = told()
+    assert "about 20 s for a first simulation" in first
+    (package / "apart.py").write_text(APART.replace("x * x", "x * x * x"))
+    [one] = told()
+    assert "2 of the 3 loaded were compiled before" in one
+    assert "20 s" not in one
+    assert told() == []
+
+
 @pytest.mark.parametrize(
     "line",
     [

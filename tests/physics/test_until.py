@@ -127,7 +127,8 @@ def test_going_on_from_an_event(tmp_path: Path) -> None:
     until = hf.tip_crosses((0.0, 0.0), (1.0, 0.0), sense=0)
     state, times = None, []
     for _ in range(4):
-        run = hf.simulate(ROD, duration=3.0, q0=[START], until=until, state=state, tol=1e-12)
+        q0 = [START] if state is None else None
+        run = hf.simulate(ROD, duration=3.0, q0=q0, until=until, state=state, tol=1e-12)
         run.to_netcdf(tmp_path / "run.nc")
         again = hf.read_trajectory(tmp_path / "run.nc")
         assert again.event == run.event

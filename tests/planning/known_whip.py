@@ -37,7 +37,7 @@ def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
     assert peak is not None
     place = peak.place + ([0.0004, 0.0003] if meets else [0.018, 0.024])
     direction = float(np.arctan2(*peak.velocity[::-1])) + 0.1
-    mark = TipTarget(*place, direction=direction, speed=0.9 * peak.speed, angle_tolerance=0.3)
+    mark = TipTarget(*place, direction=direction, least_speed=0.9 * peak.speed, angle_tolerance=0.3)
     if any_direction:
         mark = TipTarget.at(place, None, 0.9 * peak.speed)
     seen = verify_whip(who, mark, motion, peak.t)

@@ -66,7 +66,7 @@ def test_what_a_peak_costs() -> None:
         TipTarget(place[0] + 0.3, place[1] + 0.4, direction=0.0),
         TipTarget(*place, direction=1.0),
         TipTarget(*place, direction=-1.0),
-        TipTarget(*place, direction=0.0, speed=7.0),
+        TipTarget(*place, direction=0.0, least_speed=7.0),
     ):
         assert peak_costs(worse, found)[0] > fair + 0.15
     assert peak_costs(TipTarget(place[0] + 0.3, place[1] + 0.4, direction=0.0), found)[0] == pytest.approx(fair + 0.5)
@@ -206,7 +206,8 @@ def test_any_direction_costs_nothing(known: WhipMap) -> None:
     point, speed = known.peaks.place[np.argmax(known.peaks.speed)] + [0.03, -0.02], 2.0
     free = known.candidates(TipTarget.at(point, None, speed))[0].cost
     asked = [
-        known.candidates(TipTarget(*point, direction=a, speed=speed))[0].cost for a in np.arange(-np.pi, np.pi, 0.2)
+        known.candidates(TipTarget(*point, direction=a, least_speed=speed))[0].cost
+        for a in np.arange(-np.pi, np.pi, 0.2)
     ]
     # 0.2 rad apart and 0.21 rad free of cost: one of them is within it, and asks for nothing then
     assert free == pytest.approx(min(asked), abs=1e-12)

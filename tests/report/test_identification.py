@@ -168,7 +168,7 @@ def test_predictions_that_failed_are_drawn_as_failed(tmp_path, swing):
 
 
 @pytest.mark.usefixtures("unseen")
-def test_a_folder_is_written_whole_or_not_at_all(tmp_path, swing, monkeypatch):
+def test_rope_and_figures_stand_before_the_page_is_drawn(tmp_path, swing, monkeypatch):
     recording, found = swing
     written = write_identification(tmp_path / "new" / "out", recording, found, GUESS)
     assert sorted(path.name for path in (tmp_path / "new" / "out").iterdir()) == [
@@ -183,8 +183,9 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path, swing, monkeypatch):
 
     monkeypatch.setattr(identification, "residual_figure", broken)
     with pytest.raises(KeyboardInterrupt):
-        write_identification(tmp_path / "other", recording, found)
-    assert not (tmp_path / "other").exists()
+        write_identification(tmp_path / "new" / "out", recording, found)
+    left = sorted(path.name for path in (tmp_path / "new" / "out").iterdir())
+    assert left == ["identification.json", "rope.toml"]  # and no page of an earlier fit beside them
 
 
 # ---- tables

@@ -74,8 +74,9 @@ def test_tables_hold_the_rounds_and_the_methods():
 
 
 def test_files_say_that_they_are_simulated(tmp_path):
-    done = write_part(identification.PART, ["fig5"], tmp_path, lambda _: None)
-    assert done.names == ["fig5.png", "fig5.csv"]
+    written = []
+    done = write_part(identification.PART, ["fig5"], tmp_path, lambda _: None, written.append)
+    assert written == [tmp_path / "fig5.png", tmp_path / "fig5.csv"]
     notes = files.read_notes(tmp_path / "fig5.csv")
     assert notes["source"] == "simulated"
     assert "inferred" in notes["parameters"]

@@ -1,13 +1,9 @@
 """The command-line application: all commands, and the exit codes of errors."""
 
 import os
-import signal
 import sys
-import threading
 import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
@@ -34,7 +30,7 @@ for _command, _example in (
     (simulate, "simulate cast.toml -o cast.nc"),
     (identify, "identify swing.csv --guess guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
-    (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 10 -o whipped"),
+    (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),
     (calibrate, "calibrate board.mp4 --squares 8 6 --square 0.03 --marker 0.022 --plane plane.png -o camera.toml"),
     (track, "track swing.mp4 --rope rope.toml --camera camera.toml --arc-lengths 0.2,0.4,0.6 -o markers.nc"),
     (watch, "watch --camera 0 --rope rope.toml --calibration camera.toml --arc-lengths 0.2,0.4,0.6 --page 8080"),
@@ -111,39 +107,8 @@ def _invoke(arguments: Sequence[str]) -> int:
     """Run one command without the parser's own handling of errors, which swallows Ctrl-C; return its exit code."""
     command = typer.main.get_command(app)
     try:
-        with _noticing_ctrl_c(), command.make_context("hyperflex", list(arguments)) as context:
+        with output.noticing_ctrl_c(), command.make_context("hyperflex", list(arguments)) as context:
             command.invoke(context)
     except typer.Exit as stop:
         return int(stop.exit_code)
     return 0
-
-
-@contextmanager
-def _noticing_ctrl_c() -> Iterator[None]:
-    """Raise KeyboardInterrupt for whatever error comes out of the block after Ctrl-C.
-
-    Compiled libraries that call back into Python may meet the interrupt there and report it as a failed conversion.
-    """
-    before = signal.getsignal(signal.SIGINT)
-    ours = before is signal.default_int_handler  # not ignored, nor somebody else's
-    if not ours or threading.current_thread() is not threading.main_thread():  # signals are the main thread's alone
-        yield
-        return
-    met = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal met
-        met = True
-        signal.default_int_handler(number, frame)
-
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield
-    except typer.Exit:  # the command has met the interrupt itself and said so
-        raise
-    except Exception as error:
-        if met:
-            raise KeyboardInterrupt from error
-        raise
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -11,31 +11,25 @@ from hyperflex.errors import InvalidInput
 
 
 def calibrate(
-    pictures: Annotated[
-        list[Path], typer.Argument(help="Pictures of the board, or a video of it.", show_default=False)
-    ],
+    pictures: Annotated[list[Path], typer.Argument(help="Pictures of the board, or a video of it.")],
     squares: Annotated[
         tuple[int, int],
-        typer.Option(help="Numbers of squares of the board, to the right and down.", show_default=False),
+        typer.Option(help="Numbers of squares of the board, to the right and down."),
     ],
-    square: Annotated[float, typer.Option(help="Side of a square, m, measured on the print.", show_default=False)],
+    square: Annotated[float, typer.Option(help="Side of a square, m, measured on the print.")],
     out: Annotated[Path, typer.Option("-o", "--output", help="TOML file for the camera.")] = Path("camera.toml"),
     marker: Annotated[
         float | None, typer.Option(help="Side of a marker, m, of a ChArUco board. [default: a plain chessboard]")
     ] = None,
     dictionary: Annotated[str, typer.Option(help="Of the markers, as OpenCV names it.")] = "DICT_4X4_50",
-    plane: Annotated[
-        Path | None, typer.Option(help="Picture of the board held in the swing plane.", show_default=False)
-    ] = None,
+    plane: Annotated[Path | None, typer.Option(help="Picture of the board held in the swing plane.")] = None,
     points: Annotated[
         Path | None,
-        typer.Option(
-            help="In place of --plane: CSV table x,y,u,v of 4 or more known points (m, px).", show_default=False
-        ),
+        typer.Option(help="In place of --plane: CSV table x,y,u,v of 4 or more known points (m, px)."),
     ] = None,
     origin: Annotated[
         tuple[float, float] | None,
-        typer.Option(help="Where --plane shows the arm's axis, px. [default: the board's corner]", show_default=False),
+        typer.Option(help="Where --plane shows the arm's axis, px. [default: the board's corner]"),
     ] = None,
     exposure: Annotated[float, typer.Option(help="Of the videos to come, s.")] = 0.0,
     readout: Annotated[float, typer.Option(help="From the first row to the last, s; 0 for a global shutter.")] = 0.0,
@@ -66,6 +60,7 @@ def calibrate(
         "readout_direction": readout_direction,
         "delay": number("--delay", delay, unit="s"),
     }
+    picture, known = (None if plane is None else read_image(plane)), (None if points is None else _known_points(points))
     board = Board(squares, square, marker, dictionary)
     with output.spinner(json) as progress:
         found = calibrate_camera(
@@ -75,10 +70,10 @@ def calibrate(
             **timing,
         )
     camera = found.camera
-    if plane is not None:
-        camera = found.place_plane(read_image(plane), origin)
-    if points is not None:
-        camera = camera.with_plane(*_known_points(points))
+    if picture is not None:
+        camera = found.place_plane(picture, origin)
+    if known is not None:
+        camera = camera.with_plane(*known)
     camera.write(out)
     result = {
         "output": out,
@@ -92,10 +87,7 @@ def calibrate(
         "pixels_per_metre": None if camera.rotation is None else camera.pixels_per_metre,
         "notes": list(found.notes),
     }
-    if json:
-        output.print_json(result)
-        return
-    _print(result)
+    _show(result, json)
 
 
 def _known_points(path: Path) -> tuple[Any, Any]:
@@ -110,9 +102,10 @@ def _known_points(path: Path) -> tuple[Any, Any]:
     return table[:, :2], table[:, 2:]
 
 
-def _print(result: dict[str, Any]) -> None:
+def _show(result: dict[str, Any], as_json: bool) -> None:
     scale = result["pixels_per_metre"]
-    output.print_pairs(
+    output.show(
+        result,
         f"Calibrated from {result['views']} views in {result['pictures']} pictures",
         [
             ("reprojection error", f"{result['reprojection_error_px']:.3f} px"),
@@ -122,4 +115,5 @@ def _print(result: dict[str, Any]) -> None:
             *(("note", note) for note in result["notes"]),
             ("written", str(result["output"])),
         ],
+        as_json=as_json,
     )

@@ -62,15 +62,16 @@ def cast(
     and of a third of the length. Writes a page, pictures, a film, the motion for the motor (CSV), the verified run
     (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
 
-    Ctrl-C ends the search; the best so far is written, and marked as such.
+    Ctrl-C ends the search; the best so far is written, and marked as such. While page and pictures are drawn, it
+    leaves the plan's other files, which are written before.
 
     The exit code is 4 if no cast that winds and holds was found; the best throw is written all the same, with the
     reason and with the nearest target that should work.
     """
     from hyperflex.planning import Uncertainty, plan_cast
-    from hyperflex.report import CastReport
+    from hyperflex.report import CastReport, check_folder
 
-    planner.check_folder(out)
+    check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
     uncertainty = Uncertainty.from_rope_file(rope or setup or Path()) if robust else None
@@ -88,11 +89,11 @@ def cast(
         seed=seed,
         progress=output.watched(json),
     )
-    with output.spinner(json) as progress:
+    with planner.writing(CastReport(plan, None), out, rate=rate, as_json=json) as (files, progress):
         progress("tugging at the rope")
         held = plan.measure_holding_force()
         report = CastReport(plan, held)
-        files = report.write(out, rate=rate, progress=progress)
+        files |= report.add_page(out, progress=progress)
     notes = [report.warning] if report.warning else []
     if uncertainty is not None:
         notes.append(f"Uncertain: {uncertainty.describe()}.")

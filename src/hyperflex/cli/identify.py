@@ -35,10 +35,7 @@ def identify(
         float | None, typer.Option(help="Fit the samples before this time, s; predict the rest. inf fits all.")
     ] = None,
     window: Annotated[float | None, typer.Option(help="Length of the windows that are fitted one by one, s.")] = None,
-    arc_lengths: Annotated[
-        list[str] | None,
-        typer.Option(help="How far along the rope each marker sits, m; several times or with commas."),
-    ] = None,
+    arc_lengths: Annotated[list[str] | None, output.ARC_LENGTHS] = None,
     origin: Annotated[
         str | None, typer.Option(help="Where the camera sees the origin of the motion, X,Y in m; else it is fitted.")
     ] = None,
@@ -117,8 +114,9 @@ def identify(
             progress=report,
             **driven,
         )
-    files = _write(out, measured, result, first, json)
-    summary = result.ending() | {"output": out, "files": files, **result.summary()}
+    summary = result.ending() | {"output": out, **result.summary()}
+    files = _write(out, measured, result, first, summary, json)
+    summary["files"] = files
     if result.message == "interrupted":  # the best so far is written, and says what it is
         if not json:
             _show(result, files)
@@ -141,8 +139,11 @@ def _check_output(out: Path, inputs: Sequence[Path]) -> None:
     if not _folder(out):
         output.check_destination(out, ".toml", inputs)
         return
+    from hyperflex.report import check_folder
+
+    check_folder(out)
     for name in ("rope.toml", "identification.json", "report.html"):
-        output.check_destination(out / name, Path(name).suffix, inputs)
+        output.check_no_input(out / name, inputs)
 
 
 def _drive(path: Path | None) -> dict[str, Any]:
@@ -162,16 +163,19 @@ def _drive(path: Path | None) -> dict[str, Any]:
     return {"motion": setup.motion or hold_arm(0.0), "arm": setup.arm}
 
 
-def _write(out: Path, measured: Recording, found: Identification, guess: Rope, as_json: bool) -> dict[str, Path]:
+def _write(
+    out: Path, measured: Recording, found: Identification, guess: Rope, summary: dict[str, Any], as_json: bool
+) -> dict[str, Path]:
     """Write the folder, or the one file; return the files by what they are."""
     if not _folder(out):
         found.to_toml(out)
         return {"rope": out}
-    from hyperflex.report import write_identification
+    from hyperflex.report import identification_page, write_found
 
-    with output.spinner(as_json) as progress:
+    written = write_found(out, found)
+    with output.keeping(written, "the page", summary, as_json=as_json), output.spinner(as_json) as progress:
         progress("drawing the report")
-        return write_identification(out, measured, found, guess)
+        return written | identification_page(out / "report.html", measured, found, guess)
 
 
 def _show(found: Identification, files: dict[str, Path]) -> None:

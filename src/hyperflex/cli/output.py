@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+import signal
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -25,6 +28,17 @@ _ADVICE = re.compile(  # an argument with its value, as errors advise it
     r"window|train|loss|intervals|max_rate)=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|[\w.]+)"
 )
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
+
+ARC_LENGTHS = typer.Option(help="How far along the rope each marker sits, m; several times or with commas.")
+Click = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        help="A pixel of a marker in the first frame, u v. [default: the colour that most small things share]"
+    ),
+]
+Estimate = Annotated[
+    str, typer.Option(help="What is estimated beside the rope's state: scale=0.01,delay=0.02 (standard deviations).")
+]
 
 
 def print_json(result: Mapping[str, Any], *, one_line: bool = False) -> None:
@@ -62,8 +76,70 @@ def interrupted(message: str, left: Mapping[str, Any], *, as_json: bool) -> int:
     return INTERRUPTED
 
 
-def check_destination(out: Path, suffix: str, inputs: Sequence[Path]) -> None:
-    """Refuse, before any work, an output of another kind than `suffix` or one that is among the inputs."""
+class _CtrlC:
+    """Handler of the signal: raises KeyboardInterrupt, and knows that it did, whatever becomes of that."""
+
+    met = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.met = True
+        signal.default_int_handler(number, frame)
+
+
+@contextmanager
+def noticing_ctrl_c() -> Iterator[None]:
+    """Raise KeyboardInterrupt for whatever error comes out of the block after Ctrl-C.
+
+    Compiled libraries that call back into Python may meet the interrupt there and report it as a failed conversion.
+    """
+    before, here = signal.getsignal(signal.SIGINT), _CtrlC()
+    ours = before is signal.default_int_handler or isinstance(before, _CtrlC)  # not ignored, nor somebody else's
+    if not ours or threading.current_thread() is not threading.main_thread():  # signals are the main thread's alone
+        yield
+        return
+    signal.signal(signal.SIGINT, here)
+    try:
+        yield
+    except typer.Exit:  # the command has met the interrupt itself and said so
+        raise
+    except Exception as error:
+        if here.met:
+            raise KeyboardInterrupt from error
+        raise
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def keeping(written: Mapping[str, Path], missing: str, result: Mapping[str, Any], *, as_json: bool) -> Iterator[None]:
+    """Exit with INTERRUPTED where Ctrl-C is met in the block, and say which files are `written` and what is `missing`.
+
+    `result` is what JSON tells beside it.
+    """
+    try:
+        with noticing_ctrl_c():
+            yield
+    except KeyboardInterrupt:
+        there = ", ".join(str(path) for path in written.values()) or "nothing"
+        left = {**result, "files": written, "missing": missing}
+        message = f"Interrupted. Written: {there}. Missing: {missing}."
+        raise typer.Exit(interrupted(message, left, as_json=as_json)) from None
+
+
+def check_destination(out: Path | None, suffix: str, inputs: Sequence[Path]) -> None:
+    """Refuse, before any work, an output of another kind than `suffix`, among the inputs, or that cannot be written."""
+    if out is None:
+        return
+    check_no_input(out, inputs)
+    if out.suffix.lower() != suffix:
+        raise InvalidInput(
+            "the output has the wrong suffix", got=str(out), allowed=f"a name ending in {suffix}", fix="Change -o"
+        )
+    files.check_writable(out)
+
+
+def check_no_input(out: Path, inputs: Sequence[Path]) -> None:
+    """Refuse an output that is among the inputs."""
     for path in inputs:
         if _exists(out) and _exists(path) and out.samefile(path):
             raise InvalidInput(
@@ -72,10 +148,6 @@ def check_destination(out: Path, suffix: str, inputs: Sequence[Path]) -> None:
                 allowed=f"a file other than {path}",
                 fix="Give another name with -o",
             )
-    if out.suffix.lower() != suffix:
-        raise InvalidInput(
-            "the output has the wrong suffix", got=str(out), allowed=f"a name ending in {suffix}", fix="Change -o"
-        )
 
 
 def words(given: Sequence[str] | None) -> list[str]:
@@ -135,6 +207,21 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     for row in rows:
         table.add_row(*row)
     console().print(table)
+
+
+def show(
+    result: Mapping[str, Any],
+    title: str,
+    pairs: Sequence[tuple[str, str]],
+    *,
+    as_json: bool,
+    one_line: bool = False,
+) -> None:
+    """Print a `result` as JSON, or its named values in words below a title; in JSON on `one_line` if wanted."""
+    if as_json:
+        print_json(result, one_line=one_line)
+    else:
+        print_pairs(title, pairs)
 
 
 def watched(as_json: bool) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -12,12 +13,12 @@ import typer
 
 from hyperflex import checks
 from hyperflex.cli import output
-from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.errors import InvalidInput
 
 if TYPE_CHECKING:
     from hyperflex.model import Arm, Ground, Peg, Rope, Wall
     from hyperflex.planning import MotorLimits
-    from hyperflex.report import PlanReport
+    from hyperflex.report import PlanReport, Progress
 
     Obstacle = Peg | Wall | Ground
 
@@ -147,10 +148,19 @@ def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, 
     return Peg(**named)
 
 
-def check_folder(out: Path) -> None:
-    """Refuse, before any work, a folder's name that is a file's."""
-    if out.exists() and not out.is_dir():
-        raise FileProblem(f"{out} is a file, not a folder. Give another name with -o.")
+@contextmanager
+def writing(
+    report: PlanReport[Any], out: Path, *, rate: float, as_json: bool
+) -> Iterator[tuple[dict[str, Path], Progress]]:
+    """Write a plan's files; yield them by kind, and the progress callable of what is then drawn beside them.
+
+    Ctrl-C in the block leaves them, says what is missing and exits with INTERRUPTED.
+    """
+    written = report.write_plan(out, rate=rate)
+    result = report.plan.summary() | {"verdict": report.verdict}
+    missing = "the page, its figures and the film"
+    with output.keeping(written, missing, result, as_json=as_json), output.spinner(as_json) as progress:
+        yield written, progress
 
 
 def finish(

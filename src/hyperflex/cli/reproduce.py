@@ -23,12 +23,17 @@ def reproduce(
     Tables I and II and Figs. 3, 5 and 6 are on identification (claims C6, C7), Fig. 8 on online estimation (C8),
     Figs. 9 to 12 on casting (C1 to C4), Fig. 13 on timing control (C5).
     Writes PNG and CSV for each figure, CSV for each table, a Markdown table of the claims and a page that shows it all.
+    Ctrl-C leaves the figures and tables that are done.
     """
     from hyperflex.paper import reproduce as run
     from hyperflex.paper import verdicts
+    from hyperflex.report import check_folder
 
-    with output.spinner(json) as progress:
-        result = run(figures, out, progress=progress)
+    check_folder(out)
+    written: dict[str, Path] = {}
+    missing = "the figures not named here, the claims and the page"
+    with output.keeping(written, missing, {}, as_json=json), output.spinner(json) as progress:
+        result = run(figures, out, progress=progress, written=lambda path: written.update({path.name: path}))
     claims = [_plain(claim) for claim in result.claims]
     if json:
         output.print_json({"files": list(result.files), "claims": claims})

@@ -50,13 +50,12 @@ def simulate(
         "energy_error_J": np.abs(trajectory.energy_error).max(),
         "energy_moved_J": worked,
     }
-    trust = {} if horizon is None else _trust(wanted, duration, horizon)
+    with output.keeping({"run": out}, "until when it can be trusted", result, as_json=json):
+        trust = {} if horizon is None else _trust(wanted, duration, horizon)
     result |= trust
-    if json:
-        output.print_json(result)
-        return
     x, y = trajectory.tip[-1]
-    output.print_pairs(
+    output.show(
+        result,
         f"Simulated {trajectory.q.shape[1]} links from {trajectory.t[0]:g} to {trajectory.t[-1]:g} s",
         [
             ("tip at the end", f"({x:.4f}, {y:.4f}) m"),
@@ -66,6 +65,7 @@ def simulate(
             *([("trusted", _told(trust))] if trust else []),
             ("written", f"{out} ({trajectory.t.size} samples)"),
         ],
+        as_json=json,
     )
 
 

@@ -17,49 +17,31 @@ if TYPE_CHECKING:
 
 
 def track(
-    video: Annotated[Path, typer.Argument(help="Video of the rope, MP4, MOV, ...", show_default=False)],
-    rope: Annotated[Path | None, typer.Option(help="TOML file with the rope.", show_default=False)] = None,
+    video: Annotated[Path, typer.Argument(help="Video of the rope, MP4, MOV, ...")],
+    rope: Annotated[Path | None, typer.Option(help="TOML file with the rope.")] = None,
     camera: Annotated[
-        Path | None, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).", show_default=False)
+        Path | None, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).")
     ] = None,
-    arc_lengths: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="How far along the rope each marker sits, m; several times or with commas.", show_default=False
-        ),
-    ] = None,
+    arc_lengths: Annotated[list[str] | None, output.ARC_LENGTHS] = None,
     bar: Annotated[
         list[str] | None,
         typer.Option(
             help="In place of markers: a pixel u,v in the middle of a link that is a bar of its own colour; once for "
-            "each link, from the pivot on.",
-            show_default=False,
+            "each link, from the pivot on."
         ),
     ] = None,
-    pivot: Annotated[
-        tuple[float, float] | None, typer.Option(help="Pixel of the first joint, u v, for --bar.", show_default=False)
-    ] = None,
+    pivot: Annotated[tuple[float, float] | None, typer.Option(help="Pixel of the first joint, u v, for --bar.")] = None,
     at: Annotated[float, typer.Option(help="Time of the frame in which the bars were clicked, s.")] = 0.0,
     out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the places or angles.")] = Path(
         "markers.nc"
     ),
-    preview: Annotated[Path | None, typer.Option(help="MP4 file that shows what was seen.", show_default=False)] = None,
-    click: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            help="A pixel of a marker in the first frame, u v. [default: the colour that most small things share]",
-            show_default=False,
-        ),
-    ] = None,
-    estimate: Annotated[
-        str,
-        typer.Option(help="What is estimated beside the rope's state: scale=0.01,delay=0.02 (standard deviations)."),
-    ] = "",
+    preview: Annotated[Path | None, typer.Option(help="MP4 file that shows what was seen.")] = None,
+    click: output.Click = None,
+    estimate: output.Estimate = "",
     changes: Annotated[
         str,
         typer.Option(
-            help="What is tested for changes: tip_mass,touch; none. [default: length, tip_mass, friction, drag, touch]",
-            show_default=False,
+            help="What is tested for changes: tip_mass,touch; none. [default: length, tip_mass, friction, drag, touch]"
         ),
     ] = "",
     false_alarm_interval: Annotated[
@@ -89,8 +71,7 @@ def track(
     from hyperflex.vision import MarkerColour, MarkerDetector, VideoReader, read_camera
 
     output.check_destination(out, ".nc", [video, rope, camera])
-    if preview is not None:
-        output.check_destination(preview, ".mp4", [video, rope, camera])
+    output.check_destination(preview, ".mp4", [video, rope, camera])
     lens = read_camera(camera)
     with VideoReader(video) as reader:
         first = next(iter(reader)).image
@@ -128,10 +109,8 @@ def _show(found: VideoTrack, estimator: RopeFilter, out: Path, as_json: bool) ->
         "changes": [asdict(change) for change in found.changes],
         "notes": list(found.notes),
     }
-    if as_json:
-        output.print_json(result)
-        return
-    output.print_pairs(
+    output.show(
+        result,
         f"Tracked {result['markers']} markers in {found.frames} frames",
         [
             ("found at", f"{found.found_at:.3f} s"),
@@ -141,6 +120,7 @@ def _show(found: VideoTrack, estimator: RopeFilter, out: Path, as_json: bool) ->
             *(("note", note) for note in found.notes),
             ("written", str(out)),
         ],
+        as_json=as_json,
     )
 
 
@@ -159,8 +139,7 @@ def _track_bars(
     if pivot is None:
         raise InvalidInput("--pivot is missing", fix="Give the pixel of the first joint, as --pivot 167 147")
     output.check_destination(out, ".nc", [video])
-    if preview is not None:
-        output.check_destination(preview, ".mp4", [video])
+    output.check_destination(preview, ".mp4", [video])
     detector = _clicked(video, [output.numbers("--bar", [each], "213,140") for each in clicks], at)
     with output.spinner(json) as said:
         found = track_bars(video, detector, pivot, preview=preview, progress=lambda count: said(f"frame {count}"))
@@ -172,16 +151,15 @@ def _track_bars(
         "seen": found.seen.tolist(),
         "notes": list(found.notes),
     }
-    if json:
-        output.print_json(result)
-        return
-    output.print_pairs(
+    output.show(
+        result,
         f"Tracked {len(found.seen)} bars in {found.frames} frames",
         [
             *((f"link {k}", f"seen in {100.0 * part:.1f} % of the frames") for k, part in enumerate(found.seen)),
             *(("note", note) for note in found.notes),
             ("written", str(out)),
         ],
+        as_json=json,
     )
 
 

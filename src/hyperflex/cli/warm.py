@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -40,12 +40,12 @@ def warm(
         return
     kernels = _kernels()
     stamp = cache.folder() / f"warm-{cache.fingerprint(module for module, _ in kernels)}.txt"
-    before = _compiled(kernels)
+    before = cache.compiled(kernels)
     if not _is_whole(stamp):
         _check_folder(cache.folder())
         spent = _compile(kernels, count, json)
         _stamp(stamp, kernels)
-    now = _compiled(kernels)
+    now = cache.compiled(kernels)
     result = {
         "kernels": len(kernels),
         "compiled": now - before,
@@ -75,22 +75,6 @@ def _kernels() -> list[tuple[str, str]]:
     return KERNELS
 
 
-def _files(kernels: list[tuple[str, str]]) -> Iterator[tuple[str, Path]]:
-    """Yield the files of compiled kernels, each with its kernel's name."""
-    from hyperflex.core import cache
-
-    for module in dict.fromkeys(module for module, _ in kernels):
-        folder = cache.module_folder(module)
-        for path in folder.glob("*.nbc") if folder.is_dir() else ():
-            yield f"{module}.{path.name.partition('-')[0]}", path
-
-
-def _compiled(kernels: list[tuple[str, str]]) -> int:
-    """Return how many kernels have been compiled, for whatever arguments."""
-    there = {name for name, _ in _files(kernels)}
-    return sum(f"{module}.{name}" in there for module, name in kernels)
-
-
 def _is_whole(stamp: Path) -> bool:
     """Return whether all the files that a stamp names are still there."""
     try:
@@ -102,7 +86,9 @@ def _is_whole(stamp: Path) -> bool:
 
 def _stamp(stamp: Path, kernels: list[tuple[str, str]]) -> None:
     """Note which files make up a full cache."""
-    names = sorted(path.relative_to(stamp.parent).as_posix() for _, path in _files(kernels))
+    from hyperflex.core import cache
+
+    names = sorted(path.relative_to(stamp.parent).as_posix() for _, path in cache.files(kernels))
     files.write_text(stamp, "\n".join(names) + "\n")
 
 
@@ -123,6 +109,8 @@ def _compile(kernels: list[tuple[str, str]], count: int, as_json: bool) -> float
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+    from hyperflex.core import cache
+
     lanes = [[name for lane in LANES[k::count] for name in lane] for k in range(min(count, len(LANES)))]
     command = [sys.executable, "-c", "import sys; from hyperflex.cli.warm import call; call(sys.argv[1:])"]
     workers = [
@@ -135,11 +123,11 @@ def _compile(kernels: list[tuple[str, str]], count: int, as_json: bool) -> float
         with Progress(*columns, console=Console(stderr=True), disable=not output.watched(as_json)) as bar:
             task = bar.add_task("", total=len(kernels))
             while any(worker.poll() is None for worker in workers):
-                bar.update(task, completed=_compiled(kernels))
+                bar.update(task, completed=cache.compiled(kernels))
                 if any(worker.poll() for worker in workers):
                     break
                 time.sleep(POLL)
-            bar.update(task, completed=_compiled(kernels))
+            bar.update(task, completed=cache.compiled(kernels))
     finally:
         failed = [worker for worker in workers if worker.poll()]
         for worker in workers:

@@ -27,42 +27,22 @@ _TICK, _FILE_TICK = 0.1, 5.0  # s without a frame after which an estimate is han
 def watch(
     camera: Annotated[
         str,
-        typer.Option(
-            help="The camera's number (0 is the first), a stream (rtsp://...), or a video.", show_default=False
-        ),
+        typer.Option(help="The camera's number (0 is the first), a stream (rtsp://...), or a video."),
     ],
-    rope: Annotated[Path, typer.Option(help="TOML file with the rope.", show_default=False)],
-    calibration: Annotated[
-        Path, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).", show_default=False)
-    ],
-    arc_lengths: Annotated[
-        list[str],
-        typer.Option(
-            help="How far along the rope each marker sits, m; several times or with commas.", show_default=False
-        ),
-    ],
+    rope: Annotated[Path, typer.Option(help="TOML file with the rope.")],
+    calibration: Annotated[Path, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).")],
+    arc_lengths: Annotated[list[str], output.ARC_LENGTHS],
     out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the log.")] = Path("watch.nc"),
     preview: Annotated[
-        Path | None, typer.Option(help="MP4 file of the pictures with what is known drawn on them.", show_default=False)
+        Path | None, typer.Option(help="MP4 file of the pictures with what is known drawn on them.")
     ] = None,
     page: Annotated[
         int | None,
-        typer.Option(
-            help="Show the pictures in a browser of this machine, at this port; 0: any free one.", show_default=False
-        ),
+        typer.Option(help="Show the pictures in a browser of this machine, at this port; 0: any free one."),
     ] = None,
-    click: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            help="A pixel of a marker in the first frame, u v. [default: the colour that most small things share]",
-            show_default=False,
-        ),
-    ] = None,
-    estimate: Annotated[
-        str,
-        typer.Option(help="What is estimated beside the rope's state: scale=0.01,delay=0.02 (standard deviations)."),
-    ] = "",
-    duration: Annotated[float | None, typer.Option(help="Stop after so long, s.", show_default=False)] = None,
+    click: output.Click = None,
+    estimate: output.Estimate = "",
+    duration: Annotated[float | None, typer.Option(help="Stop after so long, s.")] = None,
     patience: Annotated[float, typer.Option(help="How long a source that broke off is tried again, s.")] = 10.0,
     json: Annotated[
         bool, typer.Option("--json", help="Print a JSON object a line: one for each estimate, and a summary.")
@@ -82,8 +62,7 @@ def watch(
 
     inputs = [rope, calibration, Path(camera)]
     output.check_destination(out, ".nc", inputs)
-    if preview is not None:
-        output.check_destination(preview, ".mp4", inputs)
+    output.check_destination(preview, ".mp4", inputs)
     until = math.inf if duration is None else checks.number("--duration", duration, sign="positive", unit="s")
     lens, line = read_camera(calibration), Rope.from_toml(rope)
     arcs = output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6")
@@ -144,29 +123,15 @@ def _status(estimate: LiveEstimate) -> list[str]:
 
 def _line(estimate: LiveEstimate) -> dict[str, Any]:
     """Return an estimate for a program."""
-    return {
-        "t": estimate.t,
-        "found": estimate.found,
-        "tip": estimate.tip,
-        "tip_std": estimate.tip_std,
-        "age": estimate.age,
-        "latency": estimate.latency,
-        "rate": estimate.rate,
-        "seen": estimate.seen,
-        "markers": estimate.markers,
-        "frame": estimate.frame is not None,
-        "q": estimate.state.q,
-        "qd": estimate.state.qd,
-        "news": list(estimate.news),
-    }
+    names = ("t", "found", "tip", "tip_std", "age", "latency", "rate", "seen", "markers")
+    state = {"frame": estimate.frame is not None, "q": estimate.state.q, "qd": estimate.state.qd}
+    return {name: getattr(estimate, name) for name in names} | state | {"news": list(estimate.news)}
 
 
 def _tell(result: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        output.print_json(result, one_line=True)
-        return
     latency = result["latency_s"]
-    output.print_pairs(
+    output.show(
+        result,
         f"Watched {result['frames']} frames",
         [
             ("ended", result["ending"]),
@@ -177,6 +142,8 @@ def _tell(result: dict[str, Any], as_json: bool) -> None:
             *([("doubt", result["doubt"])] if result["doubt"] else []),
             ("written", str(result["output"])),
         ],
+        as_json=as_json,
+        one_line=True,
     )
 
 

@@ -6,11 +6,17 @@ from typing import Annotated
 
 import typer
 
-from hyperflex.checks import number
+from hyperflex.checks import Sign, number
 from hyperflex.cli import output, planner
 from hyperflex.errors import InvalidInput
 
-_TARGET = ("x", "y", "direction", "speed", "angle_tolerance")  # of the set-up file, as of TipTarget
+_TARGET: dict[str, tuple[Sign, str]] = {  # of the set-up file, as of TipTarget: sign and unit
+    "x": ("any", "m"),
+    "y": ("any", "m"),
+    "direction": ("any", "rad"),
+    "least_speed": ("positive", "m/s"),
+    "angle_tolerance": ("positive", "rad"),
+}
 
 
 def whip(
@@ -20,10 +26,10 @@ def whip(
     target: planner.Target = None,
     direction: Annotated[
         float | None,
-        typer.Option(help="Of the tip there, degrees: 0 is +x, 90 is up. [default: any]", show_default=False),
+        typer.Option(help="Of the tip there, rad: 0 is +x, pi/2 is up. [default: any]"),
     ] = None,
     angle_tolerance: Annotated[
-        float | None, typer.Option(help="Greatest angle from that direction, degrees. [default: 20]")
+        float | None, typer.Option(help="Greatest angle from that direction, rad. [default: 0.349, 20 degrees]")
     ] = None,
     least_speed: Annotated[float | None, typer.Option(help="Of the tip there, m/s. [default: 5]")] = None,
     arm_length: planner.ArmLength = None,
@@ -46,25 +52,27 @@ def whip(
     """Plan how the arm whips its rope, so that the tip passes a point at a peak of its speed.
 
     The target is given by options, or as the table [target] of the set-up file: x, y (m), direction, angle_tolerance
-    (rad), speed (m/s).
+    (rad), least_speed (m/s). Options have the same units.
 
     The plan is verified in simulation, on the rope as given and with links of half the length; the impact on a small
     peg at the target is simulated too. Writes a page, pictures, a film, the motion for the motor (CSV), the verified
     run (NetCDF) and a set-up that simulate runs; files of an earlier whip in the folder are replaced.
 
-    Ctrl-C ends the search; the best so far is written, and marked as such.
+    Ctrl-C ends the search; the best so far is written, and marked as such. While page and pictures are drawn, it
+    leaves the plan's other files, which are written before.
 
     The exit code is 4 if no whip that meets the target was found; the best is written all the same, with the reason.
     """
     from hyperflex.planning import plan_whip
-    from hyperflex.report import WhipReport
+    from hyperflex.report import WhipReport, check_folder
 
-    planner.check_folder(out)
+    check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
     if task.obstacles:
         raise InvalidInput("whips are planned without obstacles", got=task.obstacles, fix="Leave them out")
-    asked = _target(task, target, direction, angle_tolerance, least_speed)
+    options = {"direction": direction, "angle_tolerance": angle_tolerance, "least_speed": least_speed}
+    asked = _target(task, target, options)
     angle = asked.get("direction")
     plan = plan_whip(
         task.rope,
@@ -72,7 +80,7 @@ def whip(
         (asked["x"], asked["y"]),
         None if angle is None else (math.cos(angle), math.sin(angle)),
         task.limits,
-        least_speed=asked.get("speed", 5.0),
+        least_speed=asked.get("least_speed", 5.0),
         angle_tolerance=asked.get("angle_tolerance", math.radians(20.0)),
         time_limit=time_limit,
         skip_feasibility=skip_feasibility,
@@ -80,35 +88,31 @@ def whip(
         seed=seed,
         progress=output.watched(json),
     )
-    with output.spinner(json) as progress:
+    with planner.writing(WhipReport(plan, None), out, rate=rate, as_json=json) as (files, progress):
         progress("striking a small peg")
         impact = None if plan.outcome is None else plan.impact()
         report = WhipReport(plan, impact)
-        files = report.write(out, rate=rate, progress=progress)
+        files |= report.add_page(out, progress=progress)
     result = plan.summary() | ({} if impact is None else {"impact": asdict(impact)})
     planner.finish(report, files, result, (), as_json=json)
 
 
 def _target(
-    task: planner.Task,
-    place: tuple[float, float] | None,
-    direction: float | None,
-    angle_tolerance: float | None,
-    least_speed: float | None,
+    task: planner.Task, place: tuple[float, float] | None, options: dict[str, float | None]
 ) -> dict[str, float]:
     """Return the target of the set-up file with what the options say, in SI units."""
     if set(task.target) - set(_TARGET):
         raise InvalidInput("the table [target] does not fit", got=sorted(task.target), allowed=", ".join(_TARGET))
-    asked = {name: number(f"target {name}", value) for name, value in task.target.items()}
-    if place is not None:
-        asked |= {"x": place[0], "y": place[1]}
-    if direction is not None:
-        asked["direction"] = math.radians(number("--direction", direction, unit="degrees"))
-    if angle_tolerance is not None:
-        tolerance = number("--angle-tolerance", angle_tolerance, sign="positive", unit="degrees")
-        asked["angle_tolerance"] = math.radians(tolerance)
-    if least_speed is not None:
-        asked["speed"] = number("--least-speed", least_speed, sign="positive", unit="m/s")
+    given = {name: (f"target {name}", value) for name, value in task.target.items()}
+    given |= {name: ("--target", value) for name, value in zip("xy", place or (), strict=False)}
+    given |= {name: (f"--{name.replace('_', '-')}", each) for name, each in options.items() if each is not None}
+    asked = {}
+    for name, (words, value) in given.items():
+        sign, unit = _TARGET[name]
+        asked[name] = number(words, value, sign=sign, unit=unit)
+        if unit == "rad" and abs(asked[name]) > math.tau:
+            fix = f"If these are degrees, give {math.radians(asked[name]):.4g}"
+            raise InvalidInput(f"{words} is more than a turn", got=asked[name], allowed="up to 2 pi, in rad", fix=fix)
     if not {"x", "y"} <= set(asked):
         raise InvalidInput("--target is missing", fix="Give it, or a set-up file with a table [target]")
     return asked

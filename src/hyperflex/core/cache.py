@@ -17,7 +17,7 @@ import hashlib
 import os
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numba
@@ -92,6 +92,20 @@ def _path(module: str, root: Path) -> Path | None:
 def module_folder(module: str) -> Path:
     """Return the folder of the kernels of a module, as its sources are now."""
     return folder() / f"{module.removeprefix(f'{_PACKAGE}.')}-{source_hash(module)}"
+
+
+def files(kernels: Iterable[tuple[str, str]]) -> Iterator[tuple[str, Path]]:
+    """Yield the files of compiled kernels, each with its kernel's name; `kernels` are modules and functions."""
+    for module in dict.fromkeys(module for module, _ in kernels):
+        place = module_folder(module)
+        for path in place.glob("*.nbc") if place.is_dir() else ():
+            yield f"{module}.{path.name.partition('-')[0]}", path
+
+
+def compiled(kernels: Sequence[tuple[str, str]]) -> int:
+    """Return how many kernels have been compiled, for whatever arguments."""
+    there = {name for name, _ in files(kernels)}
+    return sum(f"{module}.{name}" in there for module, name in kernels)
 
 
 def load(place: Path, name: str, key: str) -> bytes | None:

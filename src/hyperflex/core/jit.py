@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 import numba
 from numba.extending import register_jitable
 
+from hyperflex.core import cache
+
 try:
     from hyperflex.core import compiler
 except (ImportError, AttributeError):
@@ -98,9 +100,13 @@ else:
 @functools.cache
 def _announce() -> None:
     """Say on standard error, once a process, that kernels are being compiled."""
+    there, loaded = cache.compiled(KERNELS), len(KERNELS)
+    known = f"{there} of the {loaded} loaded were compiled before{', for other arguments' if there == loaded else ''}"
+    if not there:
+        known = "about 20 s for a first simulation"
     sys.stderr.write(
-        "hyperflex: compiling kernels for this machine, once; about 20 s for a first simulation (hyperflex warm "
-        "compiles all of them in advance) ...\n"
+        f"hyperflex: compiling kernels for this machine, once; {known} (hyperflex warm compiles all of them in "
+        "advance) ...\n"
     )
     sys.stderr.flush()
 

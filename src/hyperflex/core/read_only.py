@@ -9,11 +9,10 @@ _T = TypeVar("_T", bound=tuple[Any, ...])
 
 def read_only(parts: _T) -> _T:
     """Return a NamedTuple with views of its arrays that cannot be written to."""
-    return type(parts)(*(constant_view(each) if isinstance(each, np.ndarray) else each for each in parts))
+    return type(parts)(*(_view(each) if isinstance(each, np.ndarray) else each for each in parts))
 
 
-def constant_view(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return a view of an array that cannot be written to."""
+def _view(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     if not array.flags.writeable:
         return array
     view = array.view()

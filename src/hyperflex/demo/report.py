@@ -123,13 +123,14 @@ def _write(folder: Path, report: DemoReport, winding: CastReport, progress: Prog
     twin.guess().to_toml(folder / names["guess"])
     found.to_toml(folder / names["rope"])
     found.to_json(folder / names["identification"])
-    wound = winding.write_results(folder, progress=progress)
+    wound = winding.write_plan(folder)
+    drawn = winding.draw(folder, progress)
     section = Section(
         "The identified rope, wound round a target",
         text=(*winding.story, _MODEL.format(coarse=demo.recording.n_links)),
         tiles=winding.tiles,
         marks=report.verdicts,
-        pictures=tuple(winding.pictures(folder, wound).values()),
+        pictures=tuple(winding.pictures(drawn).values()),
         table=winding.checks,
         notes=(search_summary(demo.plan),),
     )
@@ -137,7 +138,7 @@ def _write(folder: Path, report: DemoReport, winding: CastReport, progress: Prog
     files.write_text(folder / names["summary"], sections_markdown("Demo (simulated)", sections))
     lead = _LEAD.format(fine=demo.reference.q.shape[1], coarse=demo.recording.n_links)
     write_page(folder / names["page"], "A rope, identified and cast", lead, "simulated", sections)
-    return names | {"wound_film" if kind == "film" else kind: name for kind, name in wound.items()}
+    return names | {"wound_film" if kind == "film" else kind: path.name for kind, path in (wound | drawn).items()}
 
 
 def _figures(demo: Demo) -> dict[str, bytes]:

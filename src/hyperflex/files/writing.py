@@ -5,6 +5,7 @@ import os
 import re
 import secrets
 import stat
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -74,6 +75,16 @@ def as_path(path: PathLike, what: str = "file") -> Path:
     if not isinstance(path, (str, os.PathLike)) or "\0" in os.fspath(path):
         raise InvalidInput(f"the path of the {what} is no path", got=path, allowed="a file name as str or pathlib.Path")
     return Path(path)
+
+
+def check_writable(path: PathLike) -> None:
+    """Refuse, before any work, a file that cannot be written now. Raises FileProblem as :func:`atomic_path` does."""
+    target = _target(path)
+    try:
+        with tempfile.TemporaryFile(dir=target.parent):
+            pass
+    except OSError as error:
+        raise _write_problem(target, target, error) from error
 
 
 def write_text(path: PathLike, text: str) -> None:

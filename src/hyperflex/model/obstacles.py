@@ -1,7 +1,7 @@
 """Obstacles that a rope may touch: round pegs, walls and grounds; in files, and as kernel arrays."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
@@ -148,6 +148,16 @@ class Ground:
 
 Obstacle = Peg | Wall | Ground
 KINDS: dict[str, type[Obstacle]] = {"pegs": Peg, "walls": Wall, "grounds": Ground}  # by table of a TOML file
+
+
+def checked_obstacles(pegs: object) -> tuple[Obstacle, ...]:
+    """Return the obstacles of a sequence as a tuple; InvalidInput if they are something else."""
+    given = tuple(pegs) if isinstance(pegs, Iterable) else (None,)
+    for peg in given:
+        if not isinstance(peg, Obstacle):
+            got = pegs if peg is None else peg
+            raise InvalidInput("pegs holds something else", got=got, allowed="a sequence of Peg, Wall, Ground")
+    return given
 
 
 def _check(obstacle: Obstacle, what: str) -> None:

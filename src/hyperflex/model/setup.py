@@ -18,7 +18,7 @@ from hyperflex.core.contact.gaps import Pegs
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
-from hyperflex.model.obstacles import KINDS, Obstacle, Peg, obstacles_of, packed, tables
+from hyperflex.model.obstacles import KINDS, Obstacle, Peg, checked_obstacles, obstacles_of, packed, tables
 from hyperflex.model.rope import Rope
 from hyperflex.motion import Motion, from_spec, hold_arm, to_spec
 
@@ -105,16 +105,13 @@ class Setup:
                 values[name] = checks.array(name, getattr(self, name), (n,), unit=unit)
         values["contact_step"] = checks.number("contact_step", self.contact_step, sign="positive", unit="s")
         x, y = checks.array("tip_force", self.tip_force, (2,), unit="N")
-        values |= {"tip_force": (float(x), float(y)), "pegs": tuple(self.pegs)}
+        values |= {"tip_force": (float(x), float(y)), "pegs": checked_obstacles(self.pegs)}
         for name, value in values.items():
             object.__setattr__(self, name, value)
         self._check_drive()
         self._check_pegs()
 
     def _check_pegs(self) -> None:
-        for peg in self.pegs:
-            if not isinstance(peg, Obstacle):
-                raise InvalidInput("pegs holds something else", got=peg, allowed="hyperflex.Peg, Wall or Ground")
         if not self.pegs and any(self.tip_force):
             raise InvalidInput("tip_force needs a set-up with pegs", got=self.tip_force, fix="Give pegs=[Peg(...)]")
         if not self.touches:

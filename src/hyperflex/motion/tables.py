@@ -1,6 +1,6 @@
 """Motions in files: CSV samples, and tables of a TOML file."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,24 +33,12 @@ def read_motion(path: str | Path) -> Motion:
 
 def from_spec(spec: Mapping[str, Any], folder: Path | None = None) -> Motion:
     """Build the motion that a ``[motion]`` table describes; a file that it names lies in `folder` (or where one is)."""
-    makers = {
-        "hold": profiles.hold_arm,
-        "move": profiles.move_arm,
-        "swings": profiles.arm_swings,
-        "strokes": arm_strokes,
-        "moves": arm_moves,
-        "sampled": profiles.sampled_motion,
-        "moving point": profiles.moving_pivot,
-        "torque": profiles.torque_profile,
-        "pieces": _from_pieces,
-        "file": read_motion,
-    }
     rest = {key: value for key, value in spec.items() if key not in ("kind", "delay")}
     if folder is not None and spec.get("kind") == "file" and isinstance(rest.get("path"), str):
         rest["path"] = folder / rest["path"]
-    maker = makers[checks.choice("motion kind", spec.get("kind"), tuple(makers))]
+    maker = MAKERS[checks.choice("motion kind", spec.get("kind"), tuple(MAKERS))]
     try:
-        motion: Motion = maker(**rest)  # type: ignore[operator]
+        motion = maker(**rest)
     except TypeError as error:
         raise InvalidInput(f"motion table of kind {spec['kind']!r} does not fit ({error})", got=dict(rest)) from None
     return motion.shifted(spec["delay"]) if "delay" in spec else motion
@@ -74,3 +62,17 @@ def _from_pieces(breaks: list[float], coef: list[float], switch: list[bool], loo
     if flat.size != (np.size(breaks) - 1) * CHANNELS * POWERS:
         raise InvalidInput("coef has the wrong size", got=flat.size, allowed=f"{CHANNELS * POWERS} numbers a piece")
     return Motion(np.array(breaks), flat.reshape(-1, CHANNELS, POWERS), np.array(switch), loop)
+
+
+MAKERS: dict[str, Callable[..., Motion]] = {  # of motions, by the kind of their table
+    "hold": profiles.hold_arm,
+    "move": profiles.move_arm,
+    "swings": profiles.arm_swings,
+    "strokes": arm_strokes,
+    "moves": arm_moves,
+    "sampled": profiles.sampled_motion,
+    "moving point": profiles.moving_pivot,
+    "torque": profiles.torque_profile,
+    "pieces": _from_pieces,
+    "file": read_motion,
+}

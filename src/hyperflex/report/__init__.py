@@ -7,10 +7,10 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.report.animation import animate
     from hyperflex.report.cast.report import CastReport, plain_reason
-    from hyperflex.report.folder import Progress, silent, whole_folder
+    from hyperflex.report.folder import Progress, check_folder, silent, whole_folder
     from hyperflex.report.identification.figures import fit_figure
     from hyperflex.report.identification.fitted import fitted_channels
-    from hyperflex.report.identification.page import write_identification
+    from hyperflex.report.identification.page import identification_page, write_found, write_identification
     from hyperflex.report.identification.parameters import parameters_table, ratios_table
     from hyperflex.report.page import Picture, Section, TextTable, sections_markdown, write_page
     from hyperflex.report.plan import PlanReport, film_progress, search_summary

@@ -50,6 +50,11 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
         shutil.rmtree(stage, ignore_errors=True)
 
 
+def check_folder(directory: str | Path) -> None:
+    """Refuse, before any work, a folder that cannot be made or filled now: FileProblem as of :func:`whole_folder`."""
+    _stage(Path(os.path.realpath(directory))).rmdir()
+
+
 def _stage(target: Path) -> Path:
     """Make the temporary folder, in `target` or, where that is not there yet, in the nearest folder above it."""
     try:
@@ -69,7 +74,7 @@ def _move(stage: Path, target: Path, own: Sequence[str]) -> None:
     """Put the files of `stage` in place of `own` ones; on any failure put everything back as it was."""
     names = sorted(path.name for path in stage.iterdir())
     old = [name for name in own if name not in names]
-    for name in names:
+    for name in (*names, *own):
         if (target / name).is_dir():
             raise FileProblem(f"{target / name} is a folder where a file shall go. Nothing was written. Move it away.")
     try:

@@ -57,7 +57,7 @@ class PlanReport(ABC, Generic[PlanT]):
         """Return arguments of :func:`hyperflex.report.animation.animate`."""
 
     def write(self, directory: str | Path, *, rate: float = RATE, progress: Progress = silent) -> dict[str, Path]:
-        """Write page, figures, film, motion, set-up and run to a folder.
+        """Write motion, set-up and run to a folder, then figures, film and page.
 
         Parameters
         ----------
@@ -74,41 +74,55 @@ class PlanReport(ABC, Generic[PlanT]):
         dict of str to Path
             The files: "page", "motion", "plan" (its set-up), "run", "film", and the figures by name; those there are.
         """
-        own: list[str] = [f"{self.name}.{kind}" for kind in ("toml", "nc", "gif")]
-        own += [f"{name}.toml" for name in self.others] + [f"{name}.png" for name in self.captions]
-        with whole_folder(directory, ["report.html", "motion.csv", *own]) as stage:
-            names = self.write_results(stage, rate=rate, progress=progress) | {"page": "report.html"}
-            lead = f"{self.task} {_source(self.plan)}; nothing here was measured."
-            sections = self._sections(self.pictures(stage, names))
-            write_page(stage / "report.html", self.title, lead, "simulated", sections)
+        return self.write_plan(directory, rate=rate) | self.add_page(directory, progress=progress)
+
+    def write_plan(self, directory: str | Path, *, rate: float = RATE) -> dict[str, Path]:
+        """Write motion, set-up and run, which need no drawing; files of an earlier report are removed.
+
+        Arguments and answer as of :meth:`write`.
+        """
+        plan, others = self.plan, {name: other for name, other in self.others.items() if other is not None}
+        names = {name: f"{name}.toml" for name in others}
+        own = [f"{name}.toml" for name in (*self.others, self.name)] + [f"{name}.png" for name in self.captions]
+        own += ["report.html", "motion.csv", f"{self.name}.nc", f"{self.name}.gif"]
+        with whole_folder(directory, own) as stage:
+            for name, other in others.items():
+                other.to_toml(stage / names[name])
+            if plan.motion is not None:
+                names |= {"motion": "motion.csv", "plan": f"{self.name}.toml"}
+                plan.to_csv(stage / names["motion"], rate=rate)
+                plan.to_toml(stage / names["plan"])
+            if plan.run is not None:
+                names["run"] = f"{self.name}.nc"
+                plan.to_netcdf(stage / names["run"])
         return {kind: Path(directory) / name for kind, name in names.items()}
 
-    def write_results(self, folder: Path, *, rate: float = RATE, progress: Progress = silent) -> dict[str, str]:
-        """Write everything but the page to `folder`; return the names of the files by what they are."""
-        names = {}
-        for name, other in self.others.items():
-            if other is not None:
-                names[name] = f"{name}.toml"
-                other.to_toml(folder / names[name])
-        if self.plan.motion is not None:
-            names |= {"motion": "motion.csv", "plan": f"{self.name}.toml"}
-            self.plan.to_csv(folder / names["motion"], rate=rate)
-            self.plan.to_toml(folder / names["plan"])
-        if self.plan.run is not None:
-            names |= {"run": f"{self.name}.nc", "film": f"{self.name}.gif"}
-            self.plan.to_netcdf(folder / names["run"])
-            progress("drawing")
-            for name, figure in self.figures().items():
-                names[name] = f"{name}.png"
-                save_png(figure, folder / names[name])
-            film = {"frame_rate": _FILM_RATE, "width": _FILM_WIDTH, **self.film()}
-            animate(self.plan.run, folder / names["film"], progress=film_progress(progress), **film)
-        return names
+    def add_page(self, directory: str | Path, *, progress: Progress = silent) -> dict[str, Path]:
+        """Draw figures and film, and write the page that shows them. Arguments and answer as of :meth:`write`."""
+        page = Path(directory) / "report.html"
+        with whole_folder(directory) as stage:
+            drawn = self.draw(stage, progress)
+            lead = f"{self.task} {_source(self.plan)}; nothing here was measured."
+            write_page(stage / page.name, self.title, lead, "simulated", self._sections(self.pictures(drawn)))
+        return {kind: Path(directory) / path.name for kind, path in drawn.items()} | {"page": page}
 
-    def pictures(self, folder: Path, names: Mapping[str, str]) -> dict[str, Picture]:
-        """Return what :meth:`write_results` drew, with captions."""
-        shown = {kind: caption for kind, caption in self.captions.items() if kind in names}
-        return {kind: Picture((folder / names[kind]).read_bytes(), caption) for kind, caption in shown.items()}
+    def draw(self, folder: Path, progress: Progress = silent) -> dict[str, Path]:
+        """Draw figures and film of the run, if there is one, to files in `folder`; return them by name."""
+        if self.plan.run is None:
+            return {}
+        progress("drawing")
+        figures = self.figures()
+        drawn = {name: folder / f"{name}.png" for name in figures} | {"film": folder / f"{self.name}.gif"}
+        for name, figure in figures.items():
+            save_png(figure, drawn[name])
+        film = {"frame_rate": _FILM_RATE, "width": _FILM_WIDTH, **self.film()}
+        animate(self.plan.run, drawn["film"], progress=film_progress(progress), **film)
+        return drawn
+
+    def pictures(self, drawn: Mapping[str, Path]) -> dict[str, Picture]:
+        """Return what :meth:`draw` drew, with captions."""
+        shown = {kind: caption for kind, caption in self.captions.items() if kind in drawn}
+        return {kind: Picture(drawn[kind].read_bytes(), caption) for kind, caption in shown.items()}
 
     def _sections(self, shown: Mapping[str, Picture]) -> list[Section]:
         plan, verdict, search = self.plan, (self.plan.success, self.verdict), (search_summary(self.plan),)

@@ -10,41 +10,35 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
-from hyperflex.motion import Motion
+from hyperflex.model import Rope, Setup
 
 SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose
 MOST_OUTPUTS = 1e7  # of a run whose user has not chosen; more of them would fill the memory first
 
 
-def whole_setup(rope: object, allowed: str, *given: dict[str, Any]) -> Setup:
+def whole_setup(rope: object, given: dict[str, Any], allowed: str) -> Setup:
     """Return the set-up that was given in place of a rope and stands for all arguments.
 
-    `allowed` says, for the message, what may be given beside a whole set-up, `given` has by name what may not: None or
-    False where it is as by default.
+    `given` has by name what may not be given beside it, None where it was not, and `allowed` says what may.
     """
     if not isinstance(rope, Setup):
         raise InvalidInput("rope is not a rope", got=rope, allowed="a Rope or a whole Setup")
-    if names := [name for each in given for name, value in each.items() if value is not None and value is not False]:
+    if names := list(chosen(given)):
         fix = "Put them into the set-up: dataclasses.replace(setup, ...)"
         raise InvalidInput("arguments beside a whole set-up", got=names, allowed=allowed, fix=fix)
     return rope
 
 
-def setup_of(
-    rope: Rope | Setup,
-    motion: Motion | None,
-    arm: Arm | None,
-    duration: float | None,
-    q0: npt.ArrayLike | None,
-    qd0: npt.ArrayLike | None,
-    tol: float,
-    allowed: str,
-) -> Setup:
+def chosen(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments that are not None."""
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def setup_of(rope: Rope | Setup, duration: float | None, allowed: str, **given: Any) -> Setup:
     """Return the set-up of what is given, a whole one or its parts; `allowed` as in :func:`whole_setup`."""
     if isinstance(rope, Rope):
-        return Setup(rope, motion, arm, duration=needed(duration), q0=q0, qd0=qd0, tol=tol)  # type: ignore[arg-type]
-    setup = whole_setup(rope, allowed, {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "tol": tol != DEFAULT_TOL})
+        return Setup(rope, duration=needed(duration), **chosen(given))
+    setup = whole_setup(rope, given, allowed)
     return setup if duration is None else replace(setup, duration=duration)
 
 

@@ -26,7 +26,11 @@ def setup_for(command: str, setup: Setup) -> Setup:
             if command == "torque"
             else "Give Arm(length=0.0) for a rope that hangs from the motor's shaft itself",
         )
-    return replace(setup, motion=None, torque=torque_profile([0.0, 1.0], [0.0, 0.0]) if command == "torque" else None)
+    torque = torque_profile([0.0, 1.0], [0.0, 0.0]) if command == "torque" else None
+    angle, rate = setup.arm_angle0, setup.arm_rate0
+    if setup.motion is not None:
+        angle, rate = float(setup.motion.angle(0.0)), float(setup.motion.rate(0.0))
+    return replace(setup, motion=None, torque=torque, arm_angle0=angle, arm_rate0=rate)
 
 
 def arm_polynomials(command: str, dt: float) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
+from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import setup_of
 from hyperflex.simulation.outcome import refuse_failure
@@ -103,7 +103,7 @@ def predictability(
     duration: float | None = None,
     q0: npt.ArrayLike | None = None,
     qd0: npt.ArrayLike | None = None,
-    tol: float = DEFAULT_TOL,
+    tol: float | None = None,
     nudges: int = NUDGES,
     seed: int = 0,
     sample_time: float = SAMPLE_TIME,
@@ -148,7 +148,8 @@ def predictability(
     >>> bool(growth.exponent() > 1.0), bool(growth.horizon(1e-3) < 4.0)
     (True, True)
     """
-    setup = setup_of(rope, motion, arm, duration, q0, qd0, tol, "duration, nudges, seed, sample_time")
+    allowed = "duration, nudges, seed, sample_time"
+    setup = setup_of(rope, duration, allowed, motion=motion, arm=arm, q0=q0, qd0=qd0, tol=tol)
     count = checks.count("nudges", nudges)
     spacing = checks.number("sample_time", sample_time, sign="positive", unit="s")
     reach = setup.rope.total_length

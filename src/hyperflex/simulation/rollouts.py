@@ -20,7 +20,7 @@ from hyperflex.core.integrate.end_conditions import NEVER, Until
 from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import scheme
-from hyperflex.core.read_only import constant_view, read_only
+from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
@@ -109,12 +109,12 @@ def starting_clock(t: float) -> Array:
 def link_accelerations(chain: Chain, drive: Drive, t: float, q: Array, qd: Array) -> Array:
     """Return the links' accelerations (n,), rad/s^2, at time t, s; joints that dry friction holds are locked."""
     n = q.size
-    base, slip, alphas = np.empty(9), np.ones((1, n)), np.empty(n)
+    y, base, slip, alphas = np.concatenate([q, qd]), np.empty(9), np.ones((1, n)), np.empty(n)
     torque = base_state(drive, segment(drive, t), t, base)
     if can_stick(chain):
-        senses(chain, drive, np.array([t]), np.concatenate([q, qd])[None], slip)
-    q, qd = constant_view(q), constant_view(qd)
-    accelerations(chain, q, qd, slip[0], base[:7], torque, 0.0, alphas, np.empty(6 * n))
+        senses(chain, drive, np.array([t]), y[None], slip)
+    y.setflags(write=False)  # the kernel is compiled for one kind
+    accelerations(chain, y[:n], y[n:], slip[0], base[:7], torque, 0.0, alphas, np.empty(6 * n))
     return alphas
 
 

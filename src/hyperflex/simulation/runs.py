@@ -15,9 +15,9 @@ from hyperflex.core import status
 from hyperflex.core.chain.drive import TORQUE
 from hyperflex.core.integrate.end_conditions import NEVER, Until
 from hyperflex.errors import InvalidInput
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, Arm, Obstacle, Rope, Setup
+from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, checked_obstacles
 from hyperflex.motion import Motion, hold_arm
-from hyperflex.simulation.arguments import needed, output_times, whole_setup
+from hyperflex.simulation.arguments import chosen, needed, output_times, whole_setup
 from hyperflex.simulation.contact.runs import contact_run, refine_arguments
 from hyperflex.simulation.events import Event
 from hyperflex.simulation.outcome import conclude, refuse_failure
@@ -46,18 +46,18 @@ def simulate(
     q0: npt.ArrayLike | None = None,
     qd0: npt.ArrayLike | None = None,
     t_eval: npt.ArrayLike | None = None,
-    tol: float = DEFAULT_TOL,
-    method: str = "extrapolation",
+    tol: float | None = None,
+    method: str | None = None,
     step: float | None = None,
     torque: Motion | float | Control | None = None,
     control_rate: float | None = None,
-    arm_angle0: float = 0.0,
-    arm_rate0: float = 0.0,
+    arm_angle0: float | None = None,
+    arm_rate0: float | None = None,
     state: State | None = None,
     until: Event | None = None,
     pegs: Sequence[Obstacle] = (),
-    contact_step: float = DEFAULT_CONTACT_STEP,
-    tip_force: npt.ArrayLike = (0.0, 0.0),
+    contact_step: float | None = None,
+    tip_force: npt.ArrayLike | None = None,
     refine: bool = True,
     throw: bool = True,
     time_budget: float | None = None,
@@ -80,14 +80,15 @@ def simulate(
         Absolute link angles, rad, and rates, rad/s, at the start. By default the rope hangs at rest.
     t_eval : (T,) array_like, optional
         Increasing times of the output, s, within the run; by default every 10 ms and the end.
-    tol : float
-        Error that one step may make in the position of any joint, m. The error at the tip after some seconds of
-        casting is of the order of ten times as much (docs/models.md). Beside pegs it bounds the energy that may come
-        from nowhere, in proportion: by default a millionth of what is at stake in a second; 1e-3 is for a search.
-    method : {"extrapolation", "rk4"}
-        The linearly implicit extrapolation with error control, or classical Runge-Kutta with a fixed `step`, s, as a
-        check; a step beyond its stability limit is refused. The limit holds for a rope that hangs: one that whips about
-        with little friction may need less.
+    tol : float, optional
+        Error that one step may make in the position of any joint, m; by default 1e-5. The error at the tip after some
+        seconds of casting is of the order of ten times as much (docs/models.md). Beside pegs it bounds the energy that
+        may come from nowhere, in proportion: by default a millionth of what is at stake in a second; 1e-3 is for a
+        search.
+    method : {"extrapolation", "rk4"}, optional
+        The linearly implicit extrapolation with error control (by default), or classical Runge-Kutta with a fixed
+        `step`, s, as a check; a step beyond its stability limit is refused. The limit holds for a rope that hangs: one
+        that whips about with little friction may need less.
     step : float, optional
         Of ``"rk4"``, s.
     torque : Motion, float or callable, optional
@@ -95,8 +96,8 @@ def simulate(
         called at the control rate and held in between.
     control_rate : float, optional
         How often a torque callback is called, Hz.
-    arm_angle0, arm_rate0 : float
-        Start of a torque-driven arm, rad and rad/s.
+    arm_angle0, arm_rate0 : float, optional
+        Start of a torque-driven arm, rad and rad/s; by default 0.
     state : State, optional
         Go on from where another run ended (``trajectory.state``), or begin with what a :class:`State` says, the rates
         of pegs that turn included. With everything else equal, a run that goes on is bit for bit one that was not
@@ -108,10 +109,11 @@ def simulate(
         goes within such a step can be missed.
     pegs : sequence of Peg, Wall or Ground, optional
         What the rope may touch and wind round. Events are not there yet with pegs, nor where a joint is at its limit.
-    contact_step : float
-        Longest step with a peg or with a joint at its limit, s. A run that goes on from a `state` takes its steps
-        elsewhere than one that was not stopped, so the two agree within the accuracy of these steps only.
-    tip_force : (2,) array_like
+    contact_step : float, optional
+        Longest step with a peg or with a joint at its limit, s; by default 2e-4. A run that goes on from a `state`
+        takes its steps elsewhere than one that was not stopped, so the two agree within the accuracy of these steps
+        only.
+    tip_force : (2,) array_like, optional
         Constant force on the tip beside gravity, N; only with pegs.
     refine : bool
         Cut links that may touch a peg to what a wound rope needs (:func:`hyperflex.refine_rope`; `q0`, `qd0` and
@@ -153,35 +155,22 @@ def simulate(
     True
     """
     control = torque if callable(torque) else None
+    start: dict[str, Any] = {"q0": q0, "qd0": qd0, "arm_angle0": arm_angle0, "arm_rate0": arm_rate0}
+    given: dict[str, Any] = {"tol": tol, "method": method, "step": step, "contact_step": contact_step}
+    given["tip_force"] = tip_force
     if isinstance(rope, Rope):
+        _refuse_two_starts(start, state, torque)
+        pegs = checked_obstacles(pegs)
         if pegs and refine:
-            rope, q0, qd0, state = refine_arguments(rope, tuple(pegs), arm, q0, qd0, state)
+            rope, start["q0"], start["qd0"], state = refine_arguments(rope, pegs, arm, q0, qd0, state)
+        drive = _torque_motion(torque, control, control_rate)
         setup = Setup(
-            rope,
-            motion,
-            arm,
-            torque=_torque_motion(torque, control, control_rate),
-            duration=needed(duration),
-            q0=q0,  # type: ignore[arg-type]
-            qd0=qd0,  # type: ignore[arg-type]
-            arm_angle0=arm_angle0,
-            arm_rate0=arm_rate0,
-            tol=tol,
-            method=method,
-            step=step,
-            pegs=tuple(pegs),
-            contact_step=contact_step,
-            tip_force=tip_force,  # type: ignore[arg-type]
+            rope, motion, arm, torque=drive, duration=needed(duration), pegs=pegs, **chosen({**start, **given})
         )
     else:
-        setup = whole_setup(
-            rope,
-            "duration, t_eval, state, until, throw, progress",
-            {"motion": motion, "arm": arm, "q0": q0, "qd0": qd0, "step": step, "torque": torque, "pegs": bool(pegs)},
-            {"arm_angle0": arm_angle0 != 0.0, "arm_rate0": arm_rate0 != 0.0, "tol": tol != DEFAULT_TOL},
-            {"method": method != METHODS[0], "control_rate": control_rate, "tip_force": bool(np.any(tip_force))},
-            {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
-        )
+        given |= {"motion": motion, "arm": arm, "torque": torque, "control_rate": control_rate}
+        given["pegs"] = pegs or None
+        setup = whole_setup(rope, {**start, **given}, "duration, t_eval, state, until, throw, time_budget, progress")
     length = setup.duration if duration is None else checks.number("duration", duration, sign="positive", unit="s")
     begin = _begin(state)
     t = output_times(t_eval, begin, begin + length)
@@ -210,6 +199,17 @@ def simulate(
         code, event = status.OK, (until.name, run.time)
         end_at_event(run)
     return replace(conclude(run, setup, code, name, throw=throw, skip=skip), event=event)
+
+
+def _refuse_two_starts(start: dict[str, Any], state: State | None, torque: object) -> None:
+    """Refuse what a `state` or a prescribed arm says already."""
+    names = list(chosen(start))
+    if state is not None and names:
+        fix = "dataclasses.replace(state, q=...) changes a state"
+        raise InvalidInput("the start is given twice, by arguments and by a state", got=names, fix=fix)
+    if torque is None and (names := [name for name in names if name.startswith("arm_")]):
+        fix = "A motion says itself where the arm begins; arms rest at 0 without one"
+        raise InvalidInput("no torque drives the arm that these begin", got=names, allowed="with torque=...", fix=fix)
 
 
 def _begin(state: State | None) -> float:

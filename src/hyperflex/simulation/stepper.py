@@ -16,9 +16,9 @@ from hyperflex.core.integrate.progress import JOINT, MARK, MODES, REJECTED, TAKE
 from hyperflex.core.tangent import forward_sensitivity
 from hyperflex.core.tangent.directions import Directions
 from hyperflex.errors import InvalidInput
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
+from hyperflex.model import Arm, Obstacle, Rope, Setup, checked_obstacles
 from hyperflex.motion import hold_arm
-from hyperflex.simulation.arguments import whole_setup
+from hyperflex.simulation.arguments import chosen, whole_setup
 from hyperflex.simulation.commands import COMMANDS, arm_polynomials, set_commands, setup_for, state_directions
 from hyperflex.simulation.contact.runs import STEP as CONTACT_STEP
 from hyperflex.simulation.contact.runs import ContactRun, refine_arguments
@@ -106,23 +106,20 @@ class Stepper:
         *,
         arm: Arm | None = None,
         command: str = "acceleration",
-        tol: float = DEFAULT_TOL,
+        tol: float | None = None,
         pegs: Sequence[Obstacle] = (),
-        contact_step: float = DEFAULT_CONTACT_STEP,
-        tip_force: npt.ArrayLike = (0.0, 0.0),
+        contact_step: float | None = None,
+        tip_force: npt.ArrayLike | None = None,
         refine: bool = True,
     ) -> None:
         self.command = checks.choice("command", command, COMMANDS)
+        given: dict[str, Any] = {"arm": arm, "tol": tol, "contact_step": contact_step, "tip_force": tip_force}
         if isinstance(rope, Rope):
-            rope = refine_arguments(rope, tuple(pegs), arm, None, None, None)[0] if refine and pegs else rope
-            setup = Setup(rope, None, arm, tol=tol, pegs=tuple(pegs), contact_step=contact_step, tip_force=tip_force)  # type: ignore[arg-type]
+            pegs = checked_obstacles(pegs)
+            rope = refine_arguments(rope, pegs, arm, None, None, None)[0] if refine and pegs else rope
+            setup = Setup(rope, pegs=pegs, **chosen(given))
         else:
-            setup = whole_setup(
-                rope,
-                "command",
-                {"arm": arm, "tol": tol != DEFAULT_TOL, "pegs": bool(pegs), "tip_force": bool(np.any(tip_force))},
-                {"contact_step": contact_step != DEFAULT_CONTACT_STEP},
-            )
+            setup = whole_setup(rope, {**given, "pegs": pegs or None}, "command")
         self.setup = setup_for(command, setup)
         chain, self._interval = self.setup.chain(), Interval(self.setup.drive())
         run = prepare_rollout(

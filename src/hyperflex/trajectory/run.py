@@ -196,6 +196,11 @@ class Trajectory:
         span = f" from {self.t[0]:g} to {self.t[-1]:g} s" if self.t.size else ""
         return f"Trajectory({self.q.shape[1]} links, {self.t.size} samples{span}, status {self.status!r})"
 
+    @property
+    def success(self) -> bool:
+        """Whether the run came to its end, or to the event that it was to end at."""
+        return self.status == "ok"
+
     @cached_property
     def joints(self) -> Array:
         """Joint positions (T, n+1, 2), m; the last one is the tip."""

@@ -39,6 +39,11 @@ class Bootstrap:
         end = ", interrupted" if self.interrupted else ""
         return f"<Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}: {', '.join(self.names)}>"
 
+    @property
+    def success(self) -> bool:
+        """Whether all fits were tried, and at least one converged."""
+        return not self.interrupted and len(self.samples) > 0
+
     def interval(self, name: str, level: float = LEVEL) -> Interval:
         """Return the percentile interval of parameter `name` at a `level`; beside bounds :func:`profile` is better."""
         if name not in self.names:

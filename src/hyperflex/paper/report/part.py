@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 from hyperflex import files
 from hyperflex.paper.casting import Reading
 from hyperflex.paper.results import Claim, Table
-from hyperflex.report import Picture, Progress, Section, TextTable, png
+from hyperflex.report import Picture, Progress, Section, TextTable, png, whole_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+TEXTS = ("claims.md", "report.html")  # what is written when all is done
 
 
 @dataclass(frozen=True)
@@ -41,34 +43,38 @@ class Part:
 
 @dataclass(frozen=True)
 class Written:
-    """Names of the files of a part, in order, its claims, and its sections of the page."""
+    """Claims of a part, and its sections of the page."""
 
-    names: list[str]
     claims: list[Claim]
     sections: list[Section]
 
 
-def write_part(part: Part, names: Sequence[str], folder: Path, progress: Progress) -> Written:
-    """Write the items of these names to `folder`, and measure the part's claims."""
+def write_part(
+    part: Part, names: Sequence[str], folder: Path, progress: Progress, note: Callable[[Path], None]
+) -> Written:
+    """Write the items of these names to `folder`, each when it is done, and measure the part's claims.
+
+    `note` is called with each file that has been written.
+    """
     progress(part.message)
-    written: list[str] = []
     sections: list[Section] = []
     pictures = []
     for name in names:
         progress(f"making {name}")
         item = part.items[name]
-        if item.draw is not None:
-            content = png(item.draw())
-            files.write_bytes(folder / f"{name}.png", content)
-            written.append(f"{name}.png")
-            pictures.append(Picture(content, item.caption))
-        table = item.table()
-        rows = list(zip(*table.columns.values(), strict=True))
-        files.write_table(folder / f"{name}.csv", list(table.columns), rows, notes=table.notes)
-        written.append(f"{name}.csv")
+        with whole_folder(folder, TEXTS) as stage:
+            if item.draw is not None:
+                content = png(item.draw())
+                files.write_bytes(stage / f"{name}.png", content)
+                pictures.append(Picture(content, item.caption))
+            table = item.table()
+            rows = list(zip(*table.columns.values(), strict=True))
+            files.write_table(stage / f"{name}.csv", list(table.columns), rows, notes=table.notes)
+        for kind in ("csv",) if item.draw is None else ("png", "csv"):
+            note(folder / f"{name}.{kind}")
         sections += item.sections()
     progress("measuring the claims")
-    return Written(written, part.claims(), part.sections(sections, tuple(pictures)))
+    return Written(part.claims(), part.sections(sections, tuple(pictures)))
 
 
 def claims_table(claims: Sequence[Claim]) -> TextTable:

@@ -1,12 +1,12 @@
 """The paper's figures, tables and claims as files: pictures, tables of numbers, a Markdown table and a page."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from hyperflex import checks, files
 from hyperflex.paper.report import casting, estimation, identification, timing
-from hyperflex.paper.report.part import Part, Written, claims_table, verdicts, write_part
+from hyperflex.paper.report.part import TEXTS, Part, Written, claims_table, verdicts, write_part
 from hyperflex.paper.results import Claim
 from hyperflex.report import Progress, Section, sections_markdown, silent, whole_folder, write_page
 
@@ -22,7 +22,13 @@ class Reproduction:
     claims: tuple[Claim, ...]
 
 
-def reproduce(names: Sequence[str], directory: str | Path, *, progress: Progress = silent) -> Reproduction:
+def reproduce(
+    names: Sequence[str],
+    directory: str | Path,
+    *,
+    progress: Progress = silent,
+    written: Callable[[Path], None] | None = None,
+) -> Reproduction:
     """Write figures of the paper (PNG and CSV), the table of its claims (Markdown) and a page that shows it all.
 
     Parameters
@@ -33,6 +39,9 @@ def reproduce(names: Sequence[str], directory: str | Path, *, progress: Progress
         four is asked for are measured with them.
     directory, progress
         Folder to write to, see :func:`hyperflex.report.folder.whole_folder`; called with what is being done.
+    written : callable, optional
+        Called with each file as soon as it stands: those of a figure are written when it is done, the claims and the
+        page in the end.
 
     Raises
     ------
@@ -41,20 +50,27 @@ def reproduce(names: Sequence[str], directory: str | Path, *, progress: Progress
     """
     chosen = [checks.choice("figure", name, (*FIGURES, "all")) for name in names]
     wanted = [name for name in FIGURES if "all" in chosen or name in chosen]
+    paths: list[Path] = []
+
+    def note(path: Path) -> None:
+        paths.append(path)
+        if written is not None:
+            written(path)
+
+    parts = [(part, [name for name in wanted if name in part.items]) for part in PARTS]
+    done = [(part, write_part(part, own, Path(directory), progress, note)) for part, own in parts if own]
+    texts = [
+        sections_markdown(part.claims_title, [_verdict(part, each), *(s for s in each.sections if not s.pictures)])
+        for part, each in done
+    ]
     with whole_folder(directory) as stage:
-        parts = [(part, [name for name in wanted if name in part.items]) for part in PARTS]
-        done = [(part, write_part(part, own, stage, progress)) for part, own in parts if own]
-        texts = [
-            sections_markdown(part.claims_title, [_verdict(part, each), *(s for s in each.sections if not s.pictures)])
-            for part, each in done
-        ]
         files.write_text(stage / "claims.md", "\n".join(texts))
         sections = [section for part, each in done for section in (_verdict(part, each), *each.sections)]
         title, lead = "; ".join(part.title for part, _ in done), " ".join(part.lead for part, _ in done)
         write_page(stage / "report.html", title, lead, "simulated", sections)
-    written = [name for _, each in done for name in each.names]
-    claims = tuple(claim for _, each in done for claim in each.claims)
-    return Reproduction(tuple(Path(directory) / name for name in (*written, "claims.md", "report.html")), claims)
+    for name in TEXTS:
+        note(Path(directory) / name)
+    return Reproduction(tuple(paths), tuple(claim for _, each in done for claim in each.claims))
 
 
 def _verdict(part: Part, done: Written) -> Section:

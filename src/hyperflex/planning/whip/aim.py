@@ -99,9 +99,9 @@ def aim_residuals(target: TipTarget, aim: AimedPeak) -> tuple[Array, Array]:
     if beyond != 0.0:
         residuals.append(length * beyond)
         jacobian.append(length * (vx * aim.dvelocity[1] - vy * aim.dvelocity[0]) / speed**2)
-    if speed < SPEED_MARGIN * target.speed:
-        scale = length / target.speed
-        residuals.append(scale * (speed - SPEED_MARGIN * target.speed))
+    if speed < SPEED_MARGIN * target.least_speed:
+        scale = length / target.least_speed
+        residuals.append(scale * (speed - SPEED_MARGIN * target.least_speed))
         jacobian.append(scale * (aim.velocity @ aim.dvelocity) / speed)
     return np.array(residuals), np.array(jacobian)
 

@@ -79,8 +79,8 @@ def verify_whip(
     earlier = found.speed[found.t < found.t[k]]
     error, speed = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k])
     message = ""
-    if speed < target.speed:
-        message = f"the tip's speed is {speed:.2f} m/s, and {target.speed:g} is asked"
+    if speed < target.least_speed:
+        message = f"the tip's speed is {speed:.2f} m/s, and {target.least_speed:g} is asked"
     elif error > target.angle_tolerance:
         allowed = np.degrees(target.angle_tolerance)
         message = f"the tip's direction is {np.degrees(error):.0f} degrees off, {allowed:.0f} allowed"

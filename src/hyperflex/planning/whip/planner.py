@@ -90,7 +90,7 @@ class WhipPlanner:
         """By how much a whip fails, then how uncertain it is; less is better."""
         miss = float(np.hypot(*(aim.place - self.target.point)))
         beyond = max(0.0, abs(float(self.target.angle_error(aim.velocity))) - self.target.angle_tolerance)
-        slow = max(0.0, 1.0 - aim.speed / self.target.speed)
+        slow = max(0.0, 1.0 - aim.speed / self.target.least_speed)
         return max(0.0, miss - MAX_MISS) + beyond + slow, aim.position_std
 
     def verified(self) -> tuple[Verified | None, bool]:

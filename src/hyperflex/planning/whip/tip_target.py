@@ -30,8 +30,8 @@ class TipTarget:
         m.
     direction : float
         Direction of the tip's velocity there, rad, counterclockwise from the x axis.
-    speed : float
-        Least speed, m/s, > 0.
+    least_speed : float
+        Of the tip there, m/s, > 0.
     angle_tolerance : float
         Greatest angle between velocity and direction, rad, > 0 and at most pi; pi: any direction.
 
@@ -44,13 +44,13 @@ class TipTarget:
     x: float
     y: float
     direction: float
-    speed: float = 5.0
+    least_speed: float = 5.0
     angle_tolerance: float = float(np.radians(20.0))
 
     def __post_init__(self) -> None:
         for name, unit in (("x", "m"), ("y", "m"), ("direction", "rad")):
             object.__setattr__(self, name, checks.number(f"target {name}", getattr(self, name), unit=unit))
-        for name, unit in (("speed", "m/s"), ("angle_tolerance", "rad")):
+        for name, unit in (("least_speed", "m/s"), ("angle_tolerance", "rad")):
             value = checks.number(f"target {name}", getattr(self, name), sign="positive", unit=unit)
             object.__setattr__(self, name, value)
         if self.angle_tolerance > np.pi:
@@ -58,11 +58,11 @@ class TipTarget:
 
     @classmethod
     def at(
-        cls, point: npt.ArrayLike, direction: npt.ArrayLike | None, speed: float, angle_tolerance: float = np.pi
+        cls, point: npt.ArrayLike, direction: npt.ArrayLike | None, least_speed: float, angle_tolerance: float = np.pi
     ) -> TipTarget:
         """Return a target at a `point` (2,), m, with a `direction` given as a vector of any length but 0; None: any.
 
-        `speed` and `angle_tolerance` as of the class, m/s and rad.
+        `least_speed` and `angle_tolerance` as of the class, m/s and rad.
         """
         x, y = checks.array("point", point, (2,), unit="m")
         if direction is None:
@@ -70,7 +70,7 @@ class TipTarget:
         vector = checks.array("direction", direction, (2,))
         if not np.hypot(*vector) > 0.0:
             raise InvalidInput("direction is zero", got=vector.tolist(), allowed="a vector with a length")
-        return cls(float(x), float(y), float(np.arctan2(vector[1], vector[0])), speed, angle_tolerance)
+        return cls(float(x), float(y), float(np.arctan2(vector[1], vector[0])), least_speed, angle_tolerance)
 
     @property
     def any_direction(self) -> bool:
@@ -145,7 +145,7 @@ def peak_costs(target: TipTarget, peaks: Peaks) -> Array:
     return np.asarray(
         np.hypot(*(peaks.place - target.point).T)
         + ANGLE_COST * np.maximum(np.abs(target.angle_error(peaks.velocity)) - target.allowed_angle(ANGLE_MARGIN), 0.0)
-        + SPEED_COST * np.maximum(1.0 - peaks.speed / (SPEED_MARGIN * target.speed), 0.0)
+        + SPEED_COST * np.maximum(1.0 - peaks.speed / (SPEED_MARGIN * target.least_speed), 0.0)
         + EARLIER_COST * (1.0 - peaks.speed / np.maximum(peaks.highest, 1e-9))
         + TIME_COST * peaks.t
     )

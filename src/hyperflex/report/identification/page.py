@@ -34,7 +34,7 @@ LONG = 16  # rows of a table that are shown at once
 _MODEL_ERROR = ("The residuals are no noise", "The residuals are not white")  # how the verdict's warnings begin
 _TRUSTED = 0.85  # part of held-out values within their 95 % band, below which the page warns
 _DPI = 110
-_FILES = {"rope": "rope.toml", "figures": "identification.json", "page": "report.html"}
+PAGE = "report.html"
 
 
 def write_identification(
@@ -45,17 +45,26 @@ def write_identification(
     `recording` is what :func:`hyperflex.identify` was given, `found` what it gave back; a first guess is shown beside.
     The answer has the files ``rope``, ``figures`` and ``page``.
     """
-    with whole_folder(directory) as stage:
-        found.to_toml(stage / _FILES["rope"])
-        found.to_json(stage / _FILES["figures"])
-        identification_page(stage / _FILES["page"], recording, found, guess)
-    return {kind: Path(directory) / name for kind, name in _FILES.items()}
+    written = write_found(directory, found)
+    return written | identification_page(Path(directory) / PAGE, recording, found, guess)
+
+
+def write_found(directory: str | Path, found: Identification) -> dict[str, Path]:
+    """Write the rope and the figures alone, which takes no drawing, and remove an earlier page; return both files."""
+    names = {"rope": "rope.toml", "figures": "identification.json"}
+    with whole_folder(directory, [PAGE]) as stage:
+        found.to_toml(stage / names["rope"])
+        found.to_json(stage / names["figures"])
+    return {kind: Path(directory) / name for kind, name in names.items()}
 
 
 def identification_page(
     path: str | Path, recording: Recording, found: Identification, guess: Rope | None = None
-) -> None:
-    """Write the page alone: one HTML file with its figures inside. Arguments as of :func:`write_identification`."""
+) -> dict[str, Path]:
+    """Write the page alone: one HTML file with its figures inside. Arguments as of :func:`write_identification`.
+
+    The answer has the file ``page``.
+    """
     view = fitted_channels(recording, found)
     many = len(view.names) > len(view.chosen)
     sections = [
@@ -72,6 +81,7 @@ def identification_page(
     ]
     title = f"{recording.name or 'A recording'}, identified"
     write_page(path, title, lead(recording, found, found.rope), found.message, sections)
+    return {"page": Path(path)}
 
 
 def _verdict(found: Identification) -> Section:

@@ -67,8 +67,8 @@ def course_figure(plan: WhipPlan) -> Figure:
 
     def draw(speed: Any, away: Any) -> None:
         speed.plot(run.t, np.hypot(*run.tip_velocity.T), color=GREEN)
-        speed.axhline(target.speed, color=GREY, ls="--", lw=1.0)
-        note(speed, run.t[0], target.speed, f" {target.speed:.3g} m/s are needed")
+        speed.axhline(target.least_speed, color=GREY, ls="--", lw=1.0)
+        note(speed, run.t[0], target.least_speed, f" {target.least_speed:.3g} m/s are needed")
         speed.set(ylabel="speed, m/s", title="Speed of the tip")
         peak = f"peak at {seen.t:.2f} s: {seen.speed:.1f} m/s "
         note(speed, seen.t, 0.97, peak, RED, transform=speed.get_xaxis_transform(), ha="right", va="top")

@@ -64,7 +64,7 @@ class WhipReport(PlanReport[WhipPlan]):
                 f"The tip passes the target at {seen.speed:.1f} m/s, {1e3 * seen.miss:.2g} mm off, in simulation."
             )
         self.target = (
-            f"x = {target.x:.3g} m, y = {target.y:.3g} m, {_direction(target)}, at {target.speed:.3g} m/s or more"
+            f"x = {target.x:.3g} m, y = {target.y:.3g} m, {_direction(target)}, at {target.least_speed:.3g} m/s or more"
         )
         self.tiles, self.story, self.checks = self._tiles(), self._story(), _checks(plan)
 
@@ -74,7 +74,9 @@ class WhipReport(PlanReport[WhipPlan]):
         if plan.strokes is not None:
             shown.append((_strokes(plan), "of the arm to and fro"))
         if seen is not None:
-            shown.append((f"{seen.speed:.1f} m/s", f"speed of the tip at its peak; {target.speed:.3g} are needed"))
+            shown.append(
+                (f"{seen.speed:.1f} m/s", f"speed of the tip at its peak; {target.least_speed:.3g} are needed")
+            )
             shown.append((f"{1e3 * seen.miss:.2g} mm", "miss: from the target to the tip at its peak"))
             if not target.any_direction:
                 allowed = f"{np.degrees(target.angle_tolerance):.3g}"
@@ -137,7 +139,7 @@ class WhipReport(PlanReport[WhipPlan]):
             end = f"met at {seen.t:.2f} s: {seen.speed:.1f} m/s, {1e3 * seen.miss:.2g} mm off"
             if not self.plan.success:
                 end = f"FAILS: {self.plan.message}"
-            place = f"target: x = {target.x:.3g} m, y = {target.y:.3g} m, {target.speed:.3g} m/s or more"
+            place = f"target: x = {target.x:.3g} m, y = {target.y:.3g} m, {target.least_speed:.3g} m/s or more"
             return "\n".join((place, f"arm: {arm}", end if t >= seen.t else ""))
 
         return note

@@ -79,6 +79,16 @@ class Batch:
         return f"<Batch of {len(self.status)} members: {counts}; {times}; kept: {', '.join(self.values)}>"
 
     @property
+    def success(self) -> bool:
+        """Whether all members finished."""
+        return not self.failed
+
+    @property
+    def message(self) -> str:
+        """How many members failed, and why the first did; empty if none did."""
+        return f"{len(self.failed)} of {len(self.status)} failed; {self.why(self.failed[0])}" if self.failed else ""
+
+    @property
     def failed(self) -> list[int]:
         """Numbers of the members that did not finish."""
         return [m for m, name in enumerate(self.status) if name != "ok"]

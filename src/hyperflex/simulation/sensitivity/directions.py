@@ -123,7 +123,7 @@ def _link_seeds(part: ParameterChange, chain: Chain, out: Array) -> None:
 
 def parameter_directions(setup: Setup, wrt: Wrt) -> ParameterDirections:
     """Check what a user wants derivatives with respect to; see :func:`hyperflex.sensitivities`."""
-    entries = [wrt] if isinstance(wrt, (str, Mapping)) else list(wrt)
+    entries = list(wrt) if isinstance(wrt, Iterable) and not isinstance(wrt, (str, Mapping)) else [wrt]
     names: list[str] = []
     parts: list[ParameterChange] = []
     for entry in entries:

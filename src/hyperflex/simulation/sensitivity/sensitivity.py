@@ -20,7 +20,7 @@ from hyperflex.core.tangent import forward_sensitivity as core
 from hyperflex.core.tangent.dense_output import acceleration_derivatives
 from hyperflex.core.tangent.directions import Directions, place_changes
 from hyperflex.core.tangent.extrapolation import new_tangent_workspace
-from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
+from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import output_times, setup_of
 from hyperflex.simulation.outcome import refuse_failure, refuse_unbalanced
@@ -101,7 +101,7 @@ def sensitivities(
     q0: npt.ArrayLike | None = None,
     qd0: npt.ArrayLike | None = None,
     t_eval: npt.ArrayLike | None = None,
-    tol: float = DEFAULT_TOL,
+    tol: float | None = None,
     wrt: Wrt,
 ) -> Sensitivities:
     """Simulate a rope, and differentiate angles, rates and the tip's position.
@@ -161,7 +161,7 @@ def sensitivities(
     >>> cast.dtip.shape
     (201, 2, 2)
     """
-    setup = setup_of(rope, motion, arm, duration, q0, qd0, tol, "duration, t_eval, wrt")
+    setup = setup_of(rope, duration, "duration, t_eval, wrt", motion=motion, arm=arm, q0=q0, qd0=qd0, tol=tol)
     check_smooth(setup)
     directions = parameter_directions(setup, wrt)
     t = output_times(t_eval, 0.0, setup.duration)

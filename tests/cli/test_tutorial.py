@@ -1,0 +1,56 @@
+"""The tutorial from a phone video to a cast: its commands run as they stand, and find what the page says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from docs.commands import commands, settings
+
+from hyperflex.demo import twin
+from hyperflex.vision import Board, VideoWriter
+from tests.vision.rendered_boards import SIZE, poses, render
+
+PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "video.md"
+MICRO = 1e-6
+FIGURES = ("identified/identification.json", "finer/identification.json")
+
+
+@pytest.fixture
+def filmed(tmp_path, monkeypatch):
+    """A folder with what the reader has filmed and written down, in which the commands run."""
+    board = Board((8, 6), 0.03, 0.022)
+    with VideoWriter(tmp_path / "board.mp4", SIZE) as video:
+        for k, pose in enumerate(poses(board, 15)):
+            video.write(render(board, *pose, seed=k), 0.5 * k)
+    level = np.array([-0.12, -0.09, 0.6])
+    cv2.imwrite(str(tmp_path / "plane.png"), render(board, np.zeros(3), level))
+    (tmp_path / "swing.mp4").write_bytes(twin.BUNDLED.read_bytes())
+    for name, content in zip(("rope.toml", "finer.toml"), settings(PAGE), strict=True):
+        (tmp_path / name).write_text(content)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_the_commands_find_what_the_page_says(hyperflex_json, filmed):
+    told = []
+    for command in commands(PAGE):
+        code, result = hyperflex_json(*command)
+        assert code == 0, result
+        told.append(result)
+        if command[0] == "calibrate":  # of the board's camera; the swing was filmed by another
+            twin.camera().write(filmed / "camera.toml")
+    calibrated, tracked, coarse, fine, cast = told
+    assert calibrated["reprojection_error_px"] < 0.5
+    assert (tracked["frames"], tracked["changes"]) == (300, [])
+    assert tracked["seen"] == pytest.approx(0.993, abs=0.003)
+    assert coarse["values"]["friction"][0] == pytest.approx(538 * MICRO, rel=0.03)
+    assert fine["values"]["friction"][0] == pytest.approx(944 * MICRO, rel=0.03)
+    errors = [max(json.loads((filmed / name).read_text())["held_out"]["rms"]) for name in FIGURES]
+    assert errors == pytest.approx([4.2e-3, 1.8e-3], rel=0.1)
+    assert cast["success"]
+    assert (filmed / "seen.mp4").stat().st_size > 0
