@@ -21,7 +21,7 @@ CALLS = """
 import numpy as np
 import hyperflex as hf
 from hyperflex.core.jit import compiling
-from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter
+from hyperflex.estimate import ChangeTests, EstimatedParameter, Observations, RopeFilter
 from hyperflex.estimate.live.worker import TrackingTask
 from hyperflex.sensors import MotorTorque
 from hyperflex.vision import Camera, MarkerColour
@@ -33,6 +33,12 @@ short = rope.with_bend_radius(0.1)
 arm, motor, peg = hf.Arm(length=0.1), hf.Arm(length=0.1, inertia=1e-3), hf.Peg(0.05, -0.7, 0.02)
 free = hf.Peg(0.05, -0.7, 0.02, inertia=1e-6)
 swing, torque = hf.arm_swings(), hf.torque_profile([0.0, 0.1], [0.0, 0.01])
+# the filter comes first: a kernel that is there takes arrays that may be written to, but is compiled for them alone
+swung = hf.simulate(rope, duration=3.0, q0=np.full(6, 0.7), t_eval=np.arange(0.0, 3.0, 0.02))
+states = [EstimatedParameter("friction", 0.1)]
+seen = RopeFilter(rope, [0.4, 0.8, 1.2], readout=0.01, parameters=states, tests=ChangeTests())
+for t, joints in zip(swung.t[:70], swung.joints[:70]):
+    seen.update(Observations(t, joints[[2, 4, 6]], std=0.002, rows=[-0.5, 0.0, 0.5]))
 runs = [hf.simulate(each, swing, arm=arm, duration=0.1) for each in (rope, dry, airy, short)]
 hf.simulate(rope, swing, arm=arm, duration=0.1, method="rk4", step=1e-4)
 hf.simulate(rope, swing, arm=arm, duration=0.3, until=hf.tip_speed_peak())
@@ -59,11 +65,7 @@ hf.mass_matrix(rope, rest)
 hf.forward_kinematics(rope, rest)
 hf.linearize(rope, arm, rest, rest)
 MotorTorque(motor).measure(rope, motor, hf.State(0.0, rest, rest))
-swung = hf.simulate(rope, duration=3.0, q0=np.full(6, 0.7), t_eval=np.arange(0.0, 3.0, 0.02))
 hf.identify(hf.Recording(swung.t, swung.q + 1e-3 * np.cos(97.0 * swung.t)[:, None], kind="angles"), rope)
-seen = RopeFilter(rope, [0.4, 0.8, 1.2], readout=0.01, parameters=[EstimatedParameter("friction", 0.1)])
-for t, joints in zip(swung.t[:10], swung.joints[:10]):
-    seen.update(Observations(t, joints[[2, 4, 6]], std=0.002, rows=[-0.5, 0.0, 0.5]))
 view = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0))
 TrackingTask("0", rope, np.array([0.4, 0.8, 1.2]), view, MarkerColour((30.0, 30.0, 200.0)), arm).rehearse()
 print(compiling())

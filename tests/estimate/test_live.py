@@ -23,7 +23,8 @@ from hyperflex.errors import EstimatorLost, FileProblem, InvalidInput
 from hyperflex.estimate import CameraStateSource, FrameThread, RopeFilter, RopeTracker, Watch, WatchLog, open_frames
 from hyperflex.estimate.live.page import PicturePage
 from hyperflex.estimate.live.shared_array import SharedArray
-from hyperflex.estimate.live.worker import Packet, StampClock, packed_motion, unpacked_motion
+from hyperflex.estimate.live.worker import Packet, StampClock, TrackingTask, packed_motion, unpacked_motion
+from hyperflex.estimate.tracker import TrackedFrame
 from hyperflex.files.netcdf import read_netcdf
 from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector, Renderer, RopeMotion, Scene, VideoReader
 from tests.estimate.runs import ARM, SWINGS, free_swing, rope
@@ -438,3 +439,21 @@ def test_the_motion_reaches_the_estimator() -> None:
     told.set_motion(SWINGS)
     for one, two in zip(told.carry(x, np.eye(40), 0.2, 0.4), known.carry(x, np.eye(40), 0.2, 0.4), strict=True):
         np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize("area", [None, 15.0, 40.0, 120.0, 400.0])
+def test_the_rehearsal_finds_its_rope(area: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or else nothing of the filter would be compiled by it; discs that are drawn too large are taken for two."""
+    seen: list[int] = []
+    look = RopeTracker.look
+
+    def noted(self: RopeTracker, frame: Frame) -> TrackedFrame:
+        result = look(self, frame)
+        seen.append(int(result.seen.sum()))
+        return result
+
+    monkeypatch.setattr(RopeTracker, "look", noted)
+    lens = Camera.facing((640, 480), pixels_per_metre=180.0, origin=(320.0, 20.0))
+    colour = MarkerColour(np.array([40.0, 30.0, 210.0]), area=area)
+    TrackingTask("0", rope(6), np.array([0.5, 1.0, 1.5, 2.0]), lens, colour, ARM).rehearse()
+    assert seen == [4] * 3

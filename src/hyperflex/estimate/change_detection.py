@@ -11,12 +11,12 @@ from scipy.special import log_ndtr
 
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
-from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.changes import MISFIT, TOUCH, Change, ChangeTests
 from hyperflex.estimate.noise import NoiseLevel
 from hyperflex.estimate.observations import lever_arms
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.estimate.process import Process
+from hyperflex.estimate.signatures import Signatures
 
 PLACES = 10  # along the rope, at which a touch is tried
 SETTLED = 1.0  # s after the first frame from which on is tested
@@ -100,8 +100,8 @@ class ChangeDetector:
     def begin(self, t: float) -> None:
         """Test nothing before `t`, s."""
         self._since = t
-        self._parameters = [_Signatures(self._size) for _ in self.names]
-        self._touches = _Signatures(self._size)
+        self._parameters = [Signatures(self._size) for _ in self.names]
+        self._touches = Signatures(self._size, len(self.places), 2)
         self._moments, self._indices, self._begun = np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
         self._kicks: Array | None = None
         self._count = 0
@@ -123,10 +123,13 @@ class ChangeDetector:
         self._values = x[1][self._columns]
         fresh = not self._moments.size or t >= self._moments[-1] + SPACING * (1.0 - 1e-6)
         for name, column, each in zip(self.names, self._columns, self._parameters, strict=True):
-            by_change = self._with_mass(x, t, until, transition, column) if name == "tip_mass" else transition
-            each.predict(by_change)
+            begun = transition[:, [column]]
+            if name == "tip_mass":
+                each.states, begun = self._with_mass(x, t, until, transition, column, each.states)
+            else:
+                each.predict(transition)
             if fresh:
-                each.add(by_change[:, [column]])
+                each.add(begun)
         if fresh:
             self._moments, self._indices = np.append(self._moments, t), np.append(self._indices, self._count)
             self._count += 1
@@ -179,7 +182,7 @@ class ChangeDetector:
             each.keep(good)
         self._moments, self._indices = self._moments[good], self._indices[good]
         good = self._begun > t - TOUCH_LONGEST
-        self._touches.keep(np.repeat(good, 2 * self.places.size))
+        self._touches.keep(good)
         self._begun = self._begun[good]
         if found is not None and found.moved.any():
             self.begin(t)
@@ -201,21 +204,25 @@ class ChangeDetector:
         self._misfits = True
         return (Change(MISFIT, t, self._fitted, noise.value, noise.value * noise.log_std, 1.0, log_p),)
 
-    def _with_mass(self, x: tuple[Array, Array], t: float, until: float, transition: Array, column: int) -> Array:
-        """Return the derivatives as they are with a mass at the tip.
+    def _with_mass(
+        self, x: tuple[Array, Array], t: float, until: float, transition: Array, column: int, states: Array
+    ) -> tuple[Array, Array]:
+        """Return errors (N, c) of the state as they are carried on with a mass at the tip, and (N, 1) what it does.
 
         A mass is soon many times that of the last link, so that its effect is far from linear. With one, an error d
         of the state becomes ``F d`` and what the mass itself does, F being that of the heavier rope.
         """
-        start = x[0].copy()
+        start, others = x[0].copy(), states.T.copy()
         start[column] += self._mass
+        others[:, column] = 0.0
         try:
-            found = self._heavier.predict(start, t, until)
+            end, rows = self._heavier.carry(start, others, t, until)
         except SimulationError:
-            return transition
-        result, n = found.transition, 2 * self._arms.shape[1]
-        result[:n, column] = (found.x[:n] - x[1][:n]) / self._mass
-        return result
+            return transition @ states, transition[:, [column]]
+        begun = ((end - x[1]) / self._mass)[:, None]
+        begun[2 * self._arms.shape[1] :] = 0.0
+        begun[column] = 1.0
+        return rows.T + begun * states[column], begun
 
     def _lasting(self, t: float) -> npt.NDArray[np.bool_]:
         """Return which moments at which parameters may have changed are kept: the older, the farther apart."""
@@ -251,9 +258,9 @@ class ChangeDetector:
     def _parameter_scores(self) -> tuple[Array, Array]:
         """Return by how many standard deviations each parameter (p) has changed since each moment (w, p), and sizes."""
         w, p = self._moments.size, len(self.names)
-        information = np.array([np.diag(each.information) for each in self._parameters]).reshape(p, w).T
+        information = np.array([np.diag(each.information[0]) for each in self._parameters]).reshape(p, w).T
         information = np.maximum(information, 1e-300)
-        theta = np.array([each.score for each in self._parameters]).reshape(p, w).T / information
+        theta = np.array([each.score[0] for each in self._parameters]).reshape(p, w).T / information
         std = 1.0 / np.sqrt(information)
         score = np.maximum(np.abs(theta) - self._tolerances, 0.0) / std
         score[self._values + theta + POSSIBLE * std < self._least] = 0.0
@@ -262,24 +269,24 @@ class ChangeDetector:
     def _touch_scores(self) -> tuple[Array, tuple[Array, Array]]:
         """Return the same of touches (2, w, places), the first of a single interval and then until now, with forces.
 
-        Of the forces come sizes (2, w, places, 2), N, and covariances (2, w, places, 2, 2).
+        Of the forces come sizes (2, w, places, 2), N, and their information (2, w, places, 2, 2), 1/N^2.
         """
         bank, p, w = self._touches, self.places.size, self._begun.size
         if not w:
             return np.zeros((2, 0, p)), (np.zeros((2, 0, p, 2)), np.zeros((2, 0, p, 2, 2)))
-        # of one place: (p, w, 2, w, 2)
-        every = np.moveaxis(np.diagonal(bank.information.reshape(w, p, 2, w, p, 2), axis1=1, axis2=4), -1, 0)
+        every = bank.information.reshape(p, w, 2, w, 2)
         lasting = every[:, ::-1, :, ::-1].cumsum(axis=1).cumsum(axis=3)[:, ::-1, :, ::-1]
-        score = bank.score.reshape(w, p, 2)
+        score = bank.score.reshape(p, w, 2).transpose(1, 0, 2)
         b = np.stack([score, score[::-1].cumsum(axis=0)[::-1]])
         a = np.stack([np.moveaxis(np.diagonal(each, axis1=1, axis2=3), -1, 0) for each in (every, lasting)])
-        trace = np.trace(a, axis1=-2, axis2=-1)[..., None, None]
-        covariance = np.linalg.inv(a + (1e-9 * trace + 1e-300) * np.eye(2))
-        force = (covariance @ b[..., None])[..., 0]
-        size = np.linalg.norm(force, axis=-1)
-        clear = np.sqrt(np.maximum((force * b).sum(axis=-1), 0.0))
+        a += ((1e-9 * np.trace(a, axis1=-2, axis2=-1) + 1e-300)[..., None, None]) * np.eye(2)
+        (xx, xy, yy), (x, y) = (a[..., 0, 0], a[..., 0, 1], a[..., 1, 1]), (b[..., 0], b[..., 1])
+        determinant = np.maximum(xx * yy - xy * xy, 1e-300)
+        force = np.stack([yy * x - xy * y, xx * y - xy * x], axis=-1) / determinant[..., None]
+        size = np.hypot(force[..., 0], force[..., 1])
+        clear = np.sqrt(np.maximum(force[..., 0] * x + force[..., 1] * y, 0.0))
         part = np.maximum(1.0 - self._allowed_force()[:, :, None] / np.maximum(size, 1e-300), 0.0)
-        return clear * part, (force, covariance)
+        return clear * part, (force, a)
 
     def _allowed_force(self) -> Array:
         """Return the tolerance of forces (2, w), N: as an impulse, that of 0.1 s at least."""
@@ -289,7 +296,7 @@ class ChangeDetector:
 
     def _parameter_change(self, moment: int, k: int, theta: float, t: float, sure: float, log_p: float) -> Found:
         bank = self._parameters[k]
-        std = 1.0 / math.sqrt(bank.information[moment, moment])
+        std = 1.0 / math.sqrt(bank.information[0, moment, moment])
         change = Change(self.names[k], t, float(self._moments[moment]), theta, std, sure, log_p)
         return Found(change, theta * bank.states[:, moment], DOUBT * std * bank.states[:, moment][None])
 
@@ -299,7 +306,7 @@ class ChangeDetector:
         """Return a touch, and rows by which the covariance widens: by all of it, or `again` by its last interval."""
         w, p = self._begun.size, self.places.size
         lasting, since, place = np.unravel_index(best, (2, w, p))
-        force, covariance = forces[0][lasting, since, place], forces[1][lasting, since, place]
+        force, covariance = forces[0][lasting, since, place], np.linalg.inv(forces[1][lasting, since, place])
         begun = float(self._begun[since])
         lasted = (t if lasting else float(np.append(self._begun[1:], t)[since])) - begun
         size = float(np.linalg.norm(force))
@@ -309,41 +316,3 @@ class ChangeDetector:
         of_interval = self._touches.states.reshape(-1, w, p, 2)[:, :, place]
         whole = of_interval[:, since:].sum(axis=1) if lasting else of_interval[:, since]
         return change, size * (of_interval[:, -1] if again else whole).T
-
-
-class _Signatures:
-    """What changes do to the state, and the sums of what they would leave in the innovations.
-
-    Attributes
-    ----------
-    states : (N, c) float64
-        Errors of the state, per unit of each change.
-    information : (c, c), score : (c,) float64
-    """
-
-    def __init__(self, size: int) -> None:
-        self.states, self.information, self.score = np.zeros((size, 0)), np.zeros((0, 0)), np.zeros(0)
-
-    def predict(self, transition: Array) -> None:
-        """Carry the errors on."""
-        self.states = transition @ self.states
-
-    def add(self, columns: Array) -> None:
-        """Add changes (N, k) that begin."""
-        k = columns.shape[1]
-        self.states = np.concatenate([self.states, columns], axis=1)
-        self.information, self.score = np.pad(self.information, (0, k)), np.pad(self.score, (0, k))
-
-    def keep(self, good: npt.NDArray[np.bool_]) -> None:
-        """Keep some (c,) of the changes."""
-        if not good.all():
-            self.states, self.score = self.states[:, good], self.score[good]
-            self.information = self.information[np.ix_(good, good)]
-
-    def update(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
-        """Take in an innovation, and correct the errors as the filter does its own."""
-        seen = jacobian @ self.states
-        left = sr.solved(upper, seen, transposed=True)
-        self.score = self.score + left.T @ whitened
-        self.information = self.information + left.T @ left
-        self.states = self.states - gain @ seen

@@ -121,7 +121,7 @@ class RopeFilter:
         n, t = self.n_links, self._now - self.parameters.value("delay", self.x[2 * self.n_links :])
         part = self.factor[:, : 2 * n]
         covariance = part.T @ part
-        covariance[range(2 * n), range(2 * n)] += self._least[: 2 * n] ** 2
+        covariance.flat[:: 2 * n + 1] += self._least[: 2 * n] ** 2
         return RopeState(t, self.x[:n].copy(), self.x[n : 2 * n].copy(), covariance)
 
     @property
@@ -155,18 +155,19 @@ class RopeFilter:
             return
         carried = [self.factor, *self._by_noise.rows]
         with np.errstate(over="ignore", invalid="ignore"):
-            x, rows = self.process.carry(self.x, np.concatenate(carried), self.t, t)
+            if self._detector is None:
+                x, rows = self.process.carry(self.x, np.concatenate(carried), self.t, t)
+            else:
+                x, transition = self.process.predict(self.x, self.t, t)[:2]
+                rows = np.concatenate(carried) @ transition.T
         if not (np.abs(rows).max() < BEYOND and np.abs(x).max() < BEYOND):
             raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
         if self._detector is not None:
-            transition = self.process.predict(self.x, self.t, t).transition
             self._detector.predict((self.x, x), self.t, t, transition)
         factor, *by_noise = np.split(rows, np.cumsum([len(each) for each in carried])[:-1])
         noise = self.process.noise(t - self.t, self.process_noise.value)
         self.factor = sr.compressed(np.concatenate([factor, noise]), self._least)
-        levels = enumerate(self.process_noise.value.tolist())
-        noises = [self.process.noise_of(t - self.t, kind, level) for kind, level in levels]
-        self._by_noise.predict(by_noise, noises, ROUGHLY * self._least)
+        self._by_noise.predict(by_noise, np.split(noise, self.process.noise_ends)[:2], ROUGHLY * self._least)
         self.age += t - self.t
         self.x, self.t, self._qdd = x, t, self.process.accelerations(x, t)
 
@@ -318,10 +319,9 @@ class RopeFilter:
                 self.changes = self._detector.misfit(seen.t, self.measurement_noise)
                 adopted.extend([] if change is None else [change])
 
-        x, self.factor = sr.iterated_update(self.x, self.factor, compared, rounds, look)
+        self.x, self.factor = sr.iterated_update(self.x, self.factor, compared, rounds, look)
         first = 2 * self.n_links
-        x[first:] = self.parameters.possible(x[first:])
-        self.x = x
+        self.x[first:] = self.parameters.possible(self.x[first:])
         for change in adopted:
             self._adopt(change)
 

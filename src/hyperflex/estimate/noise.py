@@ -72,7 +72,8 @@ class NoiseLevel:
             ``S^-1/2 m`` of each, where that counts.
         """
         score = 0.5 * (whitened @ parts @ whitened - np.trace(parts, axis1=1, axis2=2))
-        information = 0.5 * np.einsum("aij,bij->ab", parts, parts)
+        flat = parts.reshape(len(parts), -1)
+        information = 0.5 * (flat @ flat.T)
         if moved is not None:
             score += moved @ whitened
             information += moved @ moved.T
@@ -80,8 +81,8 @@ class NoiseLevel:
         self._information, self._weight = keep * self._information + information, keep * self._weight + 1.0
         self._count = self._keep * self._count + 1.0
         self._known = self._count * self._information / self._weight + self._prior
-        change = np.clip(np.linalg.solve(self._known, score), -LONGEST, LONGEST)
-        self._values = np.clip(self._values * np.exp(0.5 * change), self._least, MOST * self._first)
+        change = np.minimum(np.maximum(np.linalg.solve(self._known, score), -LONGEST), LONGEST)
+        self._values = np.minimum(np.maximum(self._values * np.exp(0.5 * change), self._least), MOST * self._first)
 
 
 class NoiseDerivatives:

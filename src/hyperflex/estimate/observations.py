@@ -185,19 +185,22 @@ class MarkerModel:
         """Return places (K, 2) a time `tau` (K,) later, and complete the derivatives by rates and parameters."""
         n = self.arms.shape[1]
         q, qd = x[:n], x[n : 2 * n]
-        slope, along = jacobian[:, :, :n].copy(), np.stack([np.sin(q), -np.cos(q)])
-        across = np.stack([np.cos(q), np.sin(q)])
-        velocity, bend = base[1] + slope @ qd, np.zeros_like(place)
-        if qdd is not None and tau.any():
-            bend = base[2] + slope @ qdd - arms @ (along * qd * qd).T
-        if tau.any():
+        along, across = np.stack([np.sin(q), -np.cos(q)]), np.stack([np.cos(q), np.sin(q)])
+        velocity, bend, late = np.zeros_like(place), np.zeros_like(place), bool(rows.any())
+        if late:
+            slope = jacobian[:, :, :n].copy()
+            velocity = base[1] + slope @ qd
+            if qdd is not None:
+                bend = base[2] + slope @ qdd - arms @ (along * qd * qd).T
             jacobian[:, :, :n] -= (tau[:, None, None] * arms[:, None, :]) * along * qd
             jacobian[:, :, n : 2 * n] = tau[:, None, None] * slope
         now = velocity + tau[:, None] * bend
         for k, name in enumerate(self.parameters.names):
             column = jacobian[:, :, 2 * n + k]
             if name == "length":
-                column[:] = self.arms @ along.T + tau[:, None] * ((self.arms[:, None, :] * across) @ qd)
+                column[:] = self.arms @ along.T
+                if late:
+                    column += tau[:, None] * ((self.arms[:, None, :] * across) @ qd)
             elif name == "delay":
                 column[:] = -(base[1] + tau[:, None] * base[2])
             elif name == "readout":
@@ -206,7 +209,7 @@ class MarkerModel:
                 marker = self._arc_states[k]
                 i = self.link[marker]
                 column[marker] = along[:, i] + tau[marker] * across[:, i] * qd[i]
-        return np.asarray(place + tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend)
+        return np.asarray(place + tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend) if late else place
 
     def _seen(self, places: Array, jacobian: Array, values: Array) -> tuple[Array, Array]:
         """Turn places in the rope's plane and their derivatives into what the camera shows."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import mass_matrix
@@ -65,9 +65,11 @@ class Process:
         self._run = Propagator(setup, parameters.directions(), 3 * (2 * rope.n_links + len(parameters) + 1))
         self._rope, self._at = rope, np.zeros(len(parameters))
         self._walk = parameters.walk
+        self._moment, self._base = np.nan, np.zeros((3, 2))  # when the first joint was looked at last, and where it was
         beyond = (np.cumsum(rope.length[::-1])[::-1] - 0.5 * rope.length) / rope.total_length
         end = (END / (beyond + END)) ** 1.5
         self._shapes = smooth_shapes(rope, CORRELATION), smooth_shapes(rope, END_CORRELATION, end)
+        self.noise_ends = np.cumsum([2 * len(each) for each in self._shapes])
 
     def copy(self) -> Process:
         """Return another one, for other values of the parameters."""
@@ -140,7 +142,7 @@ class Process:
 
     def set_motion(self, motion: Motion) -> None:
         """Let the arm move in another way from now on."""
-        self._motion = motion
+        self._motion, self._moment = motion, np.nan
         self._run.set_motion(motion)
 
     def noise(self, dt: float, density: npt.ArrayLike) -> Array:
@@ -151,22 +153,15 @@ class Process:
         dt : float
         density : (2,) array_like or float
             Of the links' angular accelerations, rad/s^2 per square root of Hz: of disturbances along the whole rope,
-            and of those at its free end (one number: for both).
+            and of those at its free end (one number: for both). The rows of both end at `noise_ends`.
         """
-        both = np.broadcast_to(density, (2,))
-        rows = [self.noise_of(dt, k, level) for k, level in enumerate(both.tolist())]
-        if self._walk.any():
-            rows.append(np.zeros((self._walk.size, rows[0].shape[1])))
-            rows[-1][:, 2 * self.rope.n_links :] = np.diag(self._walk * np.sqrt(dt))
-        return np.concatenate(rows)
-
-    def noise_of(self, dt: float, kind: int, density: float) -> Array:
-        """Return the same rows of one kind of disturbances: 0 along the whole rope, 1 at its free end."""
-        n, r = self.rope.n_links, len(self._shapes[kind])
-        shapes = density * np.sqrt(dt) * self._shapes[kind]
-        rows = np.zeros((2 * r, 2 * n + self._walk.size))
-        rows[:r, :n], rows[:r, n : 2 * n] = 0.5 * dt * shapes, shapes
-        rows[r:, :n] = dt / np.sqrt(12.0) * shapes
+        n, last = self.rope.n_links, self.noise_ends[-1]
+        rows = np.zeros((last + self._walk.size * int(self._walk.any()), 2 * n + self._walk.size))
+        for end, level, shapes in zip(self.noise_ends, np.broadcast_to(density, (2,)), self._shapes, strict=True):
+            moved, turned = rows[end - 2 * len(shapes) : end - len(shapes)], rows[end - len(shapes) : end]
+            moved[:, n : 2 * n] = level * np.sqrt(dt) * shapes
+            moved[:, :n], turned[:, :n] = 0.5 * dt * moved[:, n : 2 * n], dt / np.sqrt(12.0) * moved[:, n : 2 * n]
+        np.fill_diagonal(rows[last:, 2 * n :], self._walk * np.sqrt(dt))
         return rows
 
     def kicks(self, q: Array, arms: Array) -> Array:
@@ -184,7 +179,7 @@ class Process:
         mass_matrix(self._run.chain, q, mass)
         across = np.stack([np.cos(q), np.sin(q)])
         moments = (arms[:, None, :] * across).reshape(-1, q.size)
-        return np.asarray(cho_solve(cho_factor(mass, check_finite=False), moments.T, check_finite=False))
+        return np.asarray(dposv(mass, moments.T)[1])
 
     def base(self, t: float, x: Array | None = None) -> Array:
         """Return place, velocity and acceleration (3, 2) of the first joint, m, m/s and m/s^2.
@@ -196,10 +191,12 @@ class Process:
         x : (N,) float64, optional
             State with the pictures' delay; by default there is none.
         """
-        drive, now = self._run.drive, np.empty(9)
         moment = t if x is None else t - self.parameters.value("delay", x[2 * self.rope.n_links :])
-        base_state(drive, segment(drive, moment), moment, now)
-        return np.array([now[7:9], now[5:7], now[0:2]])
+        if moment != self._moment:
+            drive, now = self._run.drive, np.empty(9)
+            base_state(drive, segment(drive, moment), moment, now)
+            self._moment, self._base = moment, np.array([now[7:9], now[5:7], now[0:2]])
+        return self._base.copy()
 
     def _rope_at(self, values: Array) -> Rope:
         """Return the rope with its estimated values, made anew only when they have changed."""

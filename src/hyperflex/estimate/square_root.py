@@ -90,9 +90,14 @@ def whitened_gain(factor: Array, jacobian: Array) -> tuple[Array, Array, Array]:
     upper : (m, m) float64
         The upper triangular factor of H P H^T + 1.
     """
-    across = factor @ jacobian.T
-    upper = triangular(np.concatenate([across, np.eye(len(jacobian))]))
+    across, upper = innovation_factor(factor, jacobian)
     return solved(upper, solved(upper, across.T, transposed=True)).T, across, upper
+
+
+def innovation_factor(factor: Array, jacobian: Array) -> tuple[Array, Array]:
+    """Return ``S H^T`` and the factor of H P H^T + 1 alone, as :func:`whitened_gain` does."""
+    across = factor @ jacobian.T
+    return across, triangular(np.concatenate([across, np.eye(len(jacobian))]))
 
 
 def compared(upper: Array, innovation: Array) -> Innovation:
@@ -145,5 +150,4 @@ def iterated_update(
         x, u, cost = tried, u + part * step, now
         if part * np.abs(step).max() < CLOSE:
             break
-    _, across, upper = whitened_gain(factor, jacobian)
-    return x, updated(factor, across, upper)
+    return x, updated(factor, *innovation_factor(factor, jacobian))

@@ -199,7 +199,8 @@ class RopeTracker:
             return None
         estimator = self.estimator
         places = estimator.model.places(estimator.x, estimator.base)
-        scale = np.linalg.norm(self.camera.place_slopes(places)[1], ord=2, axis=(1, 2))
+        (a, b), (c, d) = self.camera.place_slopes(places)[1].transpose(1, 2, 0)
+        scale = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))  # the greater singular value
         apart = np.abs(np.diff(estimator.model.arc_lengths)) * np.maximum(scale[1:], scale[:-1])
         return np.asarray(np.maximum(apart, 1.0))
 

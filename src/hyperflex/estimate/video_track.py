@@ -78,9 +78,12 @@ def track_video(
     InvalidInput
         If the rope is found in no frame, or the frames have another size than the camera's.
     """
+    from threadpoolctl import threadpool_limits
+
     found: list[TrackedFrame] = []
     count = 0
     with ExitStack() as stack:
+        stack.enter_context(threadpool_limits(1))  # matrices are small: threads would wait for each other
         reader = stack.enter_context(VideoReader(video))
         writer = None if preview is None else stack.enter_context(VideoWriter(preview, reader.image_size))
         for frame in reader:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -130,21 +131,22 @@ def _best(
     """
     if not forbidden.size:
         return np.full(len(mean), -1)
-    cost = _costs(seen, mean, prior, gate, unseen)
-    cost[forbidden] = _FORBIDDEN
-    possible = cost < _FORBIDDEN
-    if not possible.any():
-        return np.full(len(mean), -1)
-    greedy = _settle(seen, mean, prior, gate, unseen, forbidden, None)
-    if _margins(cost)[possible].max() > UNSURE or not _correlated(prior):
+
+    def costs(mean: Array, P: Array) -> Array:
+        """Return the cost (K, M) of each pair that is not forbidden."""
+        return np.where(forbidden, _FORBIDDEN, _costs(seen, mean, P, gate, unseen))
+
+    cost = costs(mean, prior)
+    greedy = _settle(seen, mean, prior, cost, costs)
+    if not (cost < _FORBIDDEN).any() or _margins(cost)[cost < _FORBIDDEN].max() > UNSURE or not _correlated(prior):
         return greedy
     widths = np.array([prior[2 * k, 2 * k] + prior[2 * k + 1, 2 * k + 1] for k in range(len(mean))])
     widths[(cost >= _FORBIDDEN).all(axis=1)] = np.inf
-    surest = int(np.argmin(widths))
-    tries = [greedy] + [
-        _settle(seen, mean, prior, gate, unseen, forbidden, (surest, int(j)))
-        for j in np.flatnonzero(cost[surest] < _FORBIDDEN)
-    ]
+    surest, tries = int(np.argmin(widths)), [greedy]
+    for j in np.flatnonzero(cost[surest] < _FORBIDDEN):
+        given = np.full_like(cost, _FORBIDDEN)  # a pair that is settled before all others
+        given[surest, j] = -_FORBIDDEN
+        tries.append(_settle(seen, mean, prior, given, costs))
     return min(tries, key=lambda indices: _joint_cost(seen, mean, prior, unseen, indices))
 
 
@@ -161,69 +163,52 @@ def _joint_cost(seen: Observations, mean: Array, prior: Array, unseen: Array, in
     found = np.flatnonzero(indices >= 0)
     if not found.size:
         return 0.0
-    off, S = _innovation(seen, mean, prior, indices, found)
+    off, S, _ = _innovation(seen, mean, prior, indices, found)
     return float(off @ np.linalg.solve(S, off) + np.linalg.slogdet(S)[1] + unseen[indices[found]].sum())
 
 
 def _innovation(
     seen: Observations, mean: Array, prior: Array, indices: npt.NDArray[np.int64], found: npt.NDArray[np.intp]
-) -> tuple[Array, Array]:
-    """Return the innovation (2 F,) of the markers found, and its covariance (2 F, 2 F)."""
-    rows, count = (2 * found[:, None] + [0, 1]).ravel(), np.arange(found.size)
+) -> tuple[Array, Array, npt.NDArray[np.intp]]:
+    """Return the innovation (2 F,) of the markers found, its covariance (2 F, 2 F), and its rows of the prior."""
+    rows, count = np.asarray(2 * found[:, None] + [0, 1], np.intp).ravel(), np.arange(found.size)
     S = prior[np.ix_(rows, rows)]
     S.reshape(found.size, 2, found.size, 2)[count, :, count] += seen.covariances[indices[found]]
-    return (seen.places[indices[found]] - mean[found]).ravel(), S
+    return (seen.places[indices[found]] - mean[found]).ravel(), S, rows
 
 
 def _settle(
-    seen: Observations,
-    mean: Array,
-    prior: Array,
-    gate: float,
-    unseen: Array,
-    forbidden: npt.NDArray[np.bool_],
-    given: tuple[int, int] | None,
+    seen: Observations, mean: Array, prior: Array, cost: Array, costs: Callable[[Array, Array], Array]
 ) -> npt.NDArray[np.int64]:
     """Return the observation (K,) of each marker, or -1; the clearest first, the others conditioned on them.
 
-    `given` is a pair that is settled before all others.
+    `costs` returns the cost (K, M) of each pair for a mean and its covariance; that of the first round is given.
     """
     from scipy.optimize import linear_sum_assignment
 
-    count, many = forbidden.shape
-    indices = np.full(count, -1)
-    m, P = mean.ravel().copy(), prior.copy()
-    taken = np.zeros(many, bool)
-    while True:
-        cost = _costs(seen, m.reshape(-1, 2), P, gate, unseen)
-        cost[forbidden] = _FORBIDDEN
-        if given is not None:
-            cost[:] = _FORBIDDEN
-            cost[given] = -_FORBIDDEN
-            given = None
-        cost[indices >= 0] = _FORBIDDEN
-        cost[:, taken] = _FORBIDDEN
-        if not (cost < _FORBIDDEN).any():
-            return indices
+    count, many = cost.shape
+    indices, taken = np.full(count, -1), np.zeros(many, bool)
+    while (cost < _FORBIDDEN).any():
         full = np.full((count, many + count), _FORBIDDEN)
         full[:, :many] = cost
         full[np.arange(count), many + np.arange(count)] = 0.0  # not seen
         rows, columns = linear_sum_assignment(full)
-        pairs = [(k, j) for k, j in zip(rows.tolist(), columns.tolist(), strict=True) if j < many]
-        if not pairs:
-            return indices
-        markers, blobs = np.transpose(pairs)
-        margins = _margins(cost)[markers, blobs]
-        clear = np.flatnonzero(margins > CLEAR)
-        settled = clear if clear.size else np.array([np.argmax(margins)])
-        markers, blobs = markers[settled], blobs[settled]
-        indices[markers], taken[blobs] = blobs, True
-        if taken.all() or (indices >= 0).all():
-            return indices
-        off, S = _innovation(seen, m.reshape(-1, 2), P, indices, markers)
-        known = P[(2 * markers[:, None] + [0, 1]).ravel()]
-        gain = np.linalg.solve(S, known).T
-        m, P = m + gain @ off, P - gain @ known
+        pairs = np.column_stack([rows, columns])[columns < many]
+        if not len(pairs):
+            break
+        margins = _margins(cost)[pairs[:, 0], pairs[:, 1]]
+        k, j = pairs[margins > CLEAR if margins.max() > CLEAR else [int(np.argmax(margins))]].T
+        indices[k], taken[j] = j, True
+        if (indices >= 0).all() or taken.all():
+            break
+        if _correlated(prior):
+            off, S, own = _innovation(seen, mean, prior, indices, k)
+            gain = np.linalg.solve(S, prior[own]).T
+            mean, prior = mean + (gain @ off).reshape(-1, 2), prior - gain @ prior[own]
+        cost = costs(mean, prior)
+        cost[indices >= 0] = _FORBIDDEN
+        cost[:, taken] = _FORBIDDEN
+    return indices
 
 
 def _costs(seen: Observations, mean: Array, P: Array, gate: float, unseen: Array) -> Array:
@@ -242,11 +227,10 @@ def _costs(seen: Observations, mean: Array, P: Array, gate: float, unseen: Array
 def _margins(cost: Array) -> Array:
     """Return by how much each pair (K, M) is better than the next one of its marker or observation, or than none."""
     others = np.zeros_like(cost)
-    for axis in (0, 1):
-        if cost.shape[axis] > 1:
-            two = np.partition(cost, 1, axis=axis).take([0, 1], axis=axis)
-            least, second = np.split(two, 2, axis=axis)
-            others = np.minimum(others, np.where(cost > least, least, second))
+    for each, best in ((cost, others), (cost.T, others.T)):
+        if len(each) > 1:
+            least, second = np.partition(each, 1, axis=0)[:2]
+            np.minimum(best, np.where(each > least, least, second), out=best)
     return np.asarray(others - cost)
 
 
@@ -284,15 +268,15 @@ def _spread_swaps(
     swappable = np.zeros(len(indices), bool)
     if found.size < 2:
         return swappable
-    off, S = _innovation(seen, mean, prior, indices, found)
+    off, S, _ = _innovation(seen, mean, prior, indices, found)
     precision = np.linalg.inv(S)
     pull = (precision @ off).reshape(-1, 2)
     blocks = precision.reshape(found.size, 2, found.size, 2).transpose(0, 2, 1, 3)
     own = blocks[np.arange(found.size), np.arange(found.size)]
     between = seen.places[indices[found]][None] - seen.places[indices[found]][:, None]
     stiffness = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
-    apart = 2.0 * ((pull[:, None] - pull[None]) * between).sum(axis=2)
-    dearer = apart + np.einsum("abi,abij,abj->ab", between, stiffness, between)  # the swapped pair than this one
+    bent = (stiffness @ between[..., None])[..., 0]
+    dearer = ((2.0 * (pull[:, None] - pull[None]) + bent) * between).sum(axis=2)  # the swapped pair than this one
     for a, b in np.argwhere(np.triu(dearer < UNSURE, 1)).tolist():
         one, two, step = found[a], found[b], between[a, b]
         swappable[[one, two]] = True

@@ -223,6 +223,12 @@ class Camera:
             )
         return rodrigues(self.rotation), self.translation
 
+    @cached_property
+    def _to_plane(self) -> Array:
+        """Homography (3, 3) from the ideal picture to the plane."""
+        rotation, translation = self.axes
+        return np.linalg.inv(np.column_stack([rotation[:, :2], translation]))
+
     @property
     def pixels_per_metre(self) -> float:
         """Scale at the plane's origin, px/m: the root of the area that a square metre has there."""
@@ -264,7 +270,7 @@ class Camera:
 
     def place_slopes(self, places: Array) -> tuple[Array, Array]:
         """Return the pixels (K, 2) of places (K, 2) in the swing plane, m, and the derivatives (K, 2, 2), px/m."""
-        pixels, slopes = self._project(np.column_stack([places, np.zeros(len(places))]))
+        pixels, slopes = self._project(adjusted(places, AS_CALIBRATED))
         return pixels, slopes[:, :, :2]
 
     def locate(self, pixels: npt.ArrayLike, adjustment: PlaneAdjustment = AS_CALIBRATED) -> Array:
@@ -275,12 +281,10 @@ class Camera:
         import cv2
 
         seen = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-        rotation, translation = self.axes
         if not len(seen):  # OpenCV takes no empty arrays
             return np.empty((0, 2))
         ideal = cv2.undistortPoints(np.ascontiguousarray(seen)[:, None], self.matrix, self.distortion)
-        plane = np.column_stack([rotation[:, :2], translation])  # homography from the plane to the ideal picture
-        rays = np.linalg.solve(plane, np.column_stack([ideal.reshape(-1, 2), np.ones(len(seen))]).T).T
+        rays: Array = cv2.convertPointsToHomogeneous(ideal)[:, 0] @ self._to_plane.T
         with np.errstate(divide="ignore", invalid="ignore"):
             places = rays[:, :2] / rays[:, 2:]
         error = np.full(len(seen), np.nan)
@@ -295,6 +299,8 @@ class Camera:
                 step = np.stack([d * missed[:, 0] - b * missed[:, 1], a * missed[:, 1] - c * missed[:, 0]], axis=1)
                 places = places + step / (a * d - b * c)[:, None]
         places[~(error <= 1e-6)] = np.nan
+        if adjustment is AS_CALIBRATED:
+            return places
         offset = np.asarray(adjustment.offset, dtype=np.float64)
         return (places - offset) @ turn(adjustment.roll)[:2, :2] / adjustment.scale
 
@@ -335,9 +341,9 @@ class Camera:
         if not len(places):
             return np.zeros((0, 2)), np.zeros((0, 2, 3))
         pixels, jacobian = cv2.projectPoints(places, self.rotation, translation, self.matrix, self.distortion)
-        slopes = jacobian[:, 3:6].reshape(-1, 2, 3) @ rotation  # by the translation, so by what the point moves
+        slopes = (jacobian[:, 3:6] @ rotation).reshape(-1, 2, 3)  # by the translation, so by what the point moves
         pixels = pixels.reshape(-1, 2)
-        behind = ~(places @ rotation[2] + translation[2] > 0.0)
-        if behind.any():
-            pixels[behind], slopes[behind] = np.nan, np.nan
+        before = places @ rotation[2] + translation[2] > 0.0
+        if not before.all():
+            pixels[~before], slopes[~before] = np.nan, np.nan
         return pixels, slopes

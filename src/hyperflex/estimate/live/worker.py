@@ -70,12 +70,12 @@ class TrackingTask:
         import cv2
 
         tracker = self.tracker()
-        radius = max(2, round(tracker.detector.radius))
+        radius = round(16.0 * (max(2.0, tracker.detector.radius) - 0.5))  # half a pixel more is drawn; in 16ths
         width, height = self.camera.image_size
         image = np.full((height, width, 3), 128, np.uint8)
         drop = self.arc_lengths[:, None] * self.rope.gravity / np.hypot(*self.rope.gravity)
-        for u, v in self.camera.project(drop + tracker.estimator.process.base(0.0)[0]).round().tolist():
-            cv2.circle(image, (int(u), int(v)), radius, self.colour.bgr.tolist(), -1, cv2.LINE_AA)
+        for place in np.round(16.0 * self.camera.project(drop + tracker.estimator.process.base(0.0)[0])).astype(int):
+            cv2.circle(image, place.tolist(), radius, self.colour.bgr.tolist(), -1, cv2.LINE_AA, 4)
         for k in range(_PRACTICE):
             tracker.look(Frame(k / 30.0, image, k))
 
