@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 from benchmarks import machine
+from benchmarks.pumping_cases import BEST, LONGEST, WANTED, arrival, caster, closed_loop, constant_arrivals, motion_of
 
 from hyperflex import files
 from hyperflex.control import CrossingRule, PumpingRule, SimulatedCamera, TrueState, optimize_pumping, run_closed_loop
 from hyperflex.paper import T_REST, cable, casting_arm
-from hyperflex.paper.pumping import BEST, LONGEST, WANTED, arrival, caster, closed_loop, constant_arrivals, motion_of
 
 PATHS = ("under", "over")
 CONSTANTS = np.round(np.arange(0.30, 0.70, 0.002), 3)  # s; outside none is among the best

@@ -21,12 +21,12 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from benchmarks import log, machine
+from benchmarks.pumping_cases import WANTED, caster
 
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.paper import T_MOVE, cable, casting_arm
-from hyperflex.paper.pumping import WANTED, caster
 from hyperflex.planning.search.evolution import cma_es
 from hyperflex.simulation import simulate_batch
 

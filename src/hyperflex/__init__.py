@@ -15,7 +15,6 @@ if TYPE_CHECKING:
         HyperflexError,
         IdentificationError,
         InvalidInput,
-        MissingExtra,
         SimulationError,
     )
     from hyperflex.identification import (

@@ -60,10 +60,6 @@ class EstimatorLost(HyperflexError, RuntimeError):
     """The process that estimates a rope's state has ended or stalled, or has seen nothing for too long."""
 
 
-class MissingExtra(HyperflexError, ImportError):
-    """An optional package is needed; the message names the pip command."""
-
-
 def _short(value: object, limit: int = 120) -> str:
     text = " ".join(repr(value).split())
     return text if len(text) <= limit else text[: limit - 3] + "..."

@@ -1,7 +1,5 @@
 """Packages whose names are loaded on first use (PEP 562) and listed once: in their imports for type checkers."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import sys

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.pumping_cases import BEST, arrival, closed_loop, constant_arrivals, motion_of
 
 from hyperflex.control import TrueState
 from hyperflex.paper import cable, casting_arm
-from hyperflex.paper.pumping import BEST, arrival, closed_loop, constant_arrivals, motion_of
 
 pytestmark = pytest.mark.claims
 

@@ -1,7 +1,5 @@
 """``hyperflex cast``: a rope, an arm and a target in, a throw that winds and holds out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -102,7 +100,7 @@ def cast(
     planner.finish(report, files, _result(plan, held, uncertainty), [*notes, *report.advice], as_json=json)
 
 
-def _result(plan: CastPlan, held: HoldingForce | None, uncertainty: Uncertainty | None) -> dict[str, Any]:
+def _result(plan: "CastPlan", held: "HoldingForce | None", uncertainty: "Uncertainty | None") -> dict[str, Any]:
     """Return the plan for JSON."""
     result = plan.summary()
     if uncertainty is not None:

@@ -1,7 +1,5 @@
 """``hyperflex demo``: from a recording to an identified rope to a cast, with a report."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,7 +31,7 @@ def demo(
         _show(report)
 
 
-def _figures(report: DemoReport) -> dict[str, Any]:
+def _figures(report: "DemoReport") -> dict[str, Any]:
     """Return what the demo found, for JSON."""
     from hyperflex.demo import held_out_rms
 
@@ -66,7 +64,7 @@ def _figures(report: DemoReport) -> dict[str, Any]:
     }
 
 
-def _show(report: DemoReport) -> None:
+def _show(report: "DemoReport") -> None:
     """Print what the demo found and what to look at."""
     table, figures = report.parameters, _figures(report)
     shown = [table.header.index(name) for name in _SHOWN]

@@ -1,7 +1,5 @@
 """``hyperflex identify``: a recording and a first guess in, an identified rope and its report out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -164,7 +162,7 @@ def _drive(path: Path | None) -> dict[str, Any]:
 
 
 def _write(
-    out: Path, measured: Recording, found: Identification, guess: Rope, summary: dict[str, Any], as_json: bool
+    out: Path, measured: "Recording", found: "Identification", guess: "Rope", summary: dict[str, Any], as_json: bool
 ) -> dict[str, Path]:
     """Write the folder, or the one file; return the files by what they are."""
     if not _folder(out):
@@ -178,7 +176,7 @@ def _write(
         return written | identification_page(out / "report.html", measured, found, guess)
 
 
-def _show(found: Identification, files: dict[str, Path]) -> None:
+def _show(found: "Identification", files: dict[str, Path]) -> None:
     """Print what was found and what to look at."""
     from hyperflex.report import parameters_table, ratios_table, readable_unit
 

@@ -1,7 +1,5 @@
 """Output of the commands: results to standard output, everything else to standard error."""
 
-from __future__ import annotations
-
 import re
 import signal
 import sys
@@ -165,7 +163,7 @@ def numbers(option: str, given: Sequence[str], example: str) -> list[float]:
         ) from None
 
 
-def parameters(text: str) -> list[EstimatedParameter]:
+def parameters(text: str) -> "list[EstimatedParameter]":
     """Return what ``--estimate scale=0.01,delay=0.02`` asks for."""
     from hyperflex.estimate import EstimatedParameter
 
@@ -180,7 +178,7 @@ def _exists(path: Path) -> bool:
         return False
 
 
-def console() -> Console:
+def console() -> "Console":
     """Return a console on standard output."""
     from rich.console import Console
 

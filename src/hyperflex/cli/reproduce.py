@@ -1,7 +1,5 @@
 """``hyperflex reproduce``: the paper's figures and claims."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -55,7 +53,7 @@ def reproduce(
         output.console().print(sentence)
 
 
-def _plain(claim: Claim) -> dict[str, Any]:
+def _plain(claim: "Claim") -> dict[str, Any]:
     """Return a claim as JSON has it."""
     from hyperflex.paper import Reading
 

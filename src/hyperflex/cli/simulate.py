@@ -1,7 +1,5 @@
 """``hyperflex simulate``: a set-up in, a trajectory out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -69,7 +67,7 @@ def simulate(
     )
 
 
-def _trust(setup: Setup, duration: float | None, allowed: float) -> dict[str, Any]:
+def _trust(setup: "Setup", duration: float | None, allowed: float) -> dict[str, Any]:
     """Until when an error of the set-up's tol stays below `allowed`, m."""
     from hyperflex.simulation import predictability
 

@@ -1,7 +1,5 @@
 """``hyperflex track``: a video of a rope with markers, or of a pendulum of bars, in; places or angles out."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -95,7 +93,7 @@ def track(
     _show(found, estimator, out, json)
 
 
-def _show(found: VideoTrack, estimator: RopeFilter, out: Path, as_json: bool) -> None:
+def _show(found: "VideoTrack", estimator: "RopeFilter", out: Path, as_json: bool) -> None:
     """Print what was tracked."""
     result: dict[str, Any] = {
         "output": out,
@@ -163,7 +161,7 @@ def _track_bars(
     )
 
 
-def _clicked(video: Path, clicks: list[list[float]], at: float) -> BarDetector:
+def _clicked(video: Path, clicks: list[list[float]], at: float) -> "BarDetector":
     """Return a detector of the bars at pixels in the first frame at or after a time."""
     from hyperflex.vision import BarDetector, VideoReader
 

@@ -1,7 +1,5 @@
 """The demo's folder: figures, films, runs, the identified rope, a planned cast and a page that shows it all."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -169,7 +167,7 @@ def _frames(video: Path) -> bytes:
     return stream.getvalue()
 
 
-def _parameters_figure(parameters: tuple[Parameter, ...]) -> Figure:
+def _parameters_figure(parameters: tuple[Parameter, ...]) -> "Figure":
     """Draw each parameter over its mapped truth: guess, plain cut, and the identified value with its 95 % interval."""
     with new_figure(10.0, 1.3 + 0.75 * len(parameters)) as figure:
         axis: Any = figure.subplots()
@@ -193,7 +191,7 @@ def _parameters_figure(parameters: tuple[Parameter, ...]) -> Figure:
     return figure
 
 
-def _casts_figure(demo: Demo) -> Figure:
+def _casts_figure(demo: Demo) -> "Figure":
     """Draw the tip's path to the side for the identified rope and for the rope that made the recording."""
     with new_figure(10.0, 2.9, "Cast, simulated") as figure:
         axis: Any = figure.subplots()

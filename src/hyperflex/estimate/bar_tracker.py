@@ -1,7 +1,5 @@
 """Tracks a pendulum whose links are coloured bars: predict, unmix, correct."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -1,7 +1,5 @@
 """Tests for changes of a named parameter and for a touch: generalised likelihood ratios of a filter's innovations."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

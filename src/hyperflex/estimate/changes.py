@@ -1,7 +1,5 @@
 """What a filter tests for changes, how seldom that may give a false alarm, and a change that was noticed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Iterated square-root extended Kalman filter of a rope seen by its markers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

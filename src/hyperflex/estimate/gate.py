@@ -1,7 +1,5 @@
 """The validation gate: which places can be those of their markers."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

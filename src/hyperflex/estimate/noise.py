@@ -1,7 +1,5 @@
 """Noise levels found from innovations: by Fisher scoring on their likelihood."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Observations of markers, and the model that predicts them from a rope's state."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

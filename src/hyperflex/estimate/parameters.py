@@ -1,7 +1,5 @@
 """Parameters estimated beside the rope's state: each with a prior, and how it enters the motion or the picture."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

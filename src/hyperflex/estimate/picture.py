@@ -1,7 +1,5 @@
 """Pictures of what is known of a rope: the rope, where its markers were looked for and seen, and how sure that is."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

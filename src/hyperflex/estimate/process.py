@@ -1,7 +1,5 @@
 """The motion of rope and parameters from one time to another, with its derivatives and its noise."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -71,7 +69,7 @@ class Process:
         self._shapes = smooth_shapes(rope, CORRELATION), smooth_shapes(rope, END_CORRELATION, end)
         self.noise_ends = np.cumsum([2 * len(each) for each in self._shapes])
 
-    def copy(self) -> Process:
+    def copy(self) -> "Process":
         """Return another one, for other values of the parameters."""
         return Process(self.rope, self.parameters, self._motion, self._arm)
 

@@ -1,7 +1,5 @@
 """What changes do to a filter's state, and what they would leave in its innovations."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -6,8 +6,6 @@ A rope's motion is smooth soon, for its joints damp what is not: a few rows then
 what is carried through its equations is those few (Verlaan and Heemink 1997, Stochastic Hydrology and Hydraulics 11).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Tracks a rope through the frames of a video: predict, look where markers must be, assign, correct."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tracks a rope through a whole video: from a file to a Recording of its markers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Prediction of the held-out part of a recording, with its standard deviation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +65,7 @@ def predict(
     lead: float = 0.5,
     ahead: float = 1.0,
     loss: Loss | None = None,
-    uncertainty: PredictionUncertainty | None = None,
+    uncertainty: "PredictionUncertainty | None" = None,
 ) -> HeldOut | None:
     """Predict the measurements piece by piece, with parameters x (P,); None if too short for one prediction.
 
@@ -107,7 +105,7 @@ def _ahead(
     window: Window,
     found: tuple[Array, Array] | None,
     t: Array,
-    uncertainty: PredictionUncertainty | None,
+    uncertainty: "PredictionUncertainty | None",
 ) -> tuple[Array, Array]:
     """Return prediction and standard deviation (m, C) at t (m,); inf and NaN where there is none."""
     y = None if found is None else plant.predict(x, np.append(window.t[0], t), found[0])

@@ -1,7 +1,5 @@
 """The arm: its inertia and friction, and its link in the chain under a given torque."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -77,7 +75,7 @@ class Arm:
         return {**asdict(self), "pivot": list(self.pivot)}
 
     @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> Arm:
+    def from_table(cls, table: Mapping[str, Any]) -> "Arm":
         """Build an arm from an ``[arm]`` table."""
         names = [f.name for f in fields(cls)]
         if set(table) - set(names):

@@ -1,7 +1,5 @@
 """The rope: a planar chain of rigid links with per-link properties."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -153,7 +151,7 @@ class Rope:
         drag_coefficient: float = 0.0,
         air_density: float = AIR_DENSITY,
         **others: Any,
-    ) -> Rope:
+    ) -> "Rope":
         """Cut a uniform cable into equal links.
 
         Parameters
@@ -237,14 +235,14 @@ class Rope:
         links = self.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
         return np.cumsum(np.concatenate([base[..., None, :], links], axis=-2), axis=-2)
 
-    def replace(self, **changes: Any) -> Rope:
+    def replace(self, **changes: Any) -> "Rope":
         """Return a rope with the fields named in `changes` replaced; com and inertia stay unless named."""
         unknown = set(changes) - {f.name for f in fields(self)}
         if unknown:
             raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(type(self)))
         return replace(self, **changes)
 
-    def with_bend_radius(self, radius: float) -> Rope:
+    def with_bend_radius(self, radius: float) -> "Rope":
         """Return the rope with joint limits that let its axis bend to a circle of `radius`, m, and no tighter.
 
         A joint's limit is 2 atan(l / (2 radius)), with l half of both its links' lengths: a polygon whose sides touch
@@ -284,7 +282,7 @@ class Rope:
         return to_table(self.n_links, values)
 
     @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> Rope:
+    def from_table(cls, table: Mapping[str, Any]) -> "Rope":
         """Build a rope from a ``[rope]`` table, see docs/how-to/files.md."""
         return cls(**from_table(table, [f.name for f in fields(cls)]))
 
@@ -293,7 +291,7 @@ class Rope:
         files.write_toml(path, {"rope": self.table()})
 
     @classmethod
-    def from_toml(cls, path: str | Path) -> Rope:
+    def from_toml(cls, path: str | Path) -> "Rope":
         """Read a rope from the ``[rope]`` table of the TOML file `path`.
 
         Raises

@@ -1,7 +1,5 @@
 """A simulation set-up: rope, arm, motion, obstacles, start, and its TOML file."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -215,7 +213,7 @@ class Setup:
         return files.dumps_toml(content)
 
     @classmethod
-    def loads(cls, text: str, name: str = "the set-up", folder: Path | None = None) -> Setup:
+    def loads(cls, text: str, name: str = "the set-up", folder: Path | None = None) -> "Setup":
         """Build a set-up from TOML text; `name` stands for it in messages, files named in it lie in `folder`.
 
         The tables of a planner, ``[target]``, ``[limits]`` and ``[plan]``, are left out.
@@ -241,7 +239,7 @@ class Setup:
         files.write_text(path, self.dumps())
 
     @classmethod
-    def from_toml(cls, path: str | Path) -> Setup:
+    def from_toml(cls, path: str | Path) -> "Setup":
         """Read a set-up from the TOML file `path`; motion files named in it (kind = "file") are looked for beside it.
 
         Raises

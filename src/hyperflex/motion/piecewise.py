@@ -1,7 +1,5 @@
 """A motion: arm angle, pivot position and motor torque as piecewise polynomials."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -133,13 +131,13 @@ class Motion:
         found = breaks[switch]
         return found[(found >= start) & (found <= end)]
 
-    def shifted(self, delay: float) -> Motion:
+    def shifted(self, delay: float) -> "Motion":
         """Return the same motion, `delay` seconds later."""
         delay = checks.number("delay", delay, unit="s")
         spec = {**self.spec, "delay": self.spec.get("delay", 0.0) + delay} if self.spec else {}
         return Motion(self.breaks + delay, self.coef, self.switch, self.loop, spec)
 
-    def then(self, other: Motion, at: float) -> Motion:
+    def then(self, other: "Motion", at: float) -> "Motion":
         """Return this motion until time `at` (s) and `other`, on its own time axis, from there on.
 
         The integration restarts at `at`; a jump of the arm angle or of the pivot is refused.
@@ -168,7 +166,7 @@ class Motion:
             second.loop + keep if second.loop >= 0 else -1,
         )
 
-    def _since(self, at: float) -> Motion:
+    def _since(self, at: float) -> "Motion":
         """Pieces from `at` on, with a switch there."""
         if at < self.breaks[0]:
             held = np.concatenate([_standing(self.coef[:1], 0.0), self.coef])

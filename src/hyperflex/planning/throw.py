@@ -1,7 +1,5 @@
 """Moves of the arm, a throw (strokes to and fro, then a last move) and the parameters by which a search varies it."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -102,7 +100,7 @@ class Throw(Moves):
         move_to(self.end)
         return np.array(angles)
 
-    def cut(self, t: float, limits: MotorLimits) -> Throw:
+    def cut(self, t: float, limits: MotorLimits) -> "Throw":
         """Return the throw without the strokes that start after time t, s, except `more`; the last move waits until t.
 
         The arm moves as before until t, so a strike at t is the same one, and the last move comes after it.

@@ -1,7 +1,5 @@
 """Recording: measured angles or marker positions, validated and read-only, in SI units and the package's axes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal, cast
 
@@ -109,7 +107,7 @@ class Recording:
         """Number of missing values over all channels."""
         return int(np.isnan(self.data).sum())
 
-    def window(self, start: float, end: float) -> Recording:
+    def window(self, start: float, end: float) -> "Recording":
         """Return the samples with ``start <= t < end`` (s); InvalidInput for fewer than two, or an empty channel."""
         inside = (self.t >= start) & (self.t < end)
         if inside.sum() < 2:
@@ -120,16 +118,16 @@ class Recording:
             )
         return self._pick(inside)
 
-    def split(self, time: float) -> tuple[Recording, Recording]:
+    def split(self, time: float) -> "tuple[Recording, Recording]":
         """Return the parts before and from `time` (s); InvalidInput when one would hold fewer than two samples."""
         return self.window(-np.inf, time), self.window(time, np.inf)
 
-    def decimate(self, step: int) -> Recording:
+    def decimate(self, step: int) -> "Recording":
         """Return every `step`-th sample, the first included (picked, not averaged)."""
         step = checks.count("step", step)
         return self._pick(np.arange(0, self.t.size, step))
 
-    def angles(self) -> Recording:
+    def angles(self) -> "Recording":
         """Return absolute link angles (rad): the recording itself, or angles of the lines from marker to marker.
 
         Angles of markers are unwrapped, gaps bridged: a link must turn less than half a turn between known samples. A
@@ -193,7 +191,7 @@ class Recording:
             )
         return np.diff(self.data.reshape(self.t.size, -1, 2), axis=1)
 
-    def _pick(self, rows: Array | np.ndarray[tuple[int], np.dtype[np.bool_ | np.intp]]) -> Recording:
+    def _pick(self, rows: Array | np.ndarray[tuple[int], np.dtype[np.bool_ | np.intp]]) -> "Recording":
         return replace(
             self,
             t=self.t[rows],

@@ -1,7 +1,5 @@
 """Animations of a run: arm, rope and the tip's trail as a GIF, drawn with Pillow."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -115,7 +113,7 @@ def animate(
     files.write_bytes(path, _gif(_frames(scene, times, (title, note), progress), frame_rate))
 
 
-def _gif(frames: Iterator[Image.Image], frame_rate: int) -> bytes:
+def _gif(frames: "Iterator[Image.Image]", frame_rate: int) -> bytes:
     from PIL import Image
 
     palette = Image.new("P", (1, 1))
@@ -139,7 +137,7 @@ def _view(run: Trajectory, targets: Array, width: int, room: int) -> _View:
 
 def _frames(
     scene: _Scene, times: Array, words: tuple[str, Note | None], progress: FrameProgress | None
-) -> Iterator[Image.Image]:
+) -> "Iterator[Image.Image]":
     from PIL import Image, ImageDraw, ImageFont
 
     view = scene.view

@@ -1,7 +1,5 @@
 """The report of a plan, cast or whip: a folder with page, figures, film, the motor's motion and the verified run."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -49,7 +47,7 @@ class PlanReport(ABC, Generic[PlanT]):
         self.plan: PlanT = plan
 
     @abstractmethod
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> "dict[str, Figure]":
         """Draw the figures of the run, by name."""
 
     @abstractmethod

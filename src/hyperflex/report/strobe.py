@@ -1,7 +1,5 @@
 """Stroboscopic pictures: many instants of one motion in one frame."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,7 +28,7 @@ def strobe_figure(
     title: str = "",
     width: float = 9.0,
     targets: Array | None = None,
-) -> Figure:
+) -> "Figure":
     """Draw the rope at `count` instants of a run, early ones dark, late ones bright, with the path of the tip.
 
     Parameters

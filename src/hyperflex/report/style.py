@@ -1,7 +1,5 @@
 """The style of all figures, their legends and titles, and writing them as PNG."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -47,7 +45,7 @@ _STYLE: Any = {
 @contextmanager
 def new_figure(
     width: float, height: float, title: str = "", *, layout: Literal["constrained"] | None = "constrained"
-) -> Iterator[Figure]:
+) -> "Iterator[Figure]":
     """Give an empty figure that needs no screen, in the package's style.
 
     Matplotlib's own settings are back after the block, in which everything must be drawn. Width and height are in
@@ -65,7 +63,7 @@ def new_figure(
         yield figure
 
 
-def legend(figure: Figure, *axes: Any, place: str = "upper right", columns: int = 4) -> None:
+def legend(figure: "Figure", *axes: Any, place: str = "upper right", columns: int = 4) -> None:
     """Put one legend outside the axes, of everything that is labelled in `axes`."""
     entries = [entry for axis in axes for entry in zip(*axis.get_legend_handles_labels(), strict=True)]
     handles, labels = zip(*entries, strict=True)
@@ -78,13 +76,13 @@ def note(axis: Any, x: float, y: float, text: str, colour: str = SOFT, **place: 
     axis.text(x, y, text, **{"va": "bottom", "fontsize": 8.0, "color": colour, **place})
 
 
-def png(figure: Figure, *, dpi: int = 160) -> bytes:
+def png(figure: "Figure", *, dpi: int = 160) -> bytes:
     """Return a figure as PNG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": "hyperflex"})
     return buffer.getvalue()
 
 
-def save_png(figure: Figure, path: str | Path, *, dpi: int = 160) -> None:
+def save_png(figure: "Figure", path: str | Path, *, dpi: int = 160) -> None:
     """Write a figure to a PNG file, wholly or not at all."""
     files.write_bytes(path, png(figure, dpi=dpi))

@@ -1,7 +1,5 @@
 """The time course of a planned motion: arm angle, two panels of the planner's own, and the motor's torque."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,7 +24,7 @@ class ArmMoves(NamedTuple):
 
 def time_course(
     run: Trajectory, what: str, moves: ArmMoves | None, event: float, draw: Callable[[Any, Any], None]
-) -> Figure:
+) -> "Figure":
     """Draw a run over time: `moves` are named in the uppermost panel, and `draw` draws the two in the middle.
 
     The time `event`, s, is marked in all panels; NaN where there is none.

@@ -1,7 +1,5 @@
 """Accelerometer on a link of the rope: proper acceleration in the link's own frame, with its derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 
@@ -67,7 +65,7 @@ class Accelerometer:
         self.bias = checks.array("bias", bias, (2,), unit="m/s^2")
         self.values = np.append(self.bias, self.arc_length)
 
-    def with_values(self, values: Array) -> Accelerometer:
+    def with_values(self, values: Array) -> "Accelerometer":
         """Return the same sensor with another bias and arc length (3,)."""
         return Accelerometer(self.link, float(values[2]), values[:2])
 

@@ -1,7 +1,5 @@
 """Motor torque as a measured channel, with its derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +35,7 @@ class MotorTorque:
         self.arm = arm
         self.values = np.array([arm.inertia, arm.friction])
 
-    def with_values(self, values: Array) -> MotorTorque:
+    def with_values(self, values: Array) -> "MotorTorque":
         """Return the same sensor with another inertia and friction (2,)."""
         return MotorTorque(replace(self.arm, inertia=float(values[0]), friction=float(values[1])))
 

@@ -1,7 +1,5 @@
 """Posture sensors: link angles, or positions of markers along the rope."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 
 import numpy as np
@@ -25,7 +23,7 @@ class PostureSensor(ABC):
     placed = False
     values = np.zeros(0)
 
-    def with_values(self, values: Array) -> PostureSensor:
+    def with_values(self, values: Array) -> "PostureSensor":
         """Return the same sensor with other values (V,)."""
         return self
 
@@ -101,7 +99,7 @@ class Markers(PostureSensor):
             raise InvalidInput("arc_lengths is empty", allowed="at least one marker")
         self.values = np.concatenate([checks.array("origin", origin, (2,), unit="m"), self.arc_lengths])
 
-    def with_values(self, values: Array) -> Markers:
+    def with_values(self, values: Array) -> "Markers":
         return Markers(values[2:], values[:2])
 
     def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:

@@ -1,7 +1,5 @@
 """The result of a rollout: labelled arrays, energies, the set-up that made them and the state to go on from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -226,7 +224,7 @@ class Trajectory:
         return np.asarray(energy - energy[:1] - (gained - gained[:1]))
 
     @cached_property
-    def dataset(self) -> xr.Dataset:
+    def dataset(self) -> "xr.Dataset":
         """The whole run as an ``xarray.Dataset`` with units, long names and the set-up in its attributes."""
         import xarray as xr
 

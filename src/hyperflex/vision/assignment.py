@@ -1,7 +1,5 @@
 """Assignment of identical markers in a frame to where a model expects them, jointly, with what is not sure said."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

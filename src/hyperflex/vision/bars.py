@@ -1,7 +1,5 @@
 """Coloured bars in a frame, such as the links of a pendulum without markers: centre, angle and ends of each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -85,7 +83,7 @@ class BarDetector:
         self.areas = None if areas is None else checks.array("areas", areas, (count,), sign="positive", unit="px^2")
 
     @classmethod
-    def from_clicks(cls, image: Image, places: npt.ArrayLike) -> BarDetector:
+    def from_clicks(cls, image: Image, places: npt.ArrayLike) -> "BarDetector":
         """Return a detector of the bars at places (J, 2), px, in a frame that shows each whole."""
         clicks = checks.array("places", places, (-1, 2), unit="px")
         colours = [surface(image, place)[0] for place in clicks]

@@ -1,7 +1,5 @@
 """Calibration boards: chessboards, and ChArUco boards of the new and the legacy pattern."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Calibration of a camera from pictures of a board, and what makes it refuse them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The camera: metres in the swing plane to pixels and back, with derivatives, and when each row was exposed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -132,7 +130,7 @@ class Camera:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def pinhole(cls, image_size: tuple[int, int], focal: float | None = None, **timing: Any) -> Camera:
+    def pinhole(cls, image_size: tuple[int, int], focal: float | None = None, **timing: Any) -> "Camera":
         """Return a camera without distortion that looks along the middle of its picture, not calibrated.
 
         Parameters
@@ -159,7 +157,7 @@ class Camera:
         roll: float = 0.0,
         focal: float | None = None,
         **timing: Any,
-    ) -> Camera:
+    ) -> "Camera":
         """Return a camera that looks straight at the swing plane.
 
         Parameters
@@ -184,7 +182,7 @@ class Camera:
         translation = np.array([*(place - camera.matrix[:2, 2]) / scale, f / scale])
         return replace(camera, rotation=rodrigues(_FACING @ turn(roll)), translation=translation)
 
-    def with_plane(self, points: npt.ArrayLike, pixels: npt.ArrayLike) -> Camera:
+    def with_plane(self, points: npt.ArrayLike, pixels: npt.ArrayLike) -> "Camera":
         """Return this camera with the swing plane's pose found from known points of it (OpenCV's solvePnP).
 
         Parameters

@@ -1,7 +1,5 @@
 """Cameras read back from TOML files."""
 
-from __future__ import annotations
-
 from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike

@@ -1,7 +1,5 @@
 """Clutter of the markers' colour: how dense it is, and where it stands still."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

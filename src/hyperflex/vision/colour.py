@@ -1,7 +1,5 @@
 """The colour of markers: from one click or one frame, as a linear measure of how far a marker covers a pixel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,7 +66,7 @@ class MarkerColour:
             )
 
     @classmethod
-    def from_click(cls, image: Image, place: npt.ArrayLike, bright: bool | None = None) -> MarkerColour:
+    def from_click(cls, image: Image, place: npt.ArrayLike, bright: bool | None = None) -> "MarkerColour":
         """Return the colour of the marker at a place in a frame.
 
         Parameters
@@ -97,7 +95,7 @@ class MarkerColour:
         return cls._checked(colour, wall, grey, float(inside.sum()))
 
     @classmethod
-    def from_frame(cls, image: Image, least: int = 3) -> MarkerColour:
+    def from_frame(cls, image: Image, least: int = 3) -> "MarkerColour":
         """Return the colour that most small things of one size in a frame share.
 
         Parameters
@@ -141,7 +139,7 @@ class MarkerColour:
         return best[1]
 
     @classmethod
-    def _checked(cls, colour: Array, wall: Array, bright: bool, area: float) -> MarkerColour:
+    def _checked(cls, colour: Array, wall: Array, bright: bool, area: float) -> "MarkerColour":
         """Return the colour, or refuse one that does not stand out."""
         axes = _GREY if bright else _CHROMA
         contrast = float(np.linalg.norm(axes @ (colour - wall)))
@@ -154,7 +152,7 @@ class MarkerColour:
             )
         return cls(colour, bright, area)
 
-    def adapted(self, bgr: Array, rate: float) -> MarkerColour:
+    def adapted(self, bgr: Array, rate: float) -> "MarkerColour":
         """Return this colour moved by a share `rate` towards one seen (3,), unless that would be too grey."""
         moved = self.bgr + rate * (np.clip(bgr, 0.0, 255.0) - self.bgr)
         if not self.bright and np.linalg.norm(_CHROMA @ moved) < LEAST_CHROMA:

@@ -1,7 +1,5 @@
 """Live cameras and streams through OpenCV, with the driver's time stamps where it gives them."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from types import TracebackType

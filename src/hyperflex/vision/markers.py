@@ -1,7 +1,5 @@
 """Markers in a frame: sub-pixel places of coloured or bright blobs, with covariances, and the streaks of fast ones."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Order of identical markers along the rope in a frame without a prediction: a short, smooth path from the origin."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

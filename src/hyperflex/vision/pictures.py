@@ -1,7 +1,5 @@
 """Pictures from files: single ones, and those of a video at some distance in time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The swing plane before the camera: its pose from known points, and how it may deviate from the calibrated one."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

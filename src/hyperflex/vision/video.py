@@ -1,7 +1,5 @@
 """Video files: frames with the times that the container gives them, and writing of MP4."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass

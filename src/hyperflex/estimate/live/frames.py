@@ -1,7 +1,5 @@
 """Frames of a camera, stream or file, read in a thread of its own, so that nobody waits for a source that stalls."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

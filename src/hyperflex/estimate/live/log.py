@@ -1,7 +1,5 @@
 """The log of a live estimate: a NetCDF file, written whole when the run ends, however it ends."""
 
-from __future__ import annotations
-
 import tempfile
 from types import TracebackType
 from typing import Self

@@ -1,7 +1,5 @@
 """A page for the browser of this machine that shows pictures as they come (MJPEG)."""
 
-from __future__ import annotations
-
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType

@@ -1,7 +1,5 @@
 """The newest of a series of arrays, shared between processes that never wait for each other."""
 
-from __future__ import annotations
-
 import zlib
 from multiprocessing.shared_memory import SharedMemory
 

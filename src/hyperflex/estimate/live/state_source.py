@@ -1,7 +1,5 @@
 """A rope's state from a camera for the closed loop: estimated in another process, predicted to now by the reader."""
 
-from __future__ import annotations
-
 import multiprocessing
 import time
 from collections.abc import Sequence

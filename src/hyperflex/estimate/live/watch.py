@@ -1,7 +1,5 @@
 """What is known of a rope at each frame that comes, and between frames that do not come."""
 
-from __future__ import annotations
-
 import math
 import statistics
 import time

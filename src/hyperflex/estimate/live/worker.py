@@ -1,7 +1,5 @@
 """The process that estimates a rope's state from a camera, and what it shares with the one that asks for it."""
 
-from __future__ import annotations
-
 import math
 import multiprocessing
 import signal
@@ -119,7 +117,7 @@ class Packet(NamedTuple):
         return np.concatenate([self[:6], self.noise, [self.x.size, len(self.rows)], self.x, self.rows.ravel()])
 
     @classmethod
-    def unpacked(cls, values: Array) -> Packet:
+    def unpacked(cls, values: Array) -> "Packet":
         """Return what :meth:`packed` has made plain numbers."""
         size, count = int(values[8]), int(values[9])
         x, rows = values[10 : 10 + size], values[10 + size : 10 + size * (1 + count)]

@@ -1,7 +1,5 @@
 """Gauss-Newton over the frames of an interval: a moving horizon's and a whole recording's."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -66,7 +64,7 @@ class Path:
     predictions: list[Prediction] = field(default_factory=list)
     measurements: list[Measurement] = field(default_factory=list)
 
-    def copy(self) -> Path:
+    def copy(self) -> "Path":
         """Return another one that can go on by itself."""
         return Path(self.start, [*self.noises], [*self.x], [*self.predictions], [*self.measurements])
 

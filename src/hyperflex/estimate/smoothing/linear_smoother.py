@@ -1,7 +1,5 @@
 """The fixed-interval smoother of a linear model, in square-root form: orthogonal transformations only."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -70,7 +68,7 @@ class Smoothed(NamedTuple):
     noises: list[Array]
     log_likelihoods: Array
 
-    def without_first(self) -> Smoothed:
+    def without_first(self) -> "Smoothed":
         """Return the same of all frames but the first."""
         priors, coordinates = self.priors[1:], self.coordinates[1:]
         return Smoothed(self.means[1:], self.rows[1:], priors, coordinates, self.noises[1:], self.log_likelihoods[1:])

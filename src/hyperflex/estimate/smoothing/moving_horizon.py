@@ -1,7 +1,5 @@
 """Moving-horizon estimator: Gauss-Newton over the last frames, from several starts where one may be wrong."""
 
-from __future__ import annotations
-
 from copy import copy
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Smoother of a whole recording: each frame's state, given what was seen in all frames."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 

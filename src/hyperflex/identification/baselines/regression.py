@@ -4,8 +4,6 @@ The first moments p, the inertias J about the joints and all resistances enter t
 linearly, and so do masses and inertias where lengths and centres of mass are known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -44,7 +42,7 @@ class Regression:
     columns: Array
     known: Array
 
-    def solve(self) -> LeastSquares:
+    def solve(self) -> "LeastSquares":
         """Return the least squares values (paper (6)).
 
         Raises

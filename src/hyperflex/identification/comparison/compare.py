@@ -1,7 +1,5 @@
 """Comparison of models: candidates fitted to one recording."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -36,11 +34,11 @@ class Candidate:
     guess: Rope
     free: tuple[str, ...]
 
-    def nested_in(self, other: Candidate) -> bool:
+    def nested_in(self, other: "Candidate") -> bool:
         """Tell whether all that is free here is free in `other` as well, which frees more."""
         return set(self.free) < set(other.free) and self.guess.n_links == other.guess.n_links
 
-    def starting_guess(self, other: Candidate, rope: Rope) -> Rope:
+    def starting_guess(self, other: "Candidate", rope: Rope) -> Rope:
         """Return the guess of `other` with the values fitted here, of `rope`; laws keep their guess."""
         labels = [label for word in self.free if (label := parse_label(word)) and label.law in ("", "shared")]
         names = {label.name for label in labels if FREE_PROPERTIES[label.name].owner in ("link", "rope")} - {

@@ -1,7 +1,5 @@
 """Result of a comparison of models: each candidate's figures and the preferred one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -90,7 +88,7 @@ class ModelComparison(Ended):
         return None if self.preferred is None else self[self.preferred].identification
 
     @property
-    def dataset(self) -> xr.Dataset:
+    def dataset(self) -> "xr.Dataset":
         """The table as an ``xarray.Dataset`` over the dimension model; NaN where there is nothing to tell."""
         import xarray as xr
 

@@ -1,7 +1,5 @@
 """Loss functions of residuals: squares, Huber and Cauchy."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 
@@ -23,7 +21,7 @@ class Loss:
     def __init__(self, name: LossName = "squares", scale: float = 1.0, *, fixed: bool = False) -> None:
         self.name, self.scale, self.fixed = name, scale, fixed
 
-    def scaled(self, residuals: Sequence[Array]) -> Loss:
+    def scaled(self, residuals: Sequence[Array]) -> "Loss":
         """Return the same loss with the scale that these residuals show, unless it is fixed."""
         if self.name == "squares" or self.fixed:
             return self

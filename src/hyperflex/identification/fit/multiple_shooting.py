@@ -5,8 +5,6 @@ solves a small system for the parameters: cost linear in the number of windows. 
 rollouts themselves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -67,7 +65,7 @@ class Linear:
     residual: Array
     known: bool = True  # False: no rollout from its state succeeds, and the derivatives are 0
 
-    def compact(self) -> Linear:
+    def compact(self) -> "Linear":
         """Return the same least-squares problem in as few rows as possible."""
         width = self.state.shape[1]
         both = np.column_stack([self.state, self.shared, self.residual])

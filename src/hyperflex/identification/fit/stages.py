@@ -1,7 +1,5 @@
 """Stages of a fit: delay search, short windows before long ones, restarts of states."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -41,7 +39,7 @@ class Measurements:
         """Return windows of so many seconds with every `step`-th sample, and how many were left out."""
         return cut_windows(self.channels.decimate(step), length, self.shape.decimate(step), self.prior)
 
-    def between(self, start: float, end: float) -> Measurements:
+    def between(self, start: float, end: float) -> "Measurements":
         """Return the samples with ``start <= t < end``, s."""
         return replace(self, channels=self.channels.window(start, end), shape=self.shape.window(start, end))
 

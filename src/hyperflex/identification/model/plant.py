@@ -1,7 +1,5 @@
 """Predicted measurements of a window, with derivatives by state and parameters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +73,7 @@ class Plant:
         self._setup = Setup(parameters.guess, motion, arm, tol=PRECISION * parameters.guess.total_length)
         self._last: tuple[bytes, _Evaluation | None] = (b"", None)
 
-    def without_torque(self) -> Plant:
+    def without_torque(self) -> "Plant":
         """Return the same without the torque channel."""
         return self if self.motor is None else Plant(self.parameters, self.sensor, self.motion, self.arm)
 

@@ -1,7 +1,5 @@
 """The part on online estimation (paper section III D): Fig. 8, claim C8, and who loses how many markers."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,7 +39,7 @@ def trackers_table() -> TextTable:
     return TextTable(("tracker", *(title for title, _ in _FIGURES.values())), tuple(rows))
 
 
-def fig8() -> Figure:
+def fig8() -> "Figure":
     """The tip as it is estimated, the capture rate, and the error of prediction, over time."""
     runs = {name: followed(name, DRAWN.seed) for name in TRACKERS}
     with new_figure(9.0, 8.0, f"Online estimation at {RATE:g} frames/s, rendered (Fig. 8)") as figure:

@@ -1,7 +1,5 @@
 """The part on identification (paper section III): Tables I and II, Figs. 3, 5 and 6, claims C6 and C7."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,7 +40,7 @@ PAPER_FIG6 = {22: 0.046, 81: 0.040}  # rad^2, as printed
 COLOURS = (BLUE, RED, GREEN)
 
 
-def fig3() -> Figure:
+def fig3() -> "Figure":
     """Initial angles, measured and optimised, and the tip's error that follows from each."""
     with new_figure(9.4, 5.8, "Measured and optimised initial angles, simulated (Fig. 3)") as figure:
         for row, swing in zip(figure.subplots(len(SWINGS), 2, width_ratios=(1, 2.2)), SWINGS, strict=True):
@@ -82,7 +80,7 @@ def _errors(axis: Any, swing: Swing) -> None:
     axis.legend(fontsize=8.0, loc="upper right", ncols=3)
 
 
-def fig5() -> Figure:
+def fig5() -> "Figure":
     """Tip angle against time: measured, calculated by the revision, and with the first guess."""
     recording = record(SMALL)
     title = f"Angle of the rope's tip, simulated, let go at {SMALL.angle:g} rad (Fig. 5)"
@@ -101,7 +99,7 @@ def fig5() -> Figure:
     return figure
 
 
-def fig6() -> Figure:
+def fig6() -> "Figure":
     """E over all samples against how many of them were used."""
     table = results.fig6()
     counts = table.columns["samples"]

@@ -1,7 +1,5 @@
 """A part of the paper as it is reproduced: items to write (figures, tables), claims and sections of the page."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +21,7 @@ class Item:
     """A figure or table of the paper: its numbers, what draws it and its caption, or sections of the page."""
 
     table: Callable[[], Table]
-    draw: Callable[[], Figure] | None = None
+    draw: "Callable[[], Figure] | None" = None
     caption: str = ""
     sections: Callable[[], list[Section]] = list
 

@@ -1,7 +1,5 @@
 """The part on the paper's timing control: Fig. 13, claim C5, and the table of radii."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,7 +30,7 @@ def levels_table() -> TextTable:
     return TextTable(("reading", "t_b", *(f"{a:g}-{a + WINDOW:g} s" for a in edges)), rows)
 
 
-def fig13() -> Figure:
+def fig13() -> "Figure":
     """Phase portraits and the course of r for the four t_b, in each reading."""
     with new_figure(12.0, 6.6, f"Timing control, simulated (Fig. 13); above: the first {_SHOWN:g} s") as figure:
         axes = figure.subplots(2, len(READINGS), sharey="row", height_ratios=(1.6, 1.0))

@@ -1,7 +1,5 @@
 """Corrections of the rest of a throw, by Gauss-Newton, so that the rope strikes in the planned state."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +31,7 @@ class Goal:
     features: Array
 
     @classmethod
-    def of(cls, cast_setup: CastSetup, peg: Peg, throw: Throw) -> Goal | None:
+    def of(cls, cast_setup: CastSetup, peg: Peg, throw: Throw) -> "Goal | None":
         """Return the goal of a throw; None without a strike."""
         motion = throw.motion(cast_setup.limits)
         one = RolloutBatch.from_rest([cast_setup.rope], [peg], [motion])

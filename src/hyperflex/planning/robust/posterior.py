@@ -1,7 +1,5 @@
 """A rope with the covariance of its identified parameters, and ropes sampled from that posterior."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,14 +49,14 @@ class RopePosterior:
             )
 
     @classmethod
-    def from_identification(cls, fit: Identification) -> RopePosterior:
+    def from_identification(cls, fit: "Identification") -> "RopePosterior":
         """Return the posterior of a fit."""
         factors = {name: float(fit.values[name]) for name in fit.parameters if name.endswith(":factor")}
         covariance, labels = np.asarray(fit.covariance), tuple(fit.parameters)
         return cls(fit.rope, labels, covariance, factors, _undetermined(labels, covariance, fit.std))
 
     @classmethod
-    def from_toml(cls, path: str | Path) -> RopePosterior | None:
+    def from_toml(cls, path: str | Path) -> "RopePosterior | None":
         """Read it from a rope file that identify wrote; None if the file holds no covariance.
 
         Raises FileProblem or InvalidInput if the file cannot be read, or its table of the identification is incomplete.

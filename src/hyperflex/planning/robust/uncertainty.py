@@ -1,7 +1,5 @@
 """Uncertainty of rope, target and motor, and scenarios sampled from it (domain randomization)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -41,7 +39,7 @@ class Scenario:
     lag: float
     delays: Array
 
-    def without_delays(self) -> Scenario:
+    def without_delays(self) -> "Scenario":
         """Return the same scenario with moves that start in time."""
         return replace(self, delays=np.zeros_like(self.delays))
 
@@ -123,7 +121,7 @@ class Uncertainty:
             raise InvalidInput("posterior is no RopePosterior", got=self.posterior, fix=fix)
 
     @classmethod
-    def from_identification(cls, fit: Identification, **others: float) -> Uncertainty:
+    def from_identification(cls, fit: "Identification", **others: float) -> "Uncertainty":
         """Take the rope's uncertainty from the covariance of a `fit`; `others` are parameters of the class.
 
         Those of the rope are 0 by default, but for properties that the fit could not determine: these have the usual
@@ -135,7 +133,7 @@ class Uncertainty:
         return cls(**{**known, **others}, posterior=posterior)
 
     @classmethod
-    def from_rope_file(cls, path: str | Path) -> Uncertainty:
+    def from_rope_file(cls, path: str | Path) -> "Uncertainty":
         """Take the rope's uncertainty from a rope file, at `path`, that identify wrote.
 
         Properties that were not fitted, or that the fit could not determine, have the usual default; without a

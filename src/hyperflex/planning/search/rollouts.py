@@ -1,7 +1,5 @@
 """Batch rollouts of ropes that each have a peg and a motion of their own, in free flight or in contact."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -31,7 +29,7 @@ class RolloutBatch:
     since: float = 0.0
 
     @classmethod
-    def from_rest(cls, ropes: Sequence[Rope], pegs: Sequence[Peg], motions: Sequence[Motion]) -> RolloutBatch:
+    def from_rest(cls, ropes: Sequence[Rope], pegs: Sequence[Peg], motions: Sequence[Motion]) -> "RolloutBatch":
         """Return rollouts of ropes (M,) that hang at rest."""
         q = np.array([np.full(rope.n_links, rope.hanging_angle) for rope in ropes])
         return cls(ropes, pegs, motions, q, np.zeros_like(q))
@@ -39,7 +37,7 @@ class RolloutBatch:
     @classmethod
     def from_state(
         cls, ropes: Sequence[Rope], pegs: Sequence[Peg], motions: Sequence[Motion], state: RopeState
-    ) -> RolloutBatch:
+    ) -> "RolloutBatch":
         """Return rollouts (M,) that go on from an observed state, under motions on the clock of the throw."""
         q, qd = (np.broadcast_to(part, (len(ropes), part.size)) for part in (state.q, state.qd))
         return cls(ropes, pegs, [motion.shifted(-state.t) for motion in motions], q, qd, state.t)
@@ -47,7 +45,7 @@ class RolloutBatch:
     def __len__(self) -> int:
         return len(self.ropes)
 
-    def select(self, rows: Sequence[int]) -> RolloutBatch:
+    def select(self, rows: Sequence[int]) -> "RolloutBatch":
         """Return some of the rollouts."""
         ropes, pegs = [self.ropes[m] for m in rows], [self.pegs[m] for m in rows]
         motions = [self.motions[m] for m in rows]

@@ -5,8 +5,6 @@ as a rigid body that turns about the peg, and its energy of turning is compared 
 mass over the top.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -44,7 +42,7 @@ class Strikes:
     q: Array
     qd: Array
 
-    def select(self, rows: Sequence[int]) -> Strikes:
+    def select(self, rows: Sequence[int]) -> "Strikes":
         """Return the strikes of some rows, each as often as it is named."""
         return Strikes(*(getattr(self, one.name)[list(rows)] for one in fields(self)))
 

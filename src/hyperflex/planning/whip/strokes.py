@@ -1,7 +1,5 @@
 """Strokes of the arm from angle to angle, and the derivatives of their motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,12 +52,12 @@ class Strokes(Moves):
         """Rest, s, duration, s, and ramp of each stroke, (k,) each."""
         return np.maximum(self.rests, MIN_REST), *limits.fastest_moves(np.diff(self.angles(limits)))
 
-    def cut(self, t: float, limits: MotorLimits) -> Strokes:
+    def cut(self, t: float, limits: MotorLimits) -> "Strokes":
         """Return the strokes that start before time t, s, at least one."""
         count = max(1, int((self.starts(limits) < t).sum()))
         return Strokes(self.side, self.ends[:count], self.rests[:count])
 
-    def varied(self, change: Array) -> Strokes:
+    def varied(self, change: Array) -> "Strokes":
         """Return strokes whose `parameters` differ by `change` (2 k,)."""
         ends, rests = np.split(self.parameters + change, 2)
         return Strokes(self.side, ends, rests)

@@ -1,7 +1,5 @@
 """The target of a whip's tip, and the cost of peaks of the tip's speed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -59,7 +57,7 @@ class TipTarget:
     @classmethod
     def at(
         cls, point: npt.ArrayLike, direction: npt.ArrayLike | None, least_speed: float, angle_tolerance: float = np.pi
-    ) -> TipTarget:
+    ) -> "TipTarget":
         """Return a target at a `point` (2,), m, with a `direction` given as a vector of any length but 0; None: any.
 
         `least_speed` and `angle_tolerance` as of the class, m/s and rad.

@@ -1,7 +1,5 @@
 """A planned cast: the throw, its outcome in simulation, or why there is none."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -58,7 +56,7 @@ class CastPlan(Plan):
     seconds: float = 0.0
     interrupted: bool = False
     success_probability: SuccessProbability | None = None
-    fallback: FallbackTarget | None = None
+    fallback: "FallbackTarget | None" = None
     remedies: tuple[str, ...] = ()
 
     @property

@@ -1,7 +1,5 @@
 """Figures of a planned cast: the strike, its time course, and the tug at the wound rope."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +17,7 @@ _BEFORE, _AFTER = 0.6, 0.8  # s about the strike
 _ALLOWED = 5.0  # mm, slip up to which a tug is held
 
 
-def strike_figure(plan: CastPlan) -> Figure:
+def strike_figure(plan: CastPlan) -> "Figure":
     """Draw the rope at many instants about the strike; before the arm stops, where there is none."""
     run = plan.required(plan.run, "run")
     middle = _strike(plan) if np.isfinite(_strike(plan)) else _stop(plan) - _AFTER
@@ -28,7 +26,7 @@ def strike_figure(plan: CastPlan) -> Figure:
     return strobe_figure(run, start=float(start), end=float(end), count=56, title=title)
 
 
-def course_figure(plan: CastPlan) -> Figure:
+def course_figure(plan: CastPlan) -> "Figure":
     """Draw arm angle, turns, tension and the motor's torque over time."""
     run, strike, watched = plan.required(plan.run, "run"), _strike(plan), _stop(plan) + SETTLING_TIME
     wound = winding.measure_winding(run, plan.target)
@@ -54,7 +52,7 @@ def course_figure(plan: CastPlan) -> Figure:
     return time_course(run, "the cast", _moves(plan), strike, draw)
 
 
-def tug_figure(held: HoldingForce) -> Figure:
+def tug_figure(held: HoldingForce) -> "Figure":
     """Draw the pull at the wound rope and its slip over the way of the pull."""
     run = held.tug.run
     pulled_way = 1e3 * np.hypot(*(run.joints[:, 0] - run.joints[0, 0]).T)

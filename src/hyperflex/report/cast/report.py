@@ -1,7 +1,5 @@
 """The report of a planned cast: its words, film and figures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from textwrap import fill
@@ -130,7 +128,7 @@ class CastReport(PlanReport[CastPlan]):
             )
         return tuple(lines)
 
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> "dict[str, Figure]":
         """Draw strike, time course, and tug if there was one."""
         drawn = {"strike": strike_figure(self.plan), "course": course_figure(self.plan)}
         return drawn if self.held is None else drawn | {"tug": tug_figure(self.held)}

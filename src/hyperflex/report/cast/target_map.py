@@ -1,7 +1,5 @@
 """A map of the target: arm, rope, target and the rope's reach, to scale, without a run."""
 
-from __future__ import annotations
-
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +17,7 @@ _LEAST = 0.012  # of the picture's width, to which small pegs are widened so tha
 _MARGIN = 1.08
 
 
-def target_map(plan: CastPlan) -> Figure:
+def target_map(plan: CastPlan) -> "Figure":
     """Draw the target, the arm with its rope at rest, and the circle beyond which the rope does not come."""
     arm, far = plan.cast_setup.arm, plan.cast_setup.arm.length + plan.cast_setup.rope.total_length
     pivot: Array = np.array(arm.pivot, dtype=np.float64)

@@ -1,7 +1,5 @@
 """The report of an identification: a page with parameters, intervals, fit, prediction and residuals."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -226,7 +224,7 @@ def _folded(table: TextTable, what: str) -> str:
     return f"All {len(table.rows)} {what}" if len(table.rows) > LONG else ""
 
 
-def _picture(figure: Figure, caption: str) -> Picture:
+def _picture(figure: "Figure", caption: str) -> Picture:
     return Picture(png(figure, dpi=_DPI), caption)
 
 

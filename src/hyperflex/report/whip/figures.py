@@ -1,7 +1,5 @@
 """Figures of a planned whip: the rope about the peak, the tip's path past the target, and the time course."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +19,7 @@ _AROUND = 0.12  # m about the target, at least
 _WAY_POINTS = 400
 
 
-def peak_figure(plan: WhipPlan) -> Figure:
+def peak_figure(plan: WhipPlan) -> "Figure":
     """Draw the rope at many instants up to just after the peak."""
     seen = plan.required(plan.outcome, "outcome")
     run = plan.required(plan.run, "run")
@@ -32,7 +30,7 @@ def peak_figure(plan: WhipPlan) -> Figure:
     )
 
 
-def passing_figure(plan: WhipPlan) -> Figure:
+def passing_figure(plan: WhipPlan) -> "Figure":
     """Draw how the tip passes the target: its way, in the colour of its speed, and the direction asked."""
     seen, target = plan.required(plan.outcome, "outcome"), plan.target
     run = plan.required(plan.run, "run")
@@ -60,7 +58,7 @@ def passing_figure(plan: WhipPlan) -> Figure:
     return figure
 
 
-def course_figure(plan: WhipPlan) -> Figure:
+def course_figure(plan: WhipPlan) -> "Figure":
     """Draw arm angle, the tip's speed, its distance from the target and the motor's torque over time."""
     seen, target = plan.required(plan.outcome, "outcome"), plan.target
     run = plan.required(plan.run, "run")
@@ -92,7 +90,7 @@ def _moves(plan: WhipPlan) -> ArmMoves | None:
     return ArmMoves(starts[:count], ends[:count], angles[: count + 1], tuple(str(k + 1) for k in range(count)))
 
 
-def _draw_way(figure: Figure, axis: Any, way: Array, speed: Array) -> None:
+def _draw_way(figure: "Figure", axis: Any, way: Array, speed: Array) -> None:
     from matplotlib.collections import LineCollection
 
     steps = list(np.stack([way[:-1], way[1:]], axis=1))

@@ -1,7 +1,5 @@
 """The report of a planned whip: its words, film and figures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -118,7 +116,7 @@ class WhipReport(PlanReport[WhipPlan]):
             )
         return tuple(lines)
 
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> "dict[str, Figure]":
         """Draw the rope about the peak, the tip's path past the target, and the time course."""
         plan = self.plan
         return {"peak": peak_figure(plan), "passing": passing_figure(plan), "course": course_figure(plan)}

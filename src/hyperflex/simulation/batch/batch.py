@@ -1,7 +1,5 @@
 """Batch rollouts: members in SIMD lanes, blocks of members on threads."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -106,7 +104,7 @@ class Batch:
         )
 
     @property
-    def dataset(self) -> xr.Dataset:
+    def dataset(self) -> "xr.Dataset":
         """The batch as an ``xarray.Dataset`` with the dimensions member, time, link and axis."""
         import xarray as xr
 

@@ -1,7 +1,5 @@
 """Exact derivatives of rollouts by the start, the rope, the arm and the motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -72,7 +70,7 @@ class Sensitivities:
     darm_rate: Array | None = None
 
     @property
-    def dataset(self) -> xr.Dataset:
+    def dataset(self) -> "xr.Dataset":
         """The same as an ``xarray.Dataset`` with the dimensions time, link, axis and parameter."""
         import xarray as xr
 

@@ -1,7 +1,5 @@
 """Where a moving rope is at any time: its link angles between samples, and motion off the plane by choice."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -61,7 +59,7 @@ class RopeMotion:
         self.off_plane = off_plane
 
     @classmethod
-    def from_trajectory(cls, trajectory: Trajectory, off_plane: OffPlane | None = None) -> RopeMotion:
+    def from_trajectory(cls, trajectory: Trajectory, off_plane: OffPlane | None = None) -> "RopeMotion":
         """Return the motion of a simulated rope, and of its arm's tip; see the class for `off_plane`."""
         run = trajectory
         return cls(run.t, run.q, run.qd, run.setup.rope.length, run.base, run.base_velocity, off_plane)

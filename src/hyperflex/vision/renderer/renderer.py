@@ -1,7 +1,5 @@
 """The synthetic camera: frames of a moving rope, integrated over each row's exposure."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

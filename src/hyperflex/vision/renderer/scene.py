@@ -1,7 +1,5 @@
 """What the synthetic camera sees: rope, markers, bars, background, light, noise, and what hides the rope."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple

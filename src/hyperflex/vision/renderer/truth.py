@@ -1,7 +1,5 @@
 """What a rendered video shows in truth: places of the markers in metres and pixels, and which are seen."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

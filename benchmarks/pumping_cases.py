@@ -9,7 +9,7 @@ from hyperflex.control import PumpingPlan, PumpingRule, SwingModel, arrival_time
 from hyperflex.interfaces import StateSource
 from hyperflex.model import Rope
 from hyperflex.motion import Motion
-from hyperflex.paper.casting import T_MOVE, cable, casting_arm
+from hyperflex.paper import T_MOVE, cable, casting_arm
 from hyperflex.simulation import simulate, simulate_batch
 
 WANTED = 1.8  # m, |x| of the tip
