@@ -77,7 +77,7 @@ def test_a_plan_reads_back_as_it_was_written(tmp_path, made):
     back.to_toml(tmp_path / "again.toml")
     assert (tmp_path / "again.toml").read_text() == (tmp_path / "plan.toml").read_text()
     assert back.run is None
-    with pytest.raises(InvalidInput, match="holds no run"):
+    with pytest.raises(InvalidInput, match="read from a file has no runs"):
         back.to_netcdf(tmp_path / "run.nc")
 
 

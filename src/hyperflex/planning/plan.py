@@ -101,7 +101,9 @@ class Plan(ABC):
     def required(self, value: T | None, name: str) -> T:
         """Return a part of the plan, its `value`; raises InvalidInput, with its `name`, if that is None."""
         if value is None:
-            raise InvalidInput(f"the plan holds no {name}", got=self.message, fix="Plan for a target that is feasible")
+            read = "A plan that is read from a file has no runs: hyperflex.simulate(plan.setup()) makes one"
+            fix = "Plan for a target that is feasible" if self.motion is None else read
+            raise InvalidInput(f"the plan holds no {name}", got=self.message or "a plan that succeeds", fix=fix)
         return value
 
     def summary(self) -> dict[str, Any]:
