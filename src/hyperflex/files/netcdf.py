@@ -1,5 +1,6 @@
 """NetCDF-4 files: variables with units and long names, attributes, and groups of variables."""
 
+import io
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -8,7 +9,7 @@ import numpy.typing as npt
 
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.files.reading import read_bytes
-from hyperflex.files.writing import PathLike, atomic_path
+from hyperflex.files.writing import PathLike, write_bytes
 
 _HDF5, _NETCDF3 = b"\x89HDF\r\n\x1a\n", b"CDF"  # how such files begin
 # What h5netcdf and h5py raise on damaged files, found by cutting and altering real ones.
@@ -42,10 +43,14 @@ class NetCDF(NamedTuple):
 
 
 def write_netcdf(path: PathLike, content: NetCDF) -> None:
-    """Write a NetCDF-4 file, wholly or not at all. Raises FileProblem as :func:`hyperflex.files.atomic_path` does."""
+    """Write a NetCDF-4 file, wholly or not at all. Raises FileProblem as :func:`hyperflex.files.atomic_path` does.
+
+    It is made in memory: where a disk is full, HDF5 cannot close a file, and crashes when the process ends.
+    """
     import h5netcdf
 
-    with atomic_path(path) as part, h5netcdf.File(part, "w") as file:
+    buffer = io.BytesIO()
+    with h5netcdf.File(buffer, "w") as file:
         for dims, values, _ in content.variables.values():
             sizes = dict(zip(dims, np.shape(values), strict=True))
             file.dimensions.update({name: size for name, size in sizes.items() if name not in file.dimensions})
@@ -53,6 +58,7 @@ def write_netcdf(path: PathLike, content: NetCDF) -> None:
         file.attrs.update(content.attributes)
         for name, variables in content.groups.items():
             _put(file.create_group(name), variables)
+    write_bytes(path, buffer.getvalue())
 
 
 def read_netcdf(path: PathLike) -> NetCDF:

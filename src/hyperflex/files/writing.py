@@ -42,10 +42,6 @@ def atomic_path(path: PathLike) -> Iterator[Path]:
         raise
     except OSError as error:
         raise _write_problem(target, part, error) from error
-    except RuntimeError as error:  # HDF5 reports a full disk like this when it closes a file
-        if not _NO_SPACE_TEXT.search(str(error)):
-            raise
-        raise _write_problem(target, part, error) from error
     finally:
         part.unlink(missing_ok=True)
 
@@ -129,7 +125,7 @@ def _replace(part: Path, target: Path) -> None:
     part.replace(target)
 
 
-def _write_problem(target: Path, part: Path, error: OSError | RuntimeError) -> FileProblem:
+def _write_problem(target: Path, part: Path, error: OSError) -> FileProblem:
     """Turn a system error into one that says what happened to the user's file."""
     stands = "The earlier file still stands unchanged" if target.exists() else "Nothing was written"
     if getattr(error, "errno", None) in _NO_SPACE or _NO_SPACE_TEXT.search(str(error)):
