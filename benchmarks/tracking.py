@@ -71,9 +71,11 @@ def bounds(truth: Truth, moved: bool, density: tuple[float, float]) -> dict[str,
         begin, t = float(truth.t[last]), float(truth.t[i])
         found = at.process.predict(np.concatenate([truth.q[last], truth.qd[last]]), begin, t)
         at.t, at.x = t, np.concatenate([truth.q[i], truth.qd[i]])
-        at.factor = square_root.predicted(at.factor, found.transition, at.process.noise(t - begin, density))
+        rows_since = [at.factor @ found.transition.T, at.process.noise(t - begin, density)]
+        at.factor = square_root.triangular(np.concatenate(rows_since))
         slope = at.model.predict(at.x, at.process.base(t), rows)[1].reshape(20, -1)
-        at.factor = square_root.updated(at.factor, slope, np.full(20, NOISE))
+        _, across, upper = square_root.whitened_gain(at.factor, slope / NOISE)
+        at.factor = square_root.updated(at.factor, across, upper)
         if t >= SINCE:
             for name, (_, covariance) in seen_errors(at, arcs, ends, np.zeros((n + 1, 4))).items():
                 squares[name].append(float(np.trace(covariance, axis1=-2, axis2=-1).mean()))
