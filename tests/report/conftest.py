@@ -4,6 +4,13 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.report import plan
+
+
+@pytest.fixture(autouse=True)
+def films_of_few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw half of the frames of each plan's film."""
+    monkeypatch.setattr(plan, "_FILM_RATE", 10)
 
 
 @pytest.fixture(scope="session")

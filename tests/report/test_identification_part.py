@@ -16,8 +16,8 @@ from hyperflex.paper.report.reproduce import reproduce
 
 @pytest.fixture
 def few_counts(monkeypatch):
-    """Fig. 6 with three counts in place of nine, and no finer chain: seconds in place of half a minute."""
-    monkeypatch.setattr(results, "COUNTS", (22, 41, 81))
+    """Fig. 6 with two counts in place of nine, and no finer chain: seconds in place of half a minute."""
+    monkeypatch.setattr(results, "COUNTS", (22, 81))
     monkeypatch.setattr(results, "CURVES", SWINGS)
     monkeypatch.setattr(identification, "CURVES", SWINGS)
 
