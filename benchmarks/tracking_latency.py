@@ -95,7 +95,7 @@ def latency(rounds: int) -> dict[str, Any]:
 def _pass(path: Path, each: RopeTracker) -> dict[str, list[float]]:
     """Track a video once; times in ms."""
     found: dict[str, list[float]] = {"clock": [], "processor": [], "packet to state": [], "seen": []}
-    shared = SharedArray(packet_size(LINKS, 0))
+    shared = SharedArray(packet_size(LINKS, len(each.estimator.parameters)))
     estimator = each.estimator
     try:
         with VideoReader(path) as video:
