@@ -8,9 +8,11 @@ what is carried through its equations is those few (Verlaan and Heemink 1997, St
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg.lapack import dgeqrf, dpstrf, dtrtrs
 
 from hyperflex.checks import Array
@@ -34,9 +36,19 @@ class Innovation(NamedTuple):
     log_likelihood: float
 
 
+def without_lower(rows: Array) -> Array:
+    """Return rows (m, n) with zeros below their diagonal, as np.triu does, which builds its mask each time."""
+    return np.asarray(np.where(_above(*rows.shape), rows, 0.0))
+
+
+@lru_cache(32)
+def _above(m: int, n: int) -> npt.NDArray[np.bool_]:
+    return np.triu(np.ones((m, n), dtype=bool))
+
+
 def triangular(rows: Array) -> Array:
     """Return the upper triangular R (n, n), its diagonal not negative, with R^T R = rows^T rows, for rows (m, n)."""
-    upper = np.triu(dgeqrf(rows)[0][: rows.shape[1]])
+    upper = without_lower(dgeqrf(rows)[0][: rows.shape[1]])
     return np.asarray(upper * np.where(np.diag(upper) < 0.0, -1.0, 1.0)[:, None])
 
 
@@ -63,7 +75,7 @@ def compressed(rows: Array, least: Array) -> Array:
     even = rows / least
     upper, pivots, rank, _ = dpstrf(even.T @ even, tol=1.0, overwrite_a=True)
     result = np.zeros((max(1, rank), rows.shape[1]))
-    result[:rank, pivots - 1] = np.triu(upper[:rank])
+    result[:rank, pivots - 1] = without_lower(upper[:rank])
     return np.asarray(result * least)
 
 
