@@ -143,3 +143,14 @@ def test_without_the_compiler() -> None:
 def test_fingerprint_follows_the_modules() -> None:
     modules = ["hyperflex.core.assign", "hyperflex.core.status"]
     assert cache.fingerprint(modules) == cache.fingerprint(modules[::-1]) != cache.fingerprint(modules[:1])
+
+
+def test_kernels_of_other_versions_are_removed_when_they_are_old(tmp_path):
+    own, old, new, foreign = (tmp_path / f"core.jit-{name}" for name in ("own", "old", "new", "foreign"))
+    for place in (own, old, new, foreign):
+        place.mkdir()
+        (place / ("notes.txt" if place == foreign else "run-1.nbc")).write_bytes(b"kernel")
+        os.utime(next(place.iterdir()), (0.0, 0.0) if place != new else None)
+    warm._remove_old({own}, tmp_path)
+    assert {place.name for place in tmp_path.iterdir()} == {own.name, new.name, foreign.name}
+    assert (own / "run-1.nbc").exists()

@@ -1,5 +1,6 @@
 """``hyperflex warm``: compile all kernels in advance, in several processes."""
 
+import contextlib
 import importlib
 import os
 import pkgutil
@@ -17,6 +18,7 @@ from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.errors import FileProblem, HyperflexError
 
+OLD = 90 * 86_400.0  # s, after which kernels of other versions are removed
 POLL = 0.2  # s, between two looks at what has been compiled
 
 
@@ -28,6 +30,9 @@ def warm(
 
     Without it each kernel is compiled when it is first needed. Of the kernels for ropes whose friction is as the source
     paper prints it (friction_model="printed"), which only the paper's own figures use, nothing is compiled.
+
+    They lie in the user's cache folder, or where the environment variable HYPERFLEX_CACHE_DIR says. Those of other
+    versions are removed when they are 90 days old.
     """
     import numba
 
@@ -45,6 +50,7 @@ def warm(
         _check_folder(cache.folder())
         spent = _compile(kernels, count, json)
         _stamp(stamp, kernels)
+    _remove_old({cache.module_folder(module) for module, _ in kernels}, cache.folder())
     now = cache.compiled(kernels)
     result = {
         "kernels": len(kernels),
@@ -56,6 +62,17 @@ def warm(
     }
     did = f"Compiled {now - before} of {len(kernels)} kernels" if spent else "Nothing to do: all kernels are compiled"
     _tell(json, result, f"{did} ({result['seconds']:.0f} s); they lie in {cache.folder()}.")
+
+
+def _remove_old(own: set[Path], folder: Path) -> None:
+    """Remove kernels of other versions that are `OLD` s old; what cannot be removed stays."""
+    for place in folder.glob("*-*/") if folder.is_dir() else ():
+        kernels = [] if place in own else list(place.glob("*.nbc"))
+        with contextlib.suppress(OSError):
+            if kernels and time.time() - max(path.stat().st_mtime for path in kernels) > OLD:
+                for path in kernels:
+                    path.unlink(missing_ok=True)
+                place.rmdir()
 
 
 def _tell(as_json: bool, result: dict[str, Any], sentence: str) -> None:
