@@ -68,10 +68,10 @@ def public_callables() -> dict[str, object]:
     found: dict[str, object] = {}
     for name in hyperflex.__all__:
         obj = getattr(hyperflex, name)
-        plain = inspect.isclass(obj) and issubclass(obj, Exception) and "__init__" not in vars(obj)
+        plain = inspect.isclass(obj) and issubclass(obj, BaseException) and "__init__" not in vars(obj)
         if callable(obj) and not plain:  # a plain exception takes a message, as all do
             found[name] = obj
-        if inspect.isclass(obj) and not issubclass(obj, Exception):
+        if inspect.isclass(obj) and not issubclass(obj, BaseException):
             members = inspect.getmembers_static(obj, lambda m: isinstance(m, classmethod | staticmethod) or callable(m))
             found |= {f"{name}.{m}": getattr(obj, m) for m, _ in members if not m.startswith("_")}
     return found

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         FileProblem,
         HyperflexError,
         IdentificationError,
+        Interrupted,
         InvalidInput,
         SimulationError,
     )

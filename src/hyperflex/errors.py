@@ -1,5 +1,7 @@
 """Exceptions of hyperflex. Every message says what was wrong, the value got, what is allowed and what to do."""
 
+from typing import Any
+
 
 class HyperflexError(Exception):
     """Base class of everything that hyperflex raises on purpose."""
@@ -58,6 +60,20 @@ class IdentificationError(HyperflexError, RuntimeError):
 
 class EstimatorLost(HyperflexError, RuntimeError):
     """The process that estimates a rope's state has ended or stalled, or has seen nothing for too long."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C ended a long piece of work; it ends the program as Ctrl-C does, unless it is caught.
+
+    Parameters
+    ----------
+    result : Any
+        What had been done by then, of the kind that the interrupted function returns.
+    """
+
+    def __init__(self, result: Any) -> None:
+        self.result = result
+        super().__init__("interrupted")
 
 
 def _short(value: object, limit: int = 120) -> str:

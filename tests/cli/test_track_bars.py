@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from contextlib import contextmanager
 
 import pytest
 
 import hyperflex as hf
+from hyperflex.cli import output
 from hyperflex.vision import VideoReader
 from tests.estimate.test_bars import CAMERA, filmed
 
@@ -28,6 +30,29 @@ def test_a_video_becomes_angles(hyperflex, tmp_path):
     assert min(said["seen"]) > 0.9
     with VideoReader(seen) as video:
         assert len(list(video)) == said["frames"]
+
+
+def test_ctrl_c_keeps_what_was_tracked_under_a_name_that_says_so(hyperflex, tmp_path, monkeypatch):
+    @contextmanager
+    def hit_at_frame_8(_as_json):
+        def said(words):
+            if words == "frame 8":
+                raise KeyboardInterrupt
+
+        yield said
+
+    monkeypatch.setattr(output, "spinner", hit_at_frame_8)
+    run, _ = filmed(tmp_path / "pendulum.mp4", duration=0.6)
+    clicks = CAMERA.project(run.joints[0, [0, 1, 2]])
+    bars = [word for place in 0.5 * (clicks[1:] + clicks[:-1]) for word in ("--bar", f"{place[0]:.1f},{place[1]:.1f}")]
+    files = ["-o", tmp_path / "angles.nc", "--preview", tmp_path / "seen.mp4"]
+    code, text, err = hyperflex("track", tmp_path / "pendulum.mp4", *bars, "--pivot", "158", "150", *files, "--json")
+    kept = tmp_path / "angles-interrupted.nc"
+    assert code == 130
+    assert "after 8 frames" in err
+    assert json.loads(text)["output"] == str(kept)
+    assert len(hf.read_recording(kept).t) == 8
+    assert sorted(path.name for path in tmp_path.iterdir()) == [kept.name, "pendulum.mp4"]
 
 
 @pytest.mark.parametrize(

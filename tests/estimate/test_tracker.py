@@ -10,7 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.cli.app import run
-from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.errors import FileProblem, Interrupted, InvalidInput
 from hyperflex.estimate import MovingHorizon, RopeFilter, RopeTracker, track_video
 from hyperflex.vision import (
     Camera,
@@ -55,6 +55,21 @@ def tracker(path: Path, truth: Truth, kind: type[RopeFilter] = RopeFilter, links
         first = next(iter(reader)).image
     estimator = kind(rope(links), ARCS, camera=camera(exposure=0.005, readout=0.02))
     return RopeTracker(estimator, MarkerDetector(MarkerColour.from_click(first, truth.pixels[0, 3])))
+
+
+def test_ctrl_c_carries_what_was_tracked(video: tuple[Path, Truth], tmp_path: Path) -> None:
+    def hit(count: int) -> None:
+        if count == 12:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Interrupted) as stopped:
+        track_video(video[0], tracker(*video), preview=tmp_path / "seen.mp4", progress=hit)
+    assert stopped.value.result.frames == 12
+    assert 2 <= len(stopped.value.result.recording.t) <= 12
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(KeyboardInterrupt) as early:  # before there is anything to keep
+        track_video(video[0], tracker(*video), progress=lambda count: hit(count + 11))
+    assert not isinstance(early.value, Interrupted)
 
 
 def test_markers_are_followed_through_clutter_and_a_blackout(video: tuple[Path, Truth], tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """``hyperflex track``: a video of a rope with markers, or of a pendulum of bars, in; places or angles out."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -7,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hyperflex.cli import output
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import Interrupted, InvalidInput
 
 if TYPE_CHECKING:
     from hyperflex.estimate import RopeFilter, VideoTrack
@@ -55,6 +57,8 @@ def track(
 
     With --bar and --pivot, the links of a pendulum are followed by their colours, and no rope and no camera is needed:
     the file then holds the links' angles.
+
+    After Ctrl-C, what has been tracked is in a file of its own, markers-interrupted.nc.
     """
     if bar:
         _track_bars(video, bar, pivot, at, out, preview, json)
@@ -82,7 +86,7 @@ def track(
         parameters=output.parameters(estimate),
         tests=None if changes == "none" else ChangeTests(names or None, false_alarm_interval),
     )
-    with output.spinner(json) as said:
+    with _keeping(out, json), output.spinner(json) as said:
         found = track_video(
             video,
             RopeTracker(estimator, MarkerDetector(colour)),
@@ -91,6 +95,19 @@ def track(
         )
     found.recording.to_netcdf(out)
     _show(found, estimator, out, json)
+
+
+@contextmanager
+def _keeping(out: Path, as_json: bool) -> Iterator[None]:
+    """Write what Ctrl-C has left of the tracking in the block, under a name that says so, and exit."""
+    try:
+        yield
+    except Interrupted as stop:
+        kept = out.with_stem(f"{out.stem}-interrupted")
+        stop.result.recording.to_netcdf(kept)
+        left = {"output": kept, "frames": stop.result.frames, "duration_s": stop.result.recording.duration}
+        message = f"Interrupted after {stop.result.frames} frames; what was tracked until then is in {kept}."
+        raise typer.Exit(output.interrupted(message, left, as_json=as_json)) from None
 
 
 def _show(found: "VideoTrack", estimator: "RopeFilter", out: Path, as_json: bool) -> None:
@@ -139,7 +156,7 @@ def _track_bars(
     output.check_destination(out, ".nc", [video])
     output.check_destination(preview, ".mp4", [video])
     detector = _clicked(video, [output.numbers("--bar", [each], "213,140") for each in clicks], at)
-    with output.spinner(json) as said:
+    with _keeping(out, json), output.spinner(json) as said:
         found = track_bars(video, detector, pivot, preview=preview, progress=lambda count: said(f"frame {count}"))
     found.recording.to_netcdf(out)
     result: dict[str, Any] = {

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.estimate.changes import Change
 from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, draw_frame
 from hyperflex.files import PathLike
@@ -75,24 +75,44 @@ def track_video(
         If the video cannot be read, or the preview not be written.
     InvalidInput
         If the rope is found in no frame, or the frames have another size than the camera's.
+    Interrupted
+        By Ctrl-C; its ``result`` is the VideoTrack until then, where the rope had been found. No preview is kept.
     """
     from threadpoolctl import threadpool_limits
 
     found: list[TrackedFrame] = []
     count = 0
+
+    def result() -> VideoTrack:
+        """Return what has been tracked until now."""
+        return VideoTrack(
+            _recording(found, tracker.camera, str(video)),
+            count,
+            found[0].t,
+            float(np.mean([each.seen.mean() for each in found])),
+            tracker.estimator.values,
+            (*reader.notes, *([tracker.doubt] if tracker.doubt else [])),
+            tuple(change for each in found for change in each.changes),
+        )
+
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))  # matrices are small: threads would wait for each other
         reader = stack.enter_context(VideoReader(video))
         writer = None if preview is None else stack.enter_context(VideoWriter(preview, reader.image_size))
-        for frame in reader:
-            result = tracker.look(frame)
-            count += 1
-            if result.state is not None:
-                found.append(result)
-            if writer is not None:
-                writer.write(draw_frame(frame.image, tracker, result), frame.time)
-            if progress is not None:
-                progress(count)
+        try:
+            for frame in reader:
+                tracked = tracker.look(frame)
+                count += 1
+                if tracked.state is not None:
+                    found.append(tracked)
+                if writer is not None:
+                    writer.write(draw_frame(frame.image, tracker, tracked), frame.time)
+                if progress is not None:
+                    progress(count)
+        except KeyboardInterrupt:
+            if len(found) < 2:
+                raise
+            raise Interrupted(result()) from None
         if len(found) < 2:
             raise InvalidInput(
                 "the rope was not found in the video",
@@ -100,16 +120,7 @@ def track_video(
                 allowed="two frames or more in which markers are seen in an order that the rope allows",
                 fix="Check the markers' colour, their arc lengths, and the camera's swing plane",
             )
-    notes = (*reader.notes, *([tracker.doubt] if tracker.doubt else []))
-    return VideoTrack(
-        _recording(found, tracker.camera, str(video)),
-        count,
-        found[0].t,
-        float(np.mean([each.seen.mean() for each in found])),
-        tracker.estimator.values,
-        notes,
-        tuple(change for each in found for change in each.changes),
-    )
+    return result()
 
 
 def _recording(found: list[TrackedFrame], camera: Camera, source: str) -> Recording:

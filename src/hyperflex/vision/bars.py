@@ -1,7 +1,7 @@
 """Coloured bars in a frame, such as the links of a pendulum without markers: centre, angle and ends of each."""
 
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.recording import Recording
 from hyperflex.vision.colour import surface
@@ -200,6 +200,8 @@ def track_bars(
         If the video cannot be read, or the preview not be written.
     InvalidInput
         If a link is seen in fewer than two frames.
+    Interrupted
+        By Ctrl-C; its ``result`` is the BarTrack until then, where each link had been seen twice. No preview is kept.
 
     Notes
     -----
@@ -213,24 +215,34 @@ def track_bars(
     with ExitStack() as stack:
         reader = stack.enter_context(VideoReader(video))
         writer = None if preview is None else stack.enter_context(VideoWriter(preview, reader.image_size))
-        for frame in reader:
-            seen = detector.find(frame.image)
-            angles.append(link_angles(seen, start, expected_angles(times, angles, frame.time)))
-            stds.append(np.sqrt(seen.covariances[:, 2, 2]))
-            times.append(frame.time)
-            if writer is not None:
-                writer.write(_drawn(frame.image, seen, angles[-1], frame.time), frame.time)
-            if progress is not None:
-                progress(len(times))
-        notes = tuple(reader.notes)
-    data, noise = np.array(angles), np.array(stds)
+        try:
+            for frame in reader:
+                seen = detector.find(frame.image)
+                angles.append(link_angles(seen, start, expected_angles(times, angles, frame.time)))
+                stds.append(np.sqrt(seen.covariances[:, 2, 2]))
+                times.append(frame.time)
+                if writer is not None:
+                    writer.write(_drawn(frame.image, seen, angles[-1], frame.time), frame.time)
+                if progress is not None:
+                    progress(len(times))
+        except KeyboardInterrupt:
+            with suppress(InvalidInput):
+                raise Interrupted(_bar_track(times, angles, stds, reader)) from None
+            raise
+        return _bar_track(times, angles, stds, reader)
+
+
+def _bar_track(times: list[float], angles: list[Array], stds: list[Array], reader: VideoReader) -> BarTrack:
+    """Return what was seen in frames: angles and their standard deviations (J,) at each time, s."""
+    count = len(times)
+    data, noise = np.array(angles[:count]), np.array(stds[:count])
     whole = ~np.isnan(data)
     if (whole.sum(axis=0) < 2).any():
         missing = np.flatnonzero(whole.sum(axis=0) < 2).tolist()
         raise InvalidInput("bars are seen in no two frames", got=missing, fix="Check colours and areas of the detector")
     noise = np.where(whole, noise, np.nanmedian(noise, axis=0))
-    recording = Recording(np.array(times), data, kind="angles", noise=noise, source=str(video))
-    return BarTrack(recording, len(times), whole.mean(axis=0), notes)
+    recording = Recording(np.array(times), data, kind="angles", noise=noise, source=str(reader.path))
+    return BarTrack(recording, count, whole.mean(axis=0), tuple(reader.notes))
 
 
 def link_angles(seen: BarObservations, pivot: Array, expected: Array) -> Array:
