@@ -28,7 +28,7 @@ from cast import cable
 import hyperflex as hf
 from hyperflex.estimate import ChangeTests, FrameThread, RopeFilter, RopeTracker, Watch, WatchLog
 from hyperflex.estimate.live.shared_array import SharedArray
-from hyperflex.estimate.live.worker import Packet, packet_size
+from hyperflex.estimate.live.worker import Packet
 from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector, Renderer, RopeMotion, Scene, VideoReader
 
 RESULTS = Path(__file__).parent / "results"
@@ -95,8 +95,9 @@ def latency(rounds: int) -> dict[str, Any]:
 def _pass(path: Path, each: RopeTracker) -> dict[str, list[float]]:
     """Track a video once; times in ms."""
     found: dict[str, list[float]] = {"clock": [], "processor": [], "packet to state": [], "seen": []}
-    shared = SharedArray(packet_size(LINKS, len(each.estimator.parameters)))
     estimator = each.estimator
+    size = estimator.x.size
+    shared = SharedArray(16 + size * (1 + size))
     try:
         with VideoReader(path) as video:
             frames = iter(video)
@@ -111,7 +112,18 @@ def _pass(path: Path, each: RopeTracker) -> dict[str, list[float]]:
                 looked = time.perf_counter()
                 found["clock"].append(1e3 * (looked - decoded))
                 noise = estimator.process_noise.value.copy()
-                values = (looked, result.t, result.t, 1.0, 1.0, 10.0, noise, estimator.x, estimator.factor)
+                values = (
+                    looked,
+                    result.t,
+                    result.t,
+                    1.0,
+                    1.0,
+                    10.0,
+                    noise,
+                    estimator.x,
+                    estimator.factor,
+                    np.zeros((0, 10)),
+                )
                 shared.write(Packet(*values).packed())
                 shared.read()
                 found["packet to state"].append(1e3 * (time.perf_counter() - begin))

@@ -12,6 +12,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from dataclasses import replace
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 
@@ -20,13 +21,42 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import EstimatorLost, FileProblem, InvalidInput
-from hyperflex.estimate import CameraStateSource, FrameThread, RopeFilter, RopeTracker, Watch, WatchLog, open_frames
+from hyperflex.estimate import (
+    CameraStateSource,
+    Change,
+    ChangeTests,
+    EstimatedParameter,
+    FrameThread,
+    RopeFilter,
+    RopeTracker,
+    Watch,
+    WatchLog,
+    open_frames,
+)
 from hyperflex.estimate.live.page import PicturePage
 from hyperflex.estimate.live.shared_array import SharedArray
-from hyperflex.estimate.live.worker import Packet, StampClock, TrackingTask, packed_motion, unpacked_motion
+from hyperflex.estimate.live.worker import (
+    Packet,
+    StampClock,
+    TrackingTask,
+    packed_change,
+    packed_motion,
+    unpacked_change,
+    unpacked_motion,
+)
 from hyperflex.estimate.tracker import TrackedFrame
 from hyperflex.files.netcdf import read_netcdf
-from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector, Renderer, RopeMotion, Scene, VideoReader
+from hyperflex.vision import (
+    Camera,
+    Frame,
+    MarkerColour,
+    MarkerDetector,
+    Renderer,
+    RopeMotion,
+    Scene,
+    VideoReader,
+    VideoWriter,
+)
 from tests.estimate.runs import ARM, SWINGS, free_swing, rope
 
 ARCS = np.linspace(0.25, 2.0, 8)
@@ -282,11 +312,18 @@ def test_motions_and_packets_come_through_unchanged() -> None:
     moved = unpacked_motion(packed_motion(SWINGS, 100.0))
     t = np.linspace(0.0, 3.0, 50)
     np.testing.assert_allclose(moved.angle(t + 100.0), SWINGS.angle(t), atol=1e-9)
-    packet = Packet(1.0, 2.0, 3.0, 1.0, 5.0, 6.0, np.array([7.0, 8.0]), np.arange(4.0), np.arange(12.0).reshape(3, 4))
+    touch = Change("touch", 3.0, 2.5, 0.01, 0.001, 0.9, -30.0, 0.7, (0.006, 0.008))
+    alarm = Change("misfit", 4.0, 2.0, 3.5, 0.2, 1.0, -25.0)
+    names = ("length", "touch", "misfit")
+    changes = np.array([packed_change(each, names) for each in (touch, alarm)])
+    arrays = np.array([7.0, 8.0]), np.arange(4.0), np.arange(12.0).reshape(3, 4), changes
+    packet = Packet(1.0, 2.0, 3.0, 1.0, 5.0, 6.0, *arrays)
     again = Packet.unpacked(packet.packed())
     assert again[:6] == packet[:6]
     np.testing.assert_array_equal(again.noise, packet.noise)
     np.testing.assert_array_equal(again.rows, packet.rows)
+    later = [replace(each, noticed=each.noticed - 1.0, time=each.time - 1.0) for each in (touch, alarm)]
+    assert [unpacked_change(each, names, 1.0) for each in again.changes] == later
     long = hf.sampled_motion(np.linspace(0.0, 10.0, 700), np.zeros(700))
     with pytest.raises(InvalidInput, match="too long"):
         packed_motion(long, 0.0)
@@ -337,6 +374,26 @@ def test_a_state_source_predicts_to_now(source: CameraStateSource) -> None:
     tip = rope(20).joints(state.q, np.zeros(2))[-1]
     true = swing.joints[min(round(at * 600.0), len(swing.t) - 1), -1]
     assert np.linalg.norm(tip - true) < 0.05  # the tip moves at 3 m/s: 17 ms
+
+
+def test_a_change_reaches_the_reader(video: tuple[Path, MarkerColour], tmp_path: Path) -> None:
+    """Somebody bumps into the camera after 2.5 s: all moves by 6 px, 30 mm."""
+    with VideoReader(video[0]) as frames, VideoWriter(tmp_path / "bumped.mp4", (640, 480)) as bumped:
+        for frame in frames:
+            bumped.write(np.roll(frame.image, 6 if frame.time > 2.5 else 0, axis=1), frame.time)
+    place = str(tmp_path / "bumped.mp4"), rope(20), ARCS
+    wanted = {"parameters": [EstimatedParameter("scale", 0.01)], "tests": ChangeTests(("offset_x",))}
+    with CameraStateSource(*place, camera=camera(), colour=video[1], stalled=2.0, **wanted) as source:
+        source.wait_until_found(30.0)
+        found, until = source.now, time.monotonic() + 4.0
+        assert set(source.values) == {"scale"}
+        while not source.changes and time.monotonic() < until:
+            time.sleep(0.01)
+        (change,), values = source.changes, source.values
+    assert change.name == "offset_x"
+    assert change.size == pytest.approx(0.03, abs=0.003)
+    assert found < change.time < change.noticed < found + 3.2
+    assert set(values) == {"scale", "offset_x"}
 
 
 def test_a_killed_estimator_is_told_and_replaced(source: CameraStateSource) -> None:

@@ -18,7 +18,7 @@ from hyperflex.errors import InvalidInput
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hyperflex.estimate import EstimatedParameter
+    from hyperflex.estimate import ChangeTests, EstimatedParameter
 
 FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, INTERRUPTED = 1, 2, 3, 4, 130  # exit codes
 _ADVICE = re.compile(  # an argument with its value, as errors advise it
@@ -36,6 +36,17 @@ Click = Annotated[
 ]
 Estimate = Annotated[
     str, typer.Option(help="What is estimated beside the rope's state: scale=0.01,delay=0.02 (standard deviations).")
+]
+
+
+Changes = Annotated[
+    str,
+    typer.Option(
+        help="What is tested for changes: tip_mass,touch; none. [default: length, tip_mass, friction, drag, touch]"
+    ),
+]
+FalseAlarmInterval = Annotated[
+    float, typer.Option(help="Mean time between two false alarms of these tests, s, at least.")
 ]
 
 
@@ -169,6 +180,14 @@ def parameters(text: str) -> "list[EstimatedParameter]":
 
     named = (each.partition("=") for each in words([text]))
     return [EstimatedParameter(name.strip(), numbers("--estimate", [std], "scale=0.01")[0]) for name, _, std in named]
+
+
+def change_tests(changes: str, false_alarm_interval: float) -> "ChangeTests | None":
+    """Return what ``--changes tip_mass,touch`` and ``--false-alarm-interval`` ask for; None for ``none``."""
+    from hyperflex.estimate import ChangeTests
+
+    names = tuple(words([changes]))
+    return None if names == ("none",) else ChangeTests(names or None, false_alarm_interval)
 
 
 def _exists(path: Path) -> bool:

@@ -38,15 +38,8 @@ def track(
     preview: Annotated[Path | None, typer.Option(help="MP4 file that shows what was seen.")] = None,
     click: output.Click = None,
     estimate: output.Estimate = "",
-    changes: Annotated[
-        str,
-        typer.Option(
-            help="What is tested for changes: tip_mass,touch; none. [default: length, tip_mass, friction, drag, touch]"
-        ),
-    ] = "",
-    false_alarm_interval: Annotated[
-        float, typer.Option(help="Mean time between two false alarms of these tests, s, at least.")
-    ] = 600.0,
+    changes: output.Changes = "",
+    false_alarm_interval: output.FalseAlarmInterval = 600.0,
     json: output.Json = False,
 ) -> None:
     """Track a rope in a video by its markers and its dynamics.
@@ -68,7 +61,7 @@ def track(
         missing = [name for name, value in needed.items() if not value]
         fix = "Give them, or --bar and --pivot for a pendulum whose links are bars"
         raise InvalidInput("a rope with markers needs more to be tracked", got="no " + ", ".join(missing), fix=fix)
-    from hyperflex.estimate import ChangeTests, RopeFilter, RopeTracker, track_video
+    from hyperflex.estimate import RopeFilter, RopeTracker, track_video
     from hyperflex.model import Rope
     from hyperflex.vision import MarkerColour, MarkerDetector, VideoReader, read_camera
 
@@ -78,13 +71,12 @@ def track(
     with VideoReader(video) as reader:
         first = next(iter(reader)).image
     colour = MarkerColour.from_frame(first) if click is None else MarkerColour.from_click(first, click)
-    names = tuple(name.strip() for name in changes.split(",") if name.strip())
     estimator = RopeFilter(
         Rope.from_toml(rope),
         output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6"),
         camera=lens,
         parameters=output.parameters(estimate),
-        tests=None if changes == "none" else ChangeTests(names or None, false_alarm_interval),
+        tests=output.change_tests(changes, false_alarm_interval),
     )
     with _keeping(out, json), output.spinner(json) as said:
         found = track_video(

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,7 +19,7 @@ from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from hyperflex.estimate import FrameThread, LiveEstimate, RopeTracker, Watch
+    from hyperflex.estimate import Change, FrameThread, LiveEstimate, RopeTracker, Watch
     from hyperflex.vision import MarkerColour, VideoWriter
 
 _TICK, _FILE_TICK = 0.1, 5.0  # s without a frame after which an estimate is handed out all the same
@@ -42,6 +43,8 @@ def watch(
     ] = None,
     click: output.Click = None,
     estimate: output.Estimate = "",
+    changes: output.Changes = "",
+    false_alarm_interval: output.FalseAlarmInterval = 600.0,
     duration: Annotated[float | None, typer.Option(help="Stop after so long, s.")] = None,
     patience: Annotated[float, typer.Option(help="How long a source that broke off is tried again, s.")] = 10.0,
     json: Annotated[
@@ -50,7 +53,8 @@ def watch(
 ) -> None:
     """Follow a rope live by its markers and its dynamics, until the source ends or Ctrl-C.
 
-    At every frame, and while none comes, it says where the rope is, how old that is and how sure. The log is written
+    At every frame, and while none comes, it says where the rope is, how old that is and how sure, and what was noticed
+    to have changed: a mass at the tip, say, or a touch. The log is written
     when the run ends; an interrupted one is kept, and marked. A video is followed frame by frame, with --page at its
     own speed.
     """
@@ -72,7 +76,13 @@ def watch(
         frames = stack.enter_context(open_frames(camera, paced=page is not None, patience=patience))
         colour = _colour(frames, click, patience)
         task = TrackingTask(
-            camera, line, checks.array("--arc-lengths", arcs, (-1,)), lens, colour, None, output.parameters(estimate)
+            camera,
+            line,
+            checks.array("--arc-lengths", arcs, (-1,)),
+            lens,
+            colour,
+            parameters=output.parameters(estimate),
+            tests=output.change_tests(changes, false_alarm_interval),
         )
         task.rehearse()
         tracker = task.tracker()
@@ -152,11 +162,13 @@ class _Tally:
 
     def __init__(self) -> None:
         self.frames = self.found = self.seen = self.markers = self.news = 0
+        self.changes: list[Change] = []
         self.latency = [0] * 4096  # frames of 0 to 0.1 ms, 0.1 to 0.2 ms, ...
 
     def note(self, estimate: LiveEstimate) -> None:
         """Count an estimate."""
         self.news += len(estimate.news)
+        self.changes += [] if estimate.tracked is None else estimate.tracked.changes
         if estimate.frame is None:
             return
         self.frames += 1
@@ -174,6 +186,7 @@ class _Tally:
             "news": self.news,
             "noise_level": tracker.estimator.measurement_noise.value,
             "doubt": tracker.doubt,
+            "changes": [asdict(change) for change in self.changes],
             "estimated": {
                 name: {"value": value, "std": std} for name, (value, std) in tracker.estimator.values.items()
             },

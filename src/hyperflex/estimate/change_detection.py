@@ -21,8 +21,8 @@ SETTLED = 1.0  # s after the first frame from which on is tested
 MISFIT_LONGEST = 2.0  # s that a misfit lasts until it is told: noise levels remember a touch for about as long
 MISFITTING = 1.25  # times the declared noise of the markers that does not count
 DARK = 0.25  # s without any marker after which all tests begin anew
-SPACING = 0.1  # s between the moments at which a parameter may have changed; twice as much where they are twice as old
-PER_DOUBLING = 4
+SPACING = 0.1  # s between the moments at which a parameter may have changed; until they are that old, all frames are
+PER_DOUBLING = 4  # moments, from which on the spacing grows with their age
 LONGEST = 10.0  # s, the oldest of them
 TOUCH_SPACING = 0.03  # s between the moments at which a touch may have begun
 TOUCH_LONGEST = 0.35  # s, the oldest of them
@@ -76,9 +76,8 @@ class ChangeDetector:
     def __init__(self, tests: ChangeTests, process: Process, states: ParameterStates) -> None:
         rope = process.rope
         self.tests, self._process = tests, process
-        names = tests.names_for(rope)
         first = 2 * rope.n_links
-        self.names = tuple(name for name in names if name != TOUCH)
+        self.names = tests.parameters_for(rope)
         self._columns = [first + states.names.index(name) for name in self.names]
         self._heavier, self._mass = process.copy(), LIKELY_MASS * rope.total_mass
         self._tolerances = np.array([tests.tolerance(name, rope) for name in self.names])
@@ -86,7 +85,9 @@ class ChangeDetector:
         self._least = least[[states.names.index(name) for name in self.names]]
         self._values = np.zeros(len(self.names))
         self._size = first + len(states)
-        self.places: Array = np.arange(1.0, (PLACES if TOUCH in names else 0) + 1.0) * (rope.total_length / PLACES)
+        self.places: Array = np.arange(1.0, (PLACES if TOUCH in tests.names_for(rope) else 0) + 1.0) * (
+            rope.total_length / PLACES
+        )
         self._arms = lever_arms(rope, self.places)[1]
         self._force_tolerance = tests.tolerance(TOUCH, rope)
         self._latest = self._touched = -math.inf
@@ -102,7 +103,7 @@ class ChangeDetector:
         self._touches = Signatures(self._size, len(self.places), 2)
         self._moments, self._indices, self._begun = np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
         self._kicks: Array | None = None
-        self._count = 0
+        self._count, self._spaced = 0, -math.inf
 
     def predict(self, x: tuple[Array, Array], t: float, until: float, transition: Array) -> None:
         """Go on from time t, s, to `until`.
@@ -119,18 +120,18 @@ class ChangeDetector:
             return
         n = self._arms.shape[1]
         self._values = x[1][self._columns]
-        fresh = not self._moments.size or t >= self._moments[-1] + SPACING * (1.0 - 1e-6)
+        lasting = t >= self._spaced + SPACING * (1.0 - 1e-6)
         for name, column, each in zip(self.names, self._columns, self._parameters, strict=True):
             begun = transition[:, [column]]
             if name == "tip_mass":
                 each.states, begun = self._with_mass(x, t, until, transition, column, each.states)
             else:
                 each.predict(transition)
-            if fresh:
-                each.add(begun)
-        if fresh:
-            self._moments, self._indices = np.append(self._moments, t), np.append(self._indices, self._count)
-            self._count += 1
+            each.add(begun)
+        self._moments = np.append(self._moments, t)
+        self._indices = np.append(self._indices, self._count if lasting else -1)
+        if lasting:
+            self._spaced, self._count = t, self._count + 1
         self._touches.predict(transition)
         if not self.places.size:
             return
@@ -226,7 +227,8 @@ class ChangeDetector:
         """Return which moments at which parameters may have changed are kept: the older, the farther apart."""
         age = t - self._moments
         doublings = np.floor(np.log2(np.maximum(age / (PER_DOUBLING * SPACING), 1.0))).astype(int)
-        return np.asarray((age < LONGEST) & (self._indices % 2**doublings == 0))
+        spaced = (self._indices >= 0) & (self._indices % 2**doublings == 0)
+        return np.asarray((age < LONGEST) & (spaced | (age < SPACING)))
 
     def _evaluate(self, t: float, dt: float) -> Found | None:
         """Return the clearest sign of a change, if it is clear enough."""
@@ -294,9 +296,9 @@ class ChangeDetector:
 
     def _parameter_change(self, moment: int, k: int, theta: float, t: float, sure: float, log_p: float) -> Found:
         bank = self._parameters[k]
-        std = 1.0 / math.sqrt(bank.information[0, moment, moment])
+        std = DOUBT / math.sqrt(bank.information[0, moment, moment])
         change = Change(self.names[k], t, float(self._moments[moment]), theta, std, sure, log_p)
-        return Found(change, theta * bank.states[:, moment], DOUBT * std * bank.states[:, moment][None])
+        return Found(change, theta * bank.states[:, moment], std * bank.states[:, moment][None])
 
     def _touch_change(
         self, best: int, forces: tuple[Array, Array], t: float, sure: float, log_p: float, again: bool

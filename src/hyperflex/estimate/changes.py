@@ -64,6 +64,10 @@ class ChangeTests:
         always = ("length", "tip_mass", TOUCH)
         return tuple(name for name in (*DYNAMIC, TOUCH) if name in always or getattr(rope, name).any())
 
+    def parameters_for(self, rope: Rope) -> tuple[str, ...]:
+        """Return which parameters of a rope are tested: all but touches."""
+        return tuple(name for name in self.names_for(rope) if name != TOUCH)
+
     def tolerance(self, name: str, rope: Rope) -> float:
         """Return the largest size of a parameter's change, or of a touch's force, that does not count."""
         if name in self.tolerances:

@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.change_detection import SETTLED, ChangeDetector, Found
-from hyperflex.estimate.changes import TOUCH, Change, ChangeTests
+from hyperflex.estimate.changes import Change, ChangeTests
 from hyperflex.estimate.gate import ValidationGate
 from hyperflex.estimate.noise import AT_REST, QUIET, NoiseDerivatives, NoiseLevel
 from hyperflex.estimate.observations import MarkerModel, Observations, polyline_angles
@@ -82,10 +82,8 @@ class RopeFilter:
         readout: float = 0.0,
         tests: ChangeTests | None = None,
     ) -> None:
-        watched = () if tests is None else tests.names_for(rope)
-        self.parameters = ParameterStates(
-            parameters, rope, [name for name in watched if name != TOUCH], motion is not None
-        )
+        tested = () if tests is None else tests.parameters_for(rope)
+        self.parameters = ParameterStates(parameters, rope, tested, motion is not None)
         self.process = Process(rope, self.parameters, motion, arm)
         self.model = MarkerModel(
             rope, arc_lengths, self.parameters, camera, readout if camera is None else camera.readout
@@ -99,7 +97,7 @@ class RopeFilter:
         self.innovation: sr.Innovation | None = None
         n = rope.n_links
         self.x = np.concatenate([np.zeros(2 * n), self.parameters.value_at_start])
-        self.factor = np.zeros((self.x.size, self.x.size))
+        self.factor = np.diag(np.concatenate([np.zeros(2 * n), self.parameters.std]))
         self.changes: tuple[Change, ...] = ()
         self._detector = None if tests is None else ChangeDetector(tests, self.process, self.parameters)
         self._std = self.parameters.std.copy()
@@ -125,13 +123,7 @@ class RopeFilter:
     @property
     def values(self) -> dict[str, tuple[float, float]]:
         """Value and standard deviation of each parameter that is estimated, or has been noticed to have changed."""
-        first = 2 * self.n_links
-        std = np.linalg.norm(self.factor[:, first:], axis=0)
-        return {
-            name: (float(value), float(each))
-            for name, value, each, free in zip(self.parameters.names, self.x[first:], std, self._std > 0.0, strict=True)
-            if free
-        }
+        return self.parameters.estimates(self.x, self.factor)
 
     def predict(self, dt: float) -> None:
         """Go on by `dt`, s, without looking.

@@ -105,6 +105,24 @@ class ParameterStates:
         """Return one parameter's value; 0 where it is not estimated."""
         return float(values[self.names.index(name)]) if name in self.names else 0.0
 
+    def estimates(self, x: Array, rows: Array) -> dict[str, tuple[float, float]]:
+        """Return value and standard deviation of each parameter that is not held.
+
+        Parameters
+        ----------
+        x : (N,) float64
+            State, with the parameters at its end.
+        rows : (r, N) float64
+            Their squares are its covariance.
+        """
+        first = x.size - len(self)
+        std = np.linalg.norm(rows[:, first:], axis=0)
+        return {
+            name: (float(value), float(each))
+            for name, value, each in zip(self.names, x[first:], std, strict=True)
+            if each > 0.0
+        }
+
     def directions(self) -> list[str | dict[str, dict[str, Array]]]:
         """Return the directions of what the motion depends on, as ``sensitivities`` takes them."""
         names = [self.names[k] for k in self.dynamic]

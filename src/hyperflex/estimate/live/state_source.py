@@ -11,9 +11,18 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.errors import EstimatorLost, InvalidInput
+from hyperflex.estimate.changes import Change, ChangeTests
 from hyperflex.estimate.live.shared_array import SharedArray
-from hyperflex.estimate.live.worker import MOTION_SIZE, READY, Packet, TrackingTask, packed_motion, packet_size, work
-from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
+from hyperflex.estimate.live.worker import (
+    MOTION_SIZE,
+    READY,
+    Packet,
+    TrackingTask,
+    packed_motion,
+    unpacked_change,
+    work,
+)
+from hyperflex.estimate.parameters import EstimatedParameter
 from hyperflex.estimate.process import Process
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
@@ -44,6 +53,8 @@ class CameraStateSource:
     arm : Arm, optional
         On which the rope hangs; by default from a fixed point, whatever the motion says.
     parameters : sequence of EstimatedParameter
+    tests : ChangeTests, optional
+        What is tested for changes, for :attr:`changes`; by default nothing.
     longest : float
         A state is handed out for that long after a marker was last seen, s.
     stalled : float
@@ -68,26 +79,25 @@ class CameraStateSource:
         colour: MarkerColour,
         arm: Arm | None = None,
         parameters: Sequence[EstimatedParameter] = (),
+        tests: ChangeTests | None = None,
         longest: float = 1.0,
         stalled: float = 1.0,
         start_timeout: float = 180.0,
     ) -> None:
-        self._task = TrackingTask(source, rope, np.array(arc_lengths, float), camera, colour, arm, tuple(parameters))
+        arcs = np.array(arc_lengths, float)
+        self._task = TrackingTask(source, rope, arcs, camera, colour, arm, tuple(parameters), tests)
         self._task.tracker()  # refuses here what cannot be used
         self.longest = checks.number("longest", longest, sign="positive", unit="s")
         self.stalled = checks.number("stalled", stalled, sign="positive", unit="s")
         self.start_timeout = checks.number("start_timeout", start_timeout, sign="positive", unit="s")
         self._arm = arm
-        motion = None if arm is None else hold_arm(0.0)
-        states = ParameterStates(self._task.parameters, rope, (), motion is not None)
-        self._model = Process(rope, states, motion, arm)
+        self._model = Process(rope, self._task.states, None if arm is None else hold_arm(0.0), arm)
         self._motion: Motion | None = None
         self._zero = 0.0
         self._worker: multiprocessing.process.BaseProcess | None = None
 
     def __enter__(self) -> Self:
-        n, p = self._task.rope.n_links, len(self._task.parameters)
-        self._states, self._motions = SharedArray(packet_size(n, p)), SharedArray(MOTION_SIZE)
+        self._states, self._motions = SharedArray(self._task.packet_size), SharedArray(MOTION_SIZE)
         try:
             self._start()
         except BaseException:
@@ -162,6 +172,19 @@ class CameraStateSource:
         begin, n = packet.t - self._zero, self._task.rope.n_links
         until = moment + self._model.parameters.value("delay", packet.x[2 * n :])
         return self._model.state_at(packet.x, packet.rows, begin, max(until, begin), packet.noise)
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """The last 16 changes that `tests` have noticed, the newest last; their times are since t = 0."""
+        packet = self._newest()
+        noticed = () if packet is None else packet.changes
+        return tuple(unpacked_change(each, self._task.changing, self._zero) for each in noticed)
+
+    @property
+    def values(self) -> dict[str, tuple[float, float]]:
+        """Value and standard deviation of each parameter that is estimated, or has been noticed to have changed."""
+        packet = self._newest()
+        return {} if packet is None or not packet.found else self._model.parameters.estimates(packet.x, packet.rows)
 
     def restart(self) -> None:
         """End the process, if it still runs, and begin another; the shared memory and t = 0 stay.

@@ -133,6 +133,8 @@ class Watch:
                 self._news.append(f"the estimate was lost and begins anew: {error}")
                 estimator.restart()
         t = frame.time - self.tracker.camera.delay + 0.5 * self.tracker.camera.readout
+        if tracked is not None:
+            self._news += [str(change) for change in tracked.changes]
         if tracked is not None and tracked.state is not None:
             self._seen_at = max(self._seen_at, tracked.t - estimator.age)
         return self._estimate(t, frame, tracked, time.monotonic() - arrival.at)

@@ -4,6 +4,7 @@ import math
 import multiprocessing
 import signal
 import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -13,11 +14,12 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, InvalidInput
+from hyperflex.estimate.changes import MISFIT, Change, ChangeTests
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.live.frames import Arrival, open_frames
 from hyperflex.estimate.live.shared_array import SharedArray
 from hyperflex.estimate.live.watch import LiveEstimate, Watch
-from hyperflex.estimate.parameters import EstimatedParameter
+from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.tracker import RopeTracker
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion, hold_arm
@@ -26,6 +28,8 @@ from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector
 READY = "ready"
 TICK = 0.05  # s, longest time between two signs of life
 MOST_PIECES = 512  # of a motion
+MOST_CHANGES = 16  # that are remembered
+_CHANGE_SIZE = 10
 _DRIFT = 1e-4  # s per s, by which the clocks of camera and machine may drift apart
 _PRACTICE = 3  # frames
 
@@ -38,7 +42,7 @@ class TrackingTask:
     ----------
     source : int or str
         Camera, stream or file.
-    rope, arc_lengths, camera, arm, parameters
+    rope, arc_lengths, camera, arm, parameters, tests
         As of :class:`RopeFilter`; an arm is at rest until :meth:`Process.set_motion`.
     colour : MarkerColour
     """
@@ -50,6 +54,24 @@ class TrackingTask:
     colour: MarkerColour
     arm: Arm | None = None
     parameters: Sequence[EstimatedParameter] = field(default_factory=tuple)
+    tests: ChangeTests | None = None
+
+    @property
+    def states(self) -> ParameterStates:
+        """The parameters that are estimated, and those that are tested for changes."""
+        tested = () if self.tests is None else self.tests.parameters_for(self.rope)
+        return ParameterStates(self.parameters, self.rope, tested, self.arm is not None)
+
+    @property
+    def changing(self) -> tuple[str, ...]:
+        """Names of what may be noticed to have changed."""
+        return () if self.tests is None else (*self.tests.names_for(self.rope), MISFIT)
+
+    @property
+    def packet_size(self) -> int:
+        """The most numbers that a :class:`Packet` has."""
+        size = 2 * self.rope.n_links + len(self.states)
+        return 11 + size * (1 + size) + MOST_CHANGES * _CHANGE_SIZE
 
     def tracker(self) -> RopeTracker:
         """Return what is to follow the rope."""
@@ -60,6 +82,7 @@ class TrackingTask:
             arm=self.arm,
             camera=self.camera,
             parameters=self.parameters,
+            tests=self.tests,
         )
         return RopeTracker(estimator, MarkerDetector(self.colour))
 
@@ -100,6 +123,8 @@ class Packet(NamedTuple):
     x : (N,) float64
     rows : (r, N) float64
         Their squares are the covariance of x.
+    changes : (c, 10) float64
+        The last that were noticed, as of :func:`packed_change`.
     """
 
     written: float
@@ -111,24 +136,47 @@ class Packet(NamedTuple):
     noise: Array
     x: Array
     rows: Array
+    changes: Array
 
     def packed(self) -> Array:
         """Return it as plain numbers."""
-        return np.concatenate([self[:6], self.noise, [self.x.size, len(self.rows)], self.x, self.rows.ravel()])
+        sizes = [self.x.size, len(self.rows), len(self.changes)]
+        return np.concatenate([self[:6], self.noise, sizes, self.x, self.rows.ravel(), self.changes.ravel()])
 
     @classmethod
     def unpacked(cls, values: Array) -> "Packet":
         """Return what :meth:`packed` has made plain numbers."""
-        size, count = int(values[8]), int(values[9])
-        x, rows = values[10 : 10 + size], values[10 + size : 10 + size * (1 + count)]
+        size, count, changes = values[8:11].astype(int).tolist()
+        x, rows, noticed = np.split(
+            values[11 : 11 + size * (1 + count) + changes * _CHANGE_SIZE], [size, size * (1 + count)]
+        )
         written, t, seen_at, found, frames, seen = values[:6].tolist()
-        return cls(written, t, seen_at, found, frames, seen, values[6:8], x, rows.reshape(count, size))
+        given = rows.reshape(count, size), noticed.reshape(changes, _CHANGE_SIZE)
+        return cls(written, t, seen_at, found, frames, seen, values[6:8], x, *given)
 
 
-def packet_size(n_links: int, parameters: int) -> int:
-    """Return the most numbers that a :class:`Packet` has."""
-    size = 2 * n_links + parameters
-    return 10 + size * (1 + size)
+def packed_change(change: Change, names: Sequence[str]) -> Array:
+    """Return a change as plain numbers (10,), its name as its place among `names`; NaN is what it does not have."""
+    place = math.nan if change.arc_length is None else change.arc_length
+    impulse = (math.nan, math.nan) if change.impulse is None else change.impulse
+    known = change.noticed, change.time, change.size, change.std, change.probability, change.log_false_alarm
+    return np.array([names.index(change.name), *known, place, *impulse])
+
+
+def unpacked_change(values: Array, names: Sequence[str], zero: float) -> Change:
+    """Return the change, its times since `zero`, s."""
+    noticed, time, size, std, probability, log_false_alarm, place, x, y = values[1:].tolist()
+    return Change(
+        names[int(values[0])],
+        noticed - zero,
+        time - zero,
+        size,
+        std,
+        probability,
+        log_false_alarm,
+        None if math.isnan(place) else place,
+        None if math.isnan(x) else (x, y),
+    )
 
 
 def packed_motion(motion: Motion, zero: float) -> Array:
@@ -176,8 +224,7 @@ class StampClock:
 def work(task: TrackingTask, states: str, motions: str, said: Connection) -> None:
     """Estimate until the parent ends or asks for it; what goes wrong is said through the pipe, as text."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to deal with
-    size = packet_size(task.rope.n_links, len(task.parameters))
-    out, given = SharedArray(size, states), SharedArray(MOTION_SIZE, motions)
+    out, given = SharedArray(task.packet_size, states), SharedArray(MOTION_SIZE, motions)
     try:
         _follow(task, out, given, said)
     except HyperflexError as error:
@@ -204,16 +251,19 @@ def _follow(task: TrackingTask, out: SharedArray, given: SharedArray, said: Conn
     with open_frames(task.source, paced=True) as frames, threadpool_limits(1):
         watch = Watch(frames, tracker, interval=TICK, retime=StampClock(), before=take_motion)
         said.send_bytes(READY.encode())
-        count = 0
+        count, names = 0, task.changing
+        changes = deque[Array](maxlen=MOST_CHANGES)
         for estimate in watch:
             count += estimate.frame is not None
-            out.write(_packet(estimate, estimator, count).packed())
+            if estimate.tracked is not None:
+                changes.extend(packed_change(change, names) for change in estimate.tracked.changes)
+            out.write(_packet(estimate, estimator, count, list(changes)).packed())
             if parent is None or not parent.is_alive():
                 return
         said.send_bytes(f"no more frames come: {frames.ended}".encode())
 
 
-def _packet(estimate: LiveEstimate, estimator: RopeFilter, frames: int) -> Packet:
+def _packet(estimate: LiveEstimate, estimator: RopeFilter, frames: int, changes: list[Array]) -> Packet:
     found = estimate.found and estimator.t is not None
     t = estimator.t if found and estimator.t is not None else estimate.t
     return Packet(
@@ -228,4 +278,5 @@ def _packet(estimate: LiveEstimate, estimator: RopeFilter, frames: int) -> Packe
         if found
         else np.concatenate([estimate.state.q, estimate.state.qd, np.zeros(len(estimator.parameters))]),
         estimator.factor if found else np.zeros((0, estimator.x.size)),
+        np.reshape(changes, (-1, _CHANGE_SIZE)),
     )
