@@ -24,7 +24,7 @@ from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import scaling
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.uncertainty.covariance import Information, estimate_covariance, ratio_spread
-from hyperflex.identification.uncertainty.noise import autocorrelation
+from hyperflex.identification.uncertainty.noise import Piece, autocorrelation
 from hyperflex.identification.verdict import (
     failed_predictions,
     not_converged,
@@ -154,7 +154,7 @@ def test_a_mass_that_alone_sets_the_common_factor_is_not_called_idle() -> None:
     known, unknown = np.array([[0.0], [1.0]]), np.array([[1.0], [0.0]])
     x, widths, covariance = parameters.start, parameters.widths, np.diag([0.0, 1e-6])
     information = Information(x, widths, np.array([1.0, 0.0]), known, unknown, covariance, 1.0)
-    (text,) = verdict(parameters, information, parameters.rope(x), {})
+    (text,) = verdict(parameters, information, {})
     assert text.startswith(f"One common factor of mass {COMMON}")
 
 
@@ -452,9 +452,17 @@ def test_autocorrelation_of_known_processes() -> None:
     coloured = white.copy()
     for k in range(1, white.size):
         coloured[k] = 0.8 * coloured[k - 1] + 0.6 * white[k]
-    assert autocorrelation([white]) == pytest.approx(1.0, abs=0.1)  # no lag above 0.05 at this length
+    gaps = np.ones_like(white)
+    gaps[random.random(white.size) < 0.3] = 0.0
+
+    def time(values: Array, seen: Array) -> float:
+        return autocorrelation([Piece(values * seen, seen, np.zeros((*values.shape, 0)))])
+
+    whole = np.ones_like(white)
+    assert time(white, whole) == pytest.approx(1.0, abs=0.1)  # no lag above 0.05 at this length
     # 1 + 2 * 0.8 / 0.2 = 9, less the tail below 0.05 (0.8^14 on: 2 * 0.044 / 0.2 = 0.44), and sampling
-    assert autocorrelation([coloured]) == pytest.approx(8.6, rel=0.15)
+    assert time(coloured, whole) == pytest.approx(8.6, rel=0.15)
+    assert time(coloured, gaps) == pytest.approx(time(coloured, whole), rel=0.1)  # gaps are no whiter
 
 
 def test_every_parameter_goes_into_the_rope_and_comes_back() -> None:

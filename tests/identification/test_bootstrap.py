@@ -42,7 +42,7 @@ def test_fits_scatter_as_the_covariance_says(found: Identification) -> None:
     result = bootstrap(found, 60)
     assert result.names == found.parameters
     assert (result.samples.shape, result.failed, result.interrupted) == ((60, 2), 0, False)
-    std = np.sqrt(np.diag(found.covariance))
+    std = np.array([np.sqrt(found.std[n][0] ** 2 - found.model_std[n][0] ** 2) for n in ("inertia", "friction")])
     np.testing.assert_allclose(
         result.samples.std(axis=0), std, rtol=0.35
     )  # a standard deviation from 60 draws is known to 9 %

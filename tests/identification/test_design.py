@@ -29,7 +29,8 @@ def test_predicted_deviations_are_those_of_many_fits() -> None:
         noise = NOISE * np.random.default_rng(seed).standard_normal(run.q.shape)
         found = identify(Recording(SHORT.t, run.q + noise), SINGLE, ["inertia", "friction"], train=np.inf)
         values.append([float(found.values[name][0]) for name in ("inertia", "friction")])
-        stated.append([float(found.std[name][0]) for name in ("inertia", "friction")])
+        parts = [(found.std[name][0], found.model_std[name][0]) for name in ("inertia", "friction")]
+        stated.append([float(np.sqrt(std**2 - model**2)) for std, model in parts])  # what noise does
     predicted = np.array(list(planned.std.values()))
     np.testing.assert_allclose(np.std(values, axis=0, ddof=1), predicted, rtol=0.39)
     # The fits estimate the noise from some 115 values (6 % each, 1 % on the mean) and differ in curvature by the noise

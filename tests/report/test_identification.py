@@ -126,7 +126,7 @@ def test_model_error_and_predictions_that_hold_are_one_statement(tmp_path, swing
     assert "can be believed" not in verdict
     assert 'class="fine"' not in verdict
     assert verdict.count('class="warn"') == 1
-    assert "Standard deviations and intervals then tell little" in verdict
+    assert "Standard deviations and intervals hold what other laws" in verdict
     assert "Predictions over" in verdict
 
 

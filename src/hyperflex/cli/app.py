@@ -57,7 +57,7 @@ def hyperflex(
     """Robots that use a rope as an arm: simulate it, identify it, cast it.
 
     Exit codes: 0 done, 1 a bug in hyperflex, 2 refused or failed with a message, 3 the fit did not converge, 4 no
-    cast that winds and holds, or whip that meets its target, was found, 130 interrupted.
+    cast that winds and holds, or whip that meets its target, was found, 5 the fit is not to be used, 130 interrupted.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())

@@ -69,7 +69,11 @@ def identify(
 
     Ctrl-C ends the fit; the best so far is printed and written, marked as interrupted.
 
-    The exit code is 3 if the fit did not converge; the rope is written all the same, marked as not converged.
+    The first line says what the result may be used for: usable, usable for ratios (masses, inertias and frictions
+    share a factor that a free swing does not tell), or do not use, and why.
+
+    The exit code is 3 if the fit did not converge, 5 if it did and is not to be used: what was declared or held does
+    not fit, say. The rope is written all the same, with the grade.
     """
     from hyperflex.identification import identify as run
     from hyperflex.model import Rope
@@ -126,6 +130,8 @@ def identify(
         _show(result, files)
     if not result.success:
         raise typer.Exit(output.NOT_CONVERGED)
+    if result.grade.name == "do not use":
+        raise typer.Exit(output.NOT_USABLE)
 
 
 def _folder(out: Path) -> bool:
@@ -180,6 +186,9 @@ def _show(found: "Identification", files: dict[str, Path]) -> None:
     """Print what was found and what to look at."""
     from hyperflex.report import parameters_table, ratios_table, readable_unit
 
+    output.console().print(str(found.grade), markup=False, style="bold")
+    for reason in found.grade.more:
+        output.console().print(f"  {reason}", markup=False)
     unit = readable_unit(found.unit, found.residual_rms)
     pairs = [("ended", found.message), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
     if (held := found.held_out) is not None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from hyperflex.estimate import ChangeTests, EstimatedParameter
 
-FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, INTERRUPTED = 1, 2, 3, 4, 130  # exit codes
+FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, NOT_USABLE, INTERRUPTED = 1, 2, 3, 4, 5, 130  # exit codes
 _ADVICE = re.compile(  # an argument with its value, as errors advise it
     r"\b(?P<name>kind|columns|time_unit|time|unit|frame_rate|y_axis|scale|zero|sense|angles|wrapped|noise|arc_lengths|origin|"
     r"window|train|loss|intervals|max_rate)=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|[\w.]+)"

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests, with_model_error
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
 from hyperflex.identification.fit.multiple_shooting import Report, one_thread
@@ -27,7 +28,7 @@ from hyperflex.identification.measurements import (
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant, pivot_places
-from hyperflex.identification.prediction import predict, prediction_uncertainty
+from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
 from hyperflex.identification.result import Identification, assemble_result
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
@@ -162,20 +163,27 @@ def identify(
     length = min(length, 1.001 * fitted.channels.duration)
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
     basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
+    tests: tuple[ScoreTest, ...] = ()
+    held_out: HeldOut | None = None
     how = intervals if found.converged or intervals is None else "covariance"
+    try:
+        if found.converged:
+            tests = score_tests(basis)
+            basis = with_model_error(basis, tests)
+    except KeyboardInterrupt:  # what was fitted is worth more than its trial
+        found.interrupted = True
     ranges = None if how is None else all_intervals(basis, how, report=_reporter(progress))
-    held_out = None
     try:
         if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
             spread = prediction_uncertainty(basis, measured.channels.data.shape[1])
             held_out = predict(foretold, found.x, rest, lead, ahead, Loss(loss), spread)
-    except KeyboardInterrupt:  # what was fitted is worth more than its trial
+    except KeyboardInterrupt:
         found.interrupted = True
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
     settings |= delay | _fit_settings(plant, free, loss, origin)
     remark = "" if arc_lengths is not None else other_lengths(recording, rope_guess)
-    return assemble_result(basis, held_out, settings, remark, ranges)
+    return assemble_result(basis, held_out, settings, remark, ranges, tests)
 
 
 def _checked(

@@ -53,6 +53,20 @@ class HeldOut:
         return float((away <= BAND * self.std[known]).mean()) if known.any() else float("nan")
 
     @property
+    def persistence(self) -> float:
+        """Error of predicting that all stays as it was when the prediction began, rms over all values, rad or m."""
+        began = np.searchsorted(self.starts, self.t, side="left") - 1
+        off = np.full_like(self.measured, np.nan)
+        for k in range(self.starts.size):
+            piece = self.measured[began == k]
+            for c, column in enumerate(piece.T):
+                known = column[~np.isnan(column)]
+                if known.size:
+                    off[began == k, c] = column - known[0]
+        known = off[~np.isnan(off)]
+        return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+
+    @property
     def failed(self) -> Array:
         """Start times of the predictions that failed, s."""
         return self.starts[np.isinf(self.window_rms).any(axis=1)]
@@ -148,7 +162,7 @@ def prediction_uncertainty(basis: Basis, channels: int) -> PredictionUncertainty
         squares = squares + (counts * error**2).sum(axis=0)
         counted = counted + counts.sum(axis=0)
     noise = np.sqrt(squares / np.maximum(counted, 1e-300))[:channels]
-    return PredictionUncertainty(information.covariance, noise, information.correlation)
+    return PredictionUncertainty(information.total, noise, information.correlation)
 
 
 def prediction_std(

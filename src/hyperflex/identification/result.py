@@ -9,10 +9,13 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
+from hyperflex.identification.diagnosis.grade import Grade, grade
+from hyperflex.identification.diagnosis.score_tests import ScoreTest, law_error
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_ratios, ratio_spread, ratios
+from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_ratios, ratio_gradients, ratios
+from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.identification.verdict import (
     consistent,
     failed_predictions,
@@ -28,6 +31,7 @@ from hyperflex.model import Rope
 from hyperflex.sensors import Angles
 
 MANY = 8  # numbers of a kind that are printed
+LARGE = 0.3  # part of a standard deviation from which the model's is printed
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +48,15 @@ class Identification(Ended):
     ratios, ratio_std : dict of str to ndarray (n,)
         ``J/p1``, ``p/p1``, ``c/p1`` and of other resistances, identifiable without known forces
         (p_i = m_i a_i + l_i m_beyond, J_i = inertia_i + m_i a_i^2 + l_i^2 m_beyond; p1 is that of link 0).
+    model_std, ratio_model_std : dict of str to ndarray
+        The part of `std` and `ratio_std` that errors of the model have: what the values would move by if laws of the
+        joints and of the air that were left out, and that the data ask for, were in. The rest is of noise.
     intervals : dict of str to Interval
         95 %, of each of `parameters` and of each link's ratios (``J/p1[0]``). Empty where none were asked for.
+    grade : Grade
+        What it may be used for: its ``name`` is ``usable``, ``usable for ratios`` or ``do not use``, with ``reasons``.
+    score_tests : tuple of ScoreTest
+        What the data say of what was held or declared; the greatest gain first. Empty where the fit did not converge.
     verdict : tuple of str
         In words: what can be known, what cannot, and what looks wrong.
     identifiable : bool
@@ -83,7 +94,11 @@ class Identification(Ended):
     std: dict[str, Array]
     ratios: dict[str, Array]
     ratio_std: dict[str, Array]
+    model_std: dict[str, Array]
+    ratio_model_std: dict[str, Array]
     intervals: dict[str, Interval]
+    grade: Grade
+    score_tests: tuple[ScoreTest, ...]
     verdict: tuple[str, ...]
     identifiable: bool
     residual_rms: Array
@@ -119,8 +134,9 @@ class Identification(Ended):
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
-        alike = ("identifiable", "unit", "values", "std", "ratios", "ratio_std", "parameters", "covariance")
-        result: dict[str, Any] = self.ending() | {name: getattr(self, name) for name in alike}
+        alike = ("identifiable", "unit", "values", "std", "model_std", "ratios", "ratio_std", "ratio_model_std")
+        result: dict[str, Any] = {"grade": self.grade.name, "reasons": self.grade.reasons} | self.ending()
+        result |= {name: getattr(self, name) for name in (*alike, "parameters", "covariance")}
         result["intervals"] = {
             name: {"low": each.low, "high": each.high, "kind": each.kind} for name, each in self.intervals.items()
         }
@@ -131,6 +147,10 @@ class Identification(Ended):
             held = self.held_out
             result["held_out"] = {"lead": held.lead, "ahead": held.ahead, "predictions": held.starts.size}
             result["held_out"] |= {"rms": held.rms, "window_rms": held.window_rms, "inside_band": held.inside}
+        result["score_tests"] = {
+            each.name: {"gain": each.gain, "values": each.values, "refitted": each.refitted}
+            for each in self.score_tests
+        }
         result |= {"verdict": self.verdict, "settings": self.settings, "rope": self.rope.table()}
         return dict(files.plain(result))
 
@@ -146,10 +166,14 @@ class Identification(Ended):
     def __str__(self) -> str:
         settings = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in self.settings.items()}
         said = ", ".join(f"{k} {v}" for k, v in settings.items() if not isinstance(v, list))
-        lines = [f"Identification {self.message}: {said}"]
-        for title, value, spread in (("value", self.values, self.std), ("ratio", self.ratios, self.ratio_std)):
+        lines = [str(self.grade), f"Identification {self.message}: {said}"]
+        kinds = (
+            ("value", self.values, self.std, self.model_std),
+            ("ratio", self.ratios, self.ratio_std, self.ratio_model_std),
+        )
+        for title, value, spread, model in kinds:
             for name, numbers in value.items():
-                if said := _with_std(np.atleast_1d(numbers), np.atleast_1d(spread[name])):
+                if said := _with_std(*(np.atleast_1d(each) for each in (numbers, spread[name], model[name]))):
                     lines.append(f"  {title} {name:<13} {said}")
         ranges = [(name, self.intervals[name]) for name in self.parameters if name in self.intervals]
         lines += [f"  {100 * each.level:g} % {name:<13} {each}" for name, each in ranges[:MANY]]
@@ -161,12 +185,18 @@ class Identification(Ended):
         if self.held_out is not None:
             errors = _first_few([f"{1e3 * x:.2f}" for x in self.held_out.rms])
             lines.append(f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  {errors}")
-        return "\n".join([*lines, *(f"  {text}" for text in self.verdict)])
+        return "\n".join([*lines, *(f"  {text}" for text in (*self.grade.more, *self.verdict))])
 
 
-def _with_std(values: Array, spreads: Array) -> str:
-    """Return values (n,) with their deviations; those that were held are left out, what all links share stands once."""
-    pairs = [f"{x:.5g} ± {s:.2g}" for x, s in zip(values, spreads, strict=True)]
+def _with_std(values: Array, spreads: Array, models: Array) -> str:
+    """Return values (n,) with their deviations, and the model's part of these where it is large.
+
+    Those that were held are left out, what all links share stands once.
+    """
+    pairs = [
+        f"{x:.5g} ± {s:.2g}" + (f" (model {m:.2g})" if m > LARGE * s else "")
+        for x, s, m in zip(values, spreads, models, strict=True)
+    ]
     free = np.flatnonzero(spreads)
     if len(pairs) > 1 and len(set(pairs)) == 1:
         return f"{pairs[0]} each" if free.size else ""
@@ -196,6 +226,7 @@ def assemble_result(
     settings: dict[str, Any],
     remark: str,
     intervals: dict[str, Interval] | None = None,
+    tests: tuple[ScoreTest, ...] = (),
 ) -> Identification:
     """Return the result of a fit; `remark` joins the verdict, intervals of the ratios those of the parameters."""
     plant, information, found, windows = basis.plant, basis.information, basis.fit, basis.windows
@@ -212,12 +243,14 @@ def assemble_result(
     if plant.motor is not None:
         residuals, torque = residuals[:, :-1], residuals[:, -1]
     rms = np.sqrt(np.nanmean(residuals**2, axis=0))
-    ratio_std = ratio_spread(parameters, information)
+    gradients, known = ratio_gradients(parameters, information.x), ratios(rope, parameters.names)
+    ratio_std = {name: information.spread(gradient) for name, gradient in gradients.items()}
     message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
+    poor = poor_fit(windows, residuals, unit, found.loss, white=information.whiteness >= CHANCE)
     words = [
         not_converged(message),
-        *verdict(parameters, information, rope, ratio_std),
-        poor_fit(windows, residuals, unit, found.loss),
+        *verdict(parameters, information, ratio_std),
+        poor,
         poor_torque(windows, torque, found.loss),
         not_noise(information.correlation, information.whiteness),
         noise_not_modelled(information.agrees, information.freedom),
@@ -227,23 +260,41 @@ def assemble_result(
     if ((weights != 0.0) & (weights != 1.0)).any():  # the recording says what its noise is
         words.append(too_large(information.variance, information.freedom))
     words += [each.remark for each in (intervals or {}).values()]
+    identifiable = information.unknown.shape[1] == 0
+    warnings = [not_converged(message), poor, poor_torque(windows, torque, found.loss)]
+    left_out = settings["left_out"] / max(1, settings["left_out"] + settings["windows"])
+    turned = parameters.single("gravity_angle", x)
+    graded = grade(
+        warnings,
+        rope,
+        held_out,
+        tests,
+        identifiable=identifiable,
+        laws=law_error(basis, tests),
+        turned=turned,
+        left_out=left_out,
+    )
     if intervals is not None:
-        intervals = intervals | of_ratios(ratios(rope), ratio_std, information.freedom)
+        intervals = intervals | of_ratios(known, ratio_std, information.freedom)
     result = Identification(
         rope=rope,
         values=_by_name(plant, rope, parameters.values(x)),
         std=_by_name(plant, None, spreads),
-        ratios=ratios(rope),
+        ratios=known,
         ratio_std=ratio_std,
+        model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
+        ratio_model_std={name: information.model_spread(gradient) for name, gradient in gradients.items()},
         intervals=intervals or {},
+        grade=graded,
+        score_tests=tests,
         verdict=tuple(consistent(words)),
-        identifiable=information.unknown.shape[1] == 0,
+        identifiable=identifiable,
         residual_rms=rms,
         residual_t=np.concatenate([w.t for w in windows]),
         residuals=residuals,
         held_out=held_out,
         parameters=parameters.labels,
-        covariance=information.covariance * np.outer(slopes, slopes),
+        covariance=information.total * np.outer(slopes, slopes),
         singular_values=information.singular,
         settings=settings,
         message=message,

@@ -12,15 +12,15 @@ from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.scale import common_factor, in_common_factor
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import TOUCHED, Information
+from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
 CORRELATED = 10.0  # samples
 FEW = 2.0  # independent values; a variance from fewer has no std
-CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
 COLOURED = (
     "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
-    "and intervals allow for the first, not for the second: parameters may be biased."
+    "and intervals allow for the first, and for other laws of the joints and of the air, not for more."
 )
 ALL_KNOWN = "All free parameters can be known from this motion, given those that were held."
 ALL_ACT = (
@@ -30,9 +30,9 @@ ALL_ACT = (
 LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a link
 
 
-def verdict(parameters: Parameters, information: Information, rope: Rope, spreads: dict[str, Array]) -> list[str]:
-    """Return in words what is identifiable; `rope` as fitted, `spreads` (n,) standard deviations of the ratios."""
-    return _unknown(parameters, information, spreads) + _values(parameters, information, rope)
+def verdict(parameters: Parameters, information: Information, spreads: dict[str, Array]) -> list[str]:
+    """Return in words what is identifiable; `spreads` (n,) are standard deviations of the ratios."""
+    return _unknown(parameters, information, spreads) + _values(parameters, information)
 
 
 def not_converged(message: str) -> str:
@@ -57,8 +57,8 @@ def not_noise(correlation: float, whiteness: float = 1.0) -> str:
         return "" if whiteness >= CHANCE else COLOURED
     return (
         f"The residuals are no noise (they hang together over {correlation:.0f} samples) but errors of the model: it "
-        "leaves something out. Standard deviations and intervals then tell little: they say how estimates scatter, not "
-        "how far such errors draw them away. Parameters, friction above all, may be off by more."
+        "leaves something out. Standard deviations and intervals hold what other laws of the joints and of the air "
+        "would change, not what is none of these."
     )
 
 
@@ -126,12 +126,11 @@ def _unknown(parameters: Parameters, information: Information, spreads: dict[str
     names = ", ".join(dict.fromkeys(p.name for p, touched, alone in free if touched and not alone))
     count = unknown.shape[1] - int(idle.sum())
     said = [_together(names, count, spreads, common is not None)] if count else []
-    said.extend(
-        f"{label} cannot be known: it does not act in this motion, and its value means nothing. Leave it out of free, "
-        "or record a motion in which it acts."
-        for label, alone in zip(parameters.labels, idle, strict=True)
-        if alone
-    )
+    if lost := [label for label, alone in zip(parameters.labels, idle, strict=True) if alone]:
+        said.append(
+            f"{', '.join(lost)} cannot be known: what does not act in this motion has values that mean nothing. Leave "
+            "such names out of free, or record a motion in which they act."
+        )
     return said
 
 
@@ -154,29 +153,41 @@ def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -
     )
 
 
-def _values(parameters: Parameters, information: Information, rope: Rope) -> list[str]:
-    said = []
+def _values(parameters: Parameters, information: Information) -> list[str]:
+    none, hardly = [], []
     std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
     for parameter, value, spread in zip(parameters.all, values, std, strict=True):
         if parameter.form == "nonnegative" and value == 0.0:
-            said.append(f"{parameter.label} went to 0, the least allowed: the data show none of it.")
+            none.append(parameter.label)
         elif parameter.kind.form != "linear" and np.isfinite(spread) and spread > 0.5 * value:
-            said.append(f"{parameter.label} is hardly known: {value:.3g} with a standard deviation of {spread:.2g}.")
-    if "inertia" in {p.name for p in parameters.all} and (rope.inertia == 0.0).any():
-        said.append("An inertia at 0 may mean that the masses held do not fit: put 'mass' into free as well.")
+            hardly.append((parameter.label, value, spread))
+    said = [f"{', '.join(none)} went to 0, the least allowed: the data show none of it."] if none else []
+    if len(hardly) == 1:
+        label, value, spread = hardly[0]
+        said.append(f"{label} is hardly known: {value:.3g} with a standard deviation of {spread:.2g}.")
+    elif hardly:
+        said.append(
+            f"{', '.join(label for label, _, _ in hardly)} are hardly known: standard deviations of half their values "
+            "and more."
+        )
     return said
 
 
-POOR = 0.2  # part of the motion that may stay unexplained before the verdict calls the fit poor
+POOR = 0.05  # part of the motion that may stay unexplained: fits of real pendulums that are right leave 0.1 to 1 %
+WHITE_POOR = 0.2  # the same where what stays is white, so that it is noise
+TORQUE_POOR = 0.2  # the same of a torque: torque sensors, and currents in place of them, are not better
 NOISY = 1.5  # times the declared noise: what stays below is as good as the recording, however little moves
 
 
-def poor_fit(windows: Sequence[Window], residuals: Array, unit: str, loss: Loss) -> str:
-    """Return a warning where residuals (m, C), rad or m, NaN in gaps, are a large part of the motion."""
+def poor_fit(windows: Sequence[Window], residuals: Array, unit: str, loss: Loss, *, white: bool = False) -> str:
+    """Return a warning where residuals (m, C), rad or m, NaN in gaps, are a large part of the motion.
+
+    `white` residuals are measuring noise, of which more is allowed.
+    """
     rms, spread, noise = _sizes(windows, residuals, 0, loss)
     worst = int(np.argmax(np.where(rms > NOISY * noise, rms / np.maximum(spread, 1e-12), 0.0)))
-    if rms[worst] <= max(POOR * spread[worst], NOISY * noise[worst]):
+    if rms[worst] <= max((WHITE_POOR if white else POOR) * spread[worst], NOISY * noise[worst]):
         return ""
     what = f"link {worst}" if unit == "rad" else f"marker {worst // 2}"
     return (
@@ -190,7 +201,7 @@ def poor_torque(windows: Sequence[Window], residuals: Array | None, loss: Loss) 
     if residuals is None:
         return ""
     (rms,), (spread,), (noise,) = _sizes(windows, residuals[:, None], windows[0].y.shape[1] - 1, loss)
-    if rms <= max(POOR * spread, NOISY * noise):
+    if rms <= max(TORQUE_POOR * spread, NOISY * noise):
         return ""
     return (
         f"The torque does not fit: it is {rms:.3g} N m off, and moves by {spread:.3g} N m (rms) within the windows. "

@@ -84,6 +84,13 @@ _TABLE = (
     Property("max_bend", "joint limit", "rad", "max_bend", sign="positive", default=math.inf, form=None, cut="limit"),
     Property("tip_mass", "mass at the tip", "kg", "tip_mass", owner="rope", power=1),
     Property("gravity_angle", "turn of gravity (a camera that is not level)", "rad", owner="rope", form="linear"),
+    Property(
+        "gravity_scale",
+        "gravity over what it was taken to be (a wrong clock or lengths)",
+        "1",
+        owner="rope",
+        form="log",
+    ),
     Property("delay", "delay of the motion", "s", owner="motion", form="linear"),
     Property("origin_x", "origin of the motion as the camera sees it, x", "m", owner="camera", form="linear"),
     Property("origin_y", "origin of the motion as the camera sees it, y", "m", owner="camera", form="linear"),

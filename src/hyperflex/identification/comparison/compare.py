@@ -15,6 +15,7 @@ from hyperflex.identification.comparison.result import FittedModel, ModelCompari
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED
 from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.identification.model.names import scales
+from hyperflex.identification.model.parameters import GRAVITY
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
 from hyperflex.model import DAMPING, FREE_PROPERTIES, MOST_LINKS, RESISTANCES, Rope, parse_label, recut
@@ -41,9 +42,7 @@ class Candidate:
     def starting_guess(self, other: "Candidate", rope: Rope) -> Rope:
         """Return the guess of `other` with the values fitted here, of `rope`; laws keep their guess."""
         labels = [label for word in self.free if (label := parse_label(word)) and label.law in ("", "shared")]
-        names = {label.name for label in labels if FREE_PROPERTIES[label.name].owner in ("link", "rope")} - {
-            "gravity_angle"
-        }
+        names = {label.name for label in labels if FREE_PROPERTIES[label.name].owner in ("link", "rope")} - set(GRAVITY)
         return other.guess.replace(**{name: getattr(rope, name) for name in sorted(names)})
 
 

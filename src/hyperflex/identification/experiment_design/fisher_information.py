@@ -44,7 +44,7 @@ class ExpectedInformation:
             p.label: (p.name, float(s), size(p, float(each)))
             for p, s, each in zip(self.parameters.all, std, x, strict=True)
         }
-        known = ratios(rope)
+        known = ratios(rope, self.parameters.names)
         result: dict[str, tuple[float, float]] = {}
         for word in want:
             if word in known:

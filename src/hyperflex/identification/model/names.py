@@ -100,6 +100,7 @@ def _whole(guess: Rope, name: str, arm: Arm) -> Parameter:
     start, size = {
         "tip_mass": (guess.tip_mass, SHARE * guess.total_mass),
         "gravity_angle": (0.0, 1.0),
+        "gravity_scale": (1.0, 1.0),
         "delay": (0.0, DELAY),
         "origin_x": place,
         "origin_y": place,

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,7 @@ Part = dict[str, Array]
 ARM = tuple(each.name for each in PROPERTIES.values() if each.owner == "arm")
 LED = ("com", "inertia")  # what goes with a uniform link's length
 MOVING = ("link", "rope", "motion")  # whose properties move the rope; the others are looked at
+GRAVITY = ("gravity_angle", "gravity_scale")
 SMALL = 0.1  # rad, and parts of a time or place scale, by which such parameters are compared
 
 
@@ -84,6 +85,7 @@ class Parameters:
         self.guess = guess
         self.all = tuple(chosen)
         self.labels = tuple(p.label for p in self.all)  # e.g. ``friction[1]``
+        self.names = frozenset(p.name for p in self.all)
         self.lower = np.array([p.least for p in self.all])  # bounds of x
         self.widths = np.array([p.width for p in self.all])  # comparable changes of x
         self.led = {name: np.ones(guess.n_links, dtype=bool) for name in LED}  # which links' are not free themselves
@@ -118,12 +120,13 @@ class Parameters:
 
     def rope(self, x: Array) -> Rope:
         """Return the guess with the free parameters set to x."""
-        changes: dict[str, object] = {}
+        changes: dict[str, Any] = {}
         columns: dict[str, Array] = {}
         for parameter, each in zip(self.all, x, strict=True):
             name, value = parameter.name, parameter.value(each)
-            if name == "gravity_angle":
-                changes["gravity"] = rotated_gravity(self.guess.gravity, value)
+            if name in GRAVITY:
+                before = changes.get("gravity", self.guess.gravity)
+                changes["gravity"] = value * before if name == "gravity_scale" else rotated_gravity(before, value)
             elif parameter.kind.owner == "rope":
                 changes[name] = value
             elif parameter.kind.owner == "link":
@@ -160,6 +163,8 @@ class Parameters:
 
     def _part(self, parameter: Parameter, x: float, rope: Rope) -> Part:
         name = parameter.name
+        if name == "gravity_scale":
+            return {"gravity": rope.gravity.copy()}  # x is its logarithm
         if name == "gravity_angle":
             gx, gy = rope.gravity
             return {"gravity": np.array([-gy, gx]) * parameter.scale}

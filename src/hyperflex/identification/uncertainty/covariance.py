@@ -1,6 +1,6 @@
 """Covariance of the parameters (sandwich estimate for robust losses and coloured noise), and intervals from it."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -33,11 +33,12 @@ class Information:
     """Fisher information of the windows about the parameters, in units of `widths` (see ``Parameters.widths``).
 
     singular (P,): of the derivatives of all residuals, states eliminated, largest first. known (P, k) and unknown
-    (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. correlation: autocorrelation time of
-    the residuals, samples. plain (P, P): the covariance if the residuals were white. variance: of what each residual
-    counts. freedom: its degrees of freedom, 1 at least. terms (k,): of the residuals' autoregression; agrees: whether
-    that explains the residuals. whiteness: p-value of white noise. follow: derivative of each window's state by x
-    (2n, P). growing (P,): which parameters stand in an unknown common factor.
+    (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. model (P, P): the same of errors of the
+    model, which come on top. correlation: autocorrelation time of the residuals, samples. plain (P, P): the covariance
+    if the residuals were white. variance: of what each residual counts. freedom: its degrees of freedom, 1 at least.
+    terms (k,): of the residuals' autoregression; agrees: whether that explains the residuals. whiteness: p-value of
+    white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters stand in an
+    unknown common factor.
     """
 
     x: Array
@@ -55,10 +56,21 @@ class Information:
     follow: tuple[Array, ...] = ()
     agrees: bool = True
     growing: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    model: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def total(self) -> Array:
+        """Covariance (P, P) of x by noise and by errors of the model."""
+        return self.covariance + self.model if self.model.size else self.covariance
+
+    def model_spread(self, gradient: Array) -> Array:
+        """Return the part of `spread` that errors of the model have."""
+        model = self.model if self.model.size else np.zeros_like(self.covariance)
+        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", gradient, model, gradient)))
 
     def spread(self, gradient: Array) -> Array:
         """Return standard deviations (k,) of functions of x with gradients (k, P); inf where x alone cannot tell."""
-        variance = np.einsum("ij,jk,ik->i", gradient, self.covariance, gradient)
+        variance = np.einsum("ij,jk,ik->i", gradient, self.total, gradient)
         scaled = gradient * self.widths
         length = np.sqrt((scaled**2).sum(axis=1))
         beyond = np.sqrt(((scaled @ self.unknown) ** 2).sum(axis=1)) > TOUCHED * length
@@ -118,7 +130,7 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> In
         known,
         unknown,
         sandwich * scale,
-        autocorrelation([piece.residual for piece in pieces]),
+        autocorrelation(pieces),
         plain=plain * scale,
         variance=variance,
         freedom=max(1.0, freedom / (2.0 * float(memory @ memory) - 1.0)),
@@ -186,30 +198,38 @@ def known_directions(rows: Sequence[Array]) -> tuple[Array, Array, Array]:
     return singular, directions[determined].T, directions[~determined].T
 
 
-def ratios(rope: Rope, *, every: bool = False) -> dict[str, Array]:
+def ratios(rope: Rope, free: Collection[str] = ()) -> dict[str, Array]:
     """Return the ratios over p1 = p of link 0 that are identifiable without known forces, each (n,).
 
-    ``J/p1`` (m), ``p/p1``, ``c/p1`` (m/s), and of the other resistances those that the rope has (all, with `every`),
-    ``tau_d/p1`` and ``k/p1`` (m/s^2).
+    ``J/p1`` (m), ``p/p1``, ``c/p1`` (m/s), and of the other resistances those that the rope has or that are `free`:
+    ``tau_d/p1`` and ``k/p1`` (m/s^2), ``d/p1`` (1/m^3).
     """
     p, inertia = lumped(rope)
     resistances = {each.symbol: getattr(rope, each.name) for each in RESISTANCES}
-    resistances = {name: value for name, value in resistances.items() if every or name == "c" or value.any()}
+    told = {each.symbol for each in RESISTANCES if each.name in free or each.symbol == "c"}
+    resistances = {name: value for name, value in resistances.items() if name in told or value.any()}
     return {f"{name}/p1": value / p[0] for name, value in {"J": inertia, "p": p, **resistances}.items()}
 
 
-def ratio_spread(parameters: Parameters, information: Information) -> dict[str, Array]:
-    """Return standard deviations (n,) of each ratio by the delta method; inf where it cannot be known."""
-    x, names = information.x, ratios(parameters.rope(information.x))
+def ratio_gradients(parameters: Parameters, x: Array) -> dict[str, Array]:
+    """Return the derivatives (n, P) of each ratio by x (P,)."""
+    every = tuple(each.name for each in RESISTANCES)
+    names = ratios(parameters.rope(x), parameters.names)
     step = 1e-6
     columns = []
     for k in range(x.size):
         up, down = x.copy(), x.copy()
         up[k] += step
         down[k] = max(x[k] - step, parameters.lower[k])
-        above, below = (ratios(parameters.rope(end), every=True) for end in (up, down))
+        above, below = (ratios(parameters.rope(end), every) for end in (up, down))
         columns.append({name: (above[name] - below[name]) / (up[k] - down[k]) for name in names})
-    return {name: information.spread(np.stack([c[name] for c in columns], axis=1)) for name in names}
+    return {name: np.stack([c[name] for c in columns], axis=1) for name in names}
+
+
+def ratio_spread(parameters: Parameters, information: Information) -> dict[str, Array]:
+    """Return standard deviations (n,) of each ratio by the delta method; inf where it cannot be known."""
+    found = ratio_gradients(parameters, information.x)
+    return {name: information.spread(gradient) for name, gradient in found.items()}
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,15 @@
 """Choice of each interval's method: covariance, or profile likelihood where skewed."""
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.fit.multiple_shooting import Report, with_entries
-from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, from_covariance
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, End, Interval, from_covariance
 from hyperflex.identification.uncertainty.profile import BETTER, Profile, profiled
-from hyperflex.identification.uncertainty.threshold import near_bounds
+from hyperflex.identification.uncertainty.threshold import near_bounds, quantile
 
 How = Literal["auto", "covariance", "profile"]
 HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
@@ -36,17 +37,33 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Repor
         for number, k in enumerate(chosen):
             at = {"phase": "profile", "parameter": labels[k], "window": length, "stage": number, "stages": len(chosen)}
             found = profiled(basis, k, level, report=None if report is None else with_entries(report, at))
-            result[labels[k]] = Interval(found.low, found.high, found.kind, found.ends, level, _remark(found))
+            interval = Interval(found.low, found.high, found.kind, found.ends, level, _remark(found))
+            result[labels[k]] = _with_model_error(basis, k, interval) if found.kind == "profile" else interval
     except KeyboardInterrupt:
         pass
     return result
+
+
+def _with_model_error(basis: Basis, which: int, interval: Interval) -> Interval:
+    """Return the interval of a profile, made wider by the model's errors; it stays within the parameter's bound."""
+    parameter, information = basis.plant.parameters.all[which], basis.information
+    x = float(information.x[which])
+    one = np.eye(information.x.size)[which : which + 1] * parameter.derivative(x)
+    value = parameter.value(x)
+    model = float(information.model_spread(one)[0]) * float(np.sqrt(quantile(interval.level, information.freedom)))
+    low = value - float(np.hypot(value - interval.low, model))
+    least = -np.inf if parameter.form == "linear" else 0.0
+    end: End = "bound" if low <= least else interval.ends[0]
+    high = value + float(np.hypot(interval.high - value, model))
+    return replace(interval, low=max(low, least), high=high, ends=(end, interval.ends[1]))
 
 
 def _remark(found: Profile) -> str:
     if found.gain > BETTER:
         return (
             f"Beside {found.name} the squares fall {found.gain:.3g} residual variances below those of this fit: it is "
-            f"not the best one. Fit again from there: rope_guess=profile(found, {found.name!r}).better."
+            "not the best one. Fit again from there: "
+            f"rope_guess=hyperflex.identification.profile(found, {found.name!r}).better."
         )
     if found.kind == "covariance":
         return (

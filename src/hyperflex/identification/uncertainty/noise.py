@@ -47,7 +47,7 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     target = observed / observed[0]
     count = max(2.0, float(sum(piece.seen.sum() - piece.basis.shape[2] for piece in pieces)))
     response = expected_products(pieces, most)
-    plain = partial_correlations(target[: most + 1])
+    plain = partial_correlations(target[: most + 1] * _of_pairs(pieces, most))
     parts, least, passed, chosen, gap = np.zeros(0), 0.0, 0, np.zeros(0), 0.0
     for k in range(1, most + 1):
         parts, misfit = _fit_correlations(response[: k + 1], target[1 : k + 1], np.append(parts, plain[k - 1]))
@@ -106,22 +106,33 @@ def correlated(terms: Array, values: Array) -> Array:
     return np.asarray(np.tensordot(correlations(terms, m)[lags], values, axes=1))
 
 
-def autocorrelation(residuals: Sequence[Array]) -> float:
-    """Return the integrated autocorrelation time (samples, >= 1) of residuals [(m, n), ..], pooled over windows.
+def autocorrelation(pieces: Sequence[Piece]) -> float:
+    """Return the integrated autocorrelation time (samples, >= 1) of the residuals, pooled over windows.
 
-    1 + 2 sum of the autocorrelations up to the first below 0.05.
+    1 + 2 sum of the autocorrelations up to the first below 0.05, each of the pairs of samples that are there.
     """
-    longest = max(r.shape[0] for r in residuals)
+    longest = max(piece.residual.shape[0] for piece in pieces)
     sums = np.zeros(longest)
-    for r in residuals:
-        for lag in range(r.shape[0]):
-            sums[lag] += _lagged_product(r, lag)
+    for piece in pieces:
+        for lag in range(piece.residual.shape[0]):
+            sums[lag] += _lagged_product(piece.residual, lag)
     if sums[0] <= 0.0:
         return 1.0
-    part = sums / sums[0]
+    part = sums / sums[0] * _of_pairs(pieces, longest - 1)
     low = np.flatnonzero(part < 0.05)
     end = int(low[0]) if low.size else longest
     return max(1.0, float(1.0 + 2.0 * part[1:end].sum()))
+
+
+def _of_pairs(pieces: Sequence[Piece], most: int) -> Array:
+    """Return what sums of products (most + 1,) miss for gaps: the pairs there would be without any, over those seen."""
+    seen, every = np.zeros((2, most + 1))
+    for piece in pieces:
+        m, part = piece.seen.shape[0], piece.seen.mean()
+        lags = np.arange(min(most + 1, m))
+        seen[lags] += [_lagged_product(piece.seen, int(lag)) for lag in lags]
+        every[lags] += part * (m - lags) * piece.seen.shape[1]
+    return np.asarray(every / np.maximum(seen, 1.0))
 
 
 def expected_products(pieces: Sequence[Piece], most: int) -> Array:

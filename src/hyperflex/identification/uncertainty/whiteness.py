@@ -7,6 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.uncertainty.noise import Piece
 
+CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
 LAGS = 10  # samples, or a quarter of the shortest window
 
 

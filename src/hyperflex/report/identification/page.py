@@ -104,7 +104,9 @@ def _verdict(found: Identification) -> Section:
         if np.isfinite(held.inside):
             tiles.append((f"{100.0 * held.inside:.0f} %", "of these predictions lie where 95 % are expected"))
             marks = _with_trust(marks, held)
-    return Section("Verdict", tiles=tuple(tiles), marks=tuple(marks))
+    usable = settled and found.grade.name != "do not use"
+    marks = [*((False, sentence) for sentence in found.grade.more), *marks]
+    return Section("Verdict", verdict=(usable, str(found.grade)), tiles=tuple(tiles), marks=tuple(marks))
 
 
 def _with_trust(marks: list[tuple[bool, str]], held: HeldOut) -> list[tuple[bool, str]]:

@@ -98,6 +98,8 @@ def _start(each: Number, found: Identification, guess: Rope) -> float | None:
         return None
     if owner == "marker":
         return float(found.settings["arc_lengths"][each.place or 0])
+    if each.name == "gravity_scale":
+        return 1.0
     if owner == "motion" or each.name == "gravity_angle":
         return float(found.settings.get(f"{each.name}_from", 0.0))
     own = np.atleast_1d(getattr(guess, each.name))

@@ -1,0 +1,178 @@
+"""What an identification may be used for, and why."""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification.prediction import HeldOut
+from hyperflex.model import Rope
+
+GradeName = Literal["usable", "usable for ratios", "do not use"]
+EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much is believed
+MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
+TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
+FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
+AXES = 0.2  # rad, the same: more than any camera that was meant to be level
+PERSISTENCE = 0.5  # of the error of a prediction that nothing moves on
+UNSURE = 0.1  # of a friction
+INSIDE = 0.5  # part of the predicted values in the band that should hold 95 %
+LEFT_OUT = 0.2  # part of the windows
+DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
+
+
+class Grade(NamedTuple):
+    """What an identification may be used for.
+
+    Attributes
+    ----------
+    name : str
+        ``usable``, ``usable for ratios`` (masses, inertias and frictions share an unknown factor), ``do not use``.
+    reasons : tuple of str
+        Why it is no better, and what else is doubtful; the weightiest first.
+    """
+
+    name: GradeName
+    reasons: tuple[str, ...]
+
+    @property
+    def more(self) -> tuple[str, ...]:
+        """All reasons but the first, as sentences."""
+        return tuple(f"{text[0].upper()}{text[1:]}" for text in self.reasons[1:])
+
+    def __str__(self) -> str:
+        return f"{self.name.capitalize()}: {self.reasons[0]}" if self.reasons else f"{self.name.capitalize()}."
+
+
+def grade(
+    warnings: Sequence[str],
+    rope: Rope,
+    held_out: HeldOut | None,
+    tests: Sequence[ScoreTest],
+    *,
+    identifiable: bool,
+    laws: tuple[float, str] = (0.0, ""),
+    turned: float = 0.0,
+    left_out: float = 0.0,
+) -> Grade:
+    """Return what a result may be used for.
+
+    Parameters
+    ----------
+    warnings : sequence of str
+        Of a fit that did not converge or leaves much of the motion; empty ones count as none.
+    rope : Rope
+        As identified.
+    held_out : HeldOut or None
+    tests : sequence of ScoreTest
+    identifiable : bool
+        Whether all free parameters are known.
+    laws : (float, str)
+        By what part of its value friction may change if another law is free too, and which.
+    turned : float
+        By which gravity was found to be turned, rad.
+    left_out : float
+        Part of the windows that was left out.
+    """
+    wrong = [*_impossible(rope), *_misdeclared(tests), *(each for each in warnings if each), *_mispredicted(held_out)]
+    suspicion, doubts = _turned(turned), _doubts(laws, left_out)
+    if wrong:
+        return Grade("do not use", (*wrong, *suspicion, *doubts))
+    if identifiable:
+        return Grade("usable", (*suspicion, *doubts))
+    common = "without a known force or torque, or a mass that is held, values share what this motion cannot tell."
+    return Grade("usable for ratios", (*suspicion, common, *doubts))
+
+
+def _impossible(rope: Rope) -> list[str]:
+    """Return what no rope can be."""
+    p, _ = lumped(rope)
+    if np.any(rope.gravity) and p[0] <= 0.0:
+        words = (
+            "gravity would hold the rope up (its first moment p1 is negative). Check where the angles' zero is "
+            "(zero='hanging' or 'up'), or where y points (y_axis='up' or 'down')."
+        )
+        return [words]
+    return []
+
+
+def _misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
+    """Return what was declared or held, does not fit and matters; the one that explains most, with its equals."""
+    believed = [each for each in tests if each.refitted and each.gain > EXPLAINS and _matters(each)]
+    if not believed:
+        return []
+    first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - 0.05]
+    part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
+    value = float(first.values[0])
+    names = " or ".join(f"'{name}'" for name in equals if name not in DECLARED)
+    words = {
+        "gravity_scale": (
+            f"times or lengths are not as declared: {part} go away if times are multiplied by {np.sqrt(value):.3g}, "
+            f"or lengths divided by {value:.3g}. Check the clock or frame rate, the scale, and the lengths of the guess."
+        ),
+        "gravity_angle": (
+            f"the zero of the angles is off by {np.degrees(value):.3g} degrees: without that, {part} go away. Check "
+            "the zero, level the camera, or put 'gravity_angle' into free."
+        ),
+        "delay": f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free.",
+    }
+    held = (
+        f"what is held does not fit: with {names} free, {part} go away, and ratios move by up to "
+        f"{100.0 * first.moved:.2g} %. Put it into free."
+    )
+    return [words.get(first.name, held)]
+
+
+def _matters(test: ScoreTest) -> bool:
+    if test.name == "gravity_scale" and abs(np.log(max(float(test.values[0]), 1e-9))) > np.log(FARTHEST):
+        return False  # no clock is so wrong: something else does not fit
+    return test.moved > MOVES or (test.name == "gravity_angle" and abs(float(test.values[0])) > TURNED)
+
+
+def _mispredicted(held_out: HeldOut | None) -> list[str]:
+    """Return how predictions of what was not fitted fail."""
+    if held_out is None:
+        return []
+    if held_out.failed.size:
+        return [f"{held_out.failed.size} of {held_out.starts.size} predictions of what was not fitted failed."]
+    error = float(np.sqrt(np.mean(held_out.rms**2)))
+    still = held_out.persistence
+    words = ""
+    if error > PERSISTENCE * still > 0.0:
+        words = f"predictions of what was not fitted err by {100.0 * error / still:.3g} % of what keeping still would."
+    elif held_out.inside < INSIDE:
+        words = (
+            f"only {100.0 * held_out.inside:.3g} % of what was not fitted lies where 95 % is expected: the model "
+            "leaves something out, or the recording is not as declared, and intervals are far too small."
+        )
+    return [words] if words else []
+
+
+def _turned(angle: float) -> list[str]:
+    """Return what a gravity far from where it was taken to be makes one suspect."""
+    if abs(angle) <= AXES:
+        return []
+    words = (
+        f"gravity is turned by {np.degrees(angle):.3g} degrees: were zero, y_axis and the order of the axes declared "
+        "as they are?"
+    )
+    return [words]
+
+
+def _doubts(laws: tuple[float, str], left_out: float) -> list[str]:
+    said = []
+    part, name = laws
+    if part > UNSURE:
+        size = f"up to {100.0 * part:.2g} %" if part < 1.0 else "as much as it is"
+        said.append(
+            "friction is a model error: it stands for all that brakes, and would change by "
+            f"{size} if '{name}' were free as well. Ratios of moments and inertias hardly move."
+        )
+    if left_out > LEFT_OUT:
+        said.append(
+            f"{100.0 * left_out:.0f} % of the windows were left out: they have too few samples, or the rope could not "
+            "be simulated from their states."
+        )
+    return said

@@ -1,0 +1,238 @@
+"""Score tests of what a fit has held, and of what was declared of a recording."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.identification.fit.multiple_shooting import fit, linearise
+from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.model.names import parse
+from hyperflex.identification.model.parameters import Parameter, Parameters, lumped
+from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model.scale import Mask
+from hyperflex.identification.uncertainty.covariance import Basis, ratios
+from hyperflex.identification.uncertainty.whiteness import CHANCE
+from hyperflex.model import RESISTANCES
+
+SUSPECT = 0.3  # gain from which a refit is made
+REFITS, ROUNDS, WINDOWS = 3, 8, 12  # refits at most, rounds of each, and windows, spread over the recording
+FEW = 4  # links, up to which each has its own value in a test
+LAWS = tuple(each.name for each in RESISTANCES)
+ASKED = 0.67  # of a gain that noise does not explain: three times what chance gains, one in 25 right fits of a law
+FLOOR = 5e-4  # relative: no clock, length or weight of a real rope is known better; 0.06 % was seen of a good pendulum
+TINY = 1e-8  # part of the largest singular value below which a direction is none
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreTest:
+    """What the data say of something that was held in a fit.
+
+    Attributes
+    ----------
+    name : str
+        As in ``free``: ``com``, or ``gravity_scale``, which a wrong clock or wrong lengths move.
+    gain : float
+        Part of the residuals' sum of squares that freeing it takes away: by a refit, or to first order.
+    values : (k,) float64
+        Its values then, SI units.
+    moved : float
+        Largest relative change of J/p1 and p/p1 that a refit finds; NaN without one.
+    shift : (P,) float64
+        Change of the fit's x that freeing it makes, to first order.
+    open : (P,) float64
+        Standard deviations of x that freeing it adds.
+    surplus : float
+        Part of the gain that noise does not explain, 0 to 1.
+    """
+
+    name: str
+    gain: float
+    values: Array
+    moved: float = np.nan
+    shift: Array = field(default_factory=lambda: np.zeros(0))
+    open: Array = field(default_factory=lambda: np.zeros(0))
+    surplus: float = 0.0
+
+    @property
+    def refitted(self) -> bool:
+        """Whether a refit has confirmed it."""
+        return not np.isnan(self.moved)
+
+
+def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
+    """Test what a fit has held; the greatest gain comes first.
+
+    Notes
+    -----
+    Rao's score test, or Lagrange multiplier test (Rao 1948, doi:10.1017/S0305004100023987): with S the derivatives of
+    the residuals r by what is free and what is held, less what the windows' states absorb, the score of what is held is
+    ``S_h' r``, its information the Schur complement of ``S' S``. In place of a probability the part of the sum of
+    squares is told that it explains, for residuals of real recordings are model errors, of which no noise level tells.
+    It costs one round of a fit, with more columns. Resistances that would have to be negative explain nothing. Up to
+    three that explain much are fitted along, in some of the windows.
+    """
+    found: list[ScoreTest] = []
+    for words in _words(basis.plant):
+        found += _tested(basis, words)
+    found.sort(key=lambda each: -each.gain)
+    for k, each in enumerate(found[:REFITS]):
+        if each.gain > SUSPECT:
+            found[k] = _refitted(basis, each)
+    return tuple(sorted(found, key=lambda each: -each.gain))
+
+
+def with_model_error(basis: Basis, tests: Sequence[ScoreTest]) -> Basis:
+    """Return a fit whose information counts what the model leaves out, beside noise.
+
+    Each resistance that was left out and that the data ask for would move the parameters by its `shift`: that is taken
+    as a standard deviation, in proportion to how far noise does not explain what it gains. Where residuals are not
+    white, no value is taken as known better than FLOOR.
+    """
+    information, x = basis.information, basis.fit.x
+    model = np.zeros((x.size, x.size))
+    for each in tests:
+        if each.name.partition(":")[0] in LAWS and each.surplus > ASKED:
+            model += each.surplus * np.outer(each.shift, each.shift)
+    if information.whiteness < CHANCE:
+        model += np.diag(_floor(basis.plant.parameters, x) ** 2)
+    return replace(basis, information=replace(information, model=model))
+
+
+def _floor(parameters: Parameters, x: Array) -> Array:
+    """Return the changes of x (P,) that move moments, masses or lengths by the part FLOOR."""
+    rope = parameters.rope(x)
+    moments, inertia = lumped(rope)
+    places = np.abs(moments) / np.where(rope.mass > 0.0, rope.mass, np.inf)
+    sizes = {"inertia": inertia, "com": places, "mass": rope.mass, "length": rope.length}
+    moved = np.zeros(x.size)
+    for k, each in enumerate(parameters.all):
+        if each.name in sizes and each.law == "own":
+            moved[k] = FLOOR * sizes[each.name][list(each.links)].mean() / each.derivative(float(x[k]))
+    return moved
+
+
+def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str]:
+    """Return by what part of its value a free resistance may change if another one is free too, and that one's name.
+
+    The size of the shift, with the standard deviation that comes on top since both are hard to tell apart. (0, "")
+    where residuals are white, no resistance is free or none was tested.
+    """
+    parameters, information = basis.plant.parameters, basis.information
+    own = [k for k, each in enumerate(parameters.all) if each.name in LAWS and basis.fit.x[k] > parameters.lower[k]]
+    own = [k for k in own if parameters.all[k].kind.unit != "N m/rad"]
+    if not own or information.whiteness >= CHANCE:
+        return 0.0, ""
+    x = basis.fit.x[own]
+    parts = [
+        (float(np.max(np.hypot(each.shift, each.open)[own] / x)), each.name)
+        for each in tests
+        if each.name.partition(":")[0] in LAWS and each.shift.size
+    ]
+    return max(parts, default=(0.0, ""))
+
+
+def _words(plant: Plant) -> list[list[str]]:
+    """Return words for what is held, those that are tested in one linearisation together."""
+    rope, names = plant.parameters.guess, {each.name for each in plant.parameters.all}
+    many = rope.n_links > FEW
+    whole = ["gravity_angle", "gravity_scale"] if np.any(rope.gravity) else []
+    resistances = [each.name + (":shared" if many else "") for each in RESISTANCES if each.name not in names]
+    masses = [] if many else [each for each in ("mass", "com", "inertia") if each not in names]
+    delay = ["delay"] if plant.motion is not None else []
+    lengths = [["length"]] if not many and rope.n_links > 1 and names.isdisjoint({"length", "com", "inertia"}) else []
+    return [[each for each in [*whole, *delay, *resistances, *masses] if each not in names], *lengths]
+
+
+def _extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:
+    """Return the model at x (P,) with more free parameters, its x, and these word by word; words that fail are out."""
+    rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), []
+    for word in words:
+        try:
+            groups.append(parse(rope, [word], moved=plant.motion is not None))
+        except InvalidInput:  # a mass of 0 has no logarithm, say
+            continue
+    extra = [each for group in groups for each in group]
+    parameters = Parameters(plant.parameters.guess, [*plant.parameters.all, *extra])
+    model = Plant(parameters, plant.sensor, plant.motion, plant.arm, torque=plant.motor is not None)
+    return model, np.concatenate([x, [each.first for each in extra]]), groups
+
+
+def _tested(basis: Basis, words: Sequence[str]) -> list[ScoreTest]:
+    plant, x, groups = _extended(basis.plant, basis.fit.x, words)
+    size, total = x.size, 0.0
+    matrix, score = np.zeros((size, size)), np.zeros(size)
+    for window, state, residual in zip(basis.windows, basis.fit.states, basis.fit.residuals, strict=True):
+        slopes, left = linearise(plant, window, x, state, residual, basis.fit.loss).reduced()
+        matrix += slopes.T @ slopes
+        score += slopes.T @ left
+        total += float(left @ left)
+    if not (np.isfinite(matrix).all() and total > 0.0):
+        return []
+    scale = np.sqrt(np.diag(matrix))
+    scale[scale == 0.0] = np.inf
+    matrix, score = matrix / np.outer(scale, scale), score / scale
+    free = [k for k in range(basis.fit.x.size) if x[k] > plant.parameters.lower[k]]
+    inner = np.linalg.pinv(matrix[np.ix_(free, free)], rcond=TINY, hermitian=True)
+    tests, first = [], basis.fit.x.size
+    for word, group in zip((each[0].name for each in groups), groups, strict=True):
+        own = list(range(first, first + len(group)))
+        first += len(group)
+        across = matrix[np.ix_(own, free)] @ inner
+        information = matrix[np.ix_(own, own)] - across @ matrix[np.ix_(free, own)]
+        step = _possible_step(information, score[own] - across @ score[free], x[own] <= plant.parameters.lower[own])
+        gain = -float(step @ (score[own] - across @ score[free])) / total
+        moved = x[own] + step / scale[own]
+        shift = np.zeros(basis.fit.x.size)
+        shift[free] = -across.T @ step / scale[free]
+        falling = np.flatnonzero(shift < 0.0)
+        above = x[falling] - plant.parameters.lower[falling]
+        shift *= min(1.0, float(np.min(above / -shift[falling], initial=1.0)))  # no resistance gets negative
+        noise = basis.information.variance * basis.information.correlation
+        chance = noise * max(1, int(np.count_nonzero(step)))
+        surplus = max(0.0, 1.0 - chance / (gain * total)) if gain * total > 0.0 else 0.0
+        opened = np.zeros(basis.fit.x.size)
+        inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
+        opened[free] = np.sqrt(np.maximum(noise * np.einsum("ki,kl,li->i", across, inverse, across), 0.0)) / scale[free]
+        label = group[0].label if group[0].law != "own" or len(group[0].links) > 1 else word
+        with np.errstate(over="ignore"):
+            values = [parameter.value(each) for parameter, each in zip(group, moved, strict=True)]
+        tests.append(ScoreTest(label, min(gain, 1.0), np.array(values), shift=shift, open=opened, surplus=surplus))
+    return tests
+
+
+def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
+    """Return the step (k,) that the score asks for, 0 of what is at its bound and would pass it."""
+    active, step = np.ones(score.size, dtype=bool), np.zeros(score.size)
+    for _ in range(score.size):
+        inner = np.linalg.pinv(information[np.ix_(active, active)], rcond=1e-6, hermitian=True)
+        step[:] = 0.0
+        step[active] = -inner @ score[active]
+        passing = active & bounded & (step < 0.0)
+        if not passing.any():
+            break
+        active &= ~passing
+    return step
+
+
+def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
+    """Return a test with what a fit of some windows says."""
+    plant, x, _ = _extended(basis.plant, basis.fit.x, [test.name])
+    every = max(1, len(basis.windows) // WINDOWS)
+    windows: list[Window] = basis.windows[::every]
+    states = list(basis.fit.states[::every])
+    try:
+        before = fit(basis.plant, windows, basis.fit.x, states, loss=basis.fit.loss, rounds=ROUNDS)
+        after = fit(plant, windows, x, states, loss=basis.fit.loss, rounds=ROUNDS)
+    except InvalidInput:
+        return replace(test, gain=0.0)
+    if before.interrupted or after.interrupted:
+        raise KeyboardInterrupt
+    x = plant.parameters.rounded(after.x)
+    then, now = ratios(plant.parameters.rope(x)), ratios(basis.plant.parameters.rope(before.x))
+    moved = float(np.max([np.abs(then[name] / now[name] - 1.0) for name in ("J/p1", "p/p1")]))
+    gain = 1.0 - after.cost / before.cost if before.cost > 0.0 else 0.0
+    values = plant.parameters.values(x)[basis.fit.x.size :]
+    return replace(test, gain=gain, values=values, moved=moved)
