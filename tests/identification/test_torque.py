@@ -23,7 +23,7 @@ from hyperflex import (
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.pipeline import build_plant
+from hyperflex.identification.problem import build_plant
 from hyperflex.sensors import MotorTorque
 from tests.reference import dense
 from tests.reference.arm import bang_bang_swings, links_of

@@ -4,7 +4,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit.windows import STILL
+from hyperflex.identification.fit.windows import STILL, rms_rate
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
@@ -14,6 +14,7 @@ LAGS, MANY = 10, 20  # lags of the autocorrelation, and values that it takes at 
 BEYOND = 5.0  # standard deviations of the declared noise: an rms that large is motion, smooth or not
 LARGE = 0.1  # rad, the same of link angles where no noise is declared: no camera errs so much
 SHORTEST, SPARSEST = 0.1, 1.0  # of the rope's period: what a recording lasts at least, its samples lie apart at most
+WILDEST = 8.0  # times the rate of a small swing: ten somersaults in the time of one
 ROUGHEST = 8.0 / 3.0  # of the ratio of variances below: samples that jump up and down in turn
 SPREAD = 17.0 / 9.0  # variance of that ratio for white noise, times the number of values
 
@@ -42,6 +43,23 @@ def check_times(recording: Recording, rope: Rope) -> None:
             got=f"{spacing:.3g} s from sample to sample",
             allowed=f"at most {SPARSEST * period:.2g} s; a rope so long swings once in {period:.2g} s",
             fix="Are the times in another unit (time_unit='ms'), or the lengths? Else record more frames a second",
+        )
+
+
+def check_speed(shape: Recording, rope: Rope) -> None:
+    """Refuse link angles `shape` of a free swing that turn faster than gravity can make them."""
+    gravity = float(np.hypot(*rope.gravity))
+    if gravity == 0.0 or rope.stiffness.any():
+        return
+    natural = float(np.sqrt(1.5 * gravity / rope.total_length))
+    slowest = min(rms_rate(shape.t, column) for column in shape.data.T)
+    if slowest > WILDEST * natural:
+        raise InvalidInput(
+            "all links turn far faster than a swing of this rope",
+            got=f"{slowest:.3g} rad/s (rms) at least",
+            allowed=f"at most {WILDEST * natural:.3g} rad/s; a small swing has {natural:.3g} rad/s",
+            fix="Are the angles in degrees (unit='deg'), the times in another unit, or the lengths? Does an arm move "
+            "the rope (motion=...)?",
         )
 
 

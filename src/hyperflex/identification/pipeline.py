@@ -3,32 +3,26 @@
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.identification.diagnosis.declarations import ShortFit, explained, suspicious
 from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests, with_model_error
-from hyperflex.identification.excitation import check_motion, check_times
+from hyperflex.identification.excitation import check_motion, check_speed, check_times
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
 from hyperflex.identification.fit.multiple_shooting import Report, one_thread
 from hyperflex.identification.fit.stages import Measurements, fit_in_stages, search_delay, with_delay
 from hyperflex.identification.fit.windows import usual_length, with_enough_frames
 from hyperflex.identification.measurements import (
-    checked_arc_lengths,
-    first_joint,
-    measure,
-    refuse_still_markers,
     with_torque,
 )
-from hyperflex.identification.model.names import parse
-from hyperflex.identification.model.parameters import Parameters
-from hyperflex.identification.model.plant import Plant, pivot_places
+from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
+from hyperflex.identification.problem import build_plant, checked_measurements
 from hyperflex.identification.result import Identification, assemble_result
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
@@ -36,7 +30,7 @@ from hyperflex.identification.verdict import other_lengths
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
-from hyperflex.sensors import Angles, Markers
+from hyperflex.sensors import Markers
 
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
 
@@ -141,7 +135,7 @@ def identify(
     checks.choice("loss", loss, LOSSES)
     if intervals is not None:
         checks.choice("intervals", intervals, HOWS)
-    measured, places = _checked(recording, rope_guess, arc_lengths, origin, motion, arm)
+    measured, places = checked_measurements(recording, rope_guess, arc_lengths, origin, motion, arm)
     if arm is not None and motion is None:
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
     if torque is not None and arm is None:
@@ -151,6 +145,8 @@ def identify(
     fitted, rest = _split(measured, train, lead, ahead)
     check_times(fitted.channels, rope_guess)
     check_motion(fitted.shape, fitted.channels)
+    if motion is None:
+        check_speed(fitted.shape, rope_guess)
     delay = {}
     usual = with_enough_frames(usual_length(fitted.shape, rope_guess), fitted.shape)
     if "delay" in free:
@@ -183,83 +179,11 @@ def identify(
     settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
     settings |= delay | _fit_settings(plant, free, loss, origin)
     remark = "" if arc_lengths is not None else other_lengths(recording, rope_guess)
-    return assemble_result(basis, held_out, settings, remark, ranges, tests)
-
-
-def _checked(
-    recording: Recording,
-    rope: Rope,
-    arc_lengths: npt.ArrayLike | None,
-    origin: npt.ArrayLike | None,
-    motion: Motion | None,
-    arm: Arm | None,
-) -> tuple[Measurements, Array | None]:
-    """Return the measurements, if they fit the rope, and the arc lengths of markers that are not at the joints."""
-    if not isinstance(recording, Recording) or not isinstance(rope, Rope):
-        raise InvalidInput(
-            "identify takes a Recording and a Rope",
-            got=[type(recording).__name__, type(rope).__name__],
-            fix="Read the file with read_recording first",
-        )
-    if arc_lengths is not None:
-        places = checked_arc_lengths(recording, rope, arc_lengths)
-        refuse_still_markers(recording, places)
-        joint = None
-        if places.size == 1:
-            if origin is None:
-                raise InvalidInput(
-                    "one marker alone does not show where the rope hangs from",
-                    fix="Say where the camera sees that: origin=(x, y), in m; or track a second marker",
-                )
-            joint = checks.array("origin", origin, (2,), unit="m") + pivot_places(motion, arm, recording.t)
-        return measure(recording, rope, places, joint), places
-    if recording.n_links != rope.n_links:
-        raise InvalidInput(
-            "the recording and the rope have different numbers of links",
-            got=[recording.n_links, rope.n_links],
-            fix="Give a guess with as many links as the recording has angles (markers less one), or arc_lengths=[...]",
-        )
-    if recording.kind == "markers":
-        factor = recording.link_lengths() / rope.length
-        if (factor > 2.0).any() or (factor < 0.5).any():
-            raise InvalidInput(
-                "the distances of the markers do not fit the rope's link lengths",
-                got=[recording.link_lengths().tolist(), rope.length.tolist()],
-                allowed="within a factor of two, in m",
-                fix="Check the unit or scale of the markers, or the lengths of the guess",
-            )
-    refuse_still_markers(recording, np.append(0.0, np.cumsum(rope.length)))
-    return measure(recording, rope, None), None
-
-
-def build_plant(
-    recording: Recording,
-    guess: Rope,
-    free: Sequence[str],
-    arc_lengths: Array | None,
-    origin: npt.ArrayLike | None,
-    motion: Motion | None,
-    arm: Arm | None,
-    *,
-    torque: bool = False,
-) -> Plant:
-    """Return the model that predicts the measurements, with its free parameters."""
-    chosen = parse(guess, free, arc_lengths, moved=motion is not None, arm=arm if torque else None)
-    if arc_lengths is None:
-        if origin is not None:
-            raise InvalidInput(
-                "origin is given, but angles are fitted", fix="Give arc_lengths=... as well, or leave it out"
-            )
-        return Plant(Parameters(guess, chosen), Angles(), motion, arm, torque=torque)
-    if origin is None:
-        words = [word for word in ("origin_x", "origin_y") if word not in free]
-        chosen += parse(guess, words, arc_lengths) if words else []
-        place = first_joint(recording, arc_lengths, pivot_places(motion, arm, recording.t))
-    else:
-        place = checks.array("origin", origin, (2,), unit="m")
-    starts = {"origin_x": float(place[0]), "origin_y": float(place[1])}
-    chosen = [replace(each, start=starts.get(each.name, each.start)) for each in chosen]
-    return Plant(Parameters(guess, chosen), Markers(arc_lengths, place), motion, arm, torque=torque)
+    result = assemble_result(basis, held_out, settings, remark, ranges, tests)
+    if result.success and (result.grade.doubtful or suspicious(fitted.shape)):
+        trial = ShortFit(rope_guess, free, arc_lengths, origin, motion, arm, Loss(loss))
+        result = result.with_reason(explained(recording, origin, trial))
+    return result
 
 
 def _split(

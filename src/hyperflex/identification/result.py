@@ -1,6 +1,6 @@
 """The result of an identification, and how it is put together from a fit."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -153,6 +153,14 @@ class Identification(Ended):
         }
         result |= {"verdict": self.verdict, "settings": self.settings, "rope": self.rope.table()}
         return dict(files.plain(result))
+
+    def with_reason(self, reason: str) -> "Identification":
+        """Return the same, not to be used for one more reason, which comes first; unchanged without any."""
+        if not reason:
+            return self
+        result: Identification = replace(self, grade=Grade("do not use", (reason, *self.grade.reasons)))
+        object.__setattr__(result, "_basis", self.basis)
+        return result
 
     def to_json(self, path: PathLike) -> None:
         """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""

@@ -15,6 +15,7 @@ EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much
 MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
 TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
 FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
+NEAR = 0.03  # of a factor by which frame rates are often wrong
 AXES = 0.2  # rad, the same: more than any camera that was meant to be level
 PERSISTENCE = 0.5  # of the error of a prediction that nothing moves on
 UNSURE = 0.1  # of a friction
@@ -36,6 +37,11 @@ class Grade(NamedTuple):
 
     name: GradeName
     reasons: tuple[str, ...]
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether something may have been declared wrongly."""
+        return self.name == "do not use" or any("gravity is turned" in each for each in self.reasons)
 
     @property
     def more(self) -> tuple[str, ...]:
@@ -109,8 +115,9 @@ def _misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
     names = " or ".join(f"'{name}'" for name in equals if name not in DECLARED)
     words = {
         "gravity_scale": (
-            f"times or lengths are not as declared: {part} go away if times are multiplied by {np.sqrt(value):.3g}, "
-            f"or lengths divided by {value:.3g}. Check the clock or frame rate, the scale, and the lengths of the guess."
+            f"times or lengths are not as declared: {part} go away if times are multiplied by {np.sqrt(value):.3g}"
+            f"{_frames(float(np.sqrt(value)))}, or lengths divided by {value:.3g}. Check the clock or frame rate, the "
+            "scale, and the lengths of the guess."
         ),
         "gravity_angle": (
             f"the zero of the angles is off by {np.degrees(value):.3g} degrees: without that, {part} go away. Check "
@@ -123,6 +130,14 @@ def _misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
         f"{100.0 * first.moved:.2g} %. Put it into free."
     )
     return [words.get(first.name, held)]
+
+
+def _frames(factor: float) -> str:
+    """Return what a factor of the times may come from."""
+    for usual, words in ((2.0, "half"), (0.5, "twice")):
+        if abs(factor / usual - 1.0) < NEAR:
+            return f" (as if the frame rate were {words} of what was declared)"
+    return ""
 
 
 def _matters(test: ScoreTest) -> bool:

@@ -15,7 +15,7 @@ from hyperflex.identification.measurements import measure, with_torque
 from hyperflex.identification.model.parameters import Parameter, Parameters
 from hyperflex.identification.model.plant import PRECISION, Plant, pivot_places
 from hyperflex.identification.model.scale import in_common_factor
-from hyperflex.identification.pipeline import build_plant
+from hyperflex.identification.problem import build_plant
 from hyperflex.identification.uncertainty.covariance import Information, known_directions, ratio_spread, ratios
 from hyperflex.model import Arm, Rope
 from hyperflex.recording import Recording

@@ -54,7 +54,7 @@ def usual_length(recording: Recording, rope: Rope) -> float:
     """Return a window length (s): PART periods of a small swing of a rod as long as the rope, less for fast links."""
     gravity = float(np.hypot(*rope.gravity))
     period = 2.0 * np.pi * float(np.sqrt(2.0 * rope.total_length / (3.0 * gravity))) if gravity > 0.0 else 1.0
-    fastest = max(_rms_rate(recording.t, column) for column in recording.data.T)
+    fastest = max(rms_rate(recording.t, column) for column in recording.data.T)
     spacing = float(np.median(np.diff(recording.t)))
     return max(min(PART * period, TURN / fastest if fastest > 0.0 else np.inf), FEWEST * spacing)
 
@@ -66,7 +66,7 @@ def with_enough_frames(length: float, recording: Recording) -> float:
     return float(length * 2.0 ** np.ceil(np.log2(SEEN / seen))) if 0.0 < seen < SEEN else length
 
 
-def _rms_rate(t: Array, angle: Array) -> float:
+def rms_rate(t: Array, angle: Array) -> float:
     """Return the rms rate (rad/s) over steps of at least a two-hundredth of the recording or 10 ms, noise left out."""
     known = ~np.isnan(angle)
     t, angle = t[known], angle[known]

@@ -1,0 +1,153 @@
+"""Usual slips in what was declared of a recording, each tried by a short fit."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.checks import Array
+from hyperflex.errors import IdentificationError, InvalidInput
+from hyperflex.identification.fit.loss import Loss
+from hyperflex.identification.fit.multiple_shooting import fit
+from hyperflex.identification.fit.stages import HARDLY, Measurements
+from hyperflex.identification.fit.windows import decimation_step, usual_length, with_enough_frames
+from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.problem import build_plant, checked_measurements
+from hyperflex.model import FREE_PROPERTIES, Arm, Rope
+from hyperflex.motion import Motion
+from hyperflex.recording import Recording
+
+SWAPS = 4  # links or markers up to which neighbours are swapped one by one
+BETTER = 0.5  # part of the residual that a slip must leave at most to be named
+FITS = 0.05  # of the motion: what leaves more explains nothing
+SHORTER, WINDOWS, ROUNDS = 4.0, 6, 12  # of a short fit: its first windows, how many, and rounds at most
+SMALL = 0.06  # rad: half a turn, read as degrees
+
+Slip = tuple[str, Recording]
+
+
+def suspicious(recording: Recording) -> bool:
+    """Tell whether angles are so small that they may be radians read as degrees."""
+    return recording.kind == "angles" and float(np.nanmax(np.abs(recording.data))) < SMALL
+
+
+def slips(recording: Recording, pivot: npt.ArrayLike | None) -> Iterator[Slip]:
+    """Yield what may have been meant, in words, with the recording as it would be then.
+
+    `pivot` (2,), m, is the place about which markers are mirrored; by default the first marker's.
+    """
+    yield from _of_angles(recording) if recording.kind == "angles" else _of_markers(recording, pivot)
+
+
+def _of_angles(recording: Recording) -> Iterator[Slip]:
+    data, n = recording.data, recording.data.shape[1]
+
+    def changed(values: Array, factor: float = 1.0) -> Recording:
+        noise = None if recording.noise is None else recording.noise * factor
+        return replace(recording, data=values, noise=noise, rates=None)
+
+    if n > 1:
+        yield "the angles are relative to the link before (angles='relative')", changed(np.cumsum(data, axis=1))
+        yield "the angles are absolute (angles='absolute')", changed(np.diff(data, axis=1, prepend=0.0))
+        yield "the links are counted from the free end: reverse their order", changed(data[:, ::-1])
+    if 2 < n <= SWAPS:
+        for k in range(n - 1):
+            yield f"links {k} and {k + 1} are swapped", changed(data[:, _swapped(n, k)])
+    yield "the angles are 0 pointing up (zero='up')", changed(data + np.pi)
+    yield "the angles are in degrees (unit='deg')", changed(np.radians(data), np.pi / 180.0)
+    yield "the angles are in radians (unit='rad')", changed(np.degrees(data), 180.0 / np.pi)
+
+
+def _of_markers(recording: Recording, pivot: npt.ArrayLike | None) -> Iterator[Slip]:
+    places = recording.data.reshape(recording.t.size, -1, 2)
+    n = places.shape[1]
+    middle = np.nanmedian(places[:, 0], axis=0) if pivot is None else np.asarray(pivot, dtype=np.float64)
+    away = places - middle
+
+    def changed(values: Array) -> Recording:
+        return replace(recording, data=values.reshape(recording.data.shape))
+
+    yield "y points the other way (y_axis)", changed(middle + away * np.array([1.0, -1.0]))
+    yield "x and y are swapped", changed(middle + away[:, :, ::-1])
+    if n > 1:
+        yield "the markers are counted from the free end: reverse their order", changed(places[:, ::-1])
+    if 2 < n <= SWAPS + 1:
+        for k in range(n - 1):
+            yield f"markers {k} and {k + 1} are swapped", changed(places[:, _swapped(n, k)])
+
+
+def _swapped(n: int, k: int) -> list[int]:
+    order = list(range(n))
+    order[k], order[k + 1] = order[k + 1], order[k]
+    return order
+
+
+@dataclass(frozen=True)
+class ShortFit:
+    """A cheap fit of the first windows of a recording; the fields are those of :func:`hyperflex.identify`."""
+
+    rope: Rope
+    free: Sequence[str]
+    arc_lengths: npt.ArrayLike | None
+    origin: npt.ArrayLike | None
+    motion: Motion | None
+    arm: Arm | None
+    loss: Loss
+
+    def __call__(self, recording: Recording, more: Sequence[str] = ()) -> float:
+        """Return the residual, rms, as a part of the motion; inf where nothing fits. `more` is free as well."""
+        words = [*self.free, *(each for each in more if each not in self.free)]
+        words = [word for word in words if FREE_PROPERTIES[word.partition("[")[0].partition(":")[0]].owner != "arm"]
+        try:
+            measured, places = checked_measurements(
+                recording, self.rope, self.arc_lengths, self.origin, self.motion, self.arm
+            )
+            plant = build_plant(recording, self.rope, words, places, self.origin, self.motion, self.arm)
+            return self._left(plant, measured)
+        except (InvalidInput, IdentificationError):
+            return np.inf
+
+    def _left(self, plant: Plant, measured: Measurements) -> float:
+        usual = with_enough_frames(usual_length(measured.shape, self.rope), measured.shape)
+        x, found = plant.parameters.start, None
+        for length in (usual / SHORTER, usual):
+            windows, _ = measured.windows(length, decimation_step(measured.channels, length))
+            windows = windows[:WINDOWS]
+            if sum(each.values - each.unknowns for each in windows) <= x.size:
+                continue
+            states = [each.guess for each in windows]
+            found = fit(plant, windows, x, states, loss=self.loss, rounds=ROUNDS, enough=HARDLY)
+            if found.interrupted:
+                raise KeyboardInterrupt
+            x = found.x
+        if found is None:
+            return np.inf
+        p, _ = lumped(plant.parameters.rope(x))
+        if p[0] <= 0.0:
+            return np.inf
+        left, moved = 0.0, 0.0
+        for window, residual in zip(windows, found.residuals, strict=True):
+            known = window.weight > 0.0
+            left += float((residual**2).sum())
+            mean = (window.weight * window.y).sum(axis=0) / np.maximum(window.weight.sum(axis=0), 1e-300)
+            moved += float(((np.where(known, window.y - mean, 0.0) * window.weight) ** 2).sum())
+        return float(np.sqrt(left / moved)) if moved > 0.0 else np.inf
+
+
+def explained(recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit) -> str:
+    """Return in words the slip that explains a fit that is not good, or nothing.
+
+    A slip is named if it leaves half of what the recording as declared leaves at most, even with a
+    wrong clock or scale, and that is little.
+    """
+    declared = left(recording, ())
+    tried = [(left(other, ()), words) for words, other in slips(recording, pivot)]
+    least, words = min(tried, default=(np.inf, ""))
+    if least > BETTER * declared or least > FITS or least > BETTER * left(recording, ("gravity_scale",)):
+        return ""
+    before = f"{100.0 * declared:.2g} % of the motion" if np.isfinite(declared) else "all of the motion"
+    return (
+        f"it fits as if {words}: a short fit leaves {100.0 * least:.2g} % of the motion then, and {before} as declared."
+    )
