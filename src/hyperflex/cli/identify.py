@@ -27,7 +27,9 @@ def identify(
     ],
     free: Annotated[
         list[str] | None,
-        typer.Option(help="What to identify; several times or with commas. [default: inertia, friction]"),
+        typer.Option(
+            help="What to identify; several times or with commas. [default: chosen by what the recording tells]"
+        ),
     ] = None,
     train: Annotated[
         float | None, typer.Option(help="Fit the samples before this time, s; predict the rest. inf fits all.")
@@ -106,7 +108,7 @@ def identify(
         result = run(
             measured,
             first,
-            output.words(free) or ["inertia", "friction"],
+            output.words(free) or None,
             window=window,
             train=train,
             arc_lengths=places,

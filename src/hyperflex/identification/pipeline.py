@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,14 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, suspicious
+from hyperflex.identification.diagnosis.free_parameters import identify_chosen
+from hyperflex.identification.diagnosis.grade import misdeclared
 from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests, with_model_error
 from hyperflex.identification.excitation import check_motion, check_speed, check_times
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
-from hyperflex.identification.fit.multiple_shooting import Report, one_thread
+from hyperflex.identification.fit.multiple_shooting import Fit, Report, one_thread
 from hyperflex.identification.fit.stages import Measurements, fit_in_stages, search_delay, with_delay
-from hyperflex.identification.fit.windows import usual_length, with_enough_frames
+from hyperflex.identification.fit.windows import Window, part_left, usual_length, with_enough_frames
 from hyperflex.identification.measurements import (
     with_torque,
 )
@@ -24,9 +27,9 @@ from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
 from hyperflex.identification.problem import build_plant, checked_measurements
 from hyperflex.identification.result import Identification, assemble_result
-from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
+from hyperflex.identification.uncertainty.covariance import Basis, Interval, estimate_covariance
 from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
-from hyperflex.identification.verdict import other_lengths
+from hyperflex.identification.verdict import POOR, other_lengths
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
@@ -39,7 +42,7 @@ TRAIN = 0.8  # part of a recording that is fitted when nothing is said
 def identify(
     recording: Recording,
     rope_guess: Rope,
-    free: Sequence[str] = ("inertia", "friction"),
+    free: Sequence[str] | None = None,
     *,
     window: float | None = None,
     train: float | None = None,
@@ -67,8 +70,10 @@ def identify(
         markers anywhere along the rope (their places are fitted), also fewer than links.
     rope_guess : Rope
         Fixed values, and first guesses of the free ones.
-    free : sequence of str
-        For each link ``inertia``, ``com``, ``mass``, ``length``, ``friction``, ``dry_friction``, ``stiffness``,
+    free : sequence of str, optional
+        By default inertia and friction (of more than four links one value for all), and what the score tests of a fit
+        with these ask for; the verdict says which, and why. Names are, for each link, ``inertia``, ``com``, ``mass``,
+        ``length``, ``friction``, ``dry_friction``, ``stiffness``,
         ``rest_angle``, ``drag``; for the whole ``tip_mass``, ``gravity_angle`` (rad; for a camera that is not level),
         ``delay`` (s, of `motion` in the recording's time; at most a window's length), ``arc`` (m; each marker's place);
         with a measured torque ``arm_inertia`` and ``arm_friction`` (of the shaft). ``friction[2]`` frees one link,
@@ -131,6 +136,25 @@ def identify(
     >>> bool(abs(result.rope.friction[0] / 2e-4 - 1.0) < 1e-3)
     True
     """
+    if free is None:
+        again = partial(
+            identify,
+            recording,
+            rope_guess,
+            window=window,
+            train=train,
+            motion=motion,
+            arm=arm,
+            arc_lengths=arc_lengths,
+            origin=origin,
+            torque=torque,
+            torque_noise=torque_noise,
+            loss=loss,
+            lead=lead,
+            ahead=ahead,
+            progress=progress,
+        )
+        return identify_chosen(lambda words, trial: again(words, intervals=None if trial else intervals), rope_guess)
     began = time.monotonic()
     checks.choice("loss", loss, LOSSES)
     if intervals is not None:
@@ -158,32 +182,41 @@ def identify(
     length = usual if window is None else checks.number("window", window, sign="positive", infinite=True)
     length = min(length, 1.001 * fitted.channels.duration)
     found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
-    basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
-    tests: tuple[ScoreTest, ...] = ()
+    basis, tests, ranges = _tested(plant, windows, found, intervals, _reporter(progress))
     held_out: HeldOut | None = None
-    how = intervals if found.converged or intervals is None else "covariance"
-    try:
-        if found.converged:
-            tests = score_tests(basis)
-            basis = with_model_error(basis, tests)
-    except KeyboardInterrupt:  # what was fitted is worth more than its trial
-        found.interrupted = True
-    ranges = None if how is None else all_intervals(basis, how, report=_reporter(progress))
     try:
         if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
             spread = prediction_uncertainty(basis, measured.channels.data.shape[1])
             held_out = predict(foretold, found.x, rest, lead, ahead, Loss(loss), spread)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt:  # what was fitted is worth more than its trial
         found.interrupted = True
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
     settings |= delay | _fit_settings(plant, free, loss, origin)
     remark = "" if arc_lengths is not None else other_lengths(recording, rope_guess)
     result = assemble_result(basis, held_out, settings, remark, ranges, tests)
-    if result.success and (result.grade.doubtful or suspicious(fitted.shape)):
+    if not found.interrupted and (result.grade.doubtful or suspicious(fitted.shape)):
         trial = ShortFit(rope_guess, free, arc_lengths, origin, motion, arm, Loss(loss))
         result = result.with_reason(explained(recording, origin, trial))
     return result
+
+
+def _tested(
+    plant: Plant, windows: list[Window], found: Fit, intervals: How | None, report: Report
+) -> tuple[Basis, tuple[ScoreTest, ...], dict[str, Interval] | None]:
+    """Return a fit with its covariance, score tests, and intervals."""
+    basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
+    tests: tuple[ScoreTest, ...] = ()
+    try:
+        if found.converged:
+            tests = score_tests(basis)
+            basis = with_model_error(basis, tests)
+    except KeyboardInterrupt:  # what was fitted is worth more than its tests
+        found.interrupted = True
+    how = intervals if found.converged or intervals is None else "covariance"
+    if how == "auto" and (misdeclared(tests) or part_left(windows, found.residuals) > POOR):
+        how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
+    return basis, tests, None if how is None else all_intervals(basis, how, report=report)
 
 
 def _split(

@@ -156,9 +156,14 @@ class Identification(Ended):
 
     def with_reason(self, reason: str) -> "Identification":
         """Return the same, not to be used for one more reason, which comes first; unchanged without any."""
-        if not reason:
-            return self
-        result: Identification = replace(self, grade=Grade("do not use", (reason, *self.grade.reasons)))
+        return self._changed(grade=Grade("do not use", (reason, *self.grade.reasons))) if reason else self
+
+    def with_remark(self, remark: str) -> "Identification":
+        """Return the same with one more sentence, the first of the verdict."""
+        return self._changed(verdict=(remark, *self.verdict))
+
+    def _changed(self, **fields: Any) -> "Identification":
+        result: Identification = replace(self, **fields)
         object.__setattr__(result, "_basis", self.basis)
         return result
 
@@ -184,6 +189,7 @@ class Identification(Ended):
                 if said := _with_std(*(np.atleast_1d(each) for each in (numbers, spread[name], model[name]))):
                     lines.append(f"  {title} {name:<13} {said}")
         ranges = [(name, self.intervals[name]) for name in self.parameters if name in self.intervals]
+        ranges = [(name, each) for name, each in ranges if each.kind != "unknown"]
         lines += [f"  {100 * each.level:g} % {name:<13} {each}" for name, each in ranges[:MANY]]
         if len(ranges) > MANY:
             lines.append(f"  and {len(ranges) - MANY} more in intervals")
@@ -270,7 +276,8 @@ def assemble_result(
     words += [each.remark for each in (intervals or {}).values()]
     identifiable = information.unknown.shape[1] == 0
     warnings = [not_converged(message), poor, poor_torque(windows, torque, found.loss)]
-    left_out = settings["left_out"] / max(1, settings["left_out"] + settings["windows"])
+    missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
+    left_out = missing / (missing + settings["windows"])
     turned = parameters.single("gravity_angle", x)
     graded = grade(
         warnings,

@@ -11,7 +11,7 @@ from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.stages import HARDLY, Measurements
-from hyperflex.identification.fit.windows import decimation_step, usual_length, with_enough_frames
+from hyperflex.identification.fit.windows import decimation_step, part_left, usual_length, with_enough_frames
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.problem import build_plant, checked_measurements
@@ -23,7 +23,8 @@ SWAPS = 4  # links or markers up to which neighbours are swapped one by one
 BETTER = 0.5  # part of the residual that a slip must leave at most to be named
 FITS = 0.05  # of the motion: what leaves more explains nothing
 SHORTER, WINDOWS, ROUNDS = 4.0, 6, 12  # of a short fit: its first windows, how many, and rounds at most
-SMALL = 0.06  # rad: half a turn, read as degrees
+SMALL, LARGE = 0.06, 2.0  # rad: half a turn read as degrees, and degrees read as radians that are hardly a swing
+SKEWED = ("gravity_scale", "gravity_angle")  # a wrong clock or scale, a camera that is not level
 
 Slip = tuple[str, Recording]
 
@@ -55,9 +56,16 @@ def _of_angles(recording: Recording) -> Iterator[Slip]:
     if 2 < n <= SWAPS:
         for k in range(n - 1):
             yield f"links {k} and {k + 1} are swapped", changed(data[:, _swapped(n, k)])
+    if 1 < n < SWAPS:
+        for k in range(n):
+            yield f"link {k} grows to the other side (sense)", changed(data * np.where(np.arange(n) == k, -1.0, 1.0))
     yield "the angles are 0 pointing up (zero='up')", changed(data + np.pi)
-    yield "the angles are in degrees (unit='deg')", changed(np.radians(data), np.pi / 180.0)
-    yield "the angles are in radians (unit='rad')", changed(np.degrees(data), 180.0 / np.pi)
+    yield "the angles are 0 level, along +x", changed(data + 0.5 * np.pi)
+    yield "the angles are 0 level, along -x", changed(data - 0.5 * np.pi)
+    if np.nanmax(np.abs(data)) > LARGE:
+        yield "the angles are in degrees (unit='deg')", changed(np.radians(data), np.pi / 180.0)
+    if np.nanmax(np.abs(data)) < SMALL:
+        yield "the angles are in radians (unit='rad')", changed(np.degrees(data), 180.0 / np.pi)
 
 
 def _of_markers(recording: Recording, pivot: npt.ArrayLike | None) -> Iterator[Slip]:
@@ -127,25 +135,19 @@ class ShortFit:
         p, _ = lumped(plant.parameters.rope(x))
         if p[0] <= 0.0:
             return np.inf
-        left, moved = 0.0, 0.0
-        for window, residual in zip(windows, found.residuals, strict=True):
-            known = window.weight > 0.0
-            left += float((residual**2).sum())
-            mean = (window.weight * window.y).sum(axis=0) / np.maximum(window.weight.sum(axis=0), 1e-300)
-            moved += float(((np.where(known, window.y - mean, 0.0) * window.weight) ** 2).sum())
-        return float(np.sqrt(left / moved)) if moved > 0.0 else np.inf
+        return part_left(windows, found.residuals)
 
 
 def explained(recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit) -> str:
     """Return in words the slip that explains a fit that is not good, or nothing.
 
     A slip is named if it leaves half of what the recording as declared leaves at most, even with a
-    wrong clock or scale, and that is little.
+    wrong clock or scale and a camera that is not level, and that is little.
     """
     declared = left(recording, ())
     tried = [(left(other, ()), words) for words, other in slips(recording, pivot)]
     least, words = min(tried, default=(np.inf, ""))
-    if least > BETTER * declared or least > FITS or least > BETTER * left(recording, ("gravity_scale",)):
+    if least > BETTER * declared or least > FITS or least > BETTER * left(recording, SKEWED):
         return ""
     before = f"{100.0 * declared:.2g} % of the motion" if np.isfinite(declared) else "all of the motion"
     return (

@@ -15,6 +15,7 @@ EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much
 MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
 TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
 FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
+UNTESTED = 0.05  # standard deviation of gravity's factor, if it were free
 NEAR = 0.03  # of a factor by which frame rates are often wrong
 AXES = 0.2  # rad, the same: more than any camera that was meant to be level
 PERSISTENCE = 0.5  # of the error of a prediction that nothing moves on
@@ -82,8 +83,8 @@ def grade(
     left_out : float
         Part of the windows that was left out.
     """
-    wrong = [*_impossible(rope), *_misdeclared(tests), *(each for each in warnings if each), *_mispredicted(held_out)]
-    suspicion, doubts = _turned(turned), _doubts(laws, left_out)
+    wrong = [*_impossible(rope), *misdeclared(tests), *(each for each in warnings if each), *_mispredicted(held_out)]
+    suspicion, doubts = [*_turned(turned), *_untested(tests)], _doubts(laws, left_out)
     if wrong:
         return Grade("do not use", (*wrong, *suspicion, *doubts))
     if identifiable:
@@ -104,9 +105,9 @@ def _impossible(rope: Rope) -> list[str]:
     return []
 
 
-def _misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
+def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
     """Return what was declared or held, does not fit and matters; the one that explains most, with its equals."""
-    believed = [each for each in tests if each.refitted and each.gain > EXPLAINS and _matters(each)]
+    believed = [each for each in tests if each.refitted and each.gain > EXPLAINS and matters(each)]
     if not believed:
         return []
     first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - 0.05]
@@ -140,7 +141,8 @@ def _frames(factor: float) -> str:
     return ""
 
 
-def _matters(test: ScoreTest) -> bool:
+def matters(test: ScoreTest) -> bool:
+    """Tell whether ratios would move by more than is of no account, or gravity turn."""
     if test.name == "gravity_scale" and abs(np.log(max(float(test.values[0]), 1e-9))) > np.log(FARTHEST):
         return False  # no clock is so wrong: something else does not fit
     return test.moved > MOVES or (test.name == "gravity_angle" and abs(float(test.values[0])) > TURNED)
@@ -163,6 +165,17 @@ def _mispredicted(held_out: HeldOut | None) -> list[str]:
             "leaves something out, or the recording is not as declared, and intervals are far too small."
         )
     return [words] if words else []
+
+
+def _untested(tests: Sequence[ScoreTest]) -> list[str]:
+    """Return that this motion cannot show a wrong clock or wrong lengths, where it cannot."""
+    if not any(each.name == "gravity_scale" and each.std > UNTESTED for each in tests):
+        return []
+    words = (
+        "times and lengths are taken as declared: this motion cannot test them. If they are wrong, moments and "
+        "inertias are as well (a clock 1 % off makes J/p1 2 % off)."
+    )
+    return [words]
 
 
 def _turned(angle: float) -> list[str]:

@@ -40,6 +40,8 @@ class ScoreTest:
         Its values then, SI units.
     moved : float
         Largest relative change of J/p1 and p/p1 that a refit finds; NaN without one.
+    std : float
+        Greatest standard deviation that they would have.
     shift : (P,) float64
         Change of the fit's x that freeing it makes, to first order.
     open : (P,) float64
@@ -52,6 +54,7 @@ class ScoreTest:
     gain: float
     values: Array
     moved: float = np.nan
+    std: float = np.inf
     shift: Array = field(default_factory=lambda: np.zeros(0))
     open: Array = field(default_factory=lambda: np.zeros(0))
     surplus: float = 0.0
@@ -199,8 +202,17 @@ def _tested(basis: Basis, words: Sequence[str]) -> list[ScoreTest]:
         label = group[0].label if group[0].law != "own" or len(group[0].links) > 1 else word
         with np.errstate(over="ignore"):
             values = [parameter.value(each) for parameter, each in zip(group, moved, strict=True)]
-        tests.append(ScoreTest(label, min(gain, 1.0), np.array(values), shift=shift, open=opened, surplus=surplus))
+        each = ScoreTest(label, min(gain, 1.0), np.array(values), shift=shift, open=opened, surplus=surplus)
+        tests.append(replace(each, std=_std(information, noise, [p.scale for p in group] / scale[own])))
     return tests
+
+
+def _std(information: Array, noise: float, scale: Array) -> float:
+    """Return the greatest standard deviation of values with an information matrix (k, k); inf where one has none."""
+    size, directions = np.linalg.eigh(information)
+    if size[0] <= TINY:
+        return np.inf
+    return float(np.sqrt(np.max(noise * (directions**2 / size).sum(axis=1) * scale**2)))
 
 
 def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:

@@ -1,5 +1,6 @@
 """Windows: short parts of a recording, each with an initial state of its own."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,17 @@ class Window:
         """Return the sum of squares of a state's residuals under the prior."""
         residual = self.prior @ state
         return float(residual @ residual)
+
+
+def part_left(windows: Sequence[Window], residuals: Sequence[Array]) -> float:
+    """Return the residuals [(m C,), ..] as a part of the motion about each window's mean, rms of both; inf without."""
+    left, moved = 0.0, 0.0
+    for window, residual in zip(windows, residuals, strict=True):
+        known = window.weight > 0.0
+        left += float((residual**2).sum())
+        mean = (window.weight * window.y).sum(axis=0) / np.maximum(window.weight.sum(axis=0), 1e-300)
+        moved += float(((np.where(known, window.y - mean, 0.0) * window.weight) ** 2).sum())
+    return float(np.sqrt(left / moved)) if moved > 0.0 else np.inf
 
 
 def usual_length(recording: Recording, rope: Rope) -> float:

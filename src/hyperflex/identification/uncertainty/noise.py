@@ -15,6 +15,7 @@ AGREES = 0.05  # by which autocorrelations may miss those of the residuals befor
 ROUNDS = 20  # of Gauss and Newton's steps
 SETTLED = 1e-9  # sum of squared misses of autocorrelations below which nothing is left to gain
 HARDLY = 0.01  # part of that sum which a step must gain for another to be worth its while
+SMOOTH, FEW = 0.8, 8  # autocorrelation of neighbours from which gaps are bridged, and values that it takes
 STEP = 1e-6  # of differences
 
 
@@ -40,6 +41,12 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     are. Times are taken as even. Cost: a few Fourier transforms (m, C K) a window.
     """
     observed = _lagged_products(pieces)
+    if (
+        min(piece.seen.min() for piece in pieces) == 0.0
+        and observed[1] * _of_pairs(pieces, 1)[1] > SMOOTH * observed[0]
+    ):
+        pieces = [_bridged(piece) for piece in pieces]
+        observed = _lagged_products(pieces)
     longest = max(piece.residual.shape[0] for piece in pieces)
     most = min(MOST_TERMS, longest // 4)
     if observed[0] <= 0.0 or most == 0:
@@ -122,6 +129,24 @@ def autocorrelation(pieces: Sequence[Piece]) -> float:
     low = np.flatnonzero(part < 0.05)
     end = int(low[0]) if low.size else longest
     return max(1.0, float(1.0 + 2.0 * part[1:end].sum()))
+
+
+def _bridged(piece: Piece) -> Piece:
+    """Return the piece with cubic splines through its gaps, for residuals so smooth that nothing else is between.
+
+    Pairs of samples with gaps between are others at each lag; what such residuals change from sample to sample is less
+    than that.
+    """
+    from scipy.interpolate import CubicSpline
+
+    both = np.concatenate([piece.residual[:, :, None], piece.basis], axis=2)
+    for c, column in enumerate(piece.seen.T):
+        known = np.flatnonzero(column)
+        if FEW <= known.size < column.size:
+            gaps = np.clip(np.flatnonzero(column == 0.0), known[0], known[-1])
+            both[column == 0.0, c] = CubicSpline(known, both[known, c])(gaps)
+    basis = np.linalg.qr(both[:, :, 1:].reshape(piece.residual.size, -1))[0]
+    return Piece(both[:, :, 0], np.ones_like(piece.seen), basis.reshape(piece.basis.shape))
 
 
 def _of_pairs(pieces: Sequence[Piece], most: int) -> Array:

@@ -20,6 +20,8 @@ CLOSE = 0.01  # std to which an end is found
 LONGEST = 3.0  # factor by which a step may grow
 TRIES = 25  # points on either side
 MOST_ROUNDS = 100  # of all fits on one side; usual are ten
+FIRST_ROUNDS, LAST_ROUNDS = 4, 16  # of a fit: some, then more unless the squares are HOPELESS
+HOPELESS = 1e4  # rise of the squares after the first rounds, over the residual variance: not this optimum's valley
 BETTER = 1.0  # fall of the squares, over the residual variance, from which another optimum is said to be better
 
 
@@ -189,15 +191,28 @@ class _ProfileSearch:
         for begin in (states, start.states):
             if self.budget <= 0:
                 raise _BudgetExceeded
-            try:
-                found = self._fit(x, begin, min(20, self.budget), held=(self.which,))
-            except InvalidInput:
-                self.budget -= 1
+            found = self._reached(x, begin)
+            if found is None:
                 continue
-            self.budget -= len(found.history)
             self.points.append(self._point(found.x, found.states, found.cost))
             return self.points[-1]
         return None
+
+    def _reached(self, x: Array, states: list[Array]) -> Fit | None:
+        """Return the fit from there, or None where it cannot be simulated or is far from any of interest."""
+        rounds = min(FIRST_ROUNDS, self.budget)
+        try:
+            found = self._fit(x, states, rounds, held=(self.which,))
+        except InvalidInput:
+            self.budget -= 1
+            return None
+        self.budget -= len(found.history)
+        if (found.cost - self.least) / self.unit > HOPELESS:
+            return None
+        if not found.converged and self.budget > 0 and len(found.history) == rounds:
+            found = self._fit(found.x, found.states, min(LAST_ROUNDS, self.budget), held=(self.which,))
+            self.budget -= len(found.history)
+        return found
 
     def side(self, sign: float) -> tuple[float, End]:
         """Return x of the end of the interval below (-1) or above (1) the optimum, and its kind."""
