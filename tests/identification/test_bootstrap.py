@@ -13,7 +13,6 @@ from hyperflex.identification.fit.multiple_shooting import Fit, fit
 from hyperflex.identification.uncertainty import bootstrap as _bootstrap
 from hyperflex.identification.uncertainty.bootstrap import Bootstrap, _Noise
 from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.noise import correlations
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
@@ -79,7 +78,7 @@ def test_coloured_residuals_are_drawn_coloured() -> None:
     basis = fitted(waves(150), autoregressive(np.random.default_rng(1), (150, 1), 0.8))
     drawn = noise_of(basis, 300)[:, :, 0]
     lagged = (drawn[:, 1:] * drawn[:, :-1]).mean() / (drawn**2).mean()
-    assert lagged == pytest.approx(correlations(basis.information.terms, 2)[1], abs=0.02)  # of 300 x 150 draws
+    assert lagged == pytest.approx(basis.information.memory[1], abs=0.02)  # of 300 x 150 draws
     assert lagged > 0.5
     assert (drawn**2).mean() == pytest.approx(basis.information.variance, rel=0.05)
 
@@ -114,3 +113,18 @@ def test_refusals(found: Identification) -> None:
         result.interval("inertia")
     with pytest.raises(InvalidInput, match="level"):
         result.interval("mass", 1.0)
+
+
+def test_numbers_and_intervals_of_ratios_are_printed(found: Identification) -> None:
+    result = bootstrap(found, 20)
+    told = str(result)
+    assert "inertia[0]" in told
+    assert "J/p1[0]" in told
+    interval = result.interval("J/p1[0]")
+    assert interval.low < float(found.ratios["J/p1"][0]) < interval.high
+    # one mass and centre are held: J/p1 moves with the inertia alone, by 1 / p1
+    p1 = float(ROPE.mass[0] * ROPE.com[0])
+    own = result.interval("inertia[0]")
+    assert interval.high - interval.low == pytest.approx((own.high - own.low) / p1, rel=1e-9)  # rounding
+    with pytest.raises(InvalidInput, match="J/p1"):
+        result.interval("J/p1[1]")

@@ -53,7 +53,7 @@ def test_autocorrelations_of_an_autoregression_and_back() -> None:
     assert np.prod(1.0 - parts**2) == pytest.approx(1.0 - a * first - b * second)
     values = np.random.default_rng(0).standard_normal((6, 2))
     matrix = np.array([[0.7 ** abs(i - j) for j in range(6)] for i in range(6)])
-    np.testing.assert_allclose(correlated(np.array([0.7]), values), matrix @ values, rtol=1e-12)
+    np.testing.assert_allclose(correlated(0.7 ** np.arange(len(values)), values), matrix @ values, rtol=1e-12)
 
 
 def test_what_the_fit_absorbs_is_given_back() -> None:
@@ -114,7 +114,8 @@ def test_errors_of_the_model_that_the_fit_nearly_absorbs_do_not_run_away() -> No
         line = np.linspace(-1.0, 1.0, 150)[:, None]  # a parameter that acts slowly
         own = correlations(terms, 150)
         left = (expected_products(part, 1) @ own)[0]
-        said.append(np.sqrt((line * correlated(terms, line)).sum() / left * sum((p.residual**2).sum() for p in part)))
+        spread = (line * correlated(own, line)).sum() / left
+        said.append(np.sqrt(spread * sum((p.residual**2).sum() for p in part)))
     walk = np.tril(np.ones((150, 150)))
     true = float(np.sqrt(line[:, 0] @ (walk @ walk.T + np.eye(150)) @ line[:, 0]))
     # 80 windows of which five curves take most of the walk, and at most 0.995 for what returns to 0 never: 10 %. One
@@ -156,7 +157,7 @@ def test_residuals_larger_than_declared_are_told() -> None:
 def test_white_residuals_give_the_textbook_covariance() -> None:
     plant = waves(80)
     basis = fitted(plant, np.random.default_rng(1).standard_normal((80, 1)))
-    assert basis.information.terms.size == 0
+    assert not basis.information.memory[1:].any()
     whole = np.hstack([plant.shared[:, 0], plant.own[:, 0]])
     residual = basis.fit.residuals[0]
     variance = residual @ residual / (80 - 4)

@@ -1,6 +1,6 @@
 """Parametric bootstrap: fits to recordings simulated from a fit."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,9 +10,9 @@ from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit, one_thread
 from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level
-from hyperflex.identification.uncertainty.noise import correlations
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level, ratios
 from hyperflex.simulation import progress_bar
 
 
@@ -26,6 +26,8 @@ class Bootstrap:
         Of the P parameters, as in ``Identification.parameters``.
     samples : (B, P) array
         Fitted values, SI units.
+    ratio_names, ratio_samples : tuple of str, (B, R) array
+        The same of the ratios, such as ``J/p1[0]``.
     failed, interrupted : int, bool
         How many more fits failed, and whether Ctrl-C came before all were done.
     """
@@ -34,10 +36,20 @@ class Bootstrap:
     samples: Array
     failed: int
     interrupted: bool
+    ratio_names: tuple[str, ...] = ()
+    ratio_samples: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __repr__(self) -> str:
         end = ", interrupted" if self.interrupted else ""
         return f"<Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}: {', '.join(self.names)}>"
+
+    def __str__(self) -> str:
+        lines = [f"Bootstrap: {len(self.samples)} fits, {self.failed} more failed{', interrupted' * self.interrupted}"]
+        if len(self.samples) > 1:
+            for name in (*self.names, *self.ratio_names):
+                values = self._of(name)
+                lines.append(f"  {name:<18} {values.mean():.5g} ± {values.std(ddof=1):.2g}, 95 % {self.interval(name)}")
+        return "\n".join(lines)
 
     @property
     def success(self) -> bool:
@@ -45,12 +57,21 @@ class Bootstrap:
         return not self.interrupted and len(self.samples) > 0
 
     def interval(self, name: str, level: float = LEVEL) -> Interval:
-        """Return the percentile interval of parameter `name` at a `level`; beside bounds :func:`profile` is better."""
-        if name not in self.names:
-            raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(self.names))
+        """Return the percentile interval of a parameter or ratio; beside bounds :func:`profile` is better."""
+        values = self._of(name)
         side = 0.5 * (1.0 - checked_level(level))
-        low, high = np.quantile(self.samples[:, self.names.index(name)], [side, 1.0 - side])
+        if values.size == 0:
+            raise IdentificationError("No fit of the bootstrap converged: there is no interval.")
+        low, high = np.quantile(values, [side, 1.0 - side])
         return Interval(float(low), float(high), "bootstrap", level=level)
+
+    def _of(self, name: str) -> Array:
+        every = (*self.names, *self.ratio_names)
+        if name not in every:
+            raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(every))
+        which = every.index(name)
+        count = len(self.names)
+        return self.samples[:, which] if which < count else self.ratio_samples[:, which - count]
 
 
 @one_thread()
@@ -90,7 +111,7 @@ def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progres
     if len(clean) < len(seen):
         raise IdentificationError("The fit cannot be simulated any more: nothing can be drawn from it.")
     noise = _Noise(basis)
-    samples, failed, interrupted = [], 0, False
+    samples, told, failed, interrupted = [], [], 0, False
     with progress_bar(0.0, float(count), progress, "simulated recordings") as report:
         try:
             for number in range(count):
@@ -100,12 +121,23 @@ def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progres
                     failed += 1
                 else:
                     samples.append(plant.parameters.values(x))
+                    told.append(_ratios(plant.parameters, x))
                 if report is not None:
                     report(number + 1.0)
         except KeyboardInterrupt:
             interrupted = True
     table = np.array(samples).reshape(len(samples), len(plant.parameters))
-    return Bootstrap(plant.parameters.labels, table, failed, interrupted)
+    names = tuple(_ratios(plant.parameters, fitted.x))
+    numbers = np.array([list(each.values()) for each in told]).reshape(len(told), len(names))
+    return Bootstrap(plant.parameters.labels, table, failed, interrupted, names, numbers)
+
+
+def _ratios(parameters: Parameters, x: Array) -> dict[str, float]:
+    """Return each link's ratios, but the first moment of link 0 over itself."""
+    found = ratios(parameters.rope(parameters.rounded(x)), parameters.names)
+    each = {f"{name}[{k}]": float(value) for name, values in found.items() for k, value in enumerate(values)}
+    del each["p/p1[0]"]
+    return each
 
 
 def _refitted(basis: Basis, windows: list[Window]) -> Array | None:
@@ -127,8 +159,8 @@ class _Noise:
         self.scale = float(np.sqrt(information.variance))
         longest = max(window.t.size for window in self.windows)
         lags = np.abs(np.subtract.outer(np.arange(longest), np.arange(longest)))
-        correlated = information.terms.size > 0
-        self.root = np.linalg.cholesky(correlations(information.terms, longest)[lags]) if correlated else None
+        memory = information.memory
+        self.root = np.linalg.cholesky(memory[:longest][lags]) if memory[1:].any() else None
         self.drawn: Array | None = None
         if basis.fit.loss.name != "squares":
             parts = [r[w.weight.ravel() > 0.0] for r, w in zip(basis.fit.residuals, self.windows, strict=True)]

@@ -15,7 +15,7 @@ from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters, lumped
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import Mask, in_common_factor
-from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, autoregression, correlated, correlations
+from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.identification.uncertainty.whiteness import whiteness
 from hyperflex.model import RESISTANCES, Rope
@@ -36,7 +36,7 @@ class Information:
     (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. model (P, P): the same of errors of the
     model, which come on top. correlation: autocorrelation time of the residuals, samples. plain (P, P): the covariance
     if the residuals were white. variance: of what each residual counts. freedom: its degrees of freedom, 1 at least.
-    terms (k,): of the residuals' autoregression; agrees: whether that explains the residuals. whiteness: p-value of
+    memory (m,): autocorrelations of the noise by lag; agrees: whether they explain the residuals. whiteness: p-value of
     white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters stand in an
     unknown common factor.
     """
@@ -51,7 +51,7 @@ class Information:
     plain: Array = field(default_factory=lambda: np.zeros((0, 0)))
     variance: float = 1.0
     freedom: float = np.inf
-    terms: Array = field(default_factory=lambda: np.zeros(0))
+    memory: Array = field(default_factory=lambda: np.ones(1))
     whiteness: float = 1.0
     follow: tuple[Array, ...] = ()
     agrees: bool = True
@@ -100,8 +100,8 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> In
     - A = mean(psi') S^T S, and what each residual counts has the variance s^2 = K^2 sum(psi^2) / freedom / mean(psi'),
       where psi is half the slope of the loss and K = 1 + (p / n) var(psi') / mean(psi')^2 (Huber, Robust Statistics,
       section 7.6). For squares psi is the residual and s^2 their variance.
-    - M = s^2 S^T R S: R are the autocorrelations of the residuals as an autoregression, one for all channels and
-      windows, corrected for what the fit absorbs; 1 where BIC sees none.
+    - M = s^2 S^T R S: R are the autocorrelations of the residuals, one for all channels and windows, see
+      :func:`noise_memory`.
 
     Assumed are residuals of one stationary process, independent between channels and windows, at times that are about
     even, and weights that are right up to a common factor. Model errors are not covered.
@@ -114,15 +114,14 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> In
     singular, known, unknown = known_directions([*rows, np.zeros((total, total))])
     inner = known / singular[: known.shape[1]]  # A^+ = inner inner^T
     pieces = [model.piece(inner * widths[:, None]) for model in models]
-    terms, agrees = autoregression(pieces)
-    absorbed = sum(float((piece.basis * correlated(terms, piece.basis)).sum()) for piece in pieces)
+    memory, agrees = noise_memory(pieces)
+    absorbed = sum(float((piece.basis * correlated(memory, piece.basis)).sum()) for piece in pieces)
     freedom = max(1.0, slopes.size - absorbed)
     factor = 1.0 + absorbed / slopes.size * float(slopes.var()) / mean**2
     variance = factor**2 * sum(float((p.residual**2).sum()) for p in pieces) / freedom / mean
-    meat = np.sum([model.meat(terms) for model in models], axis=0) * np.outer(widths, widths)
+    meat = np.sum([model.meat(memory) for model in models], axis=0) * np.outer(widths, widths)
     plain, sandwich = inner @ inner.T, inner @ (inner.T @ meat @ inner) @ inner.T
     scale = variance * np.outer(widths, widths)
-    memory = correlations(terms, max(piece.residual.shape[0] for piece in pieces))
     return Information(
         fit.x,
         widths,
@@ -134,7 +133,7 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> In
         plain=plain * scale,
         variance=variance,
         freedom=max(1.0, freedom / (2.0 * float(memory @ memory) - 1.0)),
-        terms=terms,
+        memory=memory,
         whiteness=whiteness(pieces),
         follow=tuple(model.follow for model in models),
         agrees=agrees,
@@ -162,11 +161,11 @@ class _Model:
         basis = np.column_stack([self.own, self.shared @ inner])[: self.influence.size]
         return Piece(self.influence, self.seen, basis.reshape(*self.influence.shape, -1) * self.seen[:, :, None])
 
-    def meat(self, terms: Array) -> Array:
+    def meat(self, memory: Array) -> Array:
         """Return S^T R S (P, P)."""
         size, shape = self.influence.size, self.influence.shape
         rows, prior = self.shared[:size].reshape(*shape, -1), self.shared[size:]
-        return np.asarray(np.tensordot(rows, correlated(terms, rows), axes=([0, 1], [0, 1])) + prior.T @ prior)
+        return np.asarray(np.tensordot(rows, correlated(memory, rows), axes=([0, 1], [0, 1])) + prior.T @ prior)
 
 
 def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float) -> list[_Model]:

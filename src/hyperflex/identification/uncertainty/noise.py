@@ -15,7 +15,7 @@ AGREES = 0.05  # by which autocorrelations may miss those of the residuals befor
 ROUNDS = 20  # of Gauss and Newton's steps
 SETTLED = 1e-9  # sum of squared misses of autocorrelations below which nothing is left to gain
 HARDLY = 0.01  # part of that sum which a step must gain for another to be worth its while
-SMOOTH, FEW = 0.8, 8  # autocorrelation of neighbours from which gaps are bridged, and values that it takes
+SMOOTH = 0.8  # autocorrelation of neighbours from which gaps leave too little for an autoregression
 STEP = 1e-6  # of differences
 
 
@@ -41,12 +41,6 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     are. Times are taken as even. Cost: a few Fourier transforms (m, C K) a window.
     """
     observed = _lagged_products(pieces)
-    if (
-        min(piece.seen.min() for piece in pieces) == 0.0
-        and observed[1] * _of_pairs(pieces, 1)[1] > SMOOTH * observed[0]
-    ):
-        pieces = [_bridged(piece) for piece in pieces]
-        observed = _lagged_products(pieces)
     longest = max(piece.residual.shape[0] for piece in pieces)
     most = min(MOST_TERMS, longest // 4)
     if observed[0] <= 0.0 or most == 0:
@@ -104,13 +98,29 @@ def correlations(terms: Array, count: int) -> Array:
     return result
 
 
-def correlated(terms: Array, values: Array) -> Array:
-    """Return R values (m, ...): R (m, m) are the autocorrelations of an autoregression."""
-    if terms.size == 0:
+def noise_memory(pieces: Sequence[Piece]) -> tuple[Array, bool]:
+    """Return the autocorrelations (longest,) of the residuals' noise by lag, and whether they explain the residuals.
+
+    Those of an autoregression. Where smooth residuals have gaps they are the residuals' own over the pairs that there
+    are, tapered linearly (Newey and West 1987, doi:10.2307/1913610): what an autoregression of many terms tells of such
+    residuals hangs on differences that gaps blur.
+    """
+    longest = max(piece.residual.shape[0] for piece in pieces)
+    terms, agrees = autoregression(pieces)
+    if min(piece.seen.min() for piece in pieces) == 0.0 and longest > 1:
+        own = _autocorrelations(pieces)
+        if own[1] > SMOOTH:
+            return np.asarray(own * (1.0 - np.arange(longest) / longest)), True
+    return correlations(terms, longest), agrees
+
+
+def correlated(memory: Array, values: Array) -> Array:
+    """Return R values (m, ...): R (m, m) holds the autocorrelations `memory`, by lag."""
+    if not memory[1:].any():
         return values
     m = values.shape[0]
     lags = np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
-    return np.asarray(np.tensordot(correlations(terms, m)[lags], values, axes=1))
+    return np.asarray(np.tensordot(memory[lags], values, axes=1))
 
 
 def autocorrelation(pieces: Sequence[Piece]) -> float:
@@ -118,35 +128,24 @@ def autocorrelation(pieces: Sequence[Piece]) -> float:
 
     1 + 2 sum of the autocorrelations up to the first below 0.05, each of the pairs of samples that are there.
     """
+    part = _autocorrelations(pieces)
+    longest = part.size
+    low = np.flatnonzero(part < 0.05)
+    end = int(low[0]) if low.size else longest
+    return max(1.0, float(1.0 + 2.0 * part[1:end].sum()))
+
+
+def _autocorrelations(pieces: Sequence[Piece]) -> Array:
+    """Return the residuals' own autocorrelations (longest,) over the pairs of samples that there are."""
     longest = max(piece.residual.shape[0] for piece in pieces)
     sums = np.zeros(longest)
     for piece in pieces:
         for lag in range(piece.residual.shape[0]):
             sums[lag] += _lagged_product(piece.residual, lag)
     if sums[0] <= 0.0:
-        return 1.0
-    part = sums / sums[0] * _of_pairs(pieces, longest - 1)
-    low = np.flatnonzero(part < 0.05)
-    end = int(low[0]) if low.size else longest
-    return max(1.0, float(1.0 + 2.0 * part[1:end].sum()))
-
-
-def _bridged(piece: Piece) -> Piece:
-    """Return the piece with cubic splines through its gaps, for residuals so smooth that nothing else is between.
-
-    Pairs of samples with gaps between are others at each lag; what such residuals change from sample to sample is less
-    than that.
-    """
-    from scipy.interpolate import CubicSpline
-
-    both = np.concatenate([piece.residual[:, :, None], piece.basis], axis=2)
-    for c, column in enumerate(piece.seen.T):
-        known = np.flatnonzero(column)
-        if FEW <= known.size < column.size:
-            gaps = np.clip(np.flatnonzero(column == 0.0), known[0], known[-1])
-            both[column == 0.0, c] = CubicSpline(known, both[known, c])(gaps)
-    basis = np.linalg.qr(both[:, :, 1:].reshape(piece.residual.size, -1))[0]
-    return Piece(both[:, :, 0], np.ones_like(piece.seen), basis.reshape(piece.basis.shape))
+        return np.asarray(np.eye(1, longest)[0])
+    found: Array = sums / sums[0] * _of_pairs(pieces, longest - 1)
+    return found
 
 
 def _of_pairs(pieces: Sequence[Piece], most: int) -> Array:

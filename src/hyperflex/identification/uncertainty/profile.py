@@ -1,7 +1,7 @@
 """Profile likelihood: one parameter held at a value, all others fitted again."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,7 +20,7 @@ CLOSE = 0.01  # std to which an end is found
 LONGEST = 3.0  # factor by which a step may grow
 TRIES = 25  # points on either side
 MOST_ROUNDS = 100  # of all fits on one side; usual are ten
-FIRST_ROUNDS, LAST_ROUNDS = 4, 16  # of a fit: some, then more unless the squares are HOPELESS
+PROMISING = 4  # rounds of a fit after which its squares must not be HOPELESS
 HOPELESS = 1e4  # rise of the squares after the first rounds, over the residual variance: not this optimum's valley
 BETTER = 1.0  # fall of the squares, over the residual variance, from which another optimum is said to be better
 
@@ -145,6 +145,10 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Re
     return Profile(parameter.label, low, high, level, ends, values, rise, limit, kind, max(gain, 0.0), better)
 
 
+class _HopelessError(Exception):
+    """A fit is nowhere near."""
+
+
 class _BudgetExceeded(Exception):
     """A side has taken all its rounds."""
 
@@ -172,10 +176,12 @@ class _ProfileSearch:
         limit = threshold(self.level, information.freedom, self.which, information.covariance, x - self.lower)
         return _Point(x, states, rise, limit)
 
-    def _fit(self, x: Array, states: list[Array], rounds: int, held: tuple[int, ...] = ()) -> Fit:
+    def _fit(
+        self, x: Array, states: list[Array], rounds: int, held: tuple[int, ...] = (), report: Report | None = None
+    ) -> Fit:
         """Return a fit from there, all other than `held` free."""
         plant, windows = self.basis.plant, self.basis.windows
-        loss, enough, report = self.loss, self.enough, self.report
+        loss, enough, report = self.loss, self.enough, report or self.report
         found = fit(plant, windows, x, states, loss=loss, enough=enough, rounds=rounds, report=report, held=held)
         if found.interrupted:
             raise KeyboardInterrupt
@@ -200,19 +206,22 @@ class _ProfileSearch:
 
     def _reached(self, x: Array, states: list[Array]) -> Fit | None:
         """Return the fit from there, or None where it cannot be simulated or is far from any of interest."""
-        rounds = min(FIRST_ROUNDS, self.budget)
+        taken = 0
+
+        def look(entry: dict[str, Any]) -> None:
+            nonlocal taken
+            taken += 1
+            if self.report is not None:
+                self.report(entry)
+            if taken >= PROMISING and (entry["cost"] - self.least) / self.unit > HOPELESS:
+                raise _HopelessError
+
         try:
-            found = self._fit(x, states, rounds, held=(self.which,))
-        except InvalidInput:
-            self.budget -= 1
+            return self._fit(x, states, min(20, self.budget), held=(self.which,), report=look)
+        except (InvalidInput, _HopelessError):
             return None
-        self.budget -= len(found.history)
-        if (found.cost - self.least) / self.unit > HOPELESS:
-            return None
-        if not found.converged and self.budget > 0 and len(found.history) == rounds:
-            found = self._fit(found.x, found.states, min(LAST_ROUNDS, self.budget), held=(self.which,))
-            self.budget -= len(found.history)
-        return found
+        finally:
+            self.budget -= max(taken, 1)
 
     def side(self, sign: float) -> tuple[float, End]:
         """Return x of the end of the interval below (-1) or above (1) the optimum, and its kind."""
