@@ -193,6 +193,7 @@ def identify(
     settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
     settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
     settings |= delay | _fit_settings(plant, free, loss, origin)
+    settings["noise"] = "not declared" if recording.noise is None else "declared"
     remark = "" if arc_lengths is not None else other_lengths(recording, rope_guess)
     result = assemble_result(basis, held_out, settings, remark, ranges, tests)
     if not found.interrupted and (result.grade.doubtful or suspicious(fitted.shape)):

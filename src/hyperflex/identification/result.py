@@ -271,7 +271,7 @@ def assemble_result(
         failed_predictions(held_out),
         remark,
     ]
-    if ((weights != 0.0) & (weights != 1.0)).any():  # the recording says what its noise is
+    if settings["noise"] == "declared":
         words.append(too_large(information.variance, information.freedom))
     words += [each.remark for each in (intervals or {}).values()]
     identifiable = information.unknown.shape[1] == 0

@@ -1,6 +1,5 @@
-"""Stages of a fit: delay search, short windows before long ones, restarts of states."""
+"""Stages of a fit: delay search, and short windows before long ones."""
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state, with_entries
+from hyperflex.identification.fit.restarts import fit_from_starts, refit_poor_windows
 from hyperflex.identification.fit.windows import FEWEST, Window, cut_windows, decimation_step
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
@@ -22,9 +22,6 @@ DELAY_STEPS = 16  # of the grid on either side of 0, over a window's length
 DELAY_WINDOWS = 4  # that are looked at
 DELAY_ROUNDS = 2  # of fitting their states
 CLEARLY = 0.8  # part of the cost without delay that another must come below
-WORSE = 2.0  # times what a value of the middle window costs, or of noise that is known: worth another start
-BETTER = 0.98  # of its cost: less is another state, not the same one again
-AGAIN = 3  # times at most that all is fitted together after windows have found better states
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,7 @@ def fit_in_stages(
     Ctrl-C returns the best so far, marked ``interrupted``; during the first stage it passes through.
     """
     spacing = float(np.median(np.diff(measured.channels.t)))
-    x, history = plant.parameters.start, []
+    x, history, tried, agree = plant.parameters.start, [], 1, 1
     done: list[Done] = []
     lengths = stage_lengths(length, usual, spacing)
     for number, part in enumerate(lengths):
@@ -73,8 +70,11 @@ def fit_in_stages(
             heard = with_entries(report, stage)
             found = fit(plant, usable, x, states, loss=loss, enough=enough, report=heard)
             if part == length and not found.interrupted:
-                found = refit_poor_windows(
-                    plant, usable, found, known_noise=measured.channels.noise is not None, report=heard
+                known_noise = measured.channels.noise is not None
+                found = refit_poor_windows(plant, usable, found, known_noise=known_noise, report=heard)
+                starts = [plant.parameters.start, *(each.x for each, _, _ in done)]
+                found, tried, agree = fit_from_starts(
+                    plant, usable, found, starts, known_noise=known_noise, report=heard
                 )
         except KeyboardInterrupt:
             if not done:
@@ -84,6 +84,8 @@ def fit_in_stages(
         history += [entry | stage for entry in found.history]
         left_out = dropped + len(windows) - len(usable)
         settings = {"window": part, "windows": len(usable), "left_out": left_out, "decimation": step}
+        if part == length and tried > 1:
+            settings |= {"starts": tried, "starts_agree": agree}
         done.append((found, usable, settings))
         x = found.x
         if found.interrupted:
@@ -170,62 +172,3 @@ def _delay_cost(plant: Plant, x: Array, windows: list[Window], states: list[Arra
             return np.inf
         total += float(np.minimum(found[1] ** 2, 9.0 * np.median(found[1] ** 2)).sum())  # outliers count little
     return total
-
-
-def refit_poor_windows(
-    plant: Plant, windows: Sequence[Window], found: Fit, *, known_noise: bool, report: Report
-) -> Fit:
-    """Fit again from other states of the windows that fit badly; return the better fit.
-
-    Outliers and gaps spoil first guesses of states, and a sticking joint has no gradient. `found` has not been
-    interrupted. With `known_noise` the weights are of declared noise: a value should cost about 1.
-    """
-    for _ in range(AGAIN):
-        states, gained = list(found.states), False
-        for k in poor_windows(windows, found, known_noise=known_noise):
-            better = _better_state(plant, windows, found, states, k)
-            if better is not None:
-                states[k], gained = better, True
-        if not gained:
-            return found
-        again = fit(plant, windows, found.x, states, loss=found.loss, report=report)
-        again.history[:0] = found.history
-        if again.interrupted or again.cost >= found.cost:
-            found.interrupted = again.interrupted
-            return found if again.cost >= found.cost else again
-        found = again
-    return found
-
-
-def poor_windows(windows: Sequence[Window], found: Fit, *, known_noise: bool) -> list[int]:
-    """Return the windows whose cost a value is far above the median, or above that of known noise."""
-    each = zip(windows, found.states, found.residuals, strict=True)
-    costs = np.array([found.window_cost(window, state, r) / window.values for window, state, r in each])
-    limit = float(np.median(costs))
-    return [int(k) for k in np.flatnonzero(costs > WORSE * (min(limit, 1.0) if known_noise else limit))]
-
-
-def _better_state(plant: Plant, windows: Sequence[Window], found: Fit, states: list[Array], k: int) -> Array | None:
-    """Return a state of window k that costs less than the present one, from the best of several starts; else None."""
-    window = windows[k]
-    least, best = BETTER * found.window_cost(window, found.states[k], found.residuals[k]), None
-    for start in _restart_states(plant, windows, found.x, states, k):
-        tried = fit_state(plant, found.x, window, start, loss=found.loss)
-        if tried is not None and (cost := found.window_cost(window, *tried)) < least:
-            least, best = BETTER * cost, tried[0]
-    return best
-
-
-def _restart_states(
-    plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array], k: int
-) -> Iterator[Array]:
-    """Yield states to start window k from: the end of the window before, that of the data, and both angles at rest."""
-    window, n = windows[k], states[k].size // 2
-    if k > 0:
-        arrived = plant.propagate(x, float(windows[k - 1].t[0]), states[k - 1], float(window.t[0]))
-        if arrived is not None:
-            turns = 2.0 * np.pi * np.round((window.guess[:n] - arrived[:n]) / (2.0 * np.pi))
-            yield np.append(arrived[:n] + turns, arrived[n:])
-    yield window.guess
-    yield np.append(window.guess[:n], np.zeros(n))
-    yield np.append(states[k][:n], np.zeros(n))

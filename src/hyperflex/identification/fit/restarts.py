@@ -1,0 +1,132 @@
+"""Restarts: other states of windows that fit badly, and other starts of a fit that ends badly."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state
+from hyperflex.identification.fit.windows import Window, part_left
+from hyperflex.identification.model.plant import Plant
+
+WORSE = 2.0  # times what a value of the middle window costs, or of noise that is known: worth another start
+BETTER = 0.98  # of its cost: less is another state, not the same one again
+AGAIN = 3  # times at most that all is fitted together after windows have found better states
+BAD = 0.05  # part of the motion that a fit without known noise leaves, from which it is tried from other starts
+ALIKE = 1.05  # ratio of costs within which two starts have come to the same
+
+
+def refit_poor_windows(
+    plant: Plant, windows: Sequence[Window], found: Fit, *, known_noise: bool, report: Report
+) -> Fit:
+    """Fit again from other states of the windows that fit badly; return the better fit.
+
+    Outliers and gaps spoil first guesses of states, and a sticking joint has no gradient. `found` has not been
+    interrupted. With `known_noise` the weights are of declared noise: a value should cost about 1.
+    """
+    for _ in range(AGAIN):
+        states, gained = list(found.states), False
+        for k in poor_windows(windows, found, known_noise=known_noise):
+            better = _better_state(plant, windows, found, states, k)
+            if better is not None:
+                states[k], gained = better, True
+        if not gained:
+            return found
+        again = fit(plant, windows, found.x, states, loss=found.loss, report=report)
+        again.history[:0] = found.history
+        if again.interrupted or again.cost >= found.cost:
+            found.interrupted = again.interrupted
+            return found if again.cost >= found.cost else again
+        found = again
+    return found
+
+
+def poor_windows(windows: Sequence[Window], found: Fit, *, known_noise: bool) -> list[int]:
+    """Return the windows whose cost a value is far above the median, or above that of known noise."""
+    each = zip(windows, found.states, found.residuals, strict=True)
+    costs = np.array([found.window_cost(window, state, r) / window.values for window, state, r in each])
+    limit = float(np.median(costs))
+    return [int(k) for k in np.flatnonzero(costs > WORSE * (min(limit, 1.0) if known_noise else limit))]
+
+
+def _better_state(plant: Plant, windows: Sequence[Window], found: Fit, states: list[Array], k: int) -> Array | None:
+    """Return a state of window k that costs less than the present one, from the best of several starts; else None."""
+    window = windows[k]
+    least, best = BETTER * found.window_cost(window, found.states[k], found.residuals[k]), None
+    for start in _restart_states(plant, windows, found.x, states, k):
+        tried = fit_state(plant, found.x, window, start, loss=found.loss)
+        if tried is not None and (cost := found.window_cost(window, *tried)) < least:
+            least, best = BETTER * cost, tried[0]
+    return best
+
+
+def _restart_states(
+    plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array], k: int
+) -> Iterator[Array]:
+    """Yield states to start window k from: the end of the window before, that of the data, and both angles at rest."""
+    window, n = windows[k], states[k].size // 2
+    if k > 0:
+        arrived = plant.propagate(x, float(windows[k - 1].t[0]), states[k - 1], float(window.t[0]))
+        if arrived is not None:
+            turns = 2.0 * np.pi * np.round((window.guess[:n] - arrived[:n]) / (2.0 * np.pi))
+            yield np.append(arrived[:n] + turns, arrived[n:])
+    yield window.guess
+    yield np.append(window.guess[:n], np.zeros(n))
+    yield np.append(states[k][:n], np.zeros(n))
+
+
+def fit_from_starts(
+    plant: Plant,
+    windows: Sequence[Window],
+    found: Fit,
+    starts: Sequence[Array],
+    *,
+    known_noise: bool,
+    report: Report,
+) -> tuple[Fit, int, int]:
+    """Return the best of a fit and, if it is bad, of fits from other x [(P,), ..]; how many were tried, and agree.
+
+    States are fitted to each start first, window after window, so that no start is lost by a bad guess of states. It is
+    bad if values cost twice what known noise does, or it leaves a large part of the motion.
+    """
+    if found.interrupted or not _is_bad(windows, found, known_noise):
+        return found, 1, 1
+    costs, best = [found.cost], found
+    for x in starts:
+        states = _states_at(plant, windows, found, x)
+        if states is None:
+            continue
+        try:
+            tried = fit(plant, windows, x, states, loss=found.loss, report=report)
+        except InvalidInput:
+            continue
+        costs.append(tried.cost)
+        if tried.cost < best.cost:
+            tried.history[:0] = best.history
+            best = tried
+        if tried.interrupted:
+            best.interrupted = True
+            break
+    return best, len(costs), sum(cost <= ALIKE * best.cost for cost in costs)
+
+
+def _is_bad(windows: Sequence[Window], found: Fit, known_noise: bool) -> bool:
+    if known_noise:
+        return found.cost > WORSE * sum(window.values for window in windows)
+    return not found.converged or part_left(windows, found.residuals) > BAD
+
+
+def _states_at(plant: Plant, windows: Sequence[Window], found: Fit, x: Array) -> list[Array] | None:
+    """Return each window's state of least cost at x, from several starts, or None where a window has none."""
+    states = list(found.states)
+    for k, window in enumerate(windows):
+        least, best = np.inf, None
+        for start in _restart_states(plant, windows, x, states, k):
+            tried = fit_state(plant, x, window, start, loss=found.loss)
+            if tried is not None and (cost := found.window_cost(window, *tried)) < least:
+                least, best = cost, tried[0]
+        if best is None:
+            return None
+        states[k] = best
+    return states
