@@ -122,7 +122,7 @@ def single_swing() -> Recording:
 
 ALIKE = "cannot be known: these parameters act alike in this motion"
 COMMON = "cannot be known from this motion (no known force or torque acts)"
-IDLE = "length[0] cannot be known: it does not act in this motion"
+IDLE = "length[0] cannot be known: what does not act in this motion"
 HIDDEN: dict[str, tuple[list[str], list[str]]] = {
     "length of a single link": (["inertia", "length"], [IDLE]),
     "and a common factor": (
@@ -536,7 +536,7 @@ def test_a_prediction_that_diverges_counts_as_infinitely_wrong(free_swing: Recor
 
 
 def test_failed_predictions_are_in_the_verdict(free_swing: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperflex.identification.pipeline.Plant", Wild)
+    monkeypatch.setattr("hyperflex.identification.problem.Plant", Wild)
     result = identify(free_swing, DOUBLE, ["friction"], train=4.0)
     assert any("held-out predictions failed" in text for text in result.verdict)
     assert result.summary()["held_out"]["rms"] == [None, None]  # JSON has no infinity
@@ -618,7 +618,7 @@ def test_progress_is_told_and_printed(free_swing: Recording, capsys: pytest.Capt
     result = identify(free_swing, GUESS, ["friction"], progress=told.append)
     fitted = [e for e in told if "phase" not in e]
     assert [tuple(sorted(e.items())) for e in fitted] == [tuple(sorted(e.items())) for e in result.history]
-    assert all(e["phase"] == "profile" for e in told[len(fitted) :])
+    assert {e["phase"] for e in told[len(fitted) :]} <= {"start", "profile"}  # of a fit that is bad, and of intervals
     assert {"window", "stage", "stages", "round", "cost", "gain", "damping"} == set(told[0])
     assert capsys.readouterr() == ("", "")
     identify(free_swing, GUESS, ["friction"], progress=True)

@@ -10,7 +10,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.stages import poor_windows, refit_poor_windows
+from hyperflex.identification.fit.restarts import poor_windows, refit_poor_windows
 
 PAPER = hf.Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)  # inferred, see ../shared
 PAIR = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from hyperflex.identification.baselines.simplex import InitialState, estimate_initial_state, squared_error
     from hyperflex.identification.comparison.compare import compare_models
     from hyperflex.identification.comparison.result import FittedModel, ModelComparison
+    from hyperflex.identification.diagnosis.grade import Grade
+    from hyperflex.identification.diagnosis.score_tests import ScoreTest
     from hyperflex.identification.experiment_design.choice import ExperimentDesign, Plan, design_experiment
     from hyperflex.identification.experiment_design.experiments import Experiment
     from hyperflex.identification.model.names import perturbed

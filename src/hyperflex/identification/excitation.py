@@ -19,6 +19,17 @@ ROUGHEST = 8.0 / 3.0  # of the ratio of variances below: samples that jump up an
 SPREAD = 17.0 / 9.0  # variance of that ratio for white noise, times the number of values
 
 
+def check_excitation(channels: Recording, shape: Recording, rope: Rope, *, moved: bool) -> None:
+    """Refuse measured `channels`, and the link angles `shape` that they show, that can tell nothing of the rope.
+
+    `moved` tells whether the first joint moves: then links may turn as fast as it makes them.
+    """
+    check_times(channels, rope)
+    check_motion(shape, channels)
+    if not moved:
+        check_speed(shape, rope)
+
+
 def check_times(recording: Recording, rope: Rope) -> None:
     """Refuse recordings far shorter, or sampled far sparser, than a small swing of a straight rod of the rope's length.
 

@@ -11,11 +11,12 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
+from hyperflex.identification.assembly import assemble_result
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, suspicious
 from hyperflex.identification.diagnosis.free_parameters import identify_chosen
 from hyperflex.identification.diagnosis.grade import misdeclared
 from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests, with_model_error
-from hyperflex.identification.excitation import check_motion, check_speed, check_times
+from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, one_thread
 from hyperflex.identification.fit.stages import Measurements, fit_in_stages, search_delay, with_delay
@@ -26,7 +27,7 @@ from hyperflex.identification.measurements import (
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
 from hyperflex.identification.problem import build_plant, checked_measurements
-from hyperflex.identification.result import Identification, assemble_result
+from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, estimate_covariance
 from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
 from hyperflex.identification.verdict import POOR, other_lengths
@@ -160,17 +161,11 @@ def identify(
     if intervals is not None:
         checks.choice("intervals", intervals, HOWS)
     measured, places = checked_measurements(recording, rope_guess, arc_lengths, origin, motion, arm)
-    if arm is not None and motion is None:
-        raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
-    if torque is not None and arm is None:
-        raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
+    _refuse_half_a_drive(motion, arm, torque)
     plant = build_plant(recording, rope_guess, free, places, origin, motion, arm, torque=torque is not None)
     foretold = plant.without_torque()  # what is held out is predicted without force or torque
     fitted, rest = _split(measured, train, lead, ahead)
-    check_times(fitted.channels, rope_guess)
-    check_motion(fitted.shape, fitted.channels)
-    if motion is None:
-        check_speed(fitted.shape, rope_guess)
+    check_excitation(fitted.channels, fitted.shape, rope_guess, moved=motion is not None)
     delay = {}
     usual = with_enough_frames(usual_length(fitted.shape, rope_guess), fitted.shape)
     if "delay" in free:
@@ -198,8 +193,15 @@ def identify(
     result = assemble_result(basis, held_out, settings, remark, ranges, tests)
     if not found.interrupted and (result.grade.doubtful or suspicious(fitted.shape)):
         trial = ShortFit(rope_guess, free, arc_lengths, origin, motion, arm, Loss(loss))
-        result = result.with_reason(explained(recording, origin, trial))
+        result = result.with_reason(explained(recording, origin, trial, named=bool(misdeclared(tests))))
     return result
+
+
+def _refuse_half_a_drive(motion: Motion | None, arm: Arm | None, torque: npt.ArrayLike | None) -> None:
+    if arm is not None and motion is None:
+        raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
+    if torque is not None and arm is None:
+        raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
 
 
 def _tested(

@@ -1,4 +1,4 @@
-"""The result of an identification, and how it is put together from a fit."""
+"""The result of an identification."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -9,26 +9,12 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.identification.diagnosis.grade import Grade, grade
-from hyperflex.identification.diagnosis.score_tests import ScoreTest, law_error
-from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.diagnosis.grade import Grade
+from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.ending import Ended
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_ratios, ratio_gradients, ratios
-from hyperflex.identification.uncertainty.whiteness import CHANCE
-from hyperflex.identification.verdict import (
-    consistent,
-    failed_predictions,
-    noise_not_modelled,
-    not_converged,
-    not_noise,
-    poor_fit,
-    poor_torque,
-    too_large,
-    verdict,
-)
+from hyperflex.identification.uncertainty.covariance import Basis, Interval
 from hyperflex.model import Rope
-from hyperflex.sensors import Angles
 
 MANY = 8  # numbers of a kind that are printed
 LARGE = 0.3  # part of a standard deviation from which the model's is printed
@@ -155,11 +141,11 @@ class Identification(Ended):
         return dict(files.plain(result))
 
     def with_reason(self, reason: str) -> "Identification":
-        """Return the same, not to be used for one more reason, which comes first; unchanged without any."""
+        """Return the same, not to be used for one more `reason`, which comes first; unchanged without any."""
         return self._changed(grade=Grade("do not use", (reason, *self.grade.reasons))) if reason else self
 
     def with_remark(self, remark: str) -> "Identification":
-        """Return the same with one more sentence, the first of the verdict."""
+        """Return the same with the sentence `remark` as the first of the verdict."""
         return self._changed(verdict=(remark, *self.verdict))
 
     def _changed(self, **fields: Any) -> "Identification":
@@ -232,110 +218,3 @@ def _without_none(content: Any) -> Any:
     if isinstance(content, list):
         return [_without_none(value) for value in content]
     return "unknown" if content is None else content
-
-
-def assemble_result(
-    basis: Basis,
-    held_out: HeldOut | None,
-    settings: dict[str, Any],
-    remark: str,
-    intervals: dict[str, Interval] | None = None,
-    tests: tuple[ScoreTest, ...] = (),
-) -> Identification:
-    """Return the result of a fit; `remark` joins the verdict, intervals of the ratios those of the parameters."""
-    plant, information, found, windows = basis.plant, basis.information, basis.fit, basis.windows
-    parameters = plant.parameters
-    x = parameters.rounded(found.x)
-    rope, slopes = parameters.rope(x), parameters.derivatives(x)
-    spreads = information.deviations(slopes)
-    weights = np.concatenate([w.weight for w in windows])
-    flat = np.concatenate([r.reshape(w.y.shape) for r, w in zip(found.residuals, windows, strict=True)])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        residuals = np.where(weights > 0.0, -flat / weights, np.nan)
-    unit = "rad" if isinstance(plant.sensor, Angles) else "m"
-    torque = None
-    if plant.motor is not None:
-        residuals, torque = residuals[:, :-1], residuals[:, -1]
-    rms = np.sqrt(np.nanmean(residuals**2, axis=0))
-    gradients, known = ratio_gradients(parameters, information.x), ratios(rope, parameters.names)
-    ratio_std = {name: information.spread(gradient) for name, gradient in gradients.items()}
-    message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
-    poor = poor_fit(windows, residuals, unit, found.loss, white=information.whiteness >= CHANCE)
-    words = [
-        not_converged(message),
-        *verdict(parameters, information, ratio_std),
-        poor,
-        poor_torque(windows, torque, found.loss),
-        not_noise(information.correlation, information.whiteness),
-        noise_not_modelled(information.agrees, information.freedom),
-        failed_predictions(held_out),
-        remark,
-    ]
-    if settings["noise"] == "declared":
-        words.append(too_large(information.variance, information.freedom))
-    words += [each.remark for each in (intervals or {}).values()]
-    identifiable = information.unknown.shape[1] == 0
-    warnings = [not_converged(message), poor, poor_torque(windows, torque, found.loss)]
-    missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
-    left_out = missing / (missing + settings["windows"])
-    turned = parameters.single("gravity_angle", x)
-    graded = grade(
-        warnings,
-        rope,
-        held_out,
-        tests,
-        identifiable=identifiable,
-        laws=law_error(basis, tests),
-        turned=turned,
-        left_out=left_out,
-    )
-    if intervals is not None:
-        intervals = intervals | of_ratios(known, ratio_std, information.freedom)
-    result = Identification(
-        rope=rope,
-        values=_by_name(plant, rope, parameters.values(x)),
-        std=_by_name(plant, None, spreads),
-        ratios=known,
-        ratio_std=ratio_std,
-        model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
-        ratio_model_std={name: information.model_spread(gradient) for name, gradient in gradients.items()},
-        intervals=intervals or {},
-        grade=graded,
-        score_tests=tests,
-        verdict=tuple(consistent(words)),
-        identifiable=identifiable,
-        residual_rms=rms,
-        residual_t=np.concatenate([w.t for w in windows]),
-        residuals=residuals,
-        held_out=held_out,
-        parameters=parameters.labels,
-        covariance=information.total * np.outer(slopes, slopes),
-        singular_values=information.singular,
-        settings=settings,
-        message=message,
-        unit=unit,
-        history=tuple(found.history),
-        torque_residuals=torque,
-    )
-    object.__setattr__(result, "_basis", basis)
-    return result
-
-
-def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array]:
-    """Return numbers (P,) by property: (n,) with the rope's own (or 0) where a link is not free, or single."""
-    parameters = plant.parameters
-    n = parameters.guess.n_links
-    result: dict[str, Array] = {}
-    for parameter, number in zip(parameters.all, numbers, strict=True):
-        name, held = parameter.name, np.zeros(n)
-        if not parameter.links:
-            result[name] = np.array(number)
-        elif parameter.law != "own":
-            result[parameter.label] = np.array(number)
-        else:
-            if name == "arc":
-                held = plant.sensor.values[2:] * (rope is not None)
-            elif rope is not None:
-                held = getattr(rope, name).copy()
-            result.setdefault(name, held)[list(parameter.links)] = number
-    return result

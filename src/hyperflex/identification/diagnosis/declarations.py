@@ -24,6 +24,7 @@ BETTER = 0.5  # part of the residual that a slip must leave at most to be named
 FITS = 0.05  # of the motion: what leaves more explains nothing
 SHORTER, WINDOWS, ROUNDS = 4.0, 6, 12  # of a short fit: its first windows, how many, and rounds at most
 SMALL, LARGE = 0.06, 2.0  # rad: half a turn read as degrees, and degrees read as radians that are hardly a swing
+RIGHT_ANGLE = 10.0  # degrees by which a gravity may miss one that was turned by 90
 SKEWED = ("gravity_scale", "gravity_angle")  # a wrong clock or scale, a camera that is not level
 
 Slip = tuple[str, Recording]
@@ -104,8 +105,8 @@ class ShortFit:
     arm: Arm | None
     loss: Loss
 
-    def __call__(self, recording: Recording, more: Sequence[str] = ()) -> float:
-        """Return the residual, rms, as a part of the motion; inf where nothing fits. `more` is free as well."""
+    def __call__(self, recording: Recording, more: Sequence[str] = ()) -> tuple[float, list[float]]:
+        """Return the residual, rms, as a part of the motion (inf: nothing fits), and values of `more`, also free."""
         words = [*self.free, *(each for each in more if each not in self.free)]
         words = [word for word in words if FREE_PROPERTIES[word.partition("[")[0].partition(":")[0]].owner != "arm"]
         try:
@@ -113,11 +114,12 @@ class ShortFit:
                 recording, self.rope, self.arc_lengths, self.origin, self.motion, self.arm
             )
             plant = build_plant(recording, self.rope, words, places, self.origin, self.motion, self.arm)
-            return self._left(plant, measured)
+            part, x = self._left(plant, measured)
         except (InvalidInput, IdentificationError):
-            return np.inf
+            return np.inf, [np.nan] * len(more)
+        return part, [plant.parameters.single(name, x) for name in more]
 
-    def _left(self, plant: Plant, measured: Measurements) -> float:
+    def _left(self, plant: Plant, measured: Measurements) -> tuple[float, Array]:
         usual = with_enough_frames(usual_length(measured.shape, self.rope), measured.shape)
         x, found = plant.parameters.start, None
         for length in (usual / SHORTER, usual):
@@ -130,26 +132,36 @@ class ShortFit:
             if found.interrupted:
                 raise KeyboardInterrupt
             x = found.x
-        if found is None:
-            return np.inf
-        p, _ = lumped(plant.parameters.rope(x))
-        if p[0] <= 0.0:
-            return np.inf
-        return part_left(windows, found.residuals)
+        if found is None or lumped(plant.parameters.rope(x))[0][0] <= 0.0:
+            return np.inf, x
+        return part_left(windows, found.residuals), x
 
 
-def explained(recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit) -> str:
+def explained(recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit, *, named: bool) -> str:
     """Return in words the slip that explains a fit that is not good, or nothing.
 
-    A slip is named if it leaves half of what the recording as declared leaves at most, even with a
-    wrong clock or scale and a camera that is not level, and that is little.
+    A slip is named if it leaves half of what the recording as declared leaves at most, and that is little. A wrong
+    clock or scale and a camera that is not level come before a slip that explains no more; they are not told where
+    something is `named` by score tests already.
     """
-    declared = left(recording, ())
-    tried = [(left(other, ()), words) for words, other in slips(recording, pivot)]
+    declared, _ = left(recording)
+    skewed, (scale, angle) = left(recording, SKEWED)
+    tried = [(left(other)[0], words) for words, other in slips(recording, pivot)]
     least, words = min(tried, default=(np.inf, ""))
-    if least > BETTER * declared or least > FITS or least > BETTER * left(recording, SKEWED):
+    if not named and least > BETTER * min(declared, skewed):
+        least, words = skewed, _skew(float(np.sqrt(scale)), float(np.degrees(angle)))
+    if least > BETTER * (min(declared, skewed) if named else declared) or least > FITS:
         return ""
     before = f"{100.0 * declared:.2g} % of the motion" if np.isfinite(declared) else "all of the motion"
-    return (
-        f"it fits as if {words}: a short fit leaves {100.0 * least:.2g} % of the motion then, and {before} as declared."
-    )
+    part = f"{100.0 * least:.2g} % of the motion"
+    return f"it fits as if {words}: a short fit leaves {part} then, and {before} as declared."
+
+
+def _skew(clock: float, angle: float) -> str:
+    """Return in words a clock that is off by a factor, and a gravity that is turned by an angle, degrees."""
+    turned = f"gravity were turned by {angle:.3g} degrees"
+    if abs(abs(angle) - 90.0) < RIGHT_ANGLE:
+        turned += " (0 level, or x and y swapped)"
+    timed = f"times were to be multiplied by {clock:.3g} (or lengths divided by {clock**2:.3g})"
+    words = [turned] * (abs(angle) > 1.0) + [timed] * (abs(clock - 1.0) > 0.01)
+    return " and ".join(words or [turned])

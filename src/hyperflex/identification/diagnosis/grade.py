@@ -114,23 +114,26 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
     part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
     value = float(first.values[0])
     names = " or ".join(f"'{name}'" for name in equals if name not in DECLARED)
-    words = {
-        "gravity_scale": (
-            f"times or lengths are not as declared: {part} go away if times are multiplied by {np.sqrt(value):.3g}"
-            f"{_frames(float(np.sqrt(value)))}, or lengths divided by {value:.3g}. Check the clock or frame rate, the "
-            "scale, and the lengths of the guess."
-        ),
-        "gravity_angle": (
+    if first.name == "gravity_scale":
+        clock = float(np.sqrt(value))
+        said = (
+            f"times or lengths are not as declared: {part} go away if times are multiplied by {clock:.3g}"
+            f"{_frames(clock)}, or lengths divided by {value:.3g}. Check the clock or frame rate, the scale, and the "
+            "lengths of the guess."
+        )
+    elif first.name == "gravity_angle":
+        said = (
             f"the zero of the angles is off by {np.degrees(value):.3g} degrees: without that, {part} go away. Check "
             "the zero, level the camera, or put 'gravity_angle' into free."
-        ),
-        "delay": f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free.",
-    }
-    held = (
-        f"what is held does not fit: with {names} free, {part} go away, and ratios move by up to "
-        f"{100.0 * first.moved:.2g} %. Put it into free."
-    )
-    return [words.get(first.name, held)]
+        )
+    elif first.name == "delay":
+        said = f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free."
+    else:
+        said = (
+            f"what is held does not fit: with {names} free, {part} go away, and ratios move by up to "
+            f"{100.0 * first.moved:.2g} %. Put it into free."
+        )
+    return [said]
 
 
 def _frames(factor: float) -> str:

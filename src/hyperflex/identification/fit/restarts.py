@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state
+from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state, with_entries
 from hyperflex.identification.fit.windows import Window, part_left
 from hyperflex.identification.model.plant import Plant
 
@@ -93,17 +93,18 @@ def fit_from_starts(
     if found.interrupted or not _is_bad(windows, found, known_noise):
         return found, 1, 1
     costs, best = [found.cost], found
-    for x in starts:
+    for number, x in enumerate(starts):
         states = _states_at(plant, windows, found, x)
         if states is None:
             continue
         try:
-            tried = fit(plant, windows, x, states, loss=found.loss, report=report)
+            heard = with_entries(report, {"phase": "start", "start": number})
+            tried = fit(plant, windows, x, states, loss=found.loss, report=heard)
         except InvalidInput:
             continue
         costs.append(tried.cost)
         if tried.cost < best.cost:
-            tried.history[:0] = best.history
+            tried.history[:] = found.history
             best = tried
         if tried.interrupted:
             best.interrupted = True

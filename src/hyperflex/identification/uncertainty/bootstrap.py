@@ -57,7 +57,7 @@ class Bootstrap:
         return not self.interrupted and len(self.samples) > 0
 
     def interval(self, name: str, level: float = LEVEL) -> Interval:
-        """Return the percentile interval of a parameter or ratio; beside bounds :func:`profile` is better."""
+        """Return the percentile interval of parameter or ratio `name` at a `level`; beside bounds see `profile`."""
         values = self._of(name)
         side = 0.5 * (1.0 - checked_level(level))
         if values.size == 0:

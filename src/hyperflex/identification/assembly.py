@@ -1,0 +1,150 @@
+"""A fit as a result: values, ratios, sentences and grade."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification.diagnosis.grade import Grade, grade
+from hyperflex.identification.diagnosis.score_tests import ScoreTest, law_error
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED
+from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.result import Identification
+from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_ratios, ratio_gradients, ratios
+from hyperflex.identification.uncertainty.whiteness import CHANCE
+from hyperflex.identification.verdict import (
+    consistent,
+    failed_predictions,
+    noise_not_modelled,
+    not_converged,
+    not_noise,
+    poor_fit,
+    poor_torque,
+    too_large,
+    verdict,
+)
+from hyperflex.model import Rope
+from hyperflex.sensors import Angles
+
+
+def assemble_result(
+    basis: Basis,
+    held_out: HeldOut | None,
+    settings: dict[str, Any],
+    remark: str,
+    intervals: dict[str, Interval] | None = None,
+    tests: tuple[ScoreTest, ...] = (),
+) -> Identification:
+    """Return the result of a fit; `remark` joins the verdict, intervals of the ratios those of the parameters."""
+    plant, information, found, windows = basis.plant, basis.information, basis.fit, basis.windows
+    parameters = plant.parameters
+    x = parameters.rounded(found.x)
+    rope, slopes = parameters.rope(x), parameters.derivatives(x)
+    spreads = information.deviations(slopes)
+    residuals = _residuals(basis)
+    unit = "rad" if isinstance(plant.sensor, Angles) else "m"
+    torque = None
+    if plant.motor is not None:
+        residuals, torque = residuals[:, :-1], residuals[:, -1]
+    rms = np.sqrt(np.nanmean(residuals**2, axis=0))
+    gradients, known = ratio_gradients(parameters, information.x), ratios(rope, parameters.names)
+    ratio_std = {name: information.spread(gradient) for name, gradient in gradients.items()}
+    message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
+    poor = (
+        poor_fit(windows, residuals, unit, found.loss, white=information.whiteness >= CHANCE),
+        poor_torque(windows, torque, found.loss),
+    )
+    words = [
+        not_converged(message),
+        *verdict(parameters, information, ratio_std),
+        *poor,
+        not_noise(information.correlation, information.whiteness),
+        noise_not_modelled(information.agrees, information.freedom),
+        failed_predictions(held_out),
+        remark,
+        too_large(information.variance, information.freedom) if settings["noise"] == "declared" else "",
+        *(each.remark for each in (intervals or {}).values()),
+    ]
+    warnings = (not_converged(message), *poor)
+    if intervals is not None:
+        intervals = intervals | of_ratios(known, ratio_std, information.freedom)
+    result = Identification(
+        rope=rope,
+        values=_by_name(plant, rope, parameters.values(x)),
+        std=_by_name(plant, None, spreads),
+        ratios=known,
+        ratio_std=ratio_std,
+        model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
+        ratio_model_std={name: information.model_spread(gradient) for name, gradient in gradients.items()},
+        intervals=intervals or {},
+        grade=_graded(basis, rope, warnings, held_out, tests, settings),
+        score_tests=tests,
+        verdict=tuple(consistent(words)),
+        identifiable=information.unknown.shape[1] == 0,
+        residual_rms=rms,
+        residual_t=np.concatenate([w.t for w in windows]),
+        residuals=residuals,
+        held_out=held_out,
+        parameters=parameters.labels,
+        covariance=information.total * np.outer(slopes, slopes),
+        singular_values=information.singular,
+        settings=settings,
+        message=message,
+        unit=unit,
+        history=tuple(found.history),
+        torque_residuals=torque,
+    )
+    object.__setattr__(result, "_basis", basis)
+    return result
+
+
+def _graded(
+    basis: Basis,
+    rope: Rope,
+    warnings: Sequence[str],
+    held_out: HeldOut | None,
+    tests: Sequence[ScoreTest],
+    settings: dict[str, Any],
+) -> Grade:
+    missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
+    return grade(
+        warnings,
+        rope,
+        held_out,
+        tests,
+        identifiable=basis.information.unknown.shape[1] == 0,
+        laws=law_error(basis, tests),
+        turned=basis.plant.parameters.single("gravity_angle", basis.fit.x),
+        left_out=missing / (missing + settings["windows"]),
+    )
+
+
+def _residuals(basis: Basis) -> Array:
+    """Return measured less fitted values (m, C) of all windows, rad, m or N m; NaN in gaps."""
+    weights = np.concatenate([w.weight for w in basis.windows])
+    each = zip(basis.fit.residuals, basis.windows, strict=True)
+    flat = np.concatenate([residual.reshape(w.y.shape) for residual, w in each])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(weights > 0.0, -flat / weights, np.nan)
+
+
+def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array]:
+    """Return numbers (P,) by property: (n,) with the rope's own (or 0) where a link is not free, or single."""
+    parameters = plant.parameters
+    n = parameters.guess.n_links
+    result: dict[str, Array] = {}
+    for parameter, number in zip(parameters.all, numbers, strict=True):
+        name, held = parameter.name, np.zeros(n)
+        if not parameter.links:
+            result[name] = np.array(number)
+        elif parameter.law != "own":
+            result[parameter.label] = np.array(number)
+        else:
+            if name == "arc":
+                held = plant.sensor.values[2:] * (rope is not None)
+            elif rope is not None:
+                held = getattr(rope, name).copy()
+            result.setdefault(name, held)[list(parameter.links)] = number
+    return result
