@@ -25,7 +25,7 @@ from hyperflex.errors import HyperflexError
 from hyperflex.identification import ratios
 
 Array = np.ndarray
-SUSPICIONS = ("gravity is turned", "times and lengths are taken as declared", "windows were left out")
+SUSPICIONS = ("gravity is turned", "times and lengths are taken as ", "windows were left out")
 DOUBLE = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
 SINGLE = hf.Rope(length=[0.3], mass=[0.1], com=[0.14], inertia=[7.5e-4], friction=[2e-4])
 FREE = ("inertia", "com", "friction")

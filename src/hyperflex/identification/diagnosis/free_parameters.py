@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.grade import EXPLAINS, matters
+from hyperflex.identification.diagnosis.grade import matters
 from hyperflex.identification.diagnosis.score_tests import FEW, LAWS, ScoreTest
 from hyperflex.identification.result import Identification
 from hyperflex.model import Rope
@@ -49,4 +49,4 @@ def identify_chosen(fit: Callable[[Sequence[str], bool], Identification], guess:
 
 def _asked(test: ScoreTest) -> bool:
     name = test.name.partition(":")[0]
-    return test.refitted and test.gain > EXPLAINS and name in ALLOWED and (name in LAWS or matters(test))
+    return test.believed and name in ALLOWED and (name in LAWS or matters(test))

@@ -11,11 +11,11 @@ from hyperflex.identification.prediction import HeldOut
 from hyperflex.model import Rope
 
 GradeName = Literal["usable", "usable for ratios", "do not use"]
-EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much is believed
 MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
 TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
 FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
 UNTESTED = 0.05  # standard deviation of gravity's factor, if it were free
+TESTED = 0.005  # the same: lengths that are 1 % off show
 NEAR = 0.03  # of a factor by which frame rates are often wrong
 AXES = 0.2  # rad, the same: more than any camera that was meant to be level
 PERSISTENCE = 0.5  # of the error of a prediction that nothing moves on
@@ -107,7 +107,7 @@ def _impossible(rope: Rope) -> list[str]:
 
 def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
     """Return what was declared or held, does not fit and matters; the one that explains most, with its equals."""
-    believed = [each for each in tests if each.refitted and each.gain > EXPLAINS and matters(each)]
+    believed = [each for each in tests if each.believed and matters(each)]
     if not believed:
         return []
     first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - 0.05]
@@ -172,13 +172,20 @@ def _mispredicted(held_out: HeldOut | None) -> list[str]:
 
 def _untested(tests: Sequence[ScoreTest]) -> list[str]:
     """Return that this motion cannot show a wrong clock or wrong lengths, where it cannot."""
-    if not any(each.name == "gravity_scale" and each.std > UNTESTED for each in tests):
+    scale = next((each for each in tests if each.name == "gravity_scale"), None)
+    if scale is None or scale.std <= TESTED:
         return []
-    words = (
-        "times and lengths are taken as declared: this motion cannot test them. If they are wrong, moments and "
-        "inertias are as well (a clock 1 % off makes J/p1 2 % off)."
-    )
-    return [words]
+    if scale.std > UNTESTED:
+        words = (
+            "times and lengths are taken as declared: this motion cannot test them. If they are wrong, moments and "
+            "inertias are as well (a clock 1 % off makes J/p1 2 % off)."
+        )
+    else:
+        words = (
+            "times and lengths are taken as exact: this motion shows no error below "
+            f"{200.0 * scale.std:.2g} % of the lengths, and 1 % would move ratios by up to {100.0 * scale.sway:.2g} %."
+        )
+    return [words] if scale.sway > 0.0 else []
 
 
 def _turned(angle: float) -> list[str]:

@@ -13,7 +13,7 @@ from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameter, Parameters, lumped
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import Mask
-from hyperflex.identification.uncertainty.covariance import Basis, ratios
+from hyperflex.identification.uncertainty.covariance import Basis, ratio_gradients, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import RESISTANCES
 
@@ -21,8 +21,11 @@ SUSPECT = 0.3  # gain from which a refit is made
 REFITS, ROUNDS, WINDOWS = 3, 8, 12  # refits at most, rounds of each, and windows, spread over the recording
 FEW = 4  # links, up to which each has its own value in a test
 LAWS = tuple(each.name for each in RESISTANCES)
+SURE = 0.93  # the same of white residuals, from which something does not fit: 14 times what chance gains
 ASKED = 0.67  # of a gain that noise does not explain: three times what chance gains, one in 25 right fits of a law
 FLOOR = 5e-4  # relative: no clock, length or weight of a real rope is known better; 0.06 % was seen of a good pendulum
+EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much is believed
+PER_CENT = 0.01
 TINY = 1e-8  # part of the largest singular value below which a direction is none
 
 
@@ -46,8 +49,15 @@ class ScoreTest:
         Change of the fit's x that freeing it makes, to first order.
     open : (P,) float64
         Standard deviations of x that freeing it adds.
+    rate : (P,) float64
+        Change of the fit's x by each unit of the first of its x.
     surplus : float
         Part of the gain that noise does not explain, 0 to 1.
+    sure : bool
+        Whether residuals were white, so that noise is known.
+    sway : float
+        Of a gravity scale: relative change of a ratio J/p1 or p/p1 by each 1 % of it, the greatest of those that are
+        beyond twice their standard deviation; 0 where none is.
     """
 
     name: str
@@ -57,7 +67,15 @@ class ScoreTest:
     std: float = np.inf
     shift: Array = field(default_factory=lambda: np.zeros(0))
     open: Array = field(default_factory=lambda: np.zeros(0))
+    rate: Array = field(default_factory=lambda: np.zeros(0))
     surplus: float = 0.0
+    sure: bool = False
+    sway: float = 0.0
+
+    @property
+    def believed(self) -> bool:
+        """Whether something else than what was held or declared fits: it takes most away, or more than noise can."""
+        return self.refitted and (self.gain > EXPLAINS or (self.sure and self.surplus > SURE))
 
     @property
     def refitted(self) -> bool:
@@ -80,26 +98,41 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
     found: list[ScoreTest] = []
     for words in _words(basis.plant):
         found += _tested(basis, words)
+    found = [replace(each, sway=_sway(basis, each)) if each.name == "gravity_scale" else each for each in found]
     found.sort(key=lambda each: -each.gain)
+    white = basis.information.whiteness >= CHANCE
     for k, each in enumerate(found[:REFITS]):
-        if each.gain > SUSPECT:
+        if each.gain > SUSPECT or (white and each.surplus > SURE):
             found[k] = _refitted(basis, each)
     return tuple(sorted(found, key=lambda each: -each.gain))
+
+
+def _sway(basis: Basis, test: ScoreTest) -> float:
+    """Return by what part 1 % of a gravity scale moves a ratio that is said to be known better; 0 for none."""
+    parameters, information = basis.plant.parameters, basis.information
+    gradients, known = ratio_gradients(parameters, information.x), ratios(parameters.rope(information.x))
+    worst = 0.0
+    for name in ("J/p1", "p/p1"):
+        moved, std = np.abs(gradients[name] @ test.rate) * PER_CENT, information.spread(gradients[name])
+        beyond = (moved > 2.0 * std) & (std > 0.0)
+        worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
+    return worst
 
 
 def with_model_error(basis: Basis, tests: Sequence[ScoreTest]) -> Basis:
     """Return a fit whose information counts what the model leaves out, beside noise.
 
     Each resistance that was left out and that the data ask for would move the parameters by its `shift`: that is taken
-    as a standard deviation, in proportion to how far noise does not explain what it gains. Where residuals are not
-    white, no value is taken as known better than FLOOR.
+    as a standard deviation, in proportion to how far noise does not explain what it gains. Where residuals are white,
+    everything else that was held or declared counts as well; where they are not, a wrong clock, say, gains by what the
+    model leaves out, and no value is taken as known better than FLOOR.
     """
     information, x = basis.information, basis.fit.x
-    model = np.zeros((x.size, x.size))
+    model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
     for each in tests:
-        if each.name.partition(":")[0] in LAWS and each.surplus > ASKED:
+        if each.surplus > ASKED and (white or each.name.partition(":")[0] in LAWS):
             model += each.surplus * np.outer(each.shift, each.shift)
-    if information.whiteness < CHANCE:
+    if not white:
         model += np.diag(_floor(basis.plant.parameters, x) ** 2)
     return replace(basis, information=replace(information, model=model))
 
@@ -202,7 +235,9 @@ def _tested(basis: Basis, words: Sequence[str]) -> list[ScoreTest]:
         label = group[0].label if group[0].law != "own" or len(group[0].links) > 1 else word
         with np.errstate(over="ignore"):
             values = [parameter.value(each) for parameter, each in zip(group, moved, strict=True)]
-        each = ScoreTest(label, min(gain, 1.0), np.array(values), shift=shift, open=opened, surplus=surplus)
+        rate = np.zeros(basis.fit.x.size)
+        rate[free] = -across[0] / scale[free] * scale[own[0]]
+        each = ScoreTest(label, min(gain, 1.0), np.array(values), shift=shift, open=opened, surplus=surplus, rate=rate)
         tests.append(replace(each, std=_std(information, noise, [p.scale for p in group] / scale[own])))
     return tests
 
@@ -247,4 +282,4 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     moved = float(np.max([np.abs(then[name] / now[name] - 1.0) for name in ("J/p1", "p/p1")]))
     gain = 1.0 - after.cost / before.cost if before.cost > 0.0 else 0.0
     values = plant.parameters.values(x)[basis.fit.x.size :]
-    return replace(test, gain=gain, values=values, moved=moved)
+    return replace(test, gain=gain, values=values, moved=moved, sure=basis.information.whiteness >= CHANCE)
