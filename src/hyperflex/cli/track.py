@@ -85,7 +85,7 @@ def track(
             preview=preview,
             progress=lambda count: said(f"frame {count}"),
         )
-    found.recording.to_netcdf(out)
+    found.to_netcdf(out)
     _show(found, estimator, out, json)
 
 
@@ -96,7 +96,7 @@ def _keeping(out: Path, as_json: bool) -> Iterator[None]:
         yield
     except Interrupted as stop:
         kept = out.with_stem(f"{out.stem}-interrupted")
-        stop.result.recording.to_netcdf(kept)
+        stop.result.to_netcdf(kept)
         left = {"output": kept, "frames": stop.result.frames, "duration_s": stop.result.recording.duration}
         message = f"Interrupted after {stop.result.frames} frames; what was tracked until then is in {kept}."
         raise typer.Exit(output.interrupted(message, left, as_json=as_json)) from None
@@ -150,7 +150,7 @@ def _track_bars(
     detector = _clicked(video, [output.numbers("--bar", [each], "213,140") for each in clicks], at)
     with _keeping(out, json), output.spinner(json) as said:
         found = track_bars(video, detector, pivot, preview=preview, progress=lambda count: said(f"frame {count}"))
-    found.recording.to_netcdf(out)
+    found.to_netcdf(out)
     result: dict[str, Any] = {
         "output": out,
         "frames": found.frames,

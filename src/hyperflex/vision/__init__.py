@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hyperflex.vision.colour import MarkerColour
     from hyperflex.vision.live import LiveCamera
     from hyperflex.vision.markers import Gate, MarkerDetector, Observations
-    from hyperflex.vision.ordering import Ordering, order_markers
+    from hyperflex.vision.ordering import Ordering, check_increasing, order_markers
     from hyperflex.vision.pictures import read_image, read_pictures
     from hyperflex.vision.plane import AS_CALIBRATED, PlaneAdjustment
     from hyperflex.vision.renderer.motion import RopeMotion, sway
