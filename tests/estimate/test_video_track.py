@@ -68,7 +68,7 @@ def errors(found: VideoTrack, arcs: np.ndarray = ARCS) -> np.ndarray:
         (facing(212.0), "scale", 0.1, -0.0566, 4e-3),
         (facing(188.0), "scale", 0.1, 0.0638, 4e-3),
         (facing(roll=0.03), "roll", 0.05, -0.03, 1e-2),
-        (replace(facing(), translation=facing().translation + [0.02, 0.0, 0.0]), "offset_x", 0.05, -0.02, 4e-3),
+        (facing().with_origin([316.0, 20.0]), "offset_x", 0.05, 0.02, 4e-3),
     ],
     ids=["scale", "scale too great", "scale too small", "roll", "offset"],
 )
