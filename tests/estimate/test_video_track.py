@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +13,11 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate import EstimatedParameter, RopeFilter, RopeTracker, VideoTrack, track_video
+from hyperflex.estimate import tracker as tracker_module
 from hyperflex.files.netcdf import read_netcdf
 from hyperflex.vision import (
     Camera,
+    Frame,
     MarkerColour,
     MarkerDetector,
     Renderer,
@@ -24,6 +27,7 @@ from hyperflex.vision import (
     VideoWriter,
 )
 from tests.estimate.runs import free_swing, rope
+from tests.vision.test_video import UPRIGHT
 
 ARCS = np.linspace(0.25, 2.0, 8)
 
@@ -41,16 +45,19 @@ def swing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def tracked(
-    path: Path,
-    camera: Camera,
-    parameters: Sequence[EstimatedParameter] = (),
-    arcs: np.ndarray = ARCS,
-) -> VideoTrack:
+def follower(
+    path: Path, camera: Camera, parameters: Sequence[EstimatedParameter] = (), arcs: np.ndarray = ARCS
+) -> RopeTracker:
     with VideoReader(path) as reader:
         first = next(iter(reader)).image
     estimator = RopeFilter(rope(20), arcs, camera=camera, parameters=parameters)
-    return track_video(path, RopeTracker(estimator, MarkerDetector(MarkerColour.from_frame(first))))
+    return RopeTracker(estimator, MarkerDetector(MarkerColour.from_frame(first)))
+
+
+def tracked(
+    path: Path, camera: Camera, parameters: Sequence[EstimatedParameter] = (), arcs: np.ndarray = ARCS
+) -> VideoTrack:
+    return track_video(path, follower(path, camera, parameters, arcs))
 
 
 def errors(found: VideoTrack, arcs: np.ndarray = ARCS) -> np.ndarray:
@@ -151,3 +158,58 @@ def test_times_longer_than_the_frame_interval_are_refused(swing: Path, timing: d
     with pytest.raises(InvalidInput, match=f"{name} is longer than the time from frame to frame.*at most 0.033"):
         tracked(swing, replace(facing(), **timing))
     tracked(swing, replace(facing(), **{name: 0.0334}))
+
+
+def test_rows_that_contradict_a_turned_file_are_noted(swing: Path, tmp_path: Path) -> None:
+    """A phone held upside down: the file says so, and its rows follow each other upwards."""
+    path = tmp_path / "turned.mp4"
+    with VideoReader(swing) as upright, VideoWriter(path, (640, 480)) as video:
+        for frame in upright:
+            video.write(np.ascontiguousarray(frame.image[::-1, ::-1]), frame.time)
+    content = path.read_bytes()
+    at = content.index(UPRIGHT, content.index(b"tkhd"))
+    turned = struct.pack(">9i", -65536, 0, 0, 0, -65536, 0, 0, 0, 1 << 30)
+    path.write_bytes(content[:at] + turned + content[at + len(turned) :])
+    assert tracked(path, replace(facing(), readout=0.01, readout_direction="up")).notes == ()
+    notes = tracked(path, replace(facing(), readout=0.01)).notes
+    assert "follow each other up; the camera's readout_direction says down" in notes[0]
+
+
+@pytest.mark.parametrize(
+    ("camera", "wanted", "arcs"),
+    [(facing(188.0), ("scale", 0.1), ARCS), (facing(), ("length", 0.1), ARCS / 1.05)],
+    ids=["scale", "length"],
+)
+def test_the_rope_is_drawn_as_it_is_estimated(
+    swing: Path, camera: Camera, wanted: tuple[str, float], arcs: np.ndarray
+) -> None:
+    """Its joints end at the tip's marker, by what was found of scale and lengths; 20 px off without that."""
+    if wanted[0] == "length":
+        short = rope(20).replace(length=rope(20).length / 1.05, com=rope(20).com / 1.05)
+        tracker = RopeTracker(
+            RopeFilter(short, arcs, camera=camera, parameters=[EstimatedParameter(*wanted)]),
+            follower(swing, camera).detector,
+        )
+    else:
+        tracker = follower(swing, camera, [EstimatedParameter(*wanted)], arcs)
+    with VideoReader(swing) as reader:
+        for frame in reader:
+            result = tracker.look(frame)
+    assert result.state is not None
+    assert np.linalg.norm(tracker.shape(result.state)[0][-1] - result.pixels[-1]) < 1.0
+    reach = tracker._reach(result.predicted)
+    assert reach is not None
+    np.testing.assert_allclose(reach, 50.0, rtol=0.02)  # 0.25 m of rope at 200 px/m
+
+
+def test_an_order_that_is_not_certain_is_waited_for_again(swing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After 30 frames the best one is taken; once the rope is lost, another 30 have to pass."""
+    sure = tracker_module.order_markers
+    monkeypatch.setattr(tracker_module, "order_markers", lambda *a, **b: sure(*a, **b)._replace(certain=False))
+    tracker = follower(swing, facing())
+    with VideoReader(swing) as reader:
+        image = next(iter(reader)).image
+    found = [tracker.look(Frame(k / 30.0, image, k)).state is not None for k in range(30)]
+    assert found == [False] * 29 + [True]
+    tracker.estimator.restart()
+    assert tracker.look(Frame(1.0, image, 30)).state is None

@@ -231,7 +231,9 @@ class RopeTracker(CameraTracker):
         noise = float(np.sqrt(np.median(np.trace(covariances, axis1=1, axis2=2) / 2.0)))
         along = np.maximum(self._arc_lengths(), 1e-6)
         relative, absolute = self._doubt_of_lengths()
-        loose: dict[str, float] = {"noise": max(noise, 1e-4) + 0.5 * absolute, "slack": relative}
+        values = self.estimator.values
+        shift = max(values.get(name, (0.0, 0.0))[1] for name in ("offset_x", "offset_y"))
+        loose = {"noise": max(noise, 1e-4) + 0.5 * (absolute + SURE * shift), "slack": relative}
         origin, used = self.estimator.process.base(t)[0], np.arange(len(places))
         order = order_markers(places, along, origin, **loose)
         moving = np.flatnonzero(~self._clutter.still(blobs))
@@ -270,13 +272,15 @@ class RopeTracker(CameraTracker):
         return np.asarray(np.maximum(apart, 1.0)) if np.isfinite(apart).all() else None
 
     def _arc_lengths(self) -> Array:
-        """Return where on the rope markers sit (K,), m, as far as that is estimated."""
-        return self.estimator.parameters.arc_lengths(self.estimator.model.arc_lengths, self.values)
+        """Return where on the rope markers sit (K,), m, as far as that is estimated and can be."""
+        declared = self.estimator.model.arc_lengths
+        found = self.estimator.parameters.arc_lengths(declared, self.values)
+        return found if (np.diff(found, prepend=0.0)[declared > 0.0] > 0.0).all() else declared
 
     def _doubt_of_lengths(self) -> tuple[float, float]:
         """Return by how much the rope between markers may look longer than it is taken to be: a part of it, and m."""
         std = {name: each[1] for name, each in self.estimator.values.items()}
-        moved = [each for name, each in std.items() if name.startswith(("arc[", "offset_"))]
+        moved = [each for name, each in std.items() if name.startswith("arc[")]
         return SURE * float(np.hypot(std.get("scale", 0.0), std.get("length", 0.0))), SURE * max(moved, default=0.0)
 
     def _gates(self, predicted: Array, spread: Array, speeds: Array) -> list[Gate] | None:
