@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import weakref
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from hyperflex.errors import InvalidInput
-from hyperflex.estimate import EstimatedParameter, RopeFilter, RopeTracker, VideoTrack, track_video
+from hyperflex.estimate import EstimatedParameter, RopeFilter, RopeTracker, TrackedFrame, VideoTrack, track_video
 from hyperflex.estimate import tracker as tracker_module
 from hyperflex.files.netcdf import read_netcdf
 from hyperflex.vision import (
@@ -213,3 +214,19 @@ def test_an_order_that_is_not_certain_is_waited_for_again(swing: Path, monkeypat
     assert found == [False] * 29 + [True]
     tracker.estimator.restart()
     assert tracker.look(Frame(1.0, image, 30)).state is None
+
+
+def test_frames_are_let_go(swing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With 50 links, the covariance of a frame's state has 80 kB: not one of them is kept for the recording."""
+    tracker, results = follower(swing, facing()), []
+    look = tracker.look
+
+    def noted(frame: Frame) -> TrackedFrame:
+        result = look(frame)
+        results.append(weakref.ref(result))
+        return result
+
+    alive: list[int] = []
+    monkeypatch.setattr(tracker, "look", noted)
+    track_video(swing, tracker, progress=lambda _: alive.append(sum(each() is not None for each in results)))
+    assert max(alive) <= 2
