@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -181,12 +182,77 @@ def test_another_size_than_the_cameras(hyperflex: Run, folder: Path, tmp_path: P
     code, _, err = hyperflex(*words("track", video, folder, tmp_path / "out.nc", camera="large.toml"))
     assert code == 2
     assert "another size than the camera's" in err
-    code, out, _ = hyperflex(*words("watch", video, folder, tmp_path / "out.nc", "--json", camera="large.toml"))
+    code, _, err = hyperflex(*words("watch", video, folder, tmp_path / "out.nc", camera="large.toml"))
+    assert (code, "another size than the camera's: got '640x480'. Allowed: 1280x960" in err) == (2, True)
+    assert not (tmp_path / "out.nc").exists()
+
+
+@pytest.mark.parametrize("command", ["track", "watch"])
+def test_the_colour_is_taken_where_there_is_one(hyperflex: Run, folder: Path, tmp_path: Path, command: str) -> None:
+    """The first frames are dark; a pixel of a marker is of a frame that is named by its time."""
+    with VideoReader(folder / "swing.mp4") as bright, VideoWriter(tmp_path / "dark.mp4", (640, 480)) as video:
+        for frame in bright:
+            video.write(frame.image if frame.index >= 4 else np.zeros_like(frame.image), frame.time)
+    code, out, err = hyperflex(*words(command, tmp_path / "dark.mp4", folder, tmp_path / "out.nc", "--json"))
+    assert (code, err) == (0, "")
+    assert json.loads(out if command == "track" else out.splitlines()[-1])["seen"] > 0.8
+    if command == "track":
+        u, v = facing().project(free_swing(0, 4.0).joints[round(0.317 * 600.0)])[-1]
+        clicked = words(command, tmp_path / "dark.mp4", folder, tmp_path / "out.nc", "--json", "--click", u, v)
+        assert hyperflex(*clicked)[0] == 2
+        assert hyperflex(*clicked, "--at", "0.31")[0] == 0
+
+
+@pytest.mark.parametrize("command", ["track", "watch"])
+def test_a_raw_stream_is_refused(hyperflex: Run, folder: Path, tmp_path: Path, command: str) -> None:
+    """Without a container there are no time stamps."""
+    with av.open(str(folder / "swing.mp4")) as video, av.open(str(tmp_path / "raw.h264"), "w", format="h264") as raw:
+        copy = raw.add_stream_from_template(video.streams.video[0])
+        for packet in video.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = copy
+                raw.mux(packet)
+    for more in ((), ("--click", 320, 70)):
+        code, out, err = hyperflex(*words(command, tmp_path / "raw.h264", folder, tmp_path / "out.nc", *more))
+        assert (code, out) == (2, "")
+        assert "have no time stamps" in err
+        assert "ffmpeg -framerate 30 -i raw.h264 -c copy raw.mp4" in err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--estimate", "scale"), "--estimate names something without a number: got 'scale'"),
+        (("--estimate", "scale=0.01,delay="), "without a number: got 'delay='"),
+        (("--estimate", "scale=much"), "--estimate holds something that is no number"),
+        (("--arc-lengths", "2.0,1.0"), "arc lengths of markers do not increase: 1 m comes after 2 m"),
+    ],
+)
+@pytest.mark.parametrize("command", ["track", "watch"])
+def test_options_that_cannot_be(
+    hyperflex: Run, folder: Path, tmp_path: Path, command: str, options: tuple[str, ...], message: str
+) -> None:
+    arguments = words(command, folder / "swing.mp4", folder, tmp_path / "out.nc")
+    if options[0] == "--arc-lengths":
+        arguments[arguments.index("--arc-lengths") + 1] = options[1]
+        options = ("--json",)
+    code, out, err = hyperflex(*arguments, *options)
+    assert code == 2
+    assert message in err + out
+    assert not (tmp_path / "out.nc").exists()
+
+
+def test_what_was_never_seen_and_what_was_estimated_is_said(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+    arguments = words(
+        "track", folder / "swing.mp4", folder, tmp_path / "out.nc", "--estimate", "scale=0.02,length=0.02"
+    )
+    arguments[arguments.index("--arc-lengths") + 1] = ",".join(map(str, [0.1, *ARCS]))
+    code, out, _ = hyperflex(*arguments)
     assert code == 0
-    *estimates, summary = lines(out)
-    assert summary["found"] == 0
-    assert all(each["tip_std"] is None and each["age"] is None and not each["found"] for each in estimates)
-    assert ["are left out" in " ".join(each["news"]) for each in estimates] == [True] + [False] * (COUNT - 1)
+    assert "Tracked 8 markers" in out
+    assert "the marker at 0.1 m was never seen: check its arc length, or leave it out of --arc-lengths" in out
+    assert "applied to the places of all frames: scale" in out
+    assert "of the rope, not of the places. To identify it: lengths in the rope's file times" in out
 
 
 @pytest.mark.parametrize("scale", [150.0, 260.0])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -72,6 +74,39 @@ def test_the_filter_carries_on_hidden_bars(tmp_path):
     tracker = BarTracker(RopeFilter(PENDULUM, bar_arc_lengths(SPANS), camera=CAMERA), detector)
     errors = withheld(tracker, tmp_path / "pendulum.mp4", every=4)
     assert np.sqrt((errors**2).sum(axis=-1).mean()) < 2.0
+
+
+def test_frames_and_states_that_cannot_be_are_met_as_with_a_rope(tmp_path, monkeypatch):
+    """Another size is refused; where no rope can move on from the state, it is looked for anew."""
+    _, detector = filmed(tmp_path / "pendulum.mp4", duration=0.3)
+    tracker = BarTracker(RopeFilter(PENDULUM, bar_arc_lengths(SPANS), camera=CAMERA), detector)
+    with VideoReader(tmp_path / "pendulum.mp4") as video:
+        frames = list(video)
+    assert tracker.look(frames[0]).state is not None
+    with pytest.raises(hf.InvalidInput, match="another size than the camera's"):
+        tracker.look(replace(frames[1], image=frames[1].image[:100]))
+
+    def fail(_t):
+        raise hf.SimulationError("no rope", status="not finite", time=0.0)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(tracker.estimator, "predict_to", fail)
+        found = tracker.look(frames[1])
+    assert found.state is not None
+    assert np.isnan(found.predicted).all()
+    assert tracker.look(frames[2]).state is not None
+
+
+def test_places_of_bars_are_by_what_is_estimated(tmp_path):
+    """The origin is declared 20 px = 5 cm to the left of the pivot."""
+    _, detector = filmed(tmp_path / "pendulum.mp4", duration=1.0)
+    camera, unsure = CAMERA.with_origin([138.0, 150.0]), [EstimatedParameter("offset_x", std=0.1)]
+    tracker = BarTracker(RopeFilter(PENDULUM, bar_arc_lengths(SPANS), camera=camera, parameters=unsure), detector)
+    with VideoReader(tmp_path / "pendulum.mp4") as video:
+        for frame in video:
+            found = tracker.look(frame)
+    assert tracker.estimator.values["offset_x"][0] == pytest.approx(0.05, abs=3e-3)
+    np.testing.assert_allclose(found.places, CAMERA.locate(found.pixels), atol=4e-3)
 
 
 def withheld(tracker, path, every, skip=0):

@@ -102,6 +102,7 @@ def test_pictures_of_different_sizes_are_refused(pictures):
     [
         (((2, 6), 0.03), "squares to the right"),
         (((8, 6), -0.03), "square"),
+        (((8, 6), 30.0), "too large.*in metres"),
         (((8, 6), 0.03, 0.03), "no smaller"),
         (((8, 6), 0.03, 0.02, "DICT_9X9"), "dictionary"),
         (((16, 16), 0.03, 0.02), "too few markers"),
@@ -130,6 +131,17 @@ def test_command_on_a_video(hyperflex, hyperflex_json, pictures, tmp_path):  # n
     code, out, _ = hyperflex(*arguments, "--points", tmp_path / "points.csv")
     assert code == 0
     assert "px/m at its origin" in out
+    assert "x points right, y up" in out
+    assert "note" not in out
+    (tmp_path / "down.csv").write_text("x,y,u,v\n0,0,100,400\n0.3,0,500,400\n0.3,-0.2,500,133\n0,-0.2,100,133\n")
+    code, result = hyperflex_json(*arguments, "--points", tmp_path / "down.csv")
+    assert code == 0
+    assert result["plane_error_px"] < 2.0
+    assert (result["plane"]["mirrored"], round(abs(result["plane"]["roll"]), -1)) == (True, 180.0)
+    assert ["points down" in result["notes"][-2], "from behind" in result["notes"][-1]] == [True, True]
+    for option in ("--exposure", "--readout"):
+        code, result = hyperflex_json(*arguments, option, 30)
+        assert (code, f"{option} is longer than a frame of any video" in result["error"]) == (2, True)
     assert read_camera(tmp_path / "camera.toml").pixels_per_metre == pytest.approx(
         1333.0, rel=0.02
     )  # the lens bends it

@@ -1,13 +1,18 @@
 """``hyperflex calibrate``: pictures or a video of a board in, a camera out."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hyperflex.checks import number
 from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
+
+if TYPE_CHECKING:
+    from hyperflex.vision import PlaneView
+
+_LONGEST = 1.0  # s
 
 
 def calibrate(
@@ -41,11 +46,13 @@ def calibrate(
 
     Show the whole board, flat and sharp, at 15 or more places and angles, tilted by 30 to 45 degrees. New and legacy
     ChArUco boards are tried both. With --plane or --points the file also holds where the swing plane is: x to the
-    right, y up.
+    right, y up, and (0, 0) where --origin or the table says. What is printed says how the plane is seen.
 
     Refused by name: too few views, views that are all parallel, mirrored pictures, a board with other squares or
     markers. A size of squares that is wrong by a factor shows in no picture: measure it.
     """
+    import numpy as np
+
     from hyperflex.vision import Board, calibrate_camera, read_image, read_pictures
 
     inputs = [*pictures, *(path for path in (plane, points) if path is not None)]
@@ -55,8 +62,8 @@ def calibrate(
     if origin is not None and plane is None:
         raise InvalidInput("--origin is given without --plane", fix="Give both")
     timing: dict[str, Any] = {
-        "exposure": number("--exposure", exposure, sign="nonnegative", unit="s"),
-        "readout": number("--readout", readout, sign="nonnegative", unit="s"),
+        "exposure": _short("--exposure", exposure),
+        "readout": _short("--readout", readout),
         "readout_direction": readout_direction,
         "delay": number("--delay", delay, unit="s"),
     }
@@ -69,12 +76,16 @@ def calibrate(
             progress=lambda images, views: progress(f"{images} pictures, {views} views of the board"),
             **timing,
         )
-    camera = found.camera
     if picture is not None:
-        camera = found.place_plane(picture, origin)
+        known = found.plane_points(picture)
+    camera, misfit = found.camera, None
     if known is not None:
         camera = camera.with_plane(*known)
+        misfit = float(np.sqrt(np.mean(np.sum((camera.project(known[0]) - known[1]) ** 2, axis=1))))
+    if origin is not None:
+        camera = camera.with_origin(origin)
     camera.write(out)
+    view = None if camera.rotation is None else camera.plane_view
     result = {
         "output": out,
         "reprojection_error_px": found.rms,
@@ -85,9 +96,19 @@ def calibrate(
         "greatest_tilt_deg": found.tilt,
         "legacy_pattern": found.legacy,
         "pixels_per_metre": None if camera.rotation is None else camera.pixels_per_metre,
-        "notes": list(found.notes),
+        "plane_error_px": misfit,
+        "plane": None if view is None else view._asdict(),
+        "notes": [*found.notes, *(() if view is None else view.notes)],
     }
-    _show(result, json)
+    _show(result, view, json)
+
+
+def _short(option: str, value: float) -> float:
+    """Return an exposure or readout, s; refuse one that no video's frame has time for."""
+    if number(option, value, sign="nonnegative", unit="s") > _LONGEST:
+        fix = "Give it in seconds: 1/250 s is 0.004"
+        raise InvalidInput(f"{option} is longer than a frame of any video", got=value, allowed="0 to 1 s", fix=fix)
+    return value
 
 
 def _known_points(path: Path) -> tuple[Any, Any]:
@@ -102,8 +123,15 @@ def _known_points(path: Path) -> tuple[Any, Any]:
     return table[:, :2], table[:, 2:]
 
 
-def _show(result: dict[str, Any], as_json: bool) -> None:
-    scale = result["pixels_per_metre"]
+def _show(result: dict[str, Any], view: "PlaneView | None", as_json: bool) -> None:
+    seen = [("swing plane", "not known yet")]
+    if view is not None:
+        seen = [
+            ("swing plane", f"{result['pixels_per_metre']:.1f} px/m at its origin"),
+            ("its fit error", f"{result['plane_error_px']:.2f} px"),
+            ("its axes", f"in the picture x points {view.x_words}, y {view.y_words}"),
+            ("its tilt and roll", f"{view.tilt:.1f} and {view.roll:.1f} degrees"),
+        ]
     output.show(
         result,
         f"Calibrated from {result['views']} views in {result['pictures']} pictures",
@@ -111,7 +139,7 @@ def _show(result: dict[str, Any], as_json: bool) -> None:
             ("reprojection error", f"{result['reprojection_error_px']:.3f} px"),
             ("focal length", f"{result['focal_length_px']:.1f} ± {result['focal_length_std_px']:.1f} px"),
             ("greatest tilt between views", f"{result['greatest_tilt_deg']:.0f} degrees"),
-            ("swing plane", "not known yet" if scale is None else f"{scale:.1f} px/m at its origin"),
+            *seen,
             *(("note", note) for note in result["notes"]),
             ("written", str(result["output"])),
         ],

@@ -4,8 +4,8 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hyperflex.estimate import ChangeTests, EstimatedParameter
+    from hyperflex.vision import Image, MarkerColour
 
 FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, NOT_USABLE, INTERRUPTED = 1, 2, 3, 4, 5, 130  # exit codes
 _ADVICE = re.compile(  # an argument with its value, as errors advise it
@@ -178,8 +179,35 @@ def parameters(text: str) -> "list[EstimatedParameter]":
     """Return what ``--estimate scale=0.01,delay=0.02`` asks for."""
     from hyperflex.estimate import EstimatedParameter
 
-    named = (each.partition("=") for each in words([text]))
-    return [EstimatedParameter(name.strip(), numbers("--estimate", [std], "scale=0.01")[0]) for name, _, std in named]
+    result = []
+    for each in words([text]):
+        name, _, std = (part.strip() for part in each.partition("="))
+        if not std:
+            allowed = "each with the standard deviation of what is known of it, as in scale=0.01,delay=0.02"
+            raise InvalidInput("--estimate names something without a number", got=each, allowed=allowed)
+        result.append(EstimatedParameter(name, numbers("--estimate", [std], "scale=0.01")[0]))
+    return result
+
+
+def marker_colour(images: "Iterable[Image]", click: tuple[float, float] | None) -> "MarkerColour":
+    """Return the markers' colour: that of the first picture which shows one, or at a pixel of the first picture."""
+    from hyperflex.vision import MarkerColour
+
+    looked = 0
+    for image in images:
+        if click is not None:
+            return MarkerColour.from_click(image, click)
+        with suppress(InvalidInput):
+            return MarkerColour.from_frame(image)
+        looked += 1
+    if not looked:
+        raise InvalidInput("no frame came", fix="Check the source, and --at where it is given")
+    raise InvalidInput(
+        "no colour of markers was found",
+        got=f"{looked} frames",
+        allowed="a frame with at least 3 small things of one strong colour and size",
+        fix="Name a pixel of a marker with --click U V",
+    )
 
 
 def change_tests(changes: str, false_alarm_interval: float) -> "ChangeTests | None":

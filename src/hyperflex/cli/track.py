@@ -1,5 +1,6 @@
 """``hyperflex track``: a video of a rope with markers, or of a pendulum of bars, in; places or angles out."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -8,12 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hyperflex.checks import number
 from hyperflex.cli import output
 from hyperflex.errors import Interrupted, InvalidInput
 
 if TYPE_CHECKING:
     from hyperflex.estimate import RopeFilter, VideoTrack
     from hyperflex.vision import BarDetector
+
+_SAME = 1e-6  # s, by which two times may differ
 
 
 def track(
@@ -31,7 +35,10 @@ def track(
         ),
     ] = None,
     pivot: Annotated[tuple[float, float] | None, typer.Option(help="Pixel of the first joint, u v, for --bar.")] = None,
-    at: Annotated[float, typer.Option(help="Time of the frame in which the bars were clicked, s.")] = 0.0,
+    at: Annotated[
+        float | None,
+        typer.Option(help="Time of the frame of the pixels of --bar or --click, s. [default: the first frame]"),
+    ] = None,
     out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the places or angles.")] = Path(
         "markers.nc"
     ),
@@ -53,8 +60,9 @@ def track(
 
     After Ctrl-C, what has been tracked is in a file of its own, markers-interrupted.nc.
     """
+    since = -math.inf if at is None else number("--at", at, unit="s") - _SAME
     if bar:
-        _track_bars(video, bar, pivot, at, out, preview, json)
+        _track_bars(video, bar, pivot, since, out, preview, json)
         return
     if rope is None or camera is None or not arc_lengths:
         needed = {"--rope": rope, "--camera": camera, "--arc-lengths": arc_lengths}
@@ -63,14 +71,13 @@ def track(
         raise InvalidInput("a rope with markers needs more to be tracked", got="no " + ", ".join(missing), fix=fix)
     from hyperflex.estimate import RopeFilter, RopeTracker, track_video
     from hyperflex.model import Rope
-    from hyperflex.vision import MarkerColour, MarkerDetector, VideoReader, read_camera
+    from hyperflex.vision import MarkerDetector, VideoReader, read_camera
 
     output.check_destination(out, ".nc", [video, rope, camera])
     output.check_destination(preview, ".mp4", [video, rope, camera])
     lens = read_camera(camera)
     with VideoReader(video) as reader:
-        first = next(iter(reader)).image
-    colour = MarkerColour.from_frame(first) if click is None else MarkerColour.from_click(first, click)
+        colour = output.marker_colour((frame.image for frame in reader if frame.time >= since), click)
     estimator = RopeFilter(
         Rope.from_toml(rope),
         output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6"),
@@ -85,7 +92,7 @@ def track(
             preview=preview,
             progress=lambda count: said(f"frame {count}"),
         )
-    found.recording.to_netcdf(out)
+    found.to_netcdf(out)
     _show(found, estimator, out, json)
 
 
@@ -96,7 +103,7 @@ def _keeping(out: Path, as_json: bool) -> Iterator[None]:
         yield
     except Interrupted as stop:
         kept = out.with_stem(f"{out.stem}-interrupted")
-        stop.result.recording.to_netcdf(kept)
+        stop.result.to_netcdf(kept)
         left = {"output": kept, "frames": stop.result.frames, "duration_s": stop.result.recording.duration}
         message = f"Interrupted after {stop.result.frames} frames; what was tracked until then is in {kept}."
         raise typer.Exit(output.interrupted(message, left, as_json=as_json)) from None
@@ -109,12 +116,13 @@ def _show(found: "VideoTrack", estimator: "RopeFilter", out: Path, as_json: bool
         "frames": found.frames,
         "found_at_s": found.found_at,
         "duration_s": found.recording.duration,
-        "markers": len(estimator.model.arc_lengths),
+        "markers": len(found.arc_lengths),
+        "arc_lengths": found.arc_lengths.tolist(),
         "seen": found.seen,
         "noise_level": estimator.measurement_noise.value,
         "estimated": {name: {"value": value, "std": std} for name, (value, std) in found.parameters.items()},
         "changes": [asdict(change) for change in found.changes],
-        "notes": list(found.notes),
+        "notes": [note.replace("arc_lengths", "--arc-lengths") for note in found.notes],
     }
     output.show(
         result,
@@ -124,7 +132,7 @@ def _show(found: "VideoTrack", estimator: "RopeFilter", out: Path, as_json: bool
             ("seen", f"{100.0 * found.seen:.1f} % of all markers in {found.recording.duration:.2f} s"),
             *((name, f"{value:.5g} ± {std:.2g}") for name, (value, std) in found.parameters.items()),
             *(("change", str(change)) for change in found.changes),
-            *(("note", note) for note in found.notes),
+            *(("note", note) for note in result["notes"]),
             ("written", str(out)),
         ],
         as_json=as_json,
@@ -135,7 +143,7 @@ def _track_bars(
     video: Path,
     clicks: list[str],
     pivot: tuple[float, float] | None,
-    at: float,
+    since: float,
     out: Path,
     preview: Path | None,
     json: bool,
@@ -147,10 +155,10 @@ def _track_bars(
         raise InvalidInput("--pivot is missing", fix="Give the pixel of the first joint, as --pivot 167 147")
     output.check_destination(out, ".nc", [video])
     output.check_destination(preview, ".mp4", [video])
-    detector = _clicked(video, [output.numbers("--bar", [each], "213,140") for each in clicks], at)
+    detector = _clicked(video, [output.numbers("--bar", [each], "213,140") for each in clicks], since)
     with _keeping(out, json), output.spinner(json) as said:
         found = track_bars(video, detector, pivot, preview=preview, progress=lambda count: said(f"frame {count}"))
-    found.recording.to_netcdf(out)
+    found.to_netcdf(out)
     result: dict[str, Any] = {
         "output": out,
         "frames": found.frames,
@@ -170,7 +178,7 @@ def _track_bars(
     )
 
 
-def _clicked(video: Path, clicks: list[list[float]], at: float) -> "BarDetector":
+def _clicked(video: Path, clicks: list[list[float]], since: float) -> "BarDetector":
     """Return a detector of the bars at pixels in the first frame at or after a time."""
     from hyperflex.vision import BarDetector, VideoReader
 
@@ -178,6 +186,6 @@ def _clicked(video: Path, clicks: list[list[float]], at: float) -> "BarDetector"
         raise InvalidInput("--bar is a pixel", got=clicks, allowed="u,v", fix="Give it once for each link")
     with VideoReader(video) as reader:
         for frame in reader:
-            if frame.time >= at - 1e-6:
+            if frame.time >= since:
                 return BarDetector.from_clicks(frame.image, clicks)
-    raise InvalidInput("--at is after the end of the video", got=at, allowed=f"up to {frame.time:g} s")
+    raise InvalidInput("--at is after the end of the video", got=since + _SAME, allowed=f"up to {frame.time:g} s")

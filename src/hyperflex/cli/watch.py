@@ -16,11 +16,11 @@ import typer
 
 from hyperflex import checks
 from hyperflex.cli import output
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import FileProblem, InvalidInput
 
 if TYPE_CHECKING:
     from hyperflex.estimate import Change, FrameThread, LiveEstimate, RopeTracker, Watch
-    from hyperflex.vision import MarkerColour, VideoWriter
+    from hyperflex.vision import Image, VideoWriter
 
 _TICK, _FILE_TICK = 0.1, 5.0  # s without a frame after which an estimate is handed out all the same
 
@@ -74,7 +74,10 @@ def watch(
         stack.enter_context(threadpool_limits(1))
         pictures = None if page is None else stack.enter_context(PicturePage(page))
         frames = stack.enter_context(open_frames(camera, paced=page is not None, patience=patience))
-        colour = _colour(frames, click, patience)
+        if not frames.live and frames.image_size != lens.image_size:
+            got, allowed = ("x".join(map(str, size)) for size in (frames.image_size, lens.image_size))
+            raise InvalidInput("the video has another size than the camera's", got=got, allowed=allowed)
+        colour = output.marker_colour(_images(frames, patience), click)
         task = TrackingTask(
             camera,
             line,
@@ -234,20 +237,15 @@ class _Pictures:
             self._writer.write(image, estimate.frame.time - self._begin)
 
 
-def _colour(frames: FrameThread, click: tuple[float, float] | None, patience: float) -> MarkerColour:
-    """Return the markers' colour from the first frame that shows it."""
-    from hyperflex.vision import MarkerColour
-
-    until, last = time.monotonic() + patience, InvalidInput("no frame came", fix="Check the camera")
+def _images(frames: FrameThread, patience: float) -> Iterator[Image]:
+    """Yield pictures for so long, s; the last one that was asked for is left to be taken."""
+    until, count = time.monotonic() + patience, 0
     while (frame := frames.peek(max(0.0, until - time.monotonic()))) is not None:
-        if click is not None:
-            return MarkerColour.from_click(frame.image, click)
-        try:
-            return MarkerColour.from_frame(frame.image)
-        except InvalidInput as error:
-            last = error
-            frames.take(0.0)
-    raise last
+        count += 1
+        yield frame.image
+        frames.take(0.0)
+    if not count and frames.ended:
+        raise FileProblem(frames.ended)
 
 
 @contextmanager

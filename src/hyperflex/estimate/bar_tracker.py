@@ -8,7 +8,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.observations import Observations
-from hyperflex.estimate.tracker import LEAST_STD, TrackedFrame
+from hyperflex.estimate.tracker import LEAST_STD, CameraTracker, TrackedFrame
 from hyperflex.vision import FLOOR, BarDetector, BarObservations, Frame, Image, link_angles
 
 
@@ -31,7 +31,7 @@ def bar_arc_lengths(spans: npt.ArrayLike) -> Array:
     return np.stack([middle - reach, middle + reach], axis=1).ravel()
 
 
-class BarTracker:
+class BarTracker(CameraTracker):
     """Follows a pendulum with a bar of its own colour on each link, from frame to frame.
 
     Parameters
@@ -48,29 +48,25 @@ class BarTracker:
     """
 
     def __init__(self, estimator: RopeFilter, detector: BarDetector) -> None:
-        camera = estimator.model.camera
-        if camera is None or camera.rotation is None:
-            raise InvalidInput("a tracker needs a camera that knows the swing plane", fix="See Camera.with_plane")
+        super().__init__(estimator)
         points, bars = len(estimator.model.arc_lengths), len(detector.colours)
         if points != 2 * bars:
             raise InvalidInput(
                 "the filter has other points than the bars", got=points, allowed=f"two of each of {bars} bars"
             )
-        self.estimator, self.detector, self.camera = estimator, detector, camera
+        self.detector = detector
 
     def look(self, frame: Frame) -> TrackedFrame:
         """Take a frame, in the order of their times, and return what was made of it."""
-        t = frame.time - self.camera.delay + 0.5 * self.camera.readout
+        t = self._time(frame)
         count = len(self.estimator.model.arc_lengths)
         predicted, gates = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
-        if self.estimator.t is not None:
-            self.estimator.predict_to(t)
+        if self._predict_to(t):
             predicted, gates = self.estimator.markers()
         _, pixels, covariances = self.points(frame.image, predicted)
-        rows = np.nan_to_num(self.camera.readout_share(pixels) - 0.5)
+        rows = self._rows(pixels)
         self.estimator.update(Observations(t, pixels, rows=rows, covariances=covariances))
-        state = None if self.estimator.t is None else self.estimator.state
-        return TrackedFrame(t, pixels, covariances, self.camera.locate(pixels), predicted, gates, state)
+        return self._result(t, pixels, covariances, predicted, gates, rows)
 
     def points(self, image: Image, expected: Array) -> tuple[BarObservations, Array, Array]:
         """Return the bars in a frame, two points (2 J, 2) of each, px, NaN: not seen, and covariances (2 J, 2, 2).
@@ -87,7 +83,9 @@ class BarTracker:
         seen = self.detector.find(image)
         base = self.estimator.process.base(self.estimator.t or 0.0)[0]
         sides = expected[1::2] - expected[::2]
-        angles = link_angles(seen, self.camera.project(base[None])[0], np.arctan2(sides[:, 0], sides[:, 1]))
+        angles = link_angles(
+            seen, self.camera.project(base[None], self.adjustment)[0], np.arctan2(sides[:, 0], sides[:, 1])
+        )
         along = np.stack([np.sin(angles), np.cos(angles)], axis=1)
         across = np.stack([along[:, 1], -along[:, 0]], axis=1)
         arcs = self.estimator.model.arc_lengths.reshape(-1, 2)

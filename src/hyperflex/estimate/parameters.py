@@ -11,6 +11,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope
+from hyperflex.vision import AS_CALIBRATED, PlaneAdjustment
 
 # of the rope: what one unit of the parameter changes, as directions of a derivative
 DYNAMIC: dict[str, Callable[[Rope], dict[str, Array]]] = {
@@ -131,6 +132,17 @@ class ParameterStates:
     def same_rope(self, values: Array, others: Array) -> bool:
         """Return whether two sets of values (P,) describe the same rope."""
         return np.array_equal(values[self._of_rope], others[self._of_rope])
+
+    def plane_adjustment(self, values: Array) -> PlaneAdjustment:
+        """Return how the plane deviates from the calibrated one at values (P,)."""
+        scale, roll, *offset = (self.value(name, values) for name in ("scale", "roll", "offset_x", "offset_y"))
+        found = PlaneAdjustment(1.0 + scale, roll, tuple(offset))
+        return AS_CALIBRATED if found == AS_CALIBRATED else found
+
+    def arc_lengths(self, arc_lengths: Array, values: Array) -> Array:
+        """Return where on the rope markers sit (K,), m, at values (P,); `arc_lengths` where all values are 0."""
+        moved = [self.value(f"arc[{k}]", values) for k in range(len(arc_lengths))]
+        return np.asarray(arc_lengths * (1.0 + self.value("length", values)) + moved)
 
     def possible(self, values: Array) -> Array:
         """Return the values (P,), moved to what a rope can have."""

@@ -18,7 +18,9 @@ from hyperflex.vision import (
     Gate,
     Image,
     MarkerDetector,
+    PlaneAdjustment,
     assign_markers,
+    check_increasing,
     order_markers,
 )
 from hyperflex.vision import Observations as Blobs
@@ -28,6 +30,7 @@ WIDEST = 0.25  # of the picture's height, standard deviation of a place beyond w
 DOUBT = 2.0  # px, of a prediction beyond what the filter says of itself: where to look, and which blob is which
 LEAST_STD = 0.2  # px, of a place: what compression and a marker that sits askew add to a detector's own noise
 DOUBTFUL = 3.0  # level of measurement noise from which the model is doubted
+SURE = 2.0  # standard deviations by which lengths may be off until they are known better
 PATIENT = 30  # frames until a first frame is taken whose order is the best, but not certain
 
 
@@ -38,13 +41,13 @@ class TrackedFrame:
     Attributes
     ----------
     t : float
-        Middle of the exposure in the middle of the picture, s.
+        Middle of the exposure in the middle of the picture, s, an estimated delay taken into account.
     pixels : (K, 2) float64
         Where each marker was seen, px; NaN: not seen.
     covariances : (K, 2, 2) float64
         Of that, and of how far they moved between `t` and their own row, px^2.
     places : (K, 2) float64
-        In the swing plane at `t`, m.
+        In the swing plane at `t`, m, by what is known by then of its scale, turn and offset.
     predicted : (K, 2) float64
         Where they were expected, px; NaN before anything was known.
     gates : (K, 2, 2) float64
@@ -70,7 +73,76 @@ class TrackedFrame:
         return ~np.isnan(self.pixels[:, 0])
 
 
-class RopeTracker:
+class CameraTracker:
+    """What trackers through a camera have in common: frames and their times, and places by what is estimated.
+
+    Parameters
+    ----------
+    estimator : RopeFilter
+        With a camera that knows the swing plane.
+    """
+
+    def __init__(self, estimator: RopeFilter) -> None:
+        camera = estimator.model.camera
+        if camera is None or camera.rotation is None:
+            raise InvalidInput("a tracker needs a camera that knows the swing plane", fix="See Camera.with_plane")
+        self.estimator, self.camera = estimator, camera
+
+    @property
+    def values(self) -> Array:
+        """What is estimated beside the state by now (P,), in the order of the estimator's parameters."""
+        return np.asarray(self.estimator.x[2 * self.estimator.n_links :])
+
+    @property
+    def adjustment(self) -> PlaneAdjustment:
+        """How the swing plane deviates from the calibrated one, as far as that is estimated."""
+        return self.estimator.parameters.plane_adjustment(self.values)
+
+    @property
+    def delay(self) -> float:
+        """By how much pictures are older than their stamps, s, as far as that is estimated."""
+        return self.estimator.parameters.value("delay", self.values)
+
+    def _time(self, frame: Frame) -> float:
+        """Return the middle of a frame's exposure, s; refuse frames of another size than the camera's."""
+        height, width = frame.image.shape[:2]
+        if (width, height) != tuple(self.camera.image_size):
+            allowed = "x".join(map(str, self.camera.image_size))
+            raise InvalidInput("the frame has another size than the camera's", got=f"{width}x{height}", allowed=allowed)
+        return frame.time - self.camera.delay + 0.5 * self.camera.readout
+
+    def _predict_to(self, t: float) -> bool:
+        """Let the estimator go on to a time, s; return whether it knows of any state there."""
+        if self.estimator.t is None:
+            return False
+        try:
+            self.estimator.predict_to(t)
+        except SimulationError:  # the state is none that a rope has
+            self.estimator.restart()
+            return False
+        return True
+
+    def _result(
+        self, t: float, pixels: Array, covariances: Array, predicted: Array, gates: Array, rows: Array
+    ) -> TrackedFrame:
+        """Return what was made of a frame at a time of `_time`, s, whose markers were read at `rows` (K,)."""
+        if self.estimator.t is None:
+            return TrackedFrame(t - self.delay, pixels, covariances, self._places(pixels), predicted, gates, None)
+        shift, unsure = self.estimator.readout_shift(rows)
+        places, now = self._places(pixels - shift), (self.estimator.state, self.estimator.changes)
+        return TrackedFrame(t - self.delay, pixels, covariances + unsure, places, predicted, gates, *now)
+
+    def _places(self, pixels: Array) -> Array:
+        return self.camera.locate(pixels, self.adjustment)
+
+    def _rows(self, pixels: Array) -> Array:
+        """Return when pixels are read, -0.5 in the first row and 0.5 in the last; 0 of what is not seen."""
+        if not self.estimator.model.reads_rows:
+            return np.zeros(len(pixels))
+        return np.nan_to_num(self.camera.readout_share(pixels) - 0.5)
+
+
+class RopeTracker(CameraTracker):
     """Follows a rope from frame to frame.
 
     Parameters
@@ -79,6 +151,11 @@ class RopeTracker:
         With a camera.
     detector : MarkerDetector
         Of the markers' colour.
+
+    Raises
+    ------
+    InvalidInput
+        If the filter's arc lengths do not increase, or it has no camera that knows the swing plane.
 
     Notes
     -----
@@ -90,26 +167,16 @@ class RopeTracker:
     """
 
     def __init__(self, estimator: RopeFilter, detector: MarkerDetector) -> None:
-        camera = estimator.model.camera
-        if camera is None or camera.rotation is None:
-            raise InvalidInput("a tracker needs a camera that knows the swing plane", fix="See Camera.with_plane")
-        self.estimator, self.detector, self.camera = estimator, detector, camera
+        super().__init__(estimator)
+        check_increasing(estimator.model.arc_lengths)
+        self.detector = detector
         self._dark = self._waited = 0
         self._clutter = ClutterMap(self.camera.image_size)
 
     def look(self, frame: Frame) -> TrackedFrame:
         """Take a frame, in the order of their times, and return what was made of it."""
-        height, width = frame.image.shape[:2]
-        if (width, height) != tuple(self.camera.image_size):
-            allowed = "x".join(map(str, self.camera.image_size))
-            raise InvalidInput("the frame has another size than the camera's", got=f"{width}x{height}", allowed=allowed)
-        t = frame.time - self.camera.delay + 0.5 * self.camera.readout
-        if self.estimator.t is None:
-            return self._first(frame.image, t)
-        try:
-            self.estimator.predict_to(t)
-        except SimulationError:  # the state is none that a rope has
-            self.estimator.restart()
+        t = self._time(frame)
+        if not self._predict_to(t):
             return self._first(frame.image, t)
         predicted, spread, speeds = self._expected()
         gates = self._gates(predicted, spread, speeds) if self._dark < LOST else None
@@ -143,41 +210,42 @@ class RopeTracker:
 
     def _first(self, image: Image, t: float) -> TrackedFrame:
         """Look for the whole rope."""
-        model, blobs = self.estimator.model, self._detected(image)
-        count = len(model.arc_lengths)
+        count = len(self.estimator.model.arc_lengths)
         nothing, wide = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
-        if not len(blobs.places):
-            return TrackedFrame(t, nothing, wide, nothing, nothing, wide, None)
-        pixels, covariances = self._ordered(blobs, t)
-        if pixels is None or covariances is None:
-            return TrackedFrame(t, nothing, wide, nothing, nothing, wide, None)
+        blobs = self._detected(image)
+        pixels, covariances = self._ordered(blobs, t) if len(blobs.places) else (nothing, wide)
         rows = self._rows(pixels)
-        self.estimator.update(Observations(t, pixels, rows=rows, covariances=covariances))
-        return self._result(t, pixels, covariances, nothing, np.full((count, 2, 2), np.nan), rows)
+        if np.isfinite(pixels).any():
+            self._waited = 0
+            self.estimator.update(Observations(t, pixels, rows=rows, covariances=covariances))
+        return self._result(t, pixels, covariances, nothing, wide.copy(), rows)
 
     def _detected(self, image: Image, gates: list[Gate] | None = None) -> Blobs:
         """Return what looks like a marker."""
         blobs = self.detector.find(image, gates)
         return blobs._replace(covariances=blobs.covariances + LEAST_STD**2 * np.eye(2))
 
-    def _ordered(self, blobs: Blobs, t: float) -> tuple[Array | None, Array | None]:
-        """Return places and covariances of the markers, or None where the frame does not tell which is which."""
-        places, covariances = blobs.in_plane(self.camera)
+    def _ordered(self, blobs: Blobs, t: float) -> tuple[Array, Array]:
+        """Return places and covariances of the markers, NaN where the frame does not tell which is which."""
+        places, covariances = blobs.in_plane(self.camera, self.adjustment)
         noise = float(np.sqrt(np.median(np.trace(covariances, axis1=1, axis2=2) / 2.0)))
-        arcs = self.estimator.model.arc_lengths
-        origin, along = self.estimator.process.base(t)[0], np.maximum(arcs, 1e-6)
-        used = np.arange(len(places))
-        order = order_markers(places, along, origin, noise=max(noise, 1e-4))
+        along = np.maximum(self._arc_lengths(), 1e-6)
+        relative, absolute = self._doubt_of_lengths()
+        values = self.estimator.values
+        shift = max(values.get(name, (0.0, 0.0))[1] for name in ("offset_x", "offset_y"))
+        loose = {"noise": max(noise, 1e-4) + 0.5 * (absolute + SURE * shift), "slack": relative}
+        origin, used = self.estimator.process.base(t)[0], np.arange(len(places))
+        order = order_markers(places, along, origin, **loose)
         moving = np.flatnonzero(~self._clutter.still(blobs))
         if not order.certain and 2 <= moving.size < len(places):
-            order, used = order_markers(places[moving], along, origin, noise=max(noise, 1e-4)), moving
+            order, used = order_markers(places[moving], along, origin, **loose), moving
         self._waited += 1
         found = order.indices >= 0
+        pixels, wide = np.full((along.size, 2), np.nan), np.full((along.size, 2, 2), np.nan)
         if (not order.certain and self._waited < PATIENT) or not found.any():
             self._clutter.learn(blobs, np.zeros(len(places), bool))
-            return None, None
+            return pixels, wide
         taken = used[order.indices[found]]
-        pixels, wide = np.full((arcs.size, 2), np.nan), np.full((arcs.size, 2, 2), np.nan)
         pixels[found], wide[found] = blobs.places[taken], blobs.covariances[taken]
         if used.size == len(places):
             self._clutter = ClutterMap(self.camera.image_size)  # what lay still may have been the rope
@@ -195,12 +263,25 @@ class RopeTracker:
         """Return how far apart markers that follow each other can be seen (K - 1,), px."""
         if not np.isfinite(predicted).all():
             return None
-        estimator = self.estimator
-        places = estimator.model.places(estimator.x, estimator.base)
-        (a, b), (c, d) = self.camera.place_slopes(places)[1].transpose(1, 2, 0)
+        adjustment, (relative, absolute) = self.adjustment, self._doubt_of_lengths()
+        slopes = self.camera.linearize(self.camera.locate(predicted, adjustment), adjustment).by_point
+        (a, b), (c, d) = slopes.transpose(1, 2, 0)
         scale = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))  # the greater singular value
-        apart = np.abs(np.diff(estimator.model.arc_lengths)) * np.maximum(scale[1:], scale[:-1])
-        return np.asarray(np.maximum(apart, 1.0))
+        rope = (1.0 + relative) * np.abs(np.diff(self._arc_lengths())) + absolute
+        apart = rope * np.maximum(scale[1:], scale[:-1])
+        return np.asarray(np.maximum(apart, 1.0)) if np.isfinite(apart).all() else None
+
+    def _arc_lengths(self) -> Array:
+        """Return where on the rope markers sit (K,), m, as far as that is estimated and can be."""
+        declared = self.estimator.model.arc_lengths
+        found = self.estimator.parameters.arc_lengths(declared, self.values)
+        return found if (np.diff(found, prepend=0.0)[declared > 0.0] > 0.0).all() else declared
+
+    def _doubt_of_lengths(self) -> tuple[float, float]:
+        """Return by how much the rope between markers may look longer than it is taken to be: a part of it, and m."""
+        std = {name: each[1] for name, each in self.estimator.values.items()}
+        moved = [each for name, each in std.items() if name.startswith("arc[")]
+        return SURE * float(np.hypot(std.get("scale", 0.0), std.get("length", 0.0))), SURE * max(moved, default=0.0)
 
     def _gates(self, predicted: Array, spread: Array, speeds: Array) -> list[Gate] | None:
         """Return where to look; None where that is nearly everywhere."""
@@ -209,32 +290,19 @@ class RopeTracker:
         streaks = speeds * self.camera.exposure
         return [Gate(*gate) for gate in zip(predicted, _of_each(spread), streaks.tolist(), strict=True)]
 
-    def _rows(self, pixels: Array) -> Array:
-        """Return when pixels are read, -0.5 in the first row and 0.5 in the last; 0 of what is not seen."""
-        if not self.estimator.model.reads_rows:
-            return np.zeros(len(pixels))
-        return np.nan_to_num(self.camera.readout_share(pixels) - 0.5)
-
     def shape(self, state: RopeState) -> tuple[Array, Array]:
         """Return the rope's joints in a state as they are seen (n + 1, 2), px, and the covariances (n + 1, 2, 2)."""
         estimator, n = self.estimator, state.q.size
-        lengths, base = estimator.process.rope.length, estimator.process.base(state.t)[0]
+        stretch = 1.0 + estimator.parameters.value("length", self.values)
+        lengths, base = stretch * estimator.process.rope.length, estimator.process.base(state.t)[0]
         steps = lengths * np.stack([np.cos(state.q), np.sin(state.q)])
         before = np.tril(np.ones((n + 1, n)), -1)
         slopes = before[:, None, :] * steps
         wide = np.zeros((n, n)) if state.covariance is None else state.covariance[:n, :n]
         places = base + before @ np.stack([steps[1], -steps[0]], axis=1)
-        pixels, by_place = self.camera.place_slopes(places)
+        pixels, by_place, _ = self.camera.linearize(places, self.adjustment)
         seen = by_place @ slopes
         return pixels, seen @ wide @ seen.transpose(0, 2, 1)
-
-    def _result(
-        self, t: float, pixels: Array, covariances: Array, predicted: Array, gates: Array, rows: Array
-    ) -> TrackedFrame:
-        shift, unsure = self.estimator.readout_shift(rows)
-        places = self.camera.locate(pixels - shift)
-        now = self.estimator.state, self.estimator.changes
-        return TrackedFrame(t, pixels, covariances + unsure, places, predicted, gates, *now)
 
 
 def draw_frame(image: Image, tracker: RopeTracker, result: TrackedFrame, caption: list[str] | None = None) -> Image:

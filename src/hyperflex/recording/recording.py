@@ -1,7 +1,8 @@
 """Recording: measured angles or marker positions, validated and read-only, in SI units and the package's axes."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -163,8 +164,11 @@ class Recording:
         along = self._lines("lengths of links")
         return np.asarray(np.nanmedian(np.hypot(along[..., 0], along[..., 1]), axis=0))
 
-    def to_netcdf(self, path: PathLike) -> None:
-        """Write to NetCDF-4, for ``read_recording(path)``; FileProblem on failure: an earlier file then stands."""
+    def to_netcdf(self, path: PathLike, attributes: Mapping[str, Any] | None = None) -> None:
+        """Write to NetCDF-4, for ``read_recording(path)``; FileProblem on failure: an earlier file then stands.
+
+        `attributes` (numbers, texts or arrays) are kept in the file beside its own; what reads it leaves them alone.
+        """
         marked = self.kind == "markers"
         dims = ("time", "marker", "axis") if marked else ("time", "link")
         shape = (self.t.size, -1, 2)[: len(dims)]
@@ -178,7 +182,7 @@ class Recording:
             if values is not None:
                 variables[name] = Variable(dims, values.reshape(shape), {"units": unit, "long_name": long_name})
         texts = {key: getattr(self, key) for key in ("kind", "convention", "name", "source")}
-        files.write_netcdf(path, NetCDF(variables, {"format": FORMAT, **axes, **texts}))
+        files.write_netcdf(path, NetCDF(variables, {**(attributes or {}), "format": FORMAT, **axes, **texts}))
 
     def _lines(self, what: str) -> Array:
         """Return the lines from marker to marker (T, n, 2), m; a marker alone is refused."""

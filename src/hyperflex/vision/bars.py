@@ -166,6 +166,10 @@ class BarTrack:
     seen: Array
     notes: tuple[str, ...]
 
+    def to_netcdf(self, path: PathLike) -> None:
+        """Write the recording to NetCDF-4."""
+        self.recording.to_netcdf(path)
+
 
 def track_bars(
     video: PathLike,

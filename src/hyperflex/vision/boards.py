@@ -15,6 +15,7 @@ from hyperflex.vision.video import Image
 MISMATCH = 0.15  # of a marker's side: rms by which markers miss their places on the declared board
 RATIO_TOLERANCE = 0.05  # of marker to square
 _LEAST_CORNERS = 8
+_LARGEST = 1.0  # m, side of a square
 _FLAT = 0.02  # of the longer extent: corners nearly on one line tell no view
 
 
@@ -74,6 +75,9 @@ class Board:
         for name, size in (("squares to the right", width), ("squares down", height)):
             checks.count(name, size, least=3)
         square = checks.number("square", self.square, sign="positive", unit="m")
+        if square > _LARGEST:
+            fix = "Give it in metres: 30 mm is 0.03"
+            raise InvalidInput("squares are too large for a board", got=square, allowed="at most 1 m", fix=fix)
         if self.marker is None:
             return
         if checks.number("marker", self.marker, sign="positive", unit="m") >= square:

@@ -1,13 +1,12 @@
 """Calibration of a camera from pictures of a board, and what makes it refuse them."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.boards import Board, BoardView
@@ -60,6 +59,24 @@ class Calibration:
     legacy: bool
     notes: tuple[str, ...] = ()
 
+    def plane_points(self, image: Image) -> tuple[Array, Array]:
+        """Return points (K, 2) of the board in a picture of it in the swing plane, m, and their pixels (K, 2).
+
+        Raises
+        ------
+        InvalidInput
+            If the board is not seen, or the picture has another size.
+        """
+        check_size(image, self.camera.image_size)
+        view = self.board.find(image)
+        if view is None:
+            raise InvalidInput("the board is not seen in the picture of the swing plane", fix="Take another picture")
+        points = view.points
+        if self.board.marker is None:  # a chessboard looks the same from its other end: the one with x to the right
+            right = np.linalg.lstsq(points - points.mean(axis=0), view.pixels - view.pixels.mean(axis=0), rcond=None)[0]
+            points = points if right[0, 0] > 0.0 else points[::-1]
+        return points, view.pixels
+
     def place_plane(self, image: Image, origin: npt.ArrayLike | None = None) -> Camera:
         """Return the camera with the swing plane where the board lies in a picture.
 
@@ -75,22 +92,8 @@ class Calibration:
         InvalidInput
             If the board is not seen, or the origin lies on no point of the plane.
         """
-        check_size(image, self.camera.image_size)
-        view = self.board.find(image)
-        if view is None:
-            raise InvalidInput("the board is not seen in the picture of the swing plane", fix="Take another picture")
-        points = view.points
-        if self.board.marker is None:  # a chessboard looks the same from its other end: the one with x to the right
-            right = np.linalg.lstsq(points - points.mean(axis=0), view.pixels - view.pixels.mean(axis=0), rcond=None)[0]
-            points = points if right[0, 0] > 0.0 else points[::-1]
-        camera = self.camera.with_plane(points, view.pixels)
-        if origin is None:
-            return camera
-        place = camera.locate(checks.array("origin", origin, (2,), unit="px")[None])[0]
-        if not np.isfinite(place).all():
-            raise InvalidInput("origin shows no point of the swing plane", got=origin, allowed="a pixel of it")
-        rotation, translation = camera.axes
-        return replace(camera, translation=translation + rotation[:, :2] @ place)
+        camera = self.camera.with_plane(*self.plane_points(image))
+        return camera if origin is None else camera.with_origin(origin)
 
 
 def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = None, **timing: Any) -> Calibration:

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,19 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.vision.plane import AS_CALIBRATED, PlaneAdjustment, adjusted, plane_pose, rodrigues, turn
+from hyperflex.vision.plane import (
+    AS_CALIBRATED,
+    PlaneAdjustment,
+    PlaneView,
+    Projection,
+    adjusted,
+    check_scale,
+    check_visible,
+    plane_pose,
+    plane_view,
+    rodrigues,
+    turn,
+)
 
 FORMAT = "hyperflex camera 1"
 DIRECTIONS = ("down", "up", "right", "left")  # in which rows or columns are read out one after the other
@@ -20,24 +32,6 @@ TIMING = ("exposure", "readout", "readout_direction", "delay")
 _DISTORTION_SIZES = (4, 5, 8)
 _FACING = np.diag([1.0, -1.0, -1.0])  # plane: x right, y up, z to the viewer; camera: x right, y down, z forward
 _NEWTON_STEPS, _NEWTON_TOLERANCE = 12, 1e-9  # px
-
-
-class Projection(NamedTuple):
-    """Pixels of K points with their derivatives.
-
-    Attributes
-    ----------
-    pixels : (K, 2) float64
-        px; NaN where a point is NaN or behind the camera.
-    by_point : (K, 2, D) float64
-        With respect to the point's D = 2 or 3 coordinates, px/m.
-    by_adjustment : (K, 2, 4) float64
-        With respect to scale (px), roll (px/rad) and offset x, y (px/m).
-    """
-
-    pixels: Array
-    by_point: Array
-    by_adjustment: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,20 +190,23 @@ class Camera:
         ------
         InvalidInput
             With fewer than four points, points on one line, or where no pose fits (the rms error in px is named): the
-            points may be in another order, in another unit, or the camera another one.
+            points may be in another order, in another unit, or the camera another one; for a scale that cannot be.
         """
         known = checks.array("points", points, (-1, 2), unit="m")
         seen = checks.array("pixels", pixels, (known.shape[0], 2), unit="px")
-        pose, error = plane_pose(known, seen, self.matrix, self.distortion)
-        limit = 0.01 * math.hypot(*self.image_size)
-        if pose is None or not error <= limit:
-            raise InvalidInput(
-                "no pose of the swing plane fits the points: rms error in px",
-                got=round(error, 2),
-                allowed=f"at most {limit:.1f} px",
-                fix="Check the order of the points (x right, y up, in m; u right, v down) and the camera",
-            )
-        return replace(self, rotation=pose[0], translation=pose[1])
+        pose = plane_pose(known, seen, self.matrix, self.distortion, self.image_size)
+        found = replace(self, rotation=pose[0], translation=pose[1])
+        check_visible(*found.axes)
+        check_scale(found.pixels_per_metre, self.image_size)
+        return found
+
+    def with_origin(self, pixel: npt.ArrayLike) -> "Camera":
+        """Return this camera with the swing plane's origin moved to where it shows a pixel (2,)."""
+        place = self.locate(checks.array("origin", pixel, (2,), unit="px")[None])[0]
+        if not np.isfinite(place).all():
+            raise InvalidInput("origin shows no point of the swing plane", got=pixel, allowed="a pixel of it")
+        rotation, translation = self.axes
+        return replace(self, translation=translation + rotation[:, :2] @ place)
 
     @cached_property
     def axes(self) -> tuple[Array, Array]:
@@ -232,6 +229,11 @@ class Camera:
         """Scale at the plane's origin, px/m: the root of the area that a square metre has there."""
         by_point = self.linearize(np.zeros((1, 2))).by_point[0]
         return math.sqrt(abs(float(np.linalg.det(by_point))))
+
+    @property
+    def plane_view(self) -> PlaneView:
+        """Where x and y of the swing plane point in the picture, and how it is tilted."""
+        return plane_view(self.axes[0], self.linearize(np.zeros((1, 2))).by_point[0])
 
     def project(self, points: npt.ArrayLike, adjustment: PlaneAdjustment = AS_CALIBRATED) -> Array:
         """Return pixels (K, 2) of points (K, 2) in the plane, or (K, 3) beside it, m; see :meth:`linearize`."""

@@ -4,6 +4,7 @@ from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.vision.camera import FORMAT, TIMING, Camera
+from hyperflex.vision.plane import check_visible
 
 
 def read_camera(path: PathLike) -> Camera:
@@ -14,7 +15,7 @@ def read_camera(path: PathLike) -> Camera:
     FileProblem
         If it cannot be read.
     InvalidInput
-        If it is no camera's file; names what is wrong.
+        If it is no camera's file, or its swing plane is behind the camera or seen edge-on; names what is wrong.
     """
     content = files.read_toml(path)
     table, plane = content.get("camera"), content.get("plane", {})
@@ -27,4 +28,11 @@ def read_camera(path: PathLike) -> Camera:
         raise InvalidInput(
             f"{path}: the camera's keys do not fit", got=sorted(missing | unknown), allowed=", ".join(sorted(known))
         )
-    return Camera(**table, **plane)
+    camera = Camera(**table, **plane)
+    if camera.rotation is not None:
+        try:
+            check_visible(*camera.axes)
+        except InvalidInput as error:
+            error.args = (f"{path}: {error}",)
+            raise
+    return camera

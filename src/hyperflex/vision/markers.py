@@ -10,6 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.core.image import blobs
 from hyperflex.vision.camera import Camera
 from hyperflex.vision.colour import MarkerColour
+from hyperflex.vision.plane import AS_CALIBRATED, PlaneAdjustment
 from hyperflex.vision.video import Image
 
 FLOOR = 0.05  # px, standard deviation of a place at least: compression, lens, pixels that are no squares
@@ -67,10 +68,10 @@ class Observations(NamedTuple):
     areas: Array
     merged: npt.NDArray[np.bool_]
 
-    def in_plane(self, camera: Camera) -> tuple[Array, Array]:
+    def in_plane(self, camera: Camera, adjustment: PlaneAdjustment = AS_CALIBRATED) -> tuple[Array, Array]:
         """Return places (M, 2), m, and covariances (M, 2, 2), m^2, in the swing plane."""
-        places = camera.locate(self.places)
-        slopes = np.linalg.inv(camera.linearize(np.nan_to_num(places)).by_point)
+        places = camera.locate(self.places, adjustment)
+        slopes = np.linalg.inv(camera.linearize(np.nan_to_num(places), adjustment).by_point)
         return places, slopes @ self.covariances @ slopes.transpose(0, 2, 1)
 
 

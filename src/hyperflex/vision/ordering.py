@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
 
 SLACK = 0.02  # by which a rope may look longer than it is
 CERTAIN = 4.0  # cost by which the next order must be worse
@@ -44,7 +45,12 @@ class _Paths(NamedTuple):
 
 
 def order_markers(
-    places: npt.ArrayLike, arc_lengths: npt.ArrayLike, origin: npt.ArrayLike, *, noise: float = 0.003
+    places: npt.ArrayLike,
+    arc_lengths: npt.ArrayLike,
+    origin: npt.ArrayLike,
+    *,
+    noise: float = 0.003,
+    slack: float = 0.0,
 ) -> Ordering:
     """Find which of the things seen is which marker, from their places alone.
 
@@ -58,11 +64,18 @@ def order_markers(
         Where the rope begins (the first joint), m.
     noise : float
         Standard deviation of the places, m.
+    slack : float
+        By which part lengths may look longer or shorter where scale or lengths are not known, beside the usual 2 %.
 
     Returns
     -------
     Ordering
         Ask for another frame where it is not `certain`.
+
+    Raises
+    ------
+    InvalidInput
+        If the arc lengths do not increase.
 
     Notes
     -----
@@ -72,10 +85,11 @@ def order_markers(
     """
     seen = checks.array("places", places, (-1, 2), unit="m")
     arcs = checks.array("arc_lengths", arc_lengths, (-1,), sign="positive", unit="m")
+    check_increasing(arcs)
     start = checks.array("origin", origin, (2,), unit="m")
     paths = _Paths(np.zeros((1, 0), np.int64), np.zeros(1), start[None], np.zeros(1), np.zeros((1, 2)))
     for arc in arcs:
-        paths = _extended(paths, seen, float(arc), noise)
+        paths = _extended(paths, seen, float(arc), noise, slack)
     left_over = seen.shape[0] - (paths.taken >= 0).sum(axis=1)
     cost = paths.cost + _CLUTTER * left_over
     order = np.argsort(cost, kind="stable")
@@ -84,7 +98,20 @@ def order_markers(
     return Ordering(paths.taken[best], margin > CERTAIN and bool((paths.taken[best] >= 0).any()), margin)
 
 
-def _extended(paths: _Paths, seen: Array, arc: float, noise: float) -> _Paths:
+def check_increasing(arc_lengths: Array) -> None:
+    """Refuse arc lengths (K,), m, of which one is no greater than the one before."""
+    falling = np.flatnonzero(np.diff(arc_lengths) <= 0.0)
+    if falling.size:
+        one, two = arc_lengths[falling[0] : falling[0] + 2].tolist()
+        raise InvalidInput(
+            f"arc lengths of markers do not increase: {two:g} m comes after {one:g} m",
+            got=arc_lengths.tolist(),
+            allowed="increasing ones, from the first joint to the tip, each once",
+            fix="Measure each marker along the rope from where it hangs, and give them in that order",
+        )
+
+
+def _extended(paths: _Paths, seen: Array, arc: float, noise: float, slack: float) -> _Paths:
     """Return the best paths that go on to a marker at an arc length, m: to each thing seen, or without it."""
     chord = seen[None] - paths.place[:, None]  # (B, M, 2)
     length = np.maximum(np.linalg.norm(chord, axis=2), 1e-9)
@@ -95,9 +122,9 @@ def _extended(paths: _Paths, seen: Array, arc: float, noise: float) -> _Paths:
     turn = np.arctan2(
         before[..., 0] * direction[..., 1] - before[..., 1] * direction[..., 0], (before * direction).sum(axis=2)
     )
-    cost = paths.cost[:, None] + np.log1p((short / _SHORT) ** 2) + np.log1p((turn / _TURN) ** 2)
+    cost = paths.cost[:, None] + np.log1p((short / np.hypot(_SHORT, slack)) ** 2) + np.log1p((turn / _TURN) ** 2)
     used = (paths.taken[:, :, None] == np.arange(len(seen))).any(axis=1)
-    cost[used | (length > (1.0 + SLACK) * rope + 4.0 * noise)] = np.inf
+    cost[used | (length > (1.0 + SLACK + slack) * rope + 4.0 * noise)] = np.inf
     costs = np.concatenate([cost, paths.cost[:, None] + _MISSING], axis=1).ravel()
     best = np.argsort(costs, kind="stable")[:_BEAM]
     best = best[np.isfinite(costs[best])]

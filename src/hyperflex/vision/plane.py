@@ -29,12 +29,129 @@ class PlaneAdjustment(NamedTuple):
 
 
 AS_CALIBRATED = PlaneAdjustment()
+LARGEST_MISFIT = 0.003  # rms of the points that tell a plane, of the picture's longer side
+SIDEWAYS = 45.0  # degrees, from which y does not point up in the picture
+_FLATTEST = 5.0  # degrees between the plane and the line of sight to its origin
+_WIDTHS = (0.01, 100.0)  # m, between which the picture's width lies in the plane
+
+
+class Projection(NamedTuple):
+    """Pixels of K points with their derivatives.
+
+    Attributes
+    ----------
+    pixels : (K, 2) float64
+        px; NaN where a point is NaN or behind the camera.
+    by_point : (K, 2, D) float64
+        With respect to the point's D = 2 or 3 coordinates, px/m.
+    by_adjustment : (K, 2, 4) float64
+        With respect to scale (px), roll (px/rad) and offset x, y (px/m).
+    """
+
+    pixels: Array
+    by_point: Array
+    by_adjustment: Array
+
+
+class PlaneView(NamedTuple):
+    """How a camera sees the swing plane.
+
+    Attributes
+    ----------
+    x_direction, y_direction : float
+        Where x and y point in the picture at the plane's origin, degrees counterclockwise from the right, -180 to 180;
+        0 and 90 where x runs to the right and y up.
+    tilt : float
+        Between the plane's normal and the camera's axis, degrees, 0 to 90.
+    roll : float
+        By which y is turned counterclockwise from upwards in the picture, degrees, -180 to 180.
+    mirrored : bool
+        Whether the plane is seen from behind: x to the left where y is up.
+    """
+
+    x_direction: float
+    y_direction: float
+    tilt: float
+    roll: float
+    mirrored: bool
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is unusual of it: y not upwards, x to the left."""
+        found = []
+        if abs(self.roll) > SIDEWAYS:
+            found.append(
+                f"y of the swing plane points {self.y_words} in the picture, not up: is the board upside down or on "
+                "its side, or are y of the points positive downwards? A rope hangs to -y"
+            )
+        if self.mirrored:
+            found.append(
+                f"the swing plane is seen from behind: x points {self.x_words} where y points {self.y_words}. "
+                "Are x or y of the points in another direction than right and up?"
+            )
+        return tuple(found)
+
+    @property
+    def x_words(self) -> str:
+        """Where x points, in a word."""
+        return _direction(self.x_direction)
+
+    @property
+    def y_words(self) -> str:
+        """Where y points, in a word."""
+        return _direction(self.y_direction)
+
+
+def _direction(angle: float) -> str:
+    return ("right", "up", "left", "down")[round(angle / 90.0) % 4]
+
+
+def plane_view(rotation: Array, by_place: Array) -> PlaneView:
+    """Return how a plane is seen.
+
+    Parameters
+    ----------
+    rotation : (3, 3) float64
+        From the plane to the camera.
+    by_place : (2, 2) float64
+        Derivative of pixels by places at its origin, px/m.
+    """
+    x, y = (np.degrees(np.arctan2(-by_place[1], by_place[0])) + 0.0).tolist()  # no -0
+    tilt = math.degrees(math.acos(min(1.0, abs(float(rotation[2, 2])))))
+    roll = (y - 90.0 + 180.0) % 360.0 - 180.0
+    return PlaneView(x, y, tilt, roll, bool(np.linalg.det(by_place) > 0.0))
+
+
+def check_visible(rotation: Array, translation: Array) -> None:
+    """Refuse a pose from the plane to the camera, (3, 3) and (3,), m, that shows the plane's edge or lies behind."""
+    away = float(np.linalg.norm(translation))
+    flat = math.degrees(math.asin(min(1.0, abs(float(rotation[:, 2] @ translation)) / away))) if away else 0.0
+    if translation[2] <= 0.0 or flat < _FLATTEST:
+        wrong = "is behind the camera" if translation[2] <= 0.0 else "is seen edge-on"
+        raise InvalidInput(
+            f"the swing plane {wrong}",
+            got=f"translation {np.round(translation, 4).tolist()} m, {flat:.1f} degrees to the line of sight",
+            allowed=f"an origin before the camera, at {_FLATTEST:g} degrees or more to the line of sight",
+            fix="Calibrate the plane again",
+        )
+
+
+def check_scale(scale: float, image_size: tuple[int, int]) -> None:
+    """Refuse a scale, px/m, by which the picture shows less or more than any swing takes."""
+    width, (least, most) = image_size[0] / scale, _WIDTHS
+    if not least <= width <= most:
+        raise InvalidInput(
+            "the scale of the swing plane cannot be",
+            got=f"{scale:.3g} px/m: the picture is {width:.3g} m wide there",
+            allowed=f"a width of {least:g} to {most:g} m",
+            fix="Give squares and points in metres, not in millimetres",
+        )
 
 
 def plane_pose(
-    points: Array, pixels: Array, matrix: Array, distortion: Array
-) -> tuple[tuple[Array, Array] | None, float]:
-    """Return the pose (rvec, tvec) of the swing plane that fits best, or None, and its rms error, px.
+    points: Array, pixels: Array, matrix: Array, distortion: Array, image_size: tuple[int, int]
+) -> tuple[Array, Array]:
+    """Return the pose (rvec, tvec) of the swing plane that fits best.
 
     Parameters
     ----------
@@ -42,11 +159,13 @@ def plane_pose(
         Known places in the plane, m, and where they are seen, px.
     matrix, distortion
         OpenCV's intrinsics.
+    image_size : (int, int)
+        Width and height, px.
 
     Raises
     ------
     InvalidInput
-        With fewer than four points, or points on one line.
+        With fewer than four points, points on one line, or where no pose fits.
 
     Notes
     -----
@@ -68,7 +187,15 @@ def plane_pose(
         error = float(np.sqrt(np.mean(np.sum((seen - pixels) ** 2, axis=1))))
         if error < least:
             best, least = (r.ravel(), t.ravel()), error
-    return best, least
+    limit = LARGEST_MISFIT * max(image_size)
+    if best is None or not least <= limit:
+        raise InvalidInput(
+            "no pose of the swing plane fits the points: rms error in px",
+            got=round(least, 2),
+            allowed=f"at most {limit:.1f} px",
+            fix="Check the order of the points (x right, y up, in m; u right, v down) and the camera",
+        )
+    return best
 
 
 def adjusted(places: Array, adjustment: PlaneAdjustment) -> Array:

@@ -57,6 +57,8 @@ class VideoReader:
         By which they are turned counterclockwise against the stored ones, degrees: 0, 90, 180 or -90.
     readout_direction : str
         In which rows of a sensor that was read from top to bottom follow each other now, for :class:`Camera`.
+    frame_interval : float or None
+        Mean time from frame to frame, s, where the file says so.
     frame_count : int
         Frames given out so far.
     notes : list of str
@@ -65,7 +67,8 @@ class VideoReader:
     Raises
     ------
     FileProblem
-        On opening: there is no such file, it is empty, cut off or no video, or not one frame of it can be read.
+        On opening: there is no such file, it is empty, cut off or no video, or not one frame of it can be read. At the
+        end, if not one frame has a time stamp.
 
     Notes
     -----
@@ -202,6 +205,8 @@ class VideoReader:
         self.readout_direction = _READOUT[turn]
         size = (frame.width, frame.height)
         self.image_size = size if turn % 180 == 0 else size[::-1]
+        rate = self._stream.average_rate
+        self.frame_interval = 1.0 / float(rate) if rate else None
 
     def _finish(self) -> None:
         """Note what was wrong with the whole file."""
@@ -214,7 +219,12 @@ class VideoReader:
         listed = int(self._stream.frames)
         if listed > self.frame_count:
             self.notes.append(f"the file lists {listed} frames, {self.frame_count} could be read")
-        self._broken = self._untimed = self._backwards = 0
+        untimed, self._broken, self._untimed, self._backwards = self._untimed, 0, 0, 0
+        if untimed and not self.frame_count:
+            raise FileProblem(
+                f"The frames of {self.path} have no time stamps: it is a raw stream without a container. Say how many "
+                f"a second there are, as in: ffmpeg -framerate 30 -i {self.path.name} -c copy {self.path.stem}.mp4"
+            )
 
 
 class VideoWriter:
