@@ -80,8 +80,8 @@ class Watch:
     interval : float
         Without a frame for that long, s, an estimate is handed out all the same.
     retime : callable, optional
-        Of an :class:`Arrival`, to the frame with another time stamp; by default it keeps its own, joined to those before
-        where the source was opened again.
+        Of an :class:`Arrival`, to the frame with another time stamp; by default its own, joined to those before where
+        the source was opened again.
     before : callable, optional
         Is called when a frame has come, before it is looked at.
 
