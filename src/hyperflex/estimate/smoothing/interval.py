@@ -153,14 +153,8 @@ class Interval:
     @property
     def rope_states(self) -> tuple[RopeState, ...]:
         """The same as states of the rope, with covariances, each at the time of its picture less an estimated delay."""
-        n, parameters = self.process.rope.n_links, self.process.parameters
         return tuple(
-            RopeState(
-                frame.seen.t - parameters.value("delay", x[2 * n :]),
-                x[:n],
-                x[n : 2 * n],
-                rows[:, : 2 * n].T @ rows[:, : 2 * n],
-            )
+            self.process.rope_state(x, rows, frame.seen.t)
             for frame, x, rows in zip(self.frames, self.states, self.smoothed.rows, strict=True)
         )
 

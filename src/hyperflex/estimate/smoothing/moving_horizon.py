@@ -122,10 +122,10 @@ class MovingHorizon(RopeFilter):
         super().restart()
         self._explanations = []
 
-    def _correct(self, seen: Observations, rounds: int) -> None:
+    def _correct(self, seen: Observations, *, first: bool) -> None:
         """Let the filter say which markers are plausible and what has changed, and fit the horizon."""
         prior, unsure, self.changed = Prior(self.x.copy(), self.factor), self._unsure(), False
-        super()._correct(seen, rounds)
+        super()._correct(seen, first=first)
         used = self.used
         frame = InputFrame(seen, used, self.measurement_noise.value, self._noise_until(seen.t))
         if not self._explanations:

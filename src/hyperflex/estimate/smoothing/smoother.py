@@ -145,10 +145,5 @@ def _track(whole: Interval, estimator: MovingHorizon) -> SmoothedTrack:
         model.predict(x, process.base(frame.seen.t, x), np.zeros(len(model.arc_lengths)), qdd)[0]
         for x, frame, qdd in zip(whole.states, whole.frames, qdds, strict=True)
     ]
-    last, std = whole.x[2 * n :], np.linalg.norm(whole.factor[:, 2 * n :], axis=0)
-    values = {
-        name: (float(value), float(each))
-        for name, value, each in zip(estimator.parameters.names, last, std, strict=True)
-        if name in estimator.values
-    }
+    values = estimator.parameters.estimates(whole.x, whole.factor)
     return SmoothedTrack(whole.rope_states, np.array(places), values, whole.log_likelihood)
