@@ -7,7 +7,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter
+from hyperflex.estimate import EstimatedParameter, MovingHorizon, Observations, RopeFilter
 from hyperflex.estimate.gate import ValidationGate
 from tests.estimate.runs import free_swing, pumped, rope, track
 
@@ -159,8 +159,25 @@ def test_bad_input() -> None:
     tracker.update(Observations(1.0, [[0.0, -1.0], [0.0, -2.0]], 1e-3))
     with pytest.raises(InvalidInput, match="time goes backwards"):
         tracker.update(Observations(0.5, [[0.0, -1.0], [0.0, -2.0]], 1e-3))
-    with pytest.raises(InvalidInput, match="not positive"):
-        Observations(0.0, [[0.0, 0.0]], 0.0)
+    for std in (0.0, -1.0):
+        with pytest.raises(InvalidInput, match=r"std of an observation is not positive.*> 0"):
+            Observations(0.0, [[0.0, 0.0]], std)
+    for arcs in ([1.0, 1.0], [2.0, 1.0]):
+        with pytest.raises(InvalidInput, match="arc lengths do not increase"):
+            RopeFilter(rope(5), arcs)
+    horizon = MovingHorizon(rope(5), [1.0, 2.0], starts=1)
+    horizon.update(Observations(1.0, [[0.0, -1.0], [0.0, -2.0]], 1e-3))
+    with pytest.raises(InvalidInput, match="two frames are of one time"):
+        horizon.update(Observations(1.0, [[0.0, -1.0], [0.0, -2.0]], 1e-3))
+
+
+def test_places_where_no_rope_is_are_left_out() -> None:
+    tracker = swinging(0.5)
+    assert tracker.t is not None
+    for k in range(1, 4):
+        tracker.update(Observations(tracker.t + 0.04 * k, np.full((10, 2), 1e6), 2e-3))
+        assert not tracker.used.any()
+    assert np.abs(tracker.state.q).max() < 3.0
     with pytest.raises(InvalidInput, match="either std or covariances"):
         Observations(0.0, [[0.0, 0.0]])
     with pytest.raises(InvalidInput, match="not on the rope"):

@@ -287,7 +287,11 @@ class RopeFilter:
             return self.model.predict(x, self.process.base(seen.t, x), seen.rows, self._qdd)
 
         expected = predicted(self.x)
-        good = seen.seen & (True if first else self._believed(seen, *expected))
+        good = (
+            seen.seen
+            & self.model.possible(seen.places, self.base)
+            & (True if first else self._believed(seen, *expected))
+        )
         self.used = good
         if not good.any():
             return

@@ -10,7 +10,7 @@ from scipy.stats import qmc
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import SimulationError
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.change_detection import Found
 from hyperflex.estimate.filter import RopeFilter
@@ -116,6 +116,13 @@ class MovingHorizon(RopeFilter):
         known = np.array([each.log_likelihood for each in self._explanations])
         weights = np.exp(known - known[0])
         return np.asarray(weights / weights.sum())
+
+    def update(self, seen: Observations) -> None:
+        """Look, as the filter does; each frame is later than the one before."""
+        if self.horizon is not None and self.t is not None and seen.t == self.horizon.frames[-1].seen.t:
+            allowed = f"more than {seen.t} s, the time of the frame before"
+            raise InvalidInput("two frames are of one time", got=seen.t, allowed=allowed, fix="Join what they show")
+        super().update(seen)
 
     def restart(self) -> None:
         """Forget the state; what was learnt of parameters and noise stays as a first guess."""
