@@ -153,7 +153,7 @@ class MarkerModel:
         """Return which places (K, 2) may be markers' (K,): of those in metres the ones that are not far off."""
         if self.camera is not None:
             return np.ones(len(places), dtype=bool)
-        return np.hypot(*(places - base[0]).T) < FAR * self.parameters.rope.total_length
+        return np.asarray(np.hypot(*(places - base[0]).T) < FAR * self.parameters.rope.total_length)
 
     def predict(self, x: Array, base: Array, rows: Array, qdd: Array | None = None) -> tuple[Array, Array]:
         """Return where the markers are seen (K, 2), and the derivatives (K, 2, 2 n + P) with respect to x.

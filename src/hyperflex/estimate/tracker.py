@@ -147,9 +147,9 @@ class RopeTracker:
         if not said:
             return ""
         return (
-            f"{'; '.join(said)}: check the time stamps (slow motion stored at a usual rate), the camera's scale, swing "
-            "plane and origin (--estimate scale=0.01 or offset_x=0.02,offset_y=0.02), the arc lengths, and the rope "
-            "(more links where it swings briskly)"
+            f"{'; '.join(said)}: check the camera's scale, swing plane and origin (--estimate scale=0.01 or "
+            "offset_x=0.02,offset_y=0.02), the time stamps (slow motion stored at a usual rate), the arc lengths, and "
+            "the rope (more links where it swings briskly)"
         )
 
     def _first(self, image: Image, t: float) -> TrackedFrame:
