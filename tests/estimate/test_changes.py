@@ -209,3 +209,17 @@ def test_bad_input() -> None:
     with pytest.raises(InvalidInput, match="the rope has none"):
         RopeFilter(rope(5), [1.0], tests=ChangeTests(("drag",)))
     assert ChangeTests().names_for(rope(5)) == ("length", "friction", "tip_mass", "touch")
+
+
+def test_a_slow_camera_is_tested_too() -> None:
+    """3.3 frames/s: a mass at the tip is told, as it is at 10."""
+    cable, gap = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, radius=0.002, friction=1e-4), 0.3
+    heavy, rng = cable.replace(tip_mass=0.02), np.random.default_rng(0)
+    first = hf.simulate(cable, duration=3.9, q0=np.full(10, 0.8), t_eval=np.arange(0.0, 3.91, gap))
+    then = hf.simulate(heavy, duration=6.0, q0=first.q[-1], qd0=first.qd[-1], t_eval=np.arange(0.0, 5.9, gap))
+    tracker, told = RopeFilter(cable, [0.2, 0.5, 0.7, 1.0], tests=ChangeTests(("tip_mass",))), []
+    for k, joints in enumerate(np.concatenate([first.joints, then.joints[1:]])):
+        tracker.update(Observations(gap * k, joints[[2, 5, 7, 10]] + 1e-3 * rng.normal(size=(4, 2)), std=1e-3))
+        told += tracker.changes
+    assert {"tip_mass"} <= {each.name for each in told}
+    assert tracker.values["tip_mass"][0] == pytest.approx(0.02, rel=0.1)

@@ -7,7 +7,8 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter
+from hyperflex.estimate import EstimatedParameter, MovingHorizon, Observations, RopeFilter
+from hyperflex.estimate.gate import ValidationGate
 from tests.estimate.runs import free_swing, pumped, rope, track
 
 
@@ -117,6 +118,38 @@ def test_an_outlier_changes_nothing() -> None:
     np.testing.assert_allclose(near[0].state.q, near[1].state.q, atol=5e-3)
 
 
+@pytest.mark.parametrize(("seen", "false"), [((3,), (3,)), ((2, 3), (3,)), ((0, 1, 2, 3), (2, 3))])
+def test_what_half_of_a_frame_says_is_not_believed_at_once(seen: tuple[int, ...], false: tuple[int, ...]) -> None:
+    """A lone place, or as many false as right ones: an outlier until the next frame says the same."""
+    run = free_swing(1)
+    tracker = RopeFilter(rope(25), [0.5, 1.0, 1.5, 2.0])
+    for i in range(0, 620, 20):
+        places, shown = run.joints[i, [25, 50, 75, 100]].copy(), np.full((4, 2), np.nan)
+        if i == 600:
+            places[list(false)] += (0.3, 0.2)
+            shown[list(seen)] = places[list(seen)]
+        tracker.update(Observations(float(run.t[i]), places if i < 600 else shown, 1e-3))
+    assert np.linalg.norm(tracker.markers()[0][-1] - run.joints[600, 100]) < 0.02
+    np.testing.assert_array_equal(np.flatnonzero(tracker.used), [k for k in seen if k not in false])
+
+
+def test_a_wrong_state_is_told_from_wrong_places() -> None:
+    """Where most of three places and more are off, it is the state; one or two are believed when they stay."""
+    wide, near, far = np.tile(np.eye(2), (4, 1, 1)), [0.5, 0.5], [30.0, 0.0]
+    hidden = [np.nan, np.nan]
+    gate = ValidationGate(4)
+    assert gate.holds(np.array([far, far, far, near]), wide).all()
+    gate = ValidationGate(4)
+    for expected in ([True, True, False, False], [True] * 4):
+        assert gate.holds(np.array([near, near, far, far]), wide).tolist() == expected
+    gate = ValidationGate(4)
+    lone = np.array([hidden, hidden, hidden, far])
+    assert not gate.holds(lone, wide)[3]
+    gate.reset()
+    assert not gate.holds(lone, wide)[3]
+    assert gate.holds(lone, wide)[3]
+
+
 def test_bad_input() -> None:
     tracker = RopeFilter(rope(5), [1.0, 2.0])
     with pytest.raises(InvalidInput, match="nothing has been seen"):
@@ -126,8 +159,25 @@ def test_bad_input() -> None:
     tracker.update(Observations(1.0, [[0.0, -1.0], [0.0, -2.0]], 1e-3))
     with pytest.raises(InvalidInput, match="time goes backwards"):
         tracker.update(Observations(0.5, [[0.0, -1.0], [0.0, -2.0]], 1e-3))
-    with pytest.raises(InvalidInput, match="not positive"):
-        Observations(0.0, [[0.0, 0.0]], 0.0)
+    for std in (0.0, -1.0):
+        with pytest.raises(InvalidInput, match=r"std of an observation is not positive.*> 0"):
+            Observations(0.0, [[0.0, 0.0]], std)
+    for arcs in ([1.0, 1.0], [2.0, 1.0]):
+        with pytest.raises(InvalidInput, match="arc lengths do not increase"):
+            RopeFilter(rope(5), arcs)
+    horizon = MovingHorizon(rope(5), [1.0, 2.0], starts=1)
+    horizon.update(Observations(1.0, [[0.0, -1.0], [0.0, -2.0]], 1e-3))
+    with pytest.raises(InvalidInput, match="two frames are of one time"):
+        horizon.update(Observations(1.0, [[0.0, -1.0], [0.0, -2.0]], 1e-3))
+
+
+def test_places_where_no_rope_is_are_left_out() -> None:
+    tracker = swinging(0.5)
+    assert tracker.t is not None
+    for k in range(1, 4):
+        tracker.update(Observations(tracker.t + 0.04 * k, np.full((10, 2), 1e6), 2e-3))
+        assert not tracker.used.any()
+    assert np.abs(tracker.state.q).max() < 3.0
     with pytest.raises(InvalidInput, match="either std or covariances"):
         Observations(0.0, [[0.0, 0.0]])
     with pytest.raises(InvalidInput, match="not on the rope"):
@@ -153,3 +203,39 @@ def test_nothing_seen_yet() -> None:
     tracker = RopeFilter(rope(5), [1.0])
     tracker.update(Observations(0.0, [[np.nan, np.nan]], 1e-3))
     assert tracker.t is None
+
+
+def swinging(seconds: float, **options: object) -> RopeFilter:
+    """A filter of 20 links after a while of a swing, seen 25 times a second."""
+    cable = hf.Rope.uniform(length=1.2, mass=0.06, n_links=20, radius=0.002, friction=1e-4)
+    run = hf.simulate(cable, duration=seconds, q0=np.ones(20), t_eval=np.arange(0.0, seconds, 0.04))
+    tracker, rng = RopeFilter(cable, np.linspace(0.12, 1.2, 10), **options), np.random.default_rng(0)  # type: ignore[arg-type]
+    for t, joints in zip(run.t, np.asarray(run.joints), strict=True):
+        tracker.update(Observations(float(t), joints[2::2] + 2e-3 * rng.normal(size=(10, 2)), std=2e-3))
+    return tracker
+
+
+def test_what_is_foretold_does_not_depend_on_its_steps() -> None:
+    """Two seconds at once, by `predict` and by `state_at`, and in steps of a frame: the same, and as sure."""
+    one, many = swinging(1.5), swinging(1.5)
+    assert one.t is not None
+    ahead = one.state_at(one.t + 2.0)
+    one.predict(2.0)
+    for _ in range(100):
+        many.predict(0.02)
+    stds = [np.sqrt(np.trace(one.tip(state)[1])) for state in (ahead, one.state, many.state)]
+    np.testing.assert_allclose(stds, stds[2], rtol=0.03)
+    np.testing.assert_allclose(ahead.q, many.state.q, atol=1e-3)
+    assert ahead.covariance is not None
+    assert np.linalg.eigvalsh(ahead.covariance)[0] > 0.0
+
+
+def test_what_a_covariance_leaves_out_is_stated() -> None:
+    """The state now and the one foretold for now are one; a parameter that is known well is still there."""
+    tracker = swinging(1.5, parameters=[EstimatedParameter("offset_x", 100.0)])
+    assert tracker.t is not None
+    now, foretold = tracker.state.covariance, tracker.state_at(tracker.t).covariance
+    np.testing.assert_array_equal(now, foretold)
+    value, std = tracker.values["offset_x"]
+    assert value == pytest.approx(0.0, abs=0.01)
+    assert 0.004 < std < 0.01

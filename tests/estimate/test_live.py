@@ -189,6 +189,38 @@ def test_a_live_source_is_opened_again(video: tuple[Path, MarkerColour], picture
     assert "could not be opened again within 1 s" in str(frames.ended)
 
 
+def test_time_goes_on_where_a_source_begins_its_stamps_anew(
+    video: tuple[Path, MarkerColour], pictures: list[Frame]
+) -> None:
+    """A camera that was opened again: its stamps begin at 0, the estimates' times go on, and the rope is found anew."""
+    opened = 0
+
+    def open_source() -> Scripted:
+        nonlocal opened
+        opened += 1
+        script = [each for frame in pictures[:6] for each in (frame, 0.03)]
+        return Scripted(*script, 60.0 if opened == 3 else 0.5)
+
+    for retime in (None, StampClock()):
+        opened, begin, found = 0, time.monotonic(), []
+        with FrameThread(open_source, live=True, patience=1.0) as frames:
+            for each in Watch(frames, tracker(video), retime=retime):
+                found.append(each)
+                if opened == 3 and each.frame is None:
+                    break
+        ended = time.monotonic()
+        told = [k for k, each in enumerate(found) if any("opened again: the rope" in words for words in each.news)]
+        assert len(told) == 2
+        assert all(each.found and each.age == 0.0 for each in found if each.frame is not None)
+        times = [each.t for each in found]
+        assert np.all(np.diff(times) > 0.0)
+        assert times[-1] - times[0] < ended - begin
+        assert times[-1] - times[0] > 15 * 0.03  # no clock stands still
+        if retime is not None:
+            assert all(each.t <= ended for each in found)
+            assert found[told[1]].t > begin + 12 * 0.03
+
+
 def test_a_live_source_gives_the_newest(pictures: list[Frame]) -> None:
     """Nobody takes frames for a while: the newest is kept, and how many were left out is told."""
     with FrameThread(lambda: Scripted(*pictures[:6], 30.0), live=True) as frames:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ from scipy.optimize import least_squares
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.estimate import EstimatedParameter, MovingHorizon, Observations, RopeFilter, smooth
+from hyperflex.estimate import ChangeTests, EstimatedParameter, MovingHorizon, Observations, RopeFilter, smooth
 from hyperflex.estimate.smoothing.interval import InputFrame, Interval
 from hyperflex.estimate.smoothing.linear_smoother import Measurement, Smoothed, Step, smooth_linear
+from tests.estimate.runs import pushed_rates
 
 SIZE = 5  # of the state
 PENDULUM = hf.Rope.uniform(length=0.5, mass=0.1, n_links=2, radius=0.004, friction=2e-3)
@@ -227,3 +229,52 @@ def test_smoothed_states_are_nearer_than_filtered() -> None:
     assert np.mean(np.array(nees) < 7.78) > 0.85  # chi square, 4 degrees of freedom; the model is exact
     assert found.places.shape == (run.t.size, 2, 2)
     np.testing.assert_allclose(found.places[50:58], np.asarray(run.joints)[50:58, 1:], atol=5e-3)
+
+
+def test_the_likelihood_of_all_is_the_filters_where_motion_is_linear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small swings, levels of noise known: the same number, so that the noise that is true is ranked best."""
+    monkeypatch.setattr(RopeFilter, "_learn", lambda *_: None)
+    run = hf.simulate(PENDULUM, duration=0.6, q0=[0.02, 0.02], t_eval=np.arange(0.0, 0.6, 0.02))
+    places = np.asarray(run.joints)[:, 1:] + 5e-4 * np.random.default_rng(4).normal(size=(run.t.size, 2, 2))
+    known = []
+    for std in (2e-4, 5e-4, 2e-3):
+        seen = [Observations(float(t), each, std) for t, each in zip(run.t, places, strict=True)]
+        one = RopeFilter(PENDULUM, ARCS)
+        for each in seen:
+            one.update(each)
+        known.append(smooth(MovingHorizon(PENDULUM, ARCS, starts=1), seen).log_likelihood)
+        assert known[-1] == pytest.approx(one.log_likelihood, abs=1.0)
+    assert known[1] > max(known[0], known[2]) + 10.0
+
+
+@pytest.mark.parametrize("what", ["tip_mass", "touch"])
+def test_a_change_does_not_spoil_the_states_before_and_after(what: str) -> None:
+    """A mass sticks to the tip, or the tip is pushed for 0.1 s: all is smoothed, and errors are as large as stated."""
+    cable, gap, at = hf.Rope.uniform(length=1.0, mass=0.05, n_links=5, radius=0.002, friction=2e-4), 0.04, 2.0
+    first = hf.simulate(cable, duration=at, q0=np.full(5, 0.8), t_eval=np.arange(0.0, at + 1e-9, gap))
+    after = cable.replace(tip_mass=5e-3) if what == "tip_mass" else cable
+    kick = pushed_rates(cable, np.asarray(first.q[-1]), 1.0, (0.008, 0.0)) if what == "touch" else np.zeros(5)
+    then = np.arange(0.0, 1.6, gap)
+    second = hf.simulate(after, duration=1.6, q0=first.q[-1], qd0=first.qd[-1] + kick, t_eval=then)
+    q = np.concatenate([first.q, second.q[1:]])
+    joints = np.concatenate([first.joints, second.joints[1:]])[:, 1:]
+    joints = joints + 1e-3 * np.random.default_rng(2).normal(size=joints.shape)
+    tracker = MovingHorizon(cable, np.linspace(0.2, 1.0, 5), starts=1, tests=ChangeTests((what,)))
+    told = []
+
+    def observed() -> Iterator[Observations]:
+        for k, each in enumerate(joints):
+            yield Observations(gap * k, each, std=1e-3)
+            told.extend(tracker.changes)
+
+    found = smooth(tracker, observed())
+    assert len(told) == 1
+    assert told[0].name == what
+    if what == "tip_mass":
+        value, std = found.values["tip_mass"]
+        assert value == pytest.approx(5e-3, abs=4.0 * std)
+        assert std < 5e-4
+    error = np.array([each.q for each in found.states]) - q
+    std = np.sqrt(np.array([np.diag(each.covariance)[:5] for each in found.states]))
+    assert np.abs(error[10:] / std[10:]).max() < 6.0
+    assert np.sqrt((error[10:] ** 2).mean()) < 7e-3

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.checks import Array
 from hyperflex.estimate import EstimatedParameter
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.parameters import ParameterStates
@@ -72,3 +73,27 @@ def test_changes_are_carried_as_the_derivatives_say() -> None:
     np.testing.assert_allclose(end[: 2 * n], np.concatenate([run.q[-1], run.qd[-1]]), atol=2e-4)
     np.testing.assert_allclose(moved[:, : 2 * n], rows[:, : 2 * n + 1] @ transition.T, atol=5e-3)
     np.testing.assert_array_equal(moved[:, 2 * n :], rows[:, 2 * n :])
+
+
+def test_an_update_is_never_worse_than_the_state_before() -> None:
+    """What is seen is steep where the state is expected and flat elsewhere: the whole first step goes far too far."""
+
+    def compared(x: Array) -> tuple[Array, Array]:
+        return 3.0 - 10.0 * np.arctan(5.0 * x), 50.0 / (1.0 + 25.0 * x[:, None] ** 2)
+
+    def cost(x: Array) -> float:
+        return float(((x - 0.5) ** 2).sum() / 4.0 + (compared(x)[0] ** 2).sum())
+
+    before, factor = np.array([0.5]), np.array([[2.0]])
+    for rounds in (1, 2, 4):
+        after, _ = sr.iterated_update(before, factor, compared, rounds, lambda *_: None)
+        assert cost(after) < cost(before)
+    assert cost(after) < 0.1
+
+    def wrong(x: Array) -> tuple[Array, Array]:
+        """Derivatives of the wrong sign: no step helps."""
+        return x, np.array([[1.0]])
+
+    after, rows = sr.iterated_update(before, factor, wrong, 4, lambda *_: None)
+    np.testing.assert_array_equal(after, before)
+    assert abs(rows[0, 0]) < 1.0

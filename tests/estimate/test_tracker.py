@@ -11,7 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.cli.app import run
 from hyperflex.errors import FileProblem, Interrupted, InvalidInput
-from hyperflex.estimate import MovingHorizon, RopeFilter, RopeTracker, track_video
+from hyperflex.estimate import MovingHorizon, Observations, RopeFilter, RopeTracker, track_video
 from hyperflex.vision import (
     Camera,
     MarkerColour,
@@ -162,3 +162,24 @@ def test_a_camera_without_a_plane() -> None:
     lens = Camera.pinhole((640, 480))
     with pytest.raises(InvalidInput, match="knows the swing plane"):
         RopeTracker(RopeFilter(rope(5), [1.0], camera=lens), MarkerDetector(MarkerColour((200.0, 30.0, 30.0))))
+
+
+@pytest.mark.parametrize(("slower", "said"), [(1.0, None), (4.0, "time stamps")])
+def test_slow_motion_is_doubted(slower: float, said: str | None) -> None:
+    """A clip of 120 frames/s whose stamps say 30: nothing else alarms, but the rope moves as if it were pushed."""
+    cable = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, radius=0.002, friction=2e-4)
+    run = hf.simulate(cable, duration=4.0 / slower, q0=np.full(10, 0.9), t_eval=np.arange(0.0, 4.0, 1 / 30) / slower)
+    view = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 120.0))
+    estimator, rng = RopeFilter(cable, np.linspace(0.2, 1.0, 5), camera=view), np.random.default_rng(0)
+    image = np.full((99, 99, 3), 128, np.uint8)
+    image[46:53, 46:53] = 0, 0, 200
+    tracker = RopeTracker(estimator, MarkerDetector(MarkerColour.from_click(image, (49, 49))))
+    assert tracker.doubt == ""
+    for t, joints in zip(run.t, np.asarray(run.joints), strict=True):
+        pixels = view.project(joints[2::2])
+        estimator.update(Observations(float(t) * slower, pixels + 0.3 * rng.normal(size=pixels.shape), 0.3))
+    if said is None:
+        assert tracker.doubt == ""
+    else:
+        assert said in tracker.doubt
+        assert "offset_x" in tracker.doubt

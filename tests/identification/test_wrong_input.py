@@ -48,7 +48,7 @@ def test_real_recordings_declared_wrongly(data_dir: Path, which: int) -> None:
     end, line = outcome(case)
     assert end != "WRONG", line
     if case.name.endswith(FIT):
-        assert end == "right", line
+        assert end in ("right", "suspicion"), line
 
 
 def test_the_page_lists_these_cases() -> None:

@@ -20,7 +20,8 @@ PLACES = 10  # along the rope, at which a touch is tried
 SETTLED = 1.0  # s after the first frame from which on is tested
 MISFIT_LONGEST = 2.0  # s that a misfit lasts until it is told: noise levels remember a touch for about as long
 MISFITTING = 1.25  # times the declared noise of the markers that does not count
-DARK = 0.25  # s without any marker after which all tests begin anew
+DARK = 0.25  # s without any marker after which all tests begin anew, where frames usually come faster
+RARER = 2.5  # times the usual time between frames: the same of a camera that is slower than that
 SPACING = 0.1  # s between the moments at which a parameter may have changed; until they are that old, all frames are
 PER_DOUBLING = 4  # moments, from which on the spacing grows with their age
 LONGEST = 10.0  # s, the oldest of them
@@ -91,7 +92,7 @@ class ChangeDetector:
         self._arms = lever_arms(rope, self.places)[1]
         self._force_tolerance = tests.tolerance(TOUCH, rope)
         self._latest = self._touched = -math.inf
-        self._interval = math.inf
+        self._interval = self._usual = math.inf
         self._shared_until = math.inf
         self._misfits, self._fitted = False, math.inf
         self.begin(math.inf)
@@ -162,10 +163,12 @@ class ChangeDetector:
             The innovation over its standard deviation.
         """
         latest, self._latest = self._latest, t
+        self._interval, usual = t - latest, self._usual
+        if 0.0 < self._interval < math.inf:
+            self._usual = min(1.1 * usual, self._interval)
         if t < self._since:
             return None
-        self._interval = t - latest
-        if self._interval > DARK:
+        if self._interval > max(DARK, RARER * usual):
             self.begin(t)
             return None
         for each in (*self._parameters, self._touches):

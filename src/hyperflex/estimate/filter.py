@@ -1,6 +1,7 @@
 """Iterated square-root extended Kalman filter of a rope seen by its markers."""
 
 from collections.abc import Sequence
+from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ from hyperflex.estimate.gate import ValidationGate
 from hyperflex.estimate.noise import AT_REST, QUIET, NoiseDerivatives, NoiseLevel
 from hyperflex.estimate.observations import MarkerModel, Observations, polyline_angles
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
-from hyperflex.estimate.process import Process, starting_rows, turning_rate
+from hyperflex.estimate.process import Process, starting_rows
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
@@ -23,8 +24,7 @@ from hyperflex.vision import Camera
 
 ROUNDS = 4  # of Gauss-Newton in an update; more at the start
 FIRST_ROUNDS = 30
-NEGLIGIBLE = 5e-5  # rad, standard deviation of an angle that is left out; of rates over sqrt(g / L)
-ROUGHLY = 6.0  # times that, of what tells of noise levels alone
+ROUGHLY = 6.0  # times what a covariance leaves out: the same of what tells of noise levels alone
 BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
 
 
@@ -102,8 +102,7 @@ class RopeFilter:
         self._detector = None if tests is None else ChangeDetector(tests, self.process, self.parameters)
         self._std = self.parameters.std.copy()
         self._qdd, self._gate = np.zeros(n), ValidationGate(len(self.model.arc_lengths))
-        sizes = np.where(self._std > 0.0, self._std, 1.0)
-        self._least = NEGLIGIBLE * np.concatenate([np.ones(n), np.full(n, turning_rate(rope)), sizes])
+        self._least = self.process.least(self.x)
         self._by_noise = NoiseDerivatives(2, self.x.size)
 
     @property
@@ -114,11 +113,7 @@ class RopeFilter:
     @property
     def state(self) -> RopeState:
         """The state, with its covariance: at the time of the last picture, before which an estimated delay lies."""
-        n, t = self.n_links, self._now - self.parameters.value("delay", self.x[2 * self.n_links :])
-        part = self.factor[:, : 2 * n]
-        covariance = part.T @ part
-        covariance.flat[:: 2 * n + 1] += self._least[: 2 * n] ** 2
-        return RopeState(t, self.x[:n].copy(), self.x[n : 2 * n].copy(), covariance)
+        return self.process.rope_state(self.x, self.factor, self._now)
 
     @property
     def values(self) -> dict[str, tuple[float, float]]:
@@ -143,23 +138,31 @@ class RopeFilter:
             raise InvalidInput("time goes backwards", got=t, allowed=f"at least {self.t} s")
         if t == self.t:
             return
+        before, start = self.x, self.t
+        transitions = [self._step(begin, end) for begin, end in self.process.steps(start, t)]
+        if self._detector is not None:
+            self._detector.predict((before, self.x), start, t, reduce(lambda first, then: then @ first, transitions))
+        self._qdd = self.process.accelerations(self.x, t)
+
+    def _step(self, begin: float, end: float) -> Array:
+        """Go on in one step; return its transition (N, N), as far as changes are tested for."""
         carried = [self.factor, *self._by_noise.rows]
         with np.errstate(over="ignore", invalid="ignore"):
             if self._detector is None:
-                x, rows = self.process.carry(self.x, np.concatenate(carried), self.t, t)
+                x, rows = self.process.carry(self.x, np.concatenate(carried), begin, end)
+                transition = np.zeros((0, 0))
             else:
-                x, transition = self.process.predict(self.x, self.t, t)[:2]
-                rows = np.concatenate(carried) @ transition.T
+                x, columns = self.process.carry(self.x, np.eye(self.x.size), begin, end)
+                transition, rows = columns.T, np.concatenate(carried) @ columns
         if not (np.abs(rows).max() < BEYOND and np.abs(x).max() < BEYOND):
-            raise SimulationError("the state is beyond all numbers", status="not finite", time=t)
-        if self._detector is not None:
-            self._detector.predict((self.x, x), self.t, t, transition)
+            raise SimulationError("the state is beyond all numbers", status="not finite", time=end)
         factor, *by_noise = np.split(rows, np.cumsum([len(each) for each in carried])[:-1])
-        noise = self.process.noise(t - self.t, self.process_noise.value)
+        noise = self.process.noise(end - begin, self.process_noise.value)
         self.factor = sr.compressed(np.concatenate([factor, noise]), self._least)
         self._by_noise.predict(by_noise, np.split(noise, self.process.noise_ends)[:2], ROUGHLY * self._least)
-        self.age += t - self.t
-        self.x, self.t, self._qdd = x, t, self.process.accelerations(x, t)
+        self.age += end - begin
+        self.x, self.t = x, end
+        return transition
 
     def state_at(self, t: float) -> RopeState:
         """Return what is expected at a time t, s, not earlier than the last; the filter stays as it is.
@@ -252,7 +255,7 @@ class RopeFilter:
             self.restart()
             self._begin(seen)
             return
-        self._correct(seen, ROUNDS)
+        self._correct(seen, first=False)
 
     def restart(self) -> None:
         """Forget the state; what was learnt of parameters and noise stays as a first guess."""
@@ -271,11 +274,12 @@ class RopeFilter:
         self.x[:n] = polyline_angles(rope, self.model.arc_lengths, in_metres, base[0])
         self.factor = sr.compressed(starting_rows(rope, self._std), self._least)
         self._by_noise.reset()
+        self._gate.reset()
         if self._detector is not None:
             self._detector.begin(seen.t + SETTLED)
-        self._correct(seen, FIRST_ROUNDS)
+        self._correct(seen, first=True)
 
-    def _correct(self, seen: Observations, rounds: int) -> None:
+    def _correct(self, seen: Observations, *, first: bool) -> None:
         """Correct by Gauss-Newton on the posterior, and the covariance about where that ends."""
 
         def predicted(x: Array) -> tuple[Array, Array]:
@@ -283,7 +287,11 @@ class RopeFilter:
             return self.model.predict(x, self.process.base(seen.t, x), seen.rows, self._qdd)
 
         expected = predicted(self.x)
-        good = seen.seen & (self._believed(seen, *expected) if rounds == ROUNDS else True)
+        good = (
+            seen.seen
+            & self.model.possible(seen.places, self.base)
+            & (True if first else self._believed(seen, *expected))
+        )
         self.used = good
         if not good.any():
             return
@@ -302,16 +310,16 @@ class RopeFilter:
             self.innovation = sr.compared(upper, left)
             self.log_likelihood += self.innovation.log_likelihood + np.log(np.linalg.det(whiten)).sum()
             by_seen = jacobian, self.factor.T @ gain, upper, self.innovation.whitened
-            if rounds == ROUNDS:
+            if not first:
                 self._learn(*by_seen)
             if self._detector is not None:
                 change = self._detector.update(seen.t, *by_seen)
                 self.changes = self._detector.misfit(seen.t, self.measurement_noise)
                 adopted.extend([] if change is None else [change])
 
+        rounds, own = FIRST_ROUNDS if first else ROUNDS, 2 * self.n_links
         self.x, self.factor = sr.iterated_update(self.x, self.factor, compared, rounds, look)
-        first = 2 * self.n_links
-        self.x[first:] = self.parameters.possible(self.x[first:])
+        self.x[own:] = self.parameters.possible(self.x[own:])
         for change in adopted:
             self._adopt(change)
 
@@ -329,9 +337,9 @@ class RopeFilter:
         if found.change.name in self.parameters.names:
             k, first = self.parameters.names.index(found.change.name), 2 * self.n_links
             self._std[k] = max(self._std[k], abs(found.change.size))
-            self._least[first + k] = NEGLIGIBLE * self._std[k]
             self.x = self.x + found.moved
             self.x[first:] = self.parameters.possible(self.x[first:])
+            self._least[first + k] = self.process.least(self.x)[first + k]
 
     def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
         """Correct the levels of process and measurement noise by the innovation."""

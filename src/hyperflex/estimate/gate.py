@@ -7,6 +7,7 @@ from hyperflex.checks import Array
 
 GATE = 23.0  # squared Mahalanobis distance of a place, exceeded once in 100,000 (chi square, 2 degrees of freedom)
 PERSISTENT = 2  # frames in a row in which a place is outside of its gate: then it is believed
+ENOUGH = 3  # places that are seen: where most of them are outside, all are believed at once
 
 
 class ValidationGate:
@@ -14,12 +15,17 @@ class ValidationGate:
 
     Notes
     -----
-    Where hardly any place is within its gate, all are believed, and so is one that has been outside for some frames:
-    then it is the state that is wrong (Bar-Shalom, Fortmann, *Tracking and Data Association*, 1988).
+    Where most of several places are outside of their gates, all are believed, and so is one that has been outside for
+    some frames: then it is the state that is wrong (Bar-Shalom, Fortmann, *Tracking and Data Association*, 1988). One
+    or two places alone do not say which of both is: they wait.
     """
 
     def __init__(self, count: int) -> None:
         self._outside = np.zeros(count, dtype=np.int64)
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self._outside[:] = 0
 
     def holds(self, off: Array, covariances: Array) -> npt.NDArray[np.bool_]:
         """Return which places are believed (K,), from their differences (K, 2), NaN: not seen, and the covariances."""
@@ -28,4 +34,5 @@ class ValidationGate:
         good = far < GATE
         self._outside = np.where(good | ~seen, 0, self._outside + 1)
         good |= self._outside >= PERSISTENT
-        return good if (good & seen).sum() * 2 > seen.sum() else np.ones_like(good)
+        outside = int((seen & ~good).sum())
+        return np.ones_like(good) if seen.sum() >= ENOUGH and 2 * outside > seen.sum() else good

@@ -12,12 +12,15 @@ from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.model import Rope
 from hyperflex.vision import Camera
 
+FAR = 10.0  # lengths of the rope from its first joint, beyond which a place is no marker's
 ADJUSTMENTS = frozenset({"scale", "roll", "offset_x", "offset_y"})  # parameters of the plane's place in the picture
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Where markers were seen at one time.
+    """Where markers were seen at one time, each in its place along the rope: what an estimator takes.
+
+    What a detector finds in a picture, in no order, is another class: :class:`hyperflex.vision.Observations`.
 
     Parameters
     ----------
@@ -63,12 +66,16 @@ class Observations:
         seen, k = ~np.isnan(found[:, 0]), len(found)
         wide = np.zeros((k, 2, 2))
         if covariances is None:
-            wide[:] = np.broadcast_to(np.asarray(std, dtype=np.float64), (k,))[:, None, None] ** 2 * np.eye(2)
+            each = np.broadcast_to(np.asarray(std, dtype=np.float64), (k,))
+            if not (each[seen] > 0.0).all():
+                raise InvalidInput("the std of an observation is not positive", got=std, allowed="> 0, in m or px")
+            wide[:] = each[:, None, None] ** 2 * np.eye(2)
         else:
             wide[:] = covariances
         wide[~seen] = np.eye(2)
         if not np.isfinite(wide).all() or not _positive(wide):
-            raise InvalidInput("the uncertainty of an observation is not positive", got=std, allowed="> 0")
+            got = std if covariances is None else covariances
+            raise InvalidInput("the uncertainty of an observation is not positive", got=got, allowed="> 0, finite")
         late = np.zeros(k) if rows is None else np.nan_to_num(np.broadcast_to(np.asarray(rows, float), (k,)))
         values = {"t": checks.number("time of an observation", t, unit="s"), "places": found, "covariances": wide}
         for name, value in {**values, "rows": late.copy()}.items():
@@ -119,6 +126,11 @@ class MarkerModel:
         total = float(rope.length.sum())
         if not arcs.size or (arcs < 0.0).any() or (arcs > total * (1.0 + 1e-9)).any():
             raise InvalidInput("a marker is not on the rope", got=arcs, allowed=f"0 to {total:g} m, at least one")
+        if (np.diff(arcs) <= 0.0).any():
+            fix = "Name the markers from the first joint on, each once"
+            raise InvalidInput(
+                "arc lengths do not increase", got=arcs, allowed="each more than the one before", fix=fix
+            )
         self.arc_lengths, self.parameters, self.camera, self.readout = arcs, parameters, camera, readout
         self.link, self.arms = lever_arms(rope, arcs)
         self._arc_states = {k: int(name[4:-1]) for k, name in enumerate(parameters.names) if name.startswith("arc[")}
@@ -136,6 +148,12 @@ class MarkerModel:
         """Return where the markers are in the rope's plane (K, 2), m; arguments as of :meth:`predict`."""
         q = x[: self.arms.shape[1]]
         return np.asarray(base[0] + np.stack([self.arms @ np.sin(q), -(self.arms @ np.cos(q))], axis=1))
+
+    def possible(self, places: Array, base: Array) -> npt.NDArray[np.bool_]:
+        """Return which places (K, 2) may be markers' (K,): of those in metres the ones that are not far off."""
+        if self.camera is not None:
+            return np.ones(len(places), dtype=bool)
+        return np.asarray(np.hypot(*(places - base[0]).T) < FAR * self.parameters.rope.total_length)
 
     def predict(self, x: Array, base: Array, rows: Array, qdd: Array | None = None) -> tuple[Array, Array]:
         """Return where the markers are seen (K, 2), and the derivatives (K, 2, 2 n + P) with respect to x.

@@ -22,6 +22,7 @@ DYNAMIC: dict[str, Callable[[Rope], dict[str, Array]]] = {
 }
 # of the picture, with what they are
 OPTICAL = ("scale", "roll", "offset_x", "offset_y", "delay", "readout")
+LEFT_OUT = 5e-5  # of standard deviations: rad of an angle, of rates over sqrt(g / L), of a parameter over its first one
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,11 @@ class ParameterStates:
         """Return one parameter's value; 0 where it is not estimated."""
         return float(values[self.names.index(name)]) if name in self.names else 0.0
 
+    def least(self, values: Array) -> Array:
+        """Return the standard deviations (P,) that a covariance leaves out, > 0, for values (P,)."""
+        first = np.where(self.std > 0.0, self.std, np.abs(values))  # of what was noticed to have changed: its size
+        return LEFT_OUT * np.where(first > 0.0, first, 1.0)
+
     def estimates(self, x: Array, rows: Array) -> dict[str, tuple[float, float]]:
         """Return value and standard deviation of each parameter that is not held.
 
@@ -117,11 +123,12 @@ class ParameterStates:
             Their squares are its covariance.
         """
         first = x.size - len(self)
-        std = np.linalg.norm(rows[:, first:], axis=0)
+        std, known = np.linalg.norm(rows[:, first:], axis=0), (self.std > 0.0) | (x[first:] != 0.0)
+        least = np.hypot(std, self.least(x[first:]))
         return {
             name: (float(value), float(each))
-            for name, value, each in zip(self.names, x[first:], std, strict=True)
-            if each > 0.0
+            for name, value, each, free in zip(self.names, x[first:], least, known | (std > 0.0), strict=True)
+            if free
         }
 
     def directions(self) -> list[str | dict[str, dict[str, Array]]]:

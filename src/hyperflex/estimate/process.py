@@ -1,5 +1,7 @@
 """The motion of rope and parameters from one time to another, with its derivatives and its noise."""
 
+import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +11,8 @@ from scipy.linalg.lapack import dposv
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import mass_matrix
 from hyperflex.core.chain.drive import base_state, segment
-from hyperflex.estimate.parameters import ParameterStates
+from hyperflex.estimate import square_root as sr
+from hyperflex.estimate.parameters import LEFT_OUT, ParameterStates
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
@@ -24,6 +27,7 @@ NEGLIGIBLE = 1e-4  # of the largest principal part of the disturbances
 BEND = 0.6  # rad, standard deviation of a link's angle about the line through the markers, before any is seen
 SPEED = 6.0  # rad/s, of its rate, in units of sqrt(g / L)
 START_CORRELATION = 0.1  # of the rope's length
+LONGEST = 0.04  # s, of a step: what disturbs the rope within one is not carried through its equations
 
 
 class Prediction(NamedTuple):
@@ -110,6 +114,33 @@ class Process:
             result[:, : 2 * n] += rows[:, dynamic] @ by_parameters
         return np.concatenate([q, qd, x[2 * n :]]), result
 
+    def steps(self, t: float, until: float) -> list[tuple[float, float]]:
+        """Return begin and end of the steps in which a prediction from t to `until`, s, is made."""
+        count = math.ceil((until - t) / LONGEST - 1e-6)
+        return list(pairwise(np.linspace(t, until, max(count, 1) + 1).tolist()))
+
+    def least(self, x: Array) -> Array:
+        """Return the standard deviations (N,) that a covariance leaves out, > 0."""
+        n = self.rope.n_links
+        rest = np.full(n, LEFT_OUT * turning_rate(self.rope)), self.parameters.least(x[2 * n :])
+        return np.concatenate([np.full(n, LEFT_OUT), *rest])
+
+    def rope_state(self, x: Array, rows: Array, t: float) -> RopeState:
+        """Return the rope's state, with its covariance and what that leaves out, for a picture at t, s.
+
+        Parameters
+        ----------
+        x, rows : (N,), (r, N) float64
+            State, and rows whose squares are its covariance.
+        t : float
+        """
+        n = self.rope.n_links
+        part = rows[:, : 2 * n]
+        covariance = part.T @ part
+        covariance.flat[:: 2 * n + 1] += self.least(x)[: 2 * n] ** 2
+        moment = t - self.parameters.value("delay", x[2 * n :])
+        return RopeState(moment, x[:n].copy(), x[n : 2 * n].copy(), covariance)
+
     def state_at(self, x: Array, rows: Array, t: float, until: float, density: npt.ArrayLike) -> RopeState:
         """Return the state expected for a picture at `until`, s, with its covariance, of what is known at time t.
 
@@ -126,12 +157,12 @@ class Process:
         SimulationError
             If the rope's motion cannot be computed.
         """
-        size = 2 * self.rope.n_links
-        if until > t:
-            x, rows = self.carry(x, rows, t, until)
-            rows = np.concatenate([rows, self.noise(until - t, density)])
-        t = until - self.parameters.value("delay", x[size:])
-        return RopeState(t, x[: size // 2].copy(), x[size // 2 : size].copy(), rows[:, :size].T @ rows[:, :size])
+        for k, (begin, end) in enumerate(self.steps(t, until) if until > t else []):
+            if k:
+                rows = sr.compressed(rows, self.least(x))
+            x, rows = self.carry(x, rows, begin, end)
+            rows = np.concatenate([rows, self.noise(end - begin, density)])
+        return self.rope_state(x, rows, until)
 
     def accelerations(self, x: Array, t: float) -> Array:
         """Return the links' accelerations (n,), rad/s^2, in the state x (N,) at time t, s."""

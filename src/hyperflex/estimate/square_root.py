@@ -141,23 +141,27 @@ def iterated_update(
 
     Notes
     -----
+    A step that does not lessen the cost is halved; where no part of it does, the state stays where it is.
     Bell, Cathey 1993, IEEE Transactions on Automatic Control 38, 294-297: the iterated extended Kalman filter.
     """
-    u, cost = np.zeros(len(factor)), np.inf  # the state is before + factor' u
-    x, (left, jacobian) = before, compared(before)
+    u, x = np.zeros(len(factor)), before  # the state is before + factor' u
+    left, jacobian = compared(before)
+    cost = float(left @ left)
     for turn in range(rounds):
         gain, _, upper = whitened_gain(factor, jacobian)
         if turn == 0:
             look(left, jacobian, gain, upper)
-        step, part, now = gain @ (left + jacobian @ (x - before)) - u, 1.0, np.inf
-        while True:
+        step, part = gain @ (left + jacobian @ (x - before)) - u, 1.0
+        while part >= SHORTEST:
             tried = before + factor.T @ (u + part * step)
-            left, jacobian = compared(tried)
-            now = float(((u + part * step) ** 2).sum() + (left**2).sum())
-            if now <= cost or part < SHORTEST:
+            there = compared(tried)
+            now = float(((u + part * step) ** 2).sum() + (there[0] ** 2).sum())
+            if now <= cost:
                 break
             part *= 0.5
-        x, u, cost = tried, u + part * step, now
+        else:  # rounding, or what is seen is not smooth: nothing better is near
+            break
+        x, u, cost, (left, jacobian) = tried, u + part * step, now, there
         if part * np.abs(step).max() < CLOSE:
             break
     return x, updated(factor, *innovation_factor(factor, jacobian))

@@ -11,6 +11,7 @@ from hyperflex.estimate.changes import Change
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.observations import Observations
 from hyperflex.estimate.picture import draw_caption, draw_markers, draw_rope
+from hyperflex.estimate.process import turning_rate
 from hyperflex.interfaces import RopeState
 from hyperflex.vision import (
     ClutterMap,
@@ -31,6 +32,8 @@ DOUBT = 2.0  # px, of a prediction beyond what the filter says of itself: where 
 LEAST_STD = 0.2  # px, of a place: what compression and a marker that sits askew add to a detector's own noise
 DOUBTFUL = 3.0  # level of measurement noise from which the model is doubted
 SURE = 2.0  # standard deviations by which lengths may be off until they are known better
+DISTURBED = 0.25  # (g / L)^(3/4), density of what disturbs the whole rope from which the model is doubted
+KNOWN = 0.3  # standard deviation of that density's logarithm
 PATIENT = 30  # frames until a first frame is taken whose order is the best, but not certain
 
 
@@ -200,12 +203,20 @@ class RopeTracker(CameraTracker):
     @property
     def doubt(self) -> str:
         """What speaks against all this: nothing, or that what is seen and what the rope can do are far apart."""
-        level = self.estimator.measurement_noise.value
-        if level < DOUBTFUL:
+        level, disturbance = self.estimator.measurement_noise.value, self.estimator.process_noise
+        density, known = float(disturbance.value[0]), float(disturbance.log_std[0]) < KNOWN
+        rate = turning_rate(self.estimator.process.rope)
+        said = []
+        if level >= DOUBTFUL:
+            said = [f"markers are {level:.1f} times as far from where the rope can be as their detector states"]
+        if known and rate > 0.0 and density >= DISTURBED * rate**1.5:
+            said += [f"the rope moves as if something disturbed it all along, by {density:.2g} rad/s^2 per root of Hz"]
+        if not said:
             return ""
         return (
-            f"markers are {level:.1f} times as far from where the rope can be as their detector states: "
-            "check the camera's scale and swing plane, the arc lengths, and the rope"
+            f"{'; '.join(said)}: check the camera's scale, swing plane and origin (--estimate scale=0.01 or "
+            "offset_x=0.02,offset_y=0.02), the time stamps (slow motion stored at a usual rate), the arc lengths, and "
+            "the rope (more links where it swings briskly)"
         )
 
     def _first(self, image: Image, t: float) -> TrackedFrame:

@@ -14,6 +14,7 @@ from hyperflex.vision import Frame, LiveCamera, VideoReader
 
 PATIENCE = 10.0  # s, in which a camera or stream that broke off is opened again
 _PAUSE = 0.5  # s, between two tries
+_CLOSEST = 1e-3  # s, between the last frame of a source and the first one after it was opened again
 _AHEAD = 2  # frames of a file that are read ahead
 
 
@@ -40,11 +41,35 @@ class Arrival(NamedTuple):
         When, by this machine's monotonic clock, s; of a file that is not paced: when it was taken.
     missed : int
         Frames since the one before that nobody took in time.
+    opening : int
+        How often the source had been opened again by then. Time stamps begin anew with each time.
     """
 
     frame: Frame
     at: float
     missed: int
+    opening: int = 0
+
+
+class JoinedStamps:
+    """Keeps the frames' own time stamps, and joins those of a source that was opened again to those before.
+
+    Notes
+    -----
+    What passed in between is taken from this machine's clock: it is uncertain by how late the frames came.
+    """
+
+    def __init__(self) -> None:
+        self._last: Arrival | None = None
+        self._shift = 0.0
+
+    def __call__(self, arrival: Arrival) -> Frame:
+        """Return the frame with its time on the clock of the first opening, s."""
+        stamp, last = arrival.frame.time, self._last
+        if last is not None and arrival.opening != last.opening:
+            self._shift += last.frame.time - stamp + max(arrival.at - last.at, _CLOSEST)
+        self._last = arrival
+        return Frame(stamp + self._shift, arrival.frame.image, arrival.frame.index)
 
 
 class FrameThread:
@@ -80,6 +105,7 @@ class FrameThread:
         self._notes: list[str] = []
         self._condition, self._waiting = threading.Condition(), deque[Arrival]()
         self._closed = self._played = False
+        self._opening = 0
         self._thread = threading.Thread(target=self._run, args=(source,), name="frames", daemon=True)
         self._thread.start()
 
@@ -147,6 +173,7 @@ class FrameThread:
             if found is None:
                 return f"the source broke off, and could not be opened again within {self.patience:g} s"
             source = found
+            self._opening += 1
 
     def _again(self) -> Source | None:
         """Open the source anew; None where that fails for too long."""
@@ -182,7 +209,7 @@ class FrameThread:
                 missed = sum(1 + each.missed for each in self._waiting)
                 self._waiting.clear()
             self._condition.wait_for(lambda: len(self._waiting) < _AHEAD or self._closed)
-            self._waiting.append(Arrival(frame, time.monotonic(), missed))
+            self._waiting.append(Arrival(frame, time.monotonic(), missed, self._opening))
             self._condition.notify_all()
 
     def _taken_at(self) -> float:

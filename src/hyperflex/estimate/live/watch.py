@@ -11,7 +11,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
-from hyperflex.estimate.live.frames import Arrival, FrameThread
+from hyperflex.estimate.live.frames import Arrival, FrameThread, JoinedStamps
 from hyperflex.estimate.tracker import RopeTracker, TrackedFrame
 from hyperflex.interfaces import RopeState
 from hyperflex.vision import Frame
@@ -80,14 +80,16 @@ class Watch:
     interval : float
         Without a frame for that long, s, an estimate is handed out all the same.
     retime : callable, optional
-        Of an :class:`Arrival`, to the frame with another time stamp; by default it keeps its own.
+        Of an :class:`Arrival`, to the frame with another time stamp; by default its own, joined to those before where
+        the source was opened again.
     before : callable, optional
         Is called when a frame has come, before it is looked at.
 
     Notes
     -----
     Frames of another size than the camera's cannot be used: they are left out until the size is right again. Gaps of up
-    to 2 s are bridged by the rope's equations; after longer ones it is looked for anew.
+    to 2 s are bridged by the rope's equations; after longer ones, and where the source was opened again, it is looked
+    for anew.
     """
 
     def __init__(
@@ -96,14 +98,15 @@ class Watch:
         tracker: RopeTracker,
         *,
         interval: float = 0.1,
-        retime: Callable[[Arrival], Frame] = lambda arrival: arrival.frame,
+        retime: Callable[[Arrival], Frame] | None = None,
         before: Callable[[], None] = lambda: None,
     ) -> None:
         self.frames, self.tracker, self.interval = frames, tracker, interval
-        self._retime, self._before = retime, before
+        self._retime, self._before = JoinedStamps() if retime is None else retime, before
         self._last: tuple[float, float] | None = None  # time stamp of the last frame, and when it came
         self._gaps, self._arrivals = deque[float](maxlen=_USUAL), deque[float]()
         self._seen_at = -math.inf
+        self._opening = 0
         self._told = self._sized = False
         self._news: list[str] = []
 
@@ -191,9 +194,10 @@ class Watch:
     def _note_gap(self, stamp: float, arrival: Arrival) -> None:
         """Take the times of a frame, and note what is missing before it."""
         if self._last is not None:
-            gap = stamp - self._last[0]
-            if gap > LONGEST:
-                self._news.append(f"a gap of {gap:.1f} s: the rope is looked for anew")
+            gap, opened = stamp - self._last[0], arrival.opening != self._opening
+            if opened or gap > LONGEST:
+                why = "the source was opened again" if opened else f"a gap of {gap:.1f} s"
+                self._news.append(f"{why}: the rope is looked for anew")
                 self.tracker.estimator.restart()
                 self._gaps.clear()
             elif arrival.missed:
@@ -206,7 +210,7 @@ class Watch:
         if self._told:
             self._news.append("frames come again")
             self._told = False
-        self._last = stamp, arrival.at
+        self._last, self._opening = (stamp, arrival.at), arrival.opening
         self._arrivals.append(arrival.at)
 
     def _fits(self, frame: Frame) -> bool:

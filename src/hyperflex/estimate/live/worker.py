@@ -206,15 +206,19 @@ class StampClock:
     Notes
     -----
     A frame is never later on that clock than it arrived, and the one that came quickest not earlier. What all frames
-    have in common is not seen: give it as the camera's ``delay``.
+    have in common is not seen: give it as the camera's ``delay``. A source that was opened again has begun its stamps
+    anew: the least delay is found anew, too.
     """
 
     def __init__(self) -> None:
         self._offset, self._at, self._last = math.inf, 0.0, -math.inf
+        self._opening = 0
 
     def __call__(self, arrival: Arrival) -> Frame:
         """Return the frame with its time by the machine's clock, s."""
         stamp = arrival.frame.time
+        if arrival.opening != self._opening:
+            self._offset, self._opening = math.inf, arrival.opening
         self._offset = min(self._offset + _DRIFT * (arrival.at - self._at), arrival.at - stamp)
         self._at = arrival.at
         self._last = max(stamp + self._offset, self._last + 1e-6)

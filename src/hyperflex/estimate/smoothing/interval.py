@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,16 @@ class InputFrame:
     used: npt.NDArray[np.bool_]
     level: float
     noise: Array
+
+    @cached_property
+    def whitening(self) -> Array:
+        """What turns differences of the places that count into numbers of variance 1, (k, 2, 2)."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.seen.covariances[self.used])) / self.level)
+
+    @cached_property
+    def log_determinant(self) -> float:
+        """Logarithm of the whitening's determinant: what a likelihood of whitened differences lacks."""
+        return float(np.log(np.linalg.det(self.whitening)).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,21 +153,16 @@ class Interval:
     @property
     def rope_states(self) -> tuple[RopeState, ...]:
         """The same as states of the rope, with covariances, each at the time of its picture less an estimated delay."""
-        n, parameters = self.process.rope.n_links, self.process.parameters
         return tuple(
-            RopeState(
-                frame.seen.t - parameters.value("delay", x[2 * n :]),
-                x[:n],
-                x[n : 2 * n],
-                rows[:, : 2 * n].T @ rows[:, : 2 * n],
-            )
+            self.process.rope_state(x, rows, frame.seen.t)
             for frame, x, rows in zip(self.frames, self.states, self.smoothed.rows, strict=True)
         )
 
     @property
     def log_likelihood(self) -> float:
         """Of all that was seen since the interval began, about the best path (Laplace's approximation)."""
-        return self._forgotten + float(self.smoothed.log_likelihoods.sum())
+        known = float(self.smoothed.log_likelihoods.sum())
+        return self._forgotten + known + sum(frame.log_determinant for frame in self.frames)
 
     @property
     def misfit(self) -> float:
@@ -200,7 +206,7 @@ class Interval:
 
     def forget(self) -> None:
         """Leave out the first of two frames or more: what it told goes on in the prior of the second."""
-        self._forgotten += float(self.smoothed.log_likelihoods[0])
+        self._forgotten += float(self.smoothed.log_likelihoods[0]) + self.frames[0].log_determinant
         self.smoothed, path = self.smoothed.without_first(), self.path
         mean, rows = self.smoothed.priors[0]
         self.mean, self.rows, self._qdd = path.x[1] + mean, rows, path.predictions[0].qdd
@@ -309,9 +315,8 @@ class Interval:
         if not good.any():
             return Measurement(np.zeros(0), np.zeros((0, x.size)))
         places, slope = self.model.predict(x, self.process.base(seen.t, x), seen.rows, qdd)
-        whiten = np.linalg.inv(np.linalg.cholesky(seen.covariances[good])) / frame.level
-        left = whiten @ (seen.places[good] - places[good])[:, :, None]
-        return Measurement(left.ravel(), (whiten @ slope[good]).reshape(left.size, -1))
+        left = frame.whitening @ (seen.places[good] - places[good])[:, :, None]
+        return Measurement(left.ravel(), (frame.whitening @ slope[good]).reshape(left.size, -1))
 
 
 def _gain(noise: Array, rows: Array) -> Array:

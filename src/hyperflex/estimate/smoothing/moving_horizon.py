@@ -10,7 +10,7 @@ from scipy.stats import qmc
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import SimulationError
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.change_detection import Found
 from hyperflex.estimate.filter import RopeFilter
@@ -71,6 +71,8 @@ class MovingHorizon(RopeFilter):
     ----------
     begun : Prior or None
         Of the frame with which the horizon began, or began anew.
+    changed : bool
+        Whether the last update took over a change, or a touch goes on: the horizon begins after it.
 
     Notes
     -----
@@ -93,7 +95,7 @@ class MovingHorizon(RopeFilter):
         self.starts = checks.count("starts", starts)
         self._explanations: list[Interval] = []
         self.begun: Prior | None = None
-        self._changed = False  # whether the last update noticed that something has
+        self.changed = False
         self._trusted, self._given_up = self._learnt(), 0  # beginnings since an explanation held
 
     @property
@@ -115,15 +117,22 @@ class MovingHorizon(RopeFilter):
         weights = np.exp(known - known[0])
         return np.asarray(weights / weights.sum())
 
+    def update(self, seen: Observations) -> None:
+        """Look, as the filter does; each frame is later than the one before."""
+        if self.horizon is not None and self.t is not None and seen.t == self.horizon.frames[-1].seen.t:
+            allowed = f"more than {seen.t} s, the time of the frame before"
+            raise InvalidInput("two frames are of one time", got=seen.t, allowed=allowed, fix="Join what they show")
+        super().update(seen)
+
     def restart(self) -> None:
         """Forget the state; what was learnt of parameters and noise stays as a first guess."""
         super().restart()
         self._explanations = []
 
-    def _correct(self, seen: Observations, rounds: int) -> None:
+    def _correct(self, seen: Observations, *, first: bool) -> None:
         """Let the filter say which markers are plausible and what has changed, and fit the horizon."""
-        prior, unsure, self._changed = Prior(self.x.copy(), self.factor), self._unsure(), False
-        super()._correct(seen, rounds)
+        prior, unsure, self.changed = Prior(self.x.copy(), self.factor), self._unsure(), False
+        super()._correct(seen, first=first)
         used = self.used
         frame = InputFrame(seen, used, self.measurement_noise.value, self._noise_until(seen.t))
         if not self._explanations:
@@ -132,7 +141,7 @@ class MovingHorizon(RopeFilter):
             self._fit(FIRST_ROUNDS)
             self._take()
             return
-        if self._changed:  # what was seen before is of another rope, or of one that was not touched
+        if self.changed:  # what was seen before is of another rope, or of one that was not touched
             self._explanations = [self._beginning(seen, self.x, self.factor, self._qdd)]
             return
         if unsure and self.starts > 1 and self._given_up <= PATIENT and used.any() and len(self._explanations) == 1:
@@ -151,7 +160,7 @@ class MovingHorizon(RopeFilter):
     def _adopt(self, found: Found) -> None:
         """Take over a change, as the filter does; the horizon begins after it."""
         super()._adopt(found)
-        self._changed = True
+        self.changed = True
 
     def _learn(self, *innovation: Any) -> None:
         """Correct the levels of noise, where the horizon is known to be right."""

@@ -236,7 +236,8 @@ def _tested(basis: Basis, words: Sequence[str]) -> list[ScoreTest]:
         with np.errstate(over="ignore"):
             values = [parameter.value(each) for parameter, each in zip(group, moved, strict=True)]
         rate = np.zeros(basis.fit.x.size)
-        rate[free] = -across[0] / scale[free] * scale[own[0]]
+        if np.isfinite(scale[own[0]]):
+            rate[free] = -across[0] / scale[free] * scale[own[0]]
         each = ScoreTest(label, min(gain, 1.0), np.array(values), shift=shift, open=opened, surplus=surplus, rate=rate)
         tests.append(replace(each, std=_std(information, noise, [p.scale for p in group] / scale[own])))
     return tests
