@@ -163,7 +163,7 @@ def test_bad_input() -> None:
         with pytest.raises(InvalidInput, match=r"std of an observation is not positive.*> 0"):
             Observations(0.0, [[0.0, 0.0]], std)
     for arcs in ([1.0, 1.0], [2.0, 1.0]):
-        with pytest.raises(InvalidInput, match="arc lengths do not increase"):
+        with pytest.raises(InvalidInput, match="arc lengths of markers do not increase"):
             RopeFilter(rope(5), arcs)
     horizon = MovingHorizon(rope(5), [1.0, 2.0], starts=1)
     horizon.update(Observations(1.0, [[0.0, -1.0], [0.0, -2.0]], 1e-3))

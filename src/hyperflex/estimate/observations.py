@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.model import Rope
-from hyperflex.vision import Camera
+from hyperflex.vision import Camera, check_increasing
 
 FAR = 10.0  # lengths of the rope from its first joint, beyond which a place is no marker's
 ADJUSTMENTS = frozenset({"scale", "roll", "offset_x", "offset_y"})  # parameters of the plane's place in the picture
@@ -126,11 +126,7 @@ class MarkerModel:
         total = float(rope.length.sum())
         if not arcs.size or (arcs < 0.0).any() or (arcs > total * (1.0 + 1e-9)).any():
             raise InvalidInput("a marker is not on the rope", got=arcs, allowed=f"0 to {total:g} m, at least one")
-        if (np.diff(arcs) <= 0.0).any():
-            fix = "Name the markers from the first joint on, each once"
-            raise InvalidInput(
-                "arc lengths do not increase", got=arcs, allowed="each more than the one before", fix=fix
-            )
+        check_increasing(arcs)
         self.arc_lengths, self.parameters, self.camera, self.readout = arcs, parameters, camera, readout
         self.link, self.arms = lever_arms(rope, arcs)
         self._arc_states = {k: int(name[4:-1]) for k, name in enumerate(parameters.names) if name.startswith("arc[")}
