@@ -23,10 +23,13 @@ from hyperflex.identification.verdict import (
     poor_fit,
     poor_torque,
     too_large,
+    too_small,
     verdict,
 )
 from hyperflex.model import Rope
 from hyperflex.sensors import Angles
+
+MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
 
 
 def assemble_result(
@@ -51,6 +54,7 @@ def assemble_result(
     rms = np.sqrt(np.nanmean(residuals**2, axis=0))
     gradients, known = ratio_gradients(parameters, information.x), ratios(rope, parameters.names)
     ratio_std = {name: information.spread(gradient) for name, gradient in gradients.items()}
+    moves = {name: information.model_spread(gradient) for name, gradient in gradients.items()}
     message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
     poor = (
         poor_fit(windows, residuals, unit, found.loss, white=information.whiteness >= CHANCE),
@@ -68,6 +72,7 @@ def assemble_result(
         *(each.remark for each in (intervals or {}).values()),
     ]
     warnings = (not_converged(message), *poor)
+    said = too_small(windows, residuals, found.loss) if settings["noise"] == "declared" else ""
     if intervals is not None:
         intervals = intervals | of_ratios(known, ratio_std, information.freedom)
     result = Identification(
@@ -77,9 +82,9 @@ def assemble_result(
         ratios=known,
         ratio_std=ratio_std,
         model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
-        ratio_model_std={name: information.model_spread(gradient) for name, gradient in gradients.items()},
+        ratio_model_std=moves,
         intervals=intervals or {},
-        grade=_graded(basis, rope, warnings, held_out, tests, settings),
+        grade=_graded(basis, rope, warnings, held_out, tests, settings, said, _moved(known, moves)),
         score_tests=tests,
         verdict=tuple(consistent(words)),
         identifiable=information.unknown.shape[1] == 0,
@@ -107,6 +112,8 @@ def _graded(
     held_out: HeldOut | None,
     tests: Sequence[ScoreTest],
     settings: dict[str, Any],
+    noise: str,
+    moved: float,
 ) -> Grade:
     missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
     return grade(
@@ -114,11 +121,28 @@ def _graded(
         rope,
         held_out,
         tests,
+        noise=noise,
+        scale=_scale(basis.plant),
         identifiable=basis.information.unknown.shape[1] == 0,
         laws=law_error(basis, tests),
+        moved=moved,
         turned=basis.plant.parameters.single("gravity_angle", basis.fit.x),
         left_out=missing / (missing + settings["windows"]),
     )
+
+
+def _moved(ratios: dict[str, Array], moves: dict[str, Array]) -> float:
+    """Return by what part of themselves the model's error may move ratios of moments and inertias, at most."""
+    parts = [moves[name] / np.maximum(np.abs(ratios[name]), 1e-300) for name in MASSES if name in moves]
+    return float(np.nanmax(np.concatenate(parts), initial=0.0)) if parts else 0.0
+
+
+def _scale(plant: Plant) -> str:
+    """Return in words what fixes the scale of masses, inertias and frictions."""
+    if plant.motor is not None:
+        return "the torque as it was given"
+    names = {name.partition("[")[0].partition(":")[0] for name in plant.parameters.names}
+    return "masses and centres of mass as they were held" if not names & {"mass", "com", "tip_mass"} else ""
 
 
 def _residuals(basis: Basis) -> Array:

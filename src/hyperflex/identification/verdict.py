@@ -89,6 +89,18 @@ def too_large(variance: float, freedom: float) -> str:
     )
 
 
+def too_small(windows: Sequence[Window], residuals: Array, loss: Loss) -> str:
+    """Return a warning where residuals (m, C), rad or m, are far smaller than the declared noise."""
+    rms, _, noise = _sizes(windows, residuals, 0, loss)
+    declared, left = np.sqrt(np.mean(noise**2)), np.sqrt(np.mean(rms**2))
+    if left > QUIET * declared:
+        return ""
+    return (
+        f"the declared noise ({declared:.2g}) is {declared / max(left, 1e-300):.2g} times as large as what the fit "
+        f"leaves ({left:.2g}). Check its value and unit: it is in the unit of the data."
+    )
+
+
 def other_lengths(recording: Recording, rope: Rope) -> str:
     """Return a warning where the distances of the markers are not the link lengths that the rope was given."""
     if recording.kind != "markers":
@@ -177,17 +189,23 @@ def _values(parameters: Parameters, information: Information) -> list[str]:
 POOR = 0.05  # part of the motion that may stay unexplained: fits of real pendulums that are right leave 0.1 to 1 %
 WHITE_POOR = 0.2  # the same where what stays is white, so that it is noise
 TORQUE_POOR = 0.2  # the same of a torque: torque sensors, and currents in place of them, are not better
+QUIET = 0.5  # the same: what stays below shows that less noise was there
 NOISY = 1.5  # times the declared noise: what stays below is as good as the recording, however little moves
 
 
 def poor_fit(windows: Sequence[Window], residuals: Array, unit: str, loss: Loss, *, white: bool = False) -> str:
     """Return a warning where residuals (m, C), rad or m, NaN in gaps, are a large part of the motion.
 
-    `white` residuals are measuring noise, of which more is allowed.
+    `white` residuals are measuring noise, of which more is allowed, and as much as was declared; declared noise
+    excuses residuals that are not white as far as that, too.
     """
     rms, spread, noise = _sizes(windows, residuals, 0, loss)
-    worst = int(np.argmax(np.where(rms > NOISY * noise, rms / np.maximum(spread, 1e-12), 0.0)))
-    if rms[worst] <= max((WHITE_POOR if white else POOR) * spread[worst], NOISY * noise[worst]):
+    worst = int(np.argmax(np.where(rms > NOISY * noise * white, rms / np.maximum(spread, 1e-12), 0.0)))
+    excused = NOISY * noise[worst]
+    allowed = max(WHITE_POOR * spread[worst], excused)
+    if not white:
+        allowed = max(POOR * spread[worst], min(excused, WHITE_POOR * spread[worst]))
+    if rms[worst] <= allowed:
         return ""
     what = f"link {worst}" if unit == "rad" else f"marker {worst // 2}"
     return (

@@ -6,6 +6,7 @@ import numpy as np
 
 from hyperflex.identification.diagnosis.grade import matters
 from hyperflex.identification.diagnosis.score_tests import FEW, LAWS, ScoreTest
+from hyperflex.identification.ending import INTERRUPTED
 from hyperflex.identification.result import Identification
 from hyperflex.model import Rope
 
@@ -32,12 +33,16 @@ def identify_chosen(fit: Callable[[Sequence[str], bool], Identification], guess:
     """
     words, why = first_choice(guess), []
     trial = fit(words, True)
+    if trial.message == INTERRUPTED:
+        return trial
     for _ in range(MOST):
         asked = [each for each in trial.score_tests if _asked(each)]
         if not asked or not trial.success:
             break
         name = asked[0].name
         richer = fit([*words, name], True)
+        if richer.message == INTERRUPTED:
+            return richer
         if not richer.success:
             break
         words, trial = [*words, name], richer

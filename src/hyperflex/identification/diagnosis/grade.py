@@ -21,6 +21,7 @@ AXES = 0.2  # rad, the same: more than any camera that was meant to be level
 PERSISTENCE = 0.5  # of the error of a prediction that nothing moves on
 UNSURE = 0.1  # of a friction
 INSIDE = 0.5  # part of the predicted values in the band that should hold 95 %
+FORETOLD = 0.9  # the same: the error is as foretold, and what moves is hardly more than noise
 LEFT_OUT = 0.2  # part of the windows
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
 
@@ -60,7 +61,10 @@ def grade(
     tests: Sequence[ScoreTest],
     *,
     identifiable: bool,
+    noise: str = "",
+    scale: str = "",
     laws: tuple[float, str] = (0.0, ""),
+    moved: float = 0.0,
     turned: float = 0.0,
     left_out: float = 0.0,
 ) -> Grade:
@@ -76,19 +80,28 @@ def grade(
     tests : sequence of ScoreTest
     identifiable : bool
         Whether all free parameters are known.
+    noise : str
+        A doubt of the declared noise.
+    scale : str
+        What fixes the scale of the values, if they are known.
     laws : (float, str)
         By what part of its value friction may change if another law is free too, and which.
+    moved : float
+        By what part the model's error may move ratios of moments and inertias.
     turned : float
         By which gravity was found to be turned, rad.
     left_out : float
         Part of the windows that was left out.
     """
     wrong = [*_impossible(rope), *misdeclared(tests), *(each for each in warnings if each), *_mispredicted(held_out)]
-    suspicion, doubts = [*_turned(turned), *_untested(tests)], _doubts(laws, left_out)
+    suspicion, doubts = [*_turned(turned), *_untested(tests)], _doubts(laws, moved, left_out)
+    if noise:
+        suspicion.insert(0, noise)
     if wrong:
         return Grade("do not use", (*wrong, *suspicion, *doubts))
     if identifiable:
-        return Grade("usable", (*suspicion, *doubts))
+        scaled = [f"masses, inertias and frictions are in proportion to {scale}; no motion tests that."] * bool(scale)
+        return Grade("usable", (*suspicion, *scaled, *doubts))
     common = "without a known force or torque, or a mass that is held, values share what this motion cannot tell."
     return Grade("usable for ratios", (*suspicion, common, *doubts))
 
@@ -160,7 +173,7 @@ def _mispredicted(held_out: HeldOut | None) -> list[str]:
     error = float(np.sqrt(np.mean(held_out.rms**2)))
     still = held_out.persistence
     words = ""
-    if error > PERSISTENCE * still > 0.0:
+    if error > PERSISTENCE * still > 0.0 and not held_out.inside >= FORETOLD:
         words = f"predictions of what was not fitted err by {100.0 * error / still:.3g} % of what keeping still would."
     elif held_out.inside < INSIDE:
         words = (
@@ -199,14 +212,15 @@ def _turned(angle: float) -> list[str]:
     return [words]
 
 
-def _doubts(laws: tuple[float, str], left_out: float) -> list[str]:
+def _doubts(laws: tuple[float, str], moved: float, left_out: float) -> list[str]:
     said = []
     part, name = laws
     if part > UNSURE:
         size = f"up to {100.0 * part:.2g} %" if part < 1.0 else "as much as it is"
         said.append(
             "friction is a model error: it stands for all that brakes, and would change by "
-            f"{size} if '{name}' were free as well. Ratios of moments and inertias hardly move."
+            f"{size} if '{name}' were free as well."
+            f"{' Ratios of moments and inertias hardly move.' if moved < MOVES else ''}"
         )
     if left_out > LEFT_OUT:
         said.append(

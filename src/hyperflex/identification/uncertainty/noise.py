@@ -17,6 +17,7 @@ SETTLED = 1e-9  # sum of squared misses of autocorrelations below which nothing 
 HARDLY = 0.01  # part of that sum which a step must gain for another to be worth its while
 SMOOTH = 0.8  # autocorrelation of neighbours from which gaps leave too little for an autoregression
 STEP = 1e-6  # of differences
+FLOOR = 1e-6  # least spectral density, over the greatest
 
 
 @dataclass(frozen=True)
@@ -110,8 +111,15 @@ def noise_memory(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     if min(piece.seen.min() for piece in pieces) == 0.0 and longest > 1:
         own = _autocorrelations(pieces)
         if own[1] > SMOOTH:
-            return np.asarray(own * (1.0 - np.arange(longest) / longest)), True
+            return _positive(own * (1.0 - np.arange(longest) / longest)), True
     return correlations(terms, longest), agrees
+
+
+def _positive(memory: Array) -> Array:
+    """Return autocorrelations (m,) without the negative part of their spectrum, so that their matrix has a root."""
+    spectrum = np.fft.hfft(np.append(memory, 0.0), 2 * memory.size)
+    found = np.fft.irfft(np.maximum(spectrum, FLOOR * spectrum.max()), 2 * memory.size)[: memory.size]
+    return np.asarray(found / found[0])
 
 
 def correlated(memory: Array, values: Array) -> Array:
