@@ -7,7 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.verdict import ALL_ACT, ALL_KNOWN, consistent, poor_fit, poor_torque
+from hyperflex.identification.verdict import ALL_ACT, ALL_KNOWN, consistent, poor_fit, poor_torque, too_small
 
 
 def windows(noise: float | None = None, moves: float = 1.0, channels: int = 2) -> list[Window]:
@@ -49,9 +49,21 @@ def test_outliers_alone_make_no_fit_poor_where_the_loss_leaves_them_out() -> Non
 
 def test_a_fit_down_to_the_declared_noise_is_not_poor_however_little_moves() -> None:
     still = windows(2e-3, moves=4e-3)
-    assert poor_fit(still, left(2.04e-3), "m", Loss()) == ""
-    assert poor_fit(still, left(4e-3), "m", Loss())  # twice what was declared, and all of the motion
+    assert poor_fit(still, left(2.04e-3), "m", Loss(), white=True) == ""
+    assert poor_fit(still, left(4e-3), "m", Loss(), white=True)  # twice what was declared, and all of the motion
     assert poor_fit(windows(None, moves=4e-3), left(2.04e-3), "m", Loss())  # nothing was declared
+
+
+def test_declared_noise_excuses_no_errors_of_the_model_beyond_a_fifth_of_the_motion() -> None:
+    assert poor_fit(windows(0.2), left(0.15), "rad", Loss()) == ""  # not white, but little
+    assert poor_fit(windows(0.5), left(0.4), "rad", Loss())
+    assert poor_fit(windows(0.5), left(0.4), "rad", Loss(), white=True) == ""
+
+
+def test_noise_declared_far_too_large_is_told() -> None:
+    assert too_small(windows(2e-3), left(2e-3), Loss()) == ""
+    told = too_small(windows(0.1), left(2e-3), Loss())
+    assert "declared noise (0.1) is 5" in told
 
 
 def test_a_torque_that_does_not_fit() -> None:

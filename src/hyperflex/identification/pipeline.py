@@ -3,27 +3,26 @@
 import sys
 import time
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
+from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.assembly import assemble_result
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, suspicious
-from hyperflex.identification.diagnosis.free_parameters import identify_chosen
+from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
 from hyperflex.identification.diagnosis.grade import misdeclared
 from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests, with_model_error
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
-from hyperflex.identification.fit.multiple_shooting import Fit, Report, one_thread
+from hyperflex.identification.fit.multiple_shooting import Report, one_thread
 from hyperflex.identification.fit.stages import Measurements, fit_in_stages, search_delay, with_delay
-from hyperflex.identification.fit.windows import Window, part_left, usual_length, with_enough_frames
-from hyperflex.identification.measurements import (
-    with_torque,
-)
+from hyperflex.identification.fit.windows import part_left, usual_length, with_enough_frames
+from hyperflex.identification.measurements import with_torque
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
 from hyperflex.identification.problem import build_plant, checked_measurements
@@ -137,64 +136,122 @@ def identify(
     >>> bool(abs(result.rope.friction[0] / 2e-4 - 1.0) < 1e-3)
     True
     """
-    if free is None:
-        again = partial(
-            identify,
-            recording,
-            rope_guess,
-            window=window,
-            train=train,
-            motion=motion,
-            arm=arm,
-            arc_lengths=arc_lengths,
-            origin=origin,
-            torque=torque,
-            torque_noise=torque_noise,
-            loss=loss,
-            lead=lead,
-            ahead=ahead,
-            progress=progress,
-        )
-        return identify_chosen(lambda words, trial: again(words, intervals=None if trial else intervals), rope_guess)
     began = time.monotonic()
     checks.choice("loss", loss, LOSSES)
     if intervals is not None:
         checks.choice("intervals", intervals, HOWS)
-    measured, places = checked_measurements(recording, rope_guess, arc_lengths, origin, motion, arm)
+    if window is not None:
+        checks.number("window", window, sign="positive", infinite=True)
     _refuse_half_a_drive(motion, arm, torque)
-    plant = build_plant(recording, rope_guess, free, places, origin, motion, arm, torque=torque is not None)
-    foretold = plant.without_torque()  # what is held out is predicted without force or torque
+    measured, places = checked_measurements(recording, rope_guess, arc_lengths, origin, motion, arm)
     fitted, rest = _split(measured, train, lead, ahead)
     check_excitation(fitted.channels, fitted.shape, rope_guess, moved=motion is not None)
-    delay = {}
-    usual = with_enough_frames(usual_length(fitted.shape, rope_guess), fitted.shape)
-    if "delay" in free:
-        delay["delay_from"] = search_delay(foretold, fitted, usual, Loss(loss))
-        plant = with_delay(plant, delay["delay_from"])
-        foretold = plant.without_torque()
-    if torque is not None:
-        fitted, _ = _split(with_torque(measured, torque, torque_noise), train, lead, ahead)
-    length = usual if window is None else checks.number("window", window, sign="positive", infinite=True)
-    length = min(length, 1.001 * fitted.channels.duration)
-    found, windows, settings = fit_in_stages(plant, fitted, length, usual, _reporter(progress), Loss(loss))
-    basis, tests, ranges = _tested(plant, windows, found, intervals, _reporter(progress))
-    held_out: HeldOut | None = None
-    try:
-        if rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
-            spread = prediction_uncertainty(basis, measured.channels.data.shape[1])
-            held_out = predict(foretold, found.x, rest, lead, ahead, Loss(loss), spread)
-    except KeyboardInterrupt:  # what was fitted is worth more than its trial
-        found.interrupted = True
-    settings |= {"fitted_from": float(fitted.channels.t[0]), "fitted_to": float(fitted.channels.t[-1])}
-    settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
-    settings |= delay | _fit_settings(plant, free, loss, origin)
-    settings["noise"] = "not declared" if recording.noise is None else "declared"
-    remark = "" if arc_lengths is not None else other_lengths(recording, rope_guess)
-    result = assemble_result(basis, held_out, settings, remark, ranges, tests)
-    if not found.interrupted and (result.grade.doubtful or suspicious(fitted.shape)):
-        trial = ShortFit(rope_guess, free, arc_lengths, origin, motion, arm, Loss(loss))
-        result = result.with_reason(explained(recording, origin, trial, named=bool(misdeclared(tests))))
-    return result
+    seen = fitted if torque is None else _split(with_torque(measured, torque, torque_noise), train, lead, ahead)[0]
+    problem = _Problem(
+        recording=recording,
+        guess=rope_guess,
+        fitted=seen,
+        untorqued=fitted,
+        rest=rest,
+        places=places,
+        arc_lengths=arc_lengths,
+        origin=origin,
+        motion=motion,
+        arm=arm,
+        torque=torque is not None,
+        window=window,
+        loss=Loss(loss),
+        lead=lead,
+        ahead=ahead,
+        report=_reporter(progress),
+    )
+    remark = ""
+    if free is None:
+        trial, remark = choose_parameters(problem.fit, rope_guess)
+    else:
+        trial = problem.fit(list(free))
+    return problem.complete(trial, intervals, remark, began)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What identify was asked; the names are its own.
+
+    fitted and rest are the measurements to fit and those held out, untorqued those to fit without torque.
+    """
+
+    recording: Recording
+    guess: Rope
+    fitted: Measurements
+    untorqued: Measurements
+    rest: Measurements | None
+    places: Array | None
+    arc_lengths: npt.ArrayLike | None
+    origin: npt.ArrayLike | None
+    motion: Motion | None
+    arm: Arm | None
+    torque: bool
+    window: float | None
+    loss: Loss
+    lead: float
+    ahead: float
+    report: Report
+
+    def fit(self, free: Sequence[str]) -> Trial:
+        """Return the fit of these parameters, its covariance and score tests."""
+        shape = self.fitted.shape
+        plant = build_plant(
+            self.recording, self.guess, free, self.places, self.origin, self.motion, self.arm, torque=self.torque
+        )
+        usual = with_enough_frames(usual_length(shape, self.guess), shape)
+        delay = {}
+        if "delay" in free:
+            delay["delay_from"] = search_delay(plant.without_torque(), self.untorqued, usual, self.loss)
+            plant = with_delay(plant, delay["delay_from"])
+        length = min(usual if self.window is None else self.window, 1.001 * self.fitted.channels.duration)
+        found, windows, settings = fit_in_stages(plant, self.fitted, length, usual, self.report, self.loss)
+        basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
+        tests: tuple[ScoreTest, ...] = ()
+        try:
+            if found.converged:
+                tests = score_tests(basis)
+                basis = with_model_error(basis, tests)
+        except KeyboardInterrupt:  # what was fitted is worth more than its tests
+            found.interrupted = True
+        return Trial(list(free), basis, tests, settings | delay)
+
+    def complete(self, trial: Trial, intervals: How | None, remark: str, began: float) -> Identification:
+        """Return a fit as a result, with intervals, predictions of what was held out, and a grade."""
+        basis, tests, found, fitted = trial.basis, trial.tests, trial.basis.fit, self.fitted.channels
+        ranges = self._intervals(trial, intervals)
+        held_out: HeldOut | None = None
+        try:
+            if self.rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
+                spread = prediction_uncertainty(basis, self.untorqued.channels.data.shape[1])
+                plant = basis.plant.without_torque()  # what is held out is predicted without force or torque
+                held_out = predict(plant, found.x, self.rest, self.lead, self.ahead, self.loss, spread)
+        except KeyboardInterrupt:  # what was fitted is worth more than its trial
+            found.interrupted = True
+        settings = trial.settings | {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
+        settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
+        settings |= _fit_settings(basis.plant, trial.free, self.loss.name, self.origin)
+        settings["noise"] = "not declared" if self.recording.noise is None else "declared"
+        lengths = "" if self.arc_lengths is not None else other_lengths(self.recording, self.guess)
+        result = assemble_result(basis, held_out, settings, lengths, ranges, tests)
+        if not found.interrupted and (result.grade.doubtful or suspicious(self.fitted.shape)):
+            short = ShortFit(self.guess, trial.free, self.arc_lengths, self.origin, self.motion, self.arm, self.loss)
+            result = result.with_reason(explained(self.recording, self.origin, short, named=bool(misdeclared(tests))))
+        return result.with_remark(remark) if remark else result
+
+    def _intervals(self, trial: Trial, how: How | None) -> dict[str, Interval] | None:
+        if how is None:
+            return None
+        basis = trial.basis
+        if not basis.fit.converged or basis.fit.interrupted:
+            how = "covariance"
+        if how == "auto" and (misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > POOR):
+            how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
+        return all_intervals(basis, how, report=self.report)
 
 
 def _refuse_half_a_drive(motion: Motion | None, arm: Arm | None, torque: npt.ArrayLike | None) -> None:
@@ -202,24 +259,6 @@ def _refuse_half_a_drive(motion: Motion | None, arm: Arm | None, torque: npt.Arr
         raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
     if torque is not None and arm is None:
         raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
-
-
-def _tested(
-    plant: Plant, windows: list[Window], found: Fit, intervals: How | None, report: Report
-) -> tuple[Basis, tuple[ScoreTest, ...], dict[str, Interval] | None]:
-    """Return a fit with its covariance, score tests, and intervals."""
-    basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
-    tests: tuple[ScoreTest, ...] = ()
-    try:
-        if found.converged:
-            tests = score_tests(basis)
-            basis = with_model_error(basis, tests)
-    except KeyboardInterrupt:  # what was fitted is worth more than its tests
-        found.interrupted = True
-    how = intervals if found.converged or intervals is None else "covariance"
-    if how == "auto" and (misdeclared(tests) or part_left(windows, found.residuals) > POOR):
-        how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
-    return basis, tests, None if how is None else all_intervals(basis, how, report=report)
 
 
 def _split(

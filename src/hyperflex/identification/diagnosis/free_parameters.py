@@ -1,17 +1,16 @@
 """Choice of free parameters by what a recording tells, where the user names none."""
 
 from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.grade import matters
 from hyperflex.identification.diagnosis.score_tests import FEW, LAWS, ScoreTest
-from hyperflex.identification.ending import INTERRUPTED
-from hyperflex.identification.result import Identification
+from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.model import Rope
 
 MOST = 3  # that are added
-ALLOWED = ("com", "gravity_angle", *LAWS)  # of what was held: what a user is likely not to know
+ALLOWED = ("com", "gravity_angle", "delay", *LAWS)  # of what was held: what a user is likely not to know
 
 
 def first_choice(guess: Rope) -> list[str]:
@@ -25,33 +24,36 @@ def first_choice(guess: Rope) -> list[str]:
     return [f"{word}:{'shared' if np.ptp(getattr(guess, word)) == 0.0 else 'factor'}" for word in words]
 
 
-def identify_chosen(fit: Callable[[Sequence[str], bool], Identification], guess: Rope) -> Identification:
-    """Return the fit with parameters chosen one by one, and the choice in words as the first of its verdict.
+class Trial(NamedTuple):
+    """A fit with what was free in it, its score tests, and the settings that it used."""
 
-    `fit` gets what is free, and whether it is a trial, without intervals. What the score tests of a fit ask for is
-    freed as well, as long as that makes a fit that converges.
+    free: list[str]
+    basis: Basis
+    tests: tuple[ScoreTest, ...]
+    settings: dict[str, Any]
+
+
+def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tuple[Trial, str]:
+    """Return the fit with parameters chosen one by one, and the choice in words.
+
+    `fit` gets what is free. What the score tests of a fit ask for is freed as well, as long as that makes a fit that
+    converges; an interrupted fit is the last.
     """
-    words, why = first_choice(guess), []
-    trial = fit(words, True)
-    if trial.message == INTERRUPTED:
-        return trial
+    trial, why = fit(first_choice(guess)), []
+    usual = ", ".join(trial.free)
     for _ in range(MOST):
-        asked = [each for each in trial.score_tests if _asked(each)]
-        if not asked or not trial.success:
+        asked = [each for each in trial.tests if _asked(each)]
+        if not asked or not trial.basis.fit.converged or trial.basis.fit.interrupted:
             break
-        name = asked[0].name
-        richer = fit([*words, name], True)
-        if richer.message == INTERRUPTED:
-            return richer
-        if not richer.success:
+        richer = fit([*trial.free, asked[0].name])
+        if not (richer.basis.fit.converged or richer.basis.fit.interrupted):
             break
-        words, trial = [*words, name], richer
-        why.append(f"{name} (it takes away {100.0 * asked[0].gain:.3g} % of the residuals' sum of squares)")
+        trial = richer
+        why.append(f"{asked[0].name} (it takes away {100.0 * asked[0].gain:.3g} % of the residuals' sum of squares)")
     added = f", and by what the recording tells {', '.join(why)}" if why else ""
-    usual = ", ".join(words[: len(words) - len(why)])
-    return fit(words, False).with_remark(f"Free were {usual} by default{added}; name others with free.")
+    return trial, f"Free were {usual} by default{added}; name others with free."
 
 
 def _asked(test: ScoreTest) -> bool:
     name = test.name.partition(":")[0]
-    return test.believed and name in ALLOWED and (name in LAWS or matters(test))
+    return test.believed and name in ALLOWED and not test.beside and (name != "com" or test.matters)

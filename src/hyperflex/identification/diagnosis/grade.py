@@ -5,15 +5,12 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.diagnosis.score_tests import MOVES, ScoreTest
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.model import Rope
 
 GradeName = Literal["usable", "usable for ratios", "do not use"]
-MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
-TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
-FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
 UNTESTED = 0.05  # standard deviation of gravity's factor, if it were free
 TESTED = 0.005  # the same: lengths that are 1 % off show
 NEAR = 0.03  # of a factor by which frame rates are often wrong
@@ -94,7 +91,7 @@ def grade(
         Part of the windows that was left out.
     """
     wrong = [*_impossible(rope), *misdeclared(tests), *(each for each in warnings if each), *_mispredicted(held_out)]
-    suspicion, doubts = [*_turned(turned), *_untested(tests)], _doubts(laws, moved, left_out)
+    suspicion, doubts = [*_turned(turned), *_slightly(tests), *_untested(tests)], _doubts(laws, moved, left_out)
     if noise:
         suspicion.insert(0, noise)
     if wrong:
@@ -120,11 +117,13 @@ def _impossible(rope: Rope) -> list[str]:
 
 def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
     """Return what was declared or held, does not fit and matters; the one that explains most, with its equals."""
-    believed = [each for each in tests if each.believed and matters(each)]
+    believed = [each for each in tests if each.believed and each.matters]
     if not believed:
         return []
     first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - 0.05]
     part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
+    if first.beside:
+        part += f" that is left with {' and '.join(repr(name) for name in first.beside)} free"
     value = float(first.values[0])
     names = " or ".join(f"'{name}'" for name in equals if name not in DECLARED)
     if first.name == "gravity_scale":
@@ -149,19 +148,26 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
     return [said]
 
 
+def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
+    """Return what was declared wrongly, though ratios hardly move."""
+    said = []
+    for each in tests:
+        if not each.believed or each.matters or each.name not in ("gravity_angle", "delay"):
+            continue
+        value, part = float(each.values[0]), f"{100.0 * each.gain:.3g} % of the residuals' sum of squares"
+        what = f"the zero of the angles seems off by {np.degrees(value):.2g} degrees"
+        if each.name == "delay":
+            what = f"the motion seems {value:.2g} s off"
+        said.append(f"{what}: without that, {part} go away. Put '{each.name}' into free.")
+    return said
+
+
 def _frames(factor: float) -> str:
     """Return what a factor of the times may come from."""
     for usual, words in ((2.0, "half"), (0.5, "twice")):
         if abs(factor / usual - 1.0) < NEAR:
             return f" (as if the frame rate were {words} of what was declared)"
     return ""
-
-
-def matters(test: ScoreTest) -> bool:
-    """Tell whether ratios would move by more than is of no account, or gravity turn."""
-    if test.name == "gravity_scale" and abs(np.log(max(float(test.values[0]), 1e-9))) > np.log(FARTHEST):
-        return False  # no clock is so wrong: something else does not fit
-    return test.moved > MOVES or (test.name == "gravity_angle" and abs(float(test.values[0])) > TURNED)
 
 
 def _mispredicted(held_out: HeldOut | None) -> list[str]:

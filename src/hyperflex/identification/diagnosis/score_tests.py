@@ -7,13 +7,13 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit.multiple_shooting import fit, linearise
+from hyperflex.identification.fit.multiple_shooting import Fit, fit, linearise
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameter, Parameters, lumped
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import Mask
-from hyperflex.identification.uncertainty.covariance import Basis, ratio_gradients, ratios
+from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance, ratio_gradients, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import RESISTANCES
 
@@ -26,6 +26,10 @@ ASKED = 0.67  # of a gain that noise does not explain: three times what chance g
 FLOOR = 5e-4  # relative: no clock, length or weight of a real rope is known better; 0.06 % was seen of a good pendulum
 EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much is believed
 PER_CENT = 0.01
+MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
+TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
+FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
+HIDING = 2  # refits that are tested again, each with one thing more freed
 TINY = 1e-8  # part of the largest singular value below which a direction is none
 
 
@@ -58,6 +62,8 @@ class ScoreTest:
     sway : float
         Of a gravity scale: relative change of a ratio J/p1 or p/p1 by each 1 % of it, the greatest of those that are
         beyond twice their standard deviation; 0 where none is.
+    beside : tuple of str
+        What had to be free as well before the data asked for this.
     """
 
     name: str
@@ -71,11 +77,27 @@ class ScoreTest:
     surplus: float = 0.0
     sure: bool = False
     sway: float = 0.0
+    beside: tuple[str, ...] = ()
 
     @property
     def believed(self) -> bool:
         """Whether something else than what was held or declared fits: it takes most away, or more than noise can."""
         return self.refitted and (self.gain > EXPLAINS or (self.sure and self.surplus > SURE))
+
+    @property
+    def matters(self) -> bool:
+        """Whether ratios would move by more than is of no account, or gravity turn."""
+        if self.name == "gravity_scale" and abs(np.log(max(float(self.values[0]), 1e-9))) > np.log(FARTHEST):
+            return False  # no clock is so wrong: something else does not fit
+        return self.moved > MOVES or (self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED)
+
+    @property
+    def hides(self) -> bool:
+        """Whether a refit explains so much by what changes no conclusion that other causes may stand behind it."""
+        law = self.name.partition(":")[0] in LAWS
+        if law:
+            return self.refitted and self.gain > SUSPECT
+        return self.believed and not self.matters and self.name != "gravity_scale"
 
     @property
     def refitted(self) -> bool:
@@ -93,8 +115,37 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
     ``S_h' r``, its information the Schur complement of ``S' S``. In place of a probability the part of the sum of
     squares is told that it explains, for residuals of real recordings are model errors, of which no noise level tells.
     It costs one round of a fit, with more columns. Resistances that would have to be negative explain nothing. Up to
-    three that explain much are fitted along, in some of the windows.
+    three that explain much are fitted along, in some of the windows. A resistance that explains much, or anything that
+    explains most and changes no ratio, may hide what else is wrong: a fit with it free is tested again.
     """
+    found, freed = _refitted_tests(basis), list[str]()
+    tests, later, now = found, dict[str, ScoreTest](), basis
+    for _ in range(HIDING):
+        hiding = next((each.name for each in tests if each.hides), "")
+        richer = _freed(now, hiding) if hiding else None
+        if richer is None:
+            break
+        now = richer
+        freed.append(hiding)
+        tests = _refitted_tests(now)
+        for each in tests:
+            if each.believed and each.matters and each.name.partition(":")[0] not in LAWS:
+                later.setdefault(each.name, _within(each, basis.fit.x.size, freed))
+    known = {each.name for each in found if each.believed}
+    found = [each if each.name in known else later.pop(each.name, each) for each in found]
+    found += [each for name, each in later.items() if name not in known]
+    return tuple(sorted(found, key=lambda each: -each.gain))
+
+
+def _within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
+    """Return a test of a fit with more parameters, `freed`, as one of a fit with `size`."""
+    return replace(
+        test, shift=test.shift[:size], open=test.open[:size], rate=test.rate[:size], sway=0.0, beside=tuple(freed)
+    )
+
+
+def _refitted_tests(basis: Basis) -> list[ScoreTest]:
+    """Return the tests of a fit, the greatest gain first; those that explain much with what a refit says."""
     found: list[ScoreTest] = []
     for words in _words(basis.plant):
         found += _tested(basis, words)
@@ -104,7 +155,7 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
     for k, each in enumerate(found[:REFITS]):
         if each.gain > SUSPECT or (white and each.surplus > SURE):
             found[k] = _refitted(basis, each)
-    return tuple(sorted(found, key=lambda each: -each.gain))
+    return sorted(found, key=lambda each: -each.gain)
 
 
 def _sway(basis: Basis, test: ScoreTest) -> float:
@@ -124,13 +175,14 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest]) -> Basis:
 
     Each resistance that was left out and that the data ask for would move the parameters by its `shift`: that is taken
     as a standard deviation, in proportion to how far noise does not explain what it gains. Where residuals are white,
-    everything else that was held or declared counts as well; where they are not, a wrong clock, say, gains by what the
-    model leaves out, and no value is taken as known better than FLOOR.
+    or most goes away, everything else that was held or declared counts as well; where they are not, a wrong clock,
+    say, gains by what the model leaves out, and no value is taken as known better than FLOOR.
     """
     information, x = basis.information, basis.fit.x
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
     for each in tests:
-        if each.surplus > ASKED and (white or each.name.partition(":")[0] in LAWS):
+        law = each.name.partition(":")[0] in LAWS
+        if each.surplus > ASKED and (white or law or each.believed):
             model += each.surplus * np.outer(each.shift, each.shift)
     if not white:
         model += np.diag(_floor(basis.plant.parameters, x) ** 2)
@@ -265,22 +317,44 @@ def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
     return step
 
 
+def _freed(basis: Basis, name: str) -> Basis | None:
+    """Return a fit of some windows with `name` free as well, and its covariance; None where none converges."""
+    plant, x, _ = _extended(basis.plant, basis.fit.x, [name])
+    windows, states = _some(basis)
+    found = _fit(plant, windows, x, states, basis)
+    if found is None:
+        return None
+    return Basis(plant, windows, found, estimate_covariance(plant, windows, found))
+
+
+def _some(basis: Basis) -> tuple[list[Window], list[Array]]:
+    """Return windows spread over the recording, and their states."""
+    every = -(-len(basis.windows) // WINDOWS)
+    return basis.windows[::every], list(basis.fit.states[::every])
+
+
+def _fit(plant: Plant, windows: list[Window], x: Array, states: list[Array], basis: Basis) -> Fit | None:
+    try:
+        found = fit(plant, windows, x, states, loss=basis.fit.loss, rounds=ROUNDS)
+    except InvalidInput:
+        return None
+    if found.interrupted:
+        raise KeyboardInterrupt
+    return found
+
+
 def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     """Return a test with what a fit of some windows says."""
     plant, x, _ = _extended(basis.plant, basis.fit.x, [test.name])
-    every = max(1, len(basis.windows) // WINDOWS)
-    windows: list[Window] = basis.windows[::every]
-    states = list(basis.fit.states[::every])
-    try:
-        before = fit(basis.plant, windows, basis.fit.x, states, loss=basis.fit.loss, rounds=ROUNDS)
-        after = fit(plant, windows, x, states, loss=basis.fit.loss, rounds=ROUNDS)
-    except InvalidInput:
-        return replace(test, gain=0.0)
-    if before.interrupted or after.interrupted:
-        raise KeyboardInterrupt
+    windows, states = _some(basis)
+    before, after = _fit(basis.plant, windows, basis.fit.x, states, basis), _fit(plant, windows, x, states, basis)
+    if before is None or after is None:
+        return replace(test, gain=0.0, surplus=0.0)
     x = plant.parameters.rounded(after.x)
     then, now = ratios(plant.parameters.rope(x)), ratios(basis.plant.parameters.rope(before.x))
     moved = float(np.max([np.abs(then[name] / now[name] - 1.0) for name in ("J/p1", "p/p1")]))
     gain = 1.0 - after.cost / before.cost if before.cost > 0.0 else 0.0
+    surplus = max(0.0, 1.0 - (1.0 - test.surplus) * test.gain / gain) if gain > 0.0 else 0.0
     values = plant.parameters.values(x)[basis.fit.x.size :]
-    return replace(test, gain=gain, values=values, moved=moved, sure=basis.information.whiteness >= CHANCE)
+    sure = basis.information.whiteness >= CHANCE
+    return replace(test, gain=gain, values=values, moved=moved, surplus=surplus, sure=sure)
