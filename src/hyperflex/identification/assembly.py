@@ -15,8 +15,10 @@ from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_ratios, ratio_gradients, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.identification.verdict import (
+    HALF,
     consistent,
     failed_predictions,
+    hardly_known,
     noise_not_modelled,
     not_converged,
     not_noise,
@@ -84,7 +86,7 @@ def assemble_result(
         model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
         ratio_model_std=moves,
         intervals=intervals or {},
-        grade=_graded(basis, rope, warnings, held_out, tests, settings, said, _moved(known, moves)),
+        grade=_graded(basis, rope, warnings, held_out, tests, settings, said, _moved(known, moves), (known, ratio_std)),
         score_tests=tests,
         verdict=tuple(consistent(words)),
         identifiable=information.unknown.shape[1] == 0,
@@ -114,6 +116,7 @@ def _graded(
     settings: dict[str, Any],
     noise: str,
     moved: float,
+    ratio_spreads: tuple[dict[str, Array], dict[str, Array]],
 ) -> Grade:
     missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
     return grade(
@@ -125,6 +128,7 @@ def _graded(
         scale=_scale(basis.plant),
         identifiable=basis.information.unknown.shape[1] == 0,
         laws=law_error(basis, tests),
+        hardly=_hardly(basis, ratio_spreads),
         moved=moved,
         turned=basis.plant.parameters.single("gravity_angle", basis.fit.x),
         left_out=missing / (missing + settings["windows"]),
@@ -135,6 +139,15 @@ def _moved(ratios: dict[str, Array], moves: dict[str, Array]) -> float:
     """Return by what part of themselves the model's error may move ratios of moments and inertias, at most."""
     parts = [moves[name] / np.maximum(np.abs(ratios[name]), 1e-300) for name in MASSES if name in moves]
     return float(np.nanmax(np.concatenate(parts), initial=0.0)) if parts else 0.0
+
+
+def _hardly(basis: Basis, ratios: tuple[dict[str, Array], dict[str, Array]]) -> list[str]:
+    """Return the labels of values and of ratios of moments and inertias known to half of themselves only, or worse."""
+    said = [label for label, _, _ in hardly_known(basis.plant.parameters, basis.information)]
+    for name in MASSES:
+        pairs = zip(ratios[0].get(name, []), ratios[1].get(name, []), strict=True)
+        said += [f"{name}[{k}]" for k, (x, std) in enumerate(pairs) if np.isfinite(std) and std > HALF * abs(x)]
+    return said
 
 
 def _scale(plant: Plant) -> str:

@@ -89,6 +89,7 @@ def check_motion(shape: Recording, channels: Recording | None = None) -> None:
             fix="Record a free swing, or check the unit of the angles",
         )
     channels = channels or shape
+    _refuse_constant(channels)
     if _size(shape.data).max() > LARGE:
         return
     if channels.noise is not None and (_size(channels.data) > BEYOND * np.median(channels.noise, axis=0)).any():
@@ -101,6 +102,20 @@ def check_motion(shape: Recording, channels: Recording | None = None) -> None:
         allowed="a swing that is clearly larger than the noise",
         fix="Record a wider swing, or more samples; if it is sampled slowly, say how large the noise is (noise=...)",
     )
+
+
+def _refuse_constant(channels: Recording) -> None:
+    """Refuse a link's angle that is one number all the time: no link hangs still while others swing."""
+    if channels.kind != "angles":
+        return
+    for link, column in enumerate(channels.data.T):
+        values = column[~np.isnan(column)]
+        if values.size > FEWEST and np.ptp(values) == 0.0:
+            raise InvalidInput(
+                f"link {link} never moves while others do",
+                got=f"{values[0]:.6g} rad in all {values.size} samples",
+                fix="See what the sensor or tracker holds there; a link without a sensor is a gap (empty or nan)",
+            )
 
 
 def _size(values: Array) -> Array:

@@ -13,7 +13,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.assembly import assemble_result
-from hyperflex.identification.diagnosis.declarations import ShortFit, explained, suspicious
+from hyperflex.identification.diagnosis.declarations import ShortFit, explained, scaled_angles, suspicious
 from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
 from hyperflex.identification.diagnosis.grade import misdeclared
 from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests, with_model_error
@@ -29,7 +29,7 @@ from hyperflex.identification.problem import build_plant, checked_measurements
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, estimate_covariance
 from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
-from hyperflex.identification.verdict import POOR, other_lengths
+from hyperflex.identification.verdict import POOR, other_lengths, uneven_scale
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
@@ -238,9 +238,15 @@ class _Problem:
         settings["noise"] = "not declared" if self.recording.noise is None else "declared"
         lengths = "" if self.arc_lengths is not None else other_lengths(self.recording, self.guess)
         result = assemble_result(basis, held_out, settings, lengths, ranges, tests)
-        if not found.interrupted and (result.grade.doubtful or suspicious(self.fitted.shape)):
-            short = ShortFit(self.guess, trial.free, self.arc_lengths, self.origin, self.motion, self.arm, self.loss)
+        if found.interrupted:
+            return result.with_remark(remark) if remark else result
+        short = ShortFit(self.guess, trial.free, self.arc_lengths, self.origin, self.motion, self.arm, self.loss)
+        if result.grade.name != "do not use":
+            result = result.with_suspicion(scaled_angles(self.recording, short))
+        if result.grade.doubtful or suspicious(self.fitted.shape):
             result = result.with_reason(explained(self.recording, self.origin, short, named=bool(misdeclared(tests))))
+        if self.arc_lengths is None:
+            result = result.with_reason(uneven_scale(self.recording))
         return result.with_remark(remark) if remark else result
 
     def _intervals(self, trial: Trial, how: How | None) -> dict[str, Interval] | None:

@@ -72,7 +72,8 @@ class Identification(Ended):
     Notes
     -----
     Standard deviations allow for robust losses and autocorrelated residuals (see ``estimate_covariance``), intervals
-    for bounds and skewness as well. Neither covers model errors.
+    for bounds and skewness as well. Both count errors of the model as far as score tests find them (`model_std`), and
+    no others.
     """
 
     rope: Rope
@@ -143,6 +144,10 @@ class Identification(Ended):
     def with_reason(self, reason: str) -> "Identification":
         """Return the same, not to be used for one more `reason`, which comes first; unchanged without any."""
         return self._changed(grade=Grade("do not use", (reason, *self.grade.reasons))) if reason else self
+
+    def with_suspicion(self, reason: str) -> "Identification":
+        """Return the same grade with one more `reason`, which comes first; unchanged without any."""
+        return self._changed(grade=Grade(self.grade.name, (reason, *self.grade.reasons))) if reason else self
 
     def with_remark(self, remark: str) -> "Identification":
         """Return the same with the sentence `remark` as the first of the verdict."""

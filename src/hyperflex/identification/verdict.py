@@ -27,6 +27,9 @@ ALL_ACT = (
     "Each free parameter acts in this motion in a way of its own, given those that were held; how far the values can "
     "be trusted, the other sentences say."
 )
+OUTLYING = 6.0  # times the median deviation: a distance that a lost marker makes
+UNEVEN = 0.03  # relative difference of two scales; as the distances of markers
+BEYOND, MANY = 5.0, 20  # standard errors, and distances at least
 LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a link
 
 
@@ -112,6 +115,45 @@ def other_lengths(recording: Recording, rope: Rope) -> str:
     return f"The markers lie {lengths} m apart: check their scale, or the link lengths. The angles do not show it."
 
 
+def uneven_scale(recording: Recording) -> str:
+    """Return a warning where links are longer in one direction of the picture than across it.
+
+    With theta the direction of a link in the picture, log d = c + p cos(2 theta) + q sin(2 theta) to first order, with
+    the same p and q for all links; exp(2 hypot(p, q)) is the ratio of the scales.
+    """
+    if recording.kind != "markers":
+        return ""
+    places = recording.data.reshape(recording.t.size, -1, 2)
+    along = np.diff(places, axis=1)
+    distance, double = np.hypot(*along.T).T, 2.0 * np.arctan2(along[..., 1], along[..., 0])
+    rows = []
+    for d, turn in zip(distance.T, double.T, strict=True):
+        there = ~np.isnan(d) & (d > 0.0)
+        if there.sum() < MANY:
+            continue
+        off = np.log(d[there] / np.median(d[there]))
+        typical = np.abs(off) <= OUTLYING * max(float(np.median(np.abs(off))), 1e-12)
+        columns = np.column_stack([off, np.cos(turn[there]), np.sin(turn[there])])[typical]
+        rows.append(columns - columns.mean(axis=0))
+    if not rows:
+        return ""
+    table = np.vstack(rows)
+    matrix, off = table[:, 1:], table[:, 0]
+    inverse = np.linalg.pinv(matrix.T @ matrix, rcond=1e-6, hermitian=True)
+    step = inverse @ (matrix.T @ off)
+    variance = float(np.sum((off - matrix @ step) ** 2)) / table.shape[0]
+    size, explained = float(np.hypot(*step)), float(np.sum((matrix @ step) ** 2))
+    seen = np.sqrt(explained / table.shape[0]) > 0.1 * UNEVEN  # else links turn too little to tell
+    if np.expm1(2.0 * size) <= UNEVEN or explained <= BEYOND**2 * variance or not seen:
+        return ""
+    direction = 0.5 * np.degrees(np.arctan2(step[1], step[0]))
+    return (
+        f"the markers' distances change as the links turn: lengths at {direction:.0f} degrees from +x are about "
+        f"{np.exp(2.0 * size):.3g} times those across. Pixels that are not square, x and y scaled differently, or a "
+        "camera that looks at the plane from the side make that: calibrate it."
+    )
+
+
 def failed_predictions(held_out: HeldOut | None) -> str:
     """Return a warning where held-out stretches could not be predicted."""
     if held_out is None or held_out.failed.size == 0:
@@ -165,15 +207,25 @@ def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -
     )
 
 
-def _values(parameters: Parameters, information: Information) -> list[str]:
-    none, hardly = [], []
+def hardly_known(parameters: Parameters, information: Information) -> list[tuple[str, float, float]]:
+    """Return labels, values and standard deviations of what is known to half its value only, or worse."""
     std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
-    for parameter, value, spread in zip(parameters.all, values, std, strict=True):
-        if parameter.form == "nonnegative" and value == 0.0:
-            none.append(parameter.label)
-        elif parameter.kind.form != "linear" and np.isfinite(spread) and spread > 0.5 * value:
-            hardly.append((parameter.label, value, spread))
+    return [
+        (each.label, value, spread)
+        for each, value, spread in zip(parameters.all, values, std, strict=True)
+        if each.kind.form != "linear" and np.isfinite(spread) and spread > HALF * value > 0.0
+    ]
+
+
+def _values(parameters: Parameters, information: Information) -> list[str]:
+    values = parameters.values(parameters.rounded(information.x))
+    none = [
+        each.label
+        for each, value in zip(parameters.all, values, strict=True)
+        if each.form == "nonnegative" and value == 0.0
+    ]
+    hardly = hardly_known(parameters, information)
     said = [f"{', '.join(none)} went to 0, the least allowed: the data show none of it."] if none else []
     if len(hardly) == 1:
         label, value, spread = hardly[0]
@@ -186,6 +238,7 @@ def _values(parameters: Parameters, information: Information) -> list[str]:
     return said
 
 
+HALF = 0.5  # of a value: with a standard deviation beyond, it is hardly known
 POOR = 0.05  # part of the motion that may stay unexplained: fits of real pendulums that are right leave 0.1 to 1 %
 WHITE_POOR = 0.2  # the same where what stays is white, so that it is noise
 TORQUE_POOR = 0.2  # the same of a torque: torque sensors, and currents in place of them, are not better

@@ -24,6 +24,8 @@ BETTER = 0.5  # part of the residual that a slip must leave at most to be named
 FITS = 0.05  # of the motion: what leaves more explains nothing
 SHORTER, WINDOWS, ROUNDS = 4.0, 6, 12  # of a short fit: its first windows, how many, and rounds at most
 SMALL, LARGE = 0.06, 2.0  # rad: half a turn read as degrees, and degrees read as radians that are hardly a swing
+GAIN, LEAST_GAIN = 0.3, 0.005  # logarithms of factors of angles: tried, and told
+AS_GOOD = 1.1  # times the residual of a fit with stiffness that angles with a factor may leave
 RIGHT_ANGLE = 10.0  # degrees by which a gravity may miss one that was turned by 90
 SKEWED = ("gravity_scale", "gravity_angle")  # a wrong clock or scale, a camera that is not level
 
@@ -135,6 +137,34 @@ class ShortFit:
         if found is None or lumped(plant.parameters.rope(x))[0][0] <= 0.0:
             return np.inf, x
         return part_left(windows, found.residuals), x
+
+
+def scaled_angles(recording: Recording, left: ShortFit) -> str:
+    """Return in words that angles read too large or too small explain as much as a stiffness that was freed.
+
+    A pendulum whose angles are read 10 % too large seems to swing faster with its amplitude than gravity makes it. So
+    does one with a spring. Nothing is said where the guess has a stiffness, or where one explains clearly more.
+    """
+    words = [word for word in left.free if word.partition("[")[0].partition(":")[0] != "stiffness"]
+    if recording.kind != "angles" or len(words) == len(left.free) or left.rope.stiffness.any():
+        return ""
+    from scipy.optimize import minimize_scalar
+
+    plain = replace(left, free=words)
+
+    def part(log: float) -> float:
+        factor = float(np.exp(log))
+        noise = None if recording.noise is None else recording.noise * factor
+        return plain(replace(recording, data=recording.data * factor, noise=noise, rates=None))[0]
+
+    found = minimize_scalar(part, bounds=(-GAIN, GAIN), method="bounded", options={"xatol": 2e-3, "maxiter": 12})
+    factor, least = float(np.exp(found.x)), float(found.fun)
+    if abs(found.x) < LEAST_GAIN or least > AS_GOOD * left(recording)[0]:
+        return ""
+    return (
+        f"stiffness was freed, but angles multiplied by {factor:.3g} explain the recording as well without any: check "
+        "what an angle of the sensor is in radians, or name what is free."
+    )
 
 
 def explained(recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit, *, named: bool) -> str:

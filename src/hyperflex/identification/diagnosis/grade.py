@@ -19,6 +19,7 @@ PERSISTENCE = 0.5  # of the error of a prediction that nothing moves on
 UNSURE = 0.1  # of a friction
 INSIDE = 0.5  # part of the predicted values in the band that should hold 95 %
 FORETOLD = 0.9  # the same: the error is as foretold, and what moves is hardly more than noise
+NAMED = 4  # labels of what is hardly known
 LEFT_OUT = 0.2  # part of the windows
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
 
@@ -61,6 +62,7 @@ def grade(
     noise: str = "",
     scale: str = "",
     laws: tuple[float, str] = (0.0, ""),
+    hardly: Sequence[str] = (),
     moved: float = 0.0,
     turned: float = 0.0,
     left_out: float = 0.0,
@@ -83,6 +85,8 @@ def grade(
         What fixes the scale of the values, if they are known.
     laws : (float, str)
         By what part of its value friction may change if another law is free too, and which.
+    hardly : sequence of str
+        What is known to half of its value only, or worse.
     moved : float
         By what part the model's error may move ratios of moments and inertias.
     turned : float
@@ -92,6 +96,13 @@ def grade(
     """
     wrong = [*_impossible(rope), *misdeclared(tests), *(each for each in warnings if each), *_mispredicted(held_out)]
     suspicion, doubts = [*_turned(turned), *_slightly(tests), *_untested(tests)], _doubts(laws, moved, left_out)
+    if hardly:
+        verb = "is" if len(hardly) == 1 else "are"
+        more = f" and {len(hardly) - NAMED} more" if len(hardly) > NAMED else ""
+        suspicion.append(
+            f"{', '.join(hardly[:NAMED])}{more} {verb} hardly known: the standard deviation is half of the value or "
+            "more."
+        )
     if noise:
         suspicion.insert(0, noise)
     if wrong:
