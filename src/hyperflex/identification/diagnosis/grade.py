@@ -109,6 +109,9 @@ def grade(
         return Grade("do not use", (*wrong, *suspicion, *doubts))
     if identifiable:
         scaled = [f"masses, inertias and frictions are in proportion to {scale}; no motion tests that."] * bool(scale)
+        places = next((each.sway for each in tests if each.name == "com"), 0.0)
+        if scale and places > 0.0:
+            scaled = [f"{scaled[0][:-1]}, and 1 % of a centre of mass moves ratios by up to {100.0 * places:.2g} %."]
         return Grade("usable", (*suspicion, *scaled, *doubts))
     common = "without a known force or torque, or a mass that is held, values share what this motion cannot tell."
     return Grade("usable for ratios", (*suspicion, common, *doubts))

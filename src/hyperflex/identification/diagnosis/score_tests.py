@@ -29,6 +29,7 @@ PER_CENT = 0.01
 MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
 TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
 FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
+HELD = ("gravity_scale", "com")  # what 1 % of is told, as far as the motion cannot test it
 HIDING = 2  # refits that are tested again, each with one thing more freed
 TINY = 1e-8  # part of the largest singular value below which a direction is none
 
@@ -53,15 +54,15 @@ class ScoreTest:
         Change of the fit's x that freeing it makes, to first order.
     open : (P,) float64
         Standard deviations of x that freeing it adds.
-    rate : (P,) float64
-        Change of the fit's x by each unit of the first of its x.
+    rate : (P, k) float64
+        Change of the fit's x by each unit of its own x.
     surplus : float
         Part of the gain that noise does not explain, 0 to 1.
     sure : bool
         Whether residuals were white, so that noise is known.
     sway : float
-        Of a gravity scale: relative change of a ratio J/p1 or p/p1 by each 1 % of it, the greatest of those that are
-        beyond twice their standard deviation; 0 where none is.
+        Of a gravity scale or centres of mass: relative change of a ratio J/p1 or p/p1 by each 1 % of them, the greatest
+        of those that are beyond twice their standard deviation; 0 where none is.
     beside : tuple of str
         What had to be free as well before the data asked for this.
     """
@@ -73,7 +74,7 @@ class ScoreTest:
     std: float = np.inf
     shift: Array = field(default_factory=lambda: np.zeros(0))
     open: Array = field(default_factory=lambda: np.zeros(0))
-    rate: Array = field(default_factory=lambda: np.zeros(0))
+    rate: Array = field(default_factory=lambda: np.zeros((0, 0)))
     surplus: float = 0.0
     sure: bool = False
     sway: float = 0.0
@@ -149,7 +150,7 @@ def _refitted_tests(basis: Basis) -> list[ScoreTest]:
     found: list[ScoreTest] = []
     for words in _words(basis.plant):
         found += _tested(basis, words)
-    found = [replace(each, sway=_sway(basis, each)) if each.name == "gravity_scale" else each for each in found]
+    found = [replace(each, sway=_sway(basis, each)) if each.name in HELD else each for each in found]
     found.sort(key=lambda each: -each.gain)
     white = basis.information.whiteness >= CHANCE
     for k, each in enumerate(found[:REFITS]):
@@ -159,12 +160,14 @@ def _refitted_tests(basis: Basis) -> list[ScoreTest]:
 
 
 def _sway(basis: Basis, test: ScoreTest) -> float:
-    """Return by what part 1 % of a gravity scale moves a ratio that is said to be known better; 0 for none."""
+    """Return by what part 1 % of what was held moves a ratio that is said to be known better; 0 for none."""
     parameters, information = basis.plant.parameters, basis.information
     gradients, known = ratio_gradients(parameters, information.x), ratios(parameters.rope(information.x))
     worst = 0.0
     for name in ("J/p1", "p/p1"):
-        moved, std = np.abs(gradients[name] @ test.rate) * PER_CENT, information.spread(gradients[name])
+        size = 1.0 if test.name == "gravity_scale" else np.abs(test.values)
+        moved = np.max(np.abs(gradients[name] @ (test.rate * size)), axis=1) * PER_CENT
+        std = information.spread(gradients[name])
         beyond = (moved > 2.0 * std) & (std > 0.0)
         worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
     return worst
@@ -287,9 +290,8 @@ def _tested(basis: Basis, words: Sequence[str]) -> list[ScoreTest]:
         label = group[0].label if group[0].law != "own" or len(group[0].links) > 1 else word
         with np.errstate(over="ignore"):
             values = [parameter.value(each) for parameter, each in zip(group, moved, strict=True)]
-        rate = np.zeros(basis.fit.x.size)
-        if np.isfinite(scale[own[0]]):
-            rate[free] = -across[0] / scale[free] * scale[own[0]]
+        rate = np.zeros((basis.fit.x.size, len(own)))
+        rate[free] = -across.T / scale[free, None] * np.where(np.isfinite(scale[own]), scale[own], 0.0)
         each = ScoreTest(label, min(gain, 1.0), np.array(values), shift=shift, open=opened, surplus=surplus, rate=rate)
         tests.append(replace(each, std=_std(information, noise, [p.scale for p in group] / scale[own])))
     return tests
