@@ -7,7 +7,8 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.diagnosis.grade import Grade, grade
-from hyperflex.identification.diagnosis.score_tests import ScoreTest, law_error
+from hyperflex.identification.diagnosis.model_error import law_error
+from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut

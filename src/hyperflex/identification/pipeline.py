@@ -16,7 +16,8 @@ from hyperflex.identification.assembly import assemble_result
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, scaled_angles, suspicious
 from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
 from hyperflex.identification.diagnosis.grade import misdeclared
-from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests, with_model_error
+from hyperflex.identification.diagnosis.model_error import with_model_error
+from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
 from hyperflex.identification.fit.multiple_shooting import Report, one_thread

@@ -10,7 +10,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.multiple_shooting import Fit, fit, linearise
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.names import parse
-from hyperflex.identification.model.parameters import Parameter, Parameters, lumped
+from hyperflex.identification.model.parameters import Parameter, Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import Mask
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance, ratio_gradients, ratios
@@ -22,8 +22,6 @@ REFITS, ROUNDS, WINDOWS = 3, 8, 12  # refits at most, rounds of each, and window
 FEW = 4  # links, up to which each has its own value in a test
 LAWS = tuple(each.name for each in RESISTANCES)
 SURE = 0.93  # the same of white residuals, from which something does not fit: 14 times what chance gains
-ASKED = 0.67  # of a gain that noise does not explain: three times what chance gains, one in 25 right fits of a law
-FLOOR = 5e-4  # relative: no clock, length or weight of a real rope is known better; 0.06 % was seen of a good pendulum
 EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much is believed
 PER_CENT = 0.01
 MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
@@ -31,6 +29,7 @@ TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
 FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
 HELD = ("gravity_scale", "com")  # what 1 % of is told, as far as the motion cannot test it
 HIDING = 2  # refits that are tested again, each with one thing more freed
+SLIGHT = 0.01  # of lengths: what seems so much off behind something else may be one more law that was left out
 TINY = 1e-8  # part of the largest singular value below which a direction is none
 
 
@@ -90,7 +89,16 @@ class ScoreTest:
         """Whether ratios would move by more than is of no account, or gravity turn."""
         if self.name == "gravity_scale" and abs(np.log(max(float(self.values[0]), 1e-9))) > np.log(FARTHEST):
             return False  # no clock is so wrong: something else does not fit
+        if self.slight:
+            return False
         return self.moved > MOVES or (self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED)
+
+    @property
+    def slight(self) -> bool:
+        """Whether lengths seem hardly off, and only if something else is free as well."""
+        if self.name != "gravity_scale" or not (self.beside and self.refitted):
+            return False
+        return abs(np.log(max(float(self.values[0]), 1e-9))) <= SLIGHT
 
     @property
     def hides(self) -> bool:
@@ -130,8 +138,9 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
         freed.append(hiding)
         tests = _refitted_tests(now)
         for each in tests:
-            if each.believed and each.matters and each.name.partition(":")[0] not in LAWS:
-                later.setdefault(each.name, _within(each, basis.fit.x.size, freed))
+            each = _within(each, basis.fit.x.size, freed)  # noqa: PLW2901
+            if each.believed and (each.matters or each.slight) and each.name.partition(":")[0] not in LAWS:
+                later.setdefault(each.name, each)
     known = {each.name for each in found if each.believed}
     found = [each if each.name in known else later.pop(each.name, each) for each in found]
     found += [each for name, each in later.items() if name not in known]
@@ -171,58 +180,6 @@ def _sway(basis: Basis, test: ScoreTest) -> float:
         beyond = (moved > 2.0 * std) & (std > 0.0)
         worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
     return worst
-
-
-def with_model_error(basis: Basis, tests: Sequence[ScoreTest]) -> Basis:
-    """Return a fit whose information counts what the model leaves out, beside noise.
-
-    Each resistance that was left out and that the data ask for would move the parameters by its `shift`: that is taken
-    as a standard deviation, in proportion to how far noise does not explain what it gains. Where residuals are white,
-    or most goes away, everything else that was held or declared counts as well; where they are not, a wrong clock,
-    say, gains by what the model leaves out, and no value is taken as known better than FLOOR.
-    """
-    information, x = basis.information, basis.fit.x
-    model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
-    for each in tests:
-        law = each.name.partition(":")[0] in LAWS
-        if each.surplus > ASKED and (white or law or each.believed):
-            model += each.surplus * np.outer(each.shift, each.shift)
-    if not white:
-        model += np.diag(_floor(basis.plant.parameters, x) ** 2)
-    return replace(basis, information=replace(information, model=model))
-
-
-def _floor(parameters: Parameters, x: Array) -> Array:
-    """Return the changes of x (P,) that move moments, masses or lengths by the part FLOOR."""
-    rope = parameters.rope(x)
-    moments, inertia = lumped(rope)
-    places = np.abs(moments) / np.where(rope.mass > 0.0, rope.mass, np.inf)
-    sizes = {"inertia": inertia, "com": places, "mass": rope.mass, "length": rope.length}
-    moved = np.zeros(x.size)
-    for k, each in enumerate(parameters.all):
-        if each.name in sizes and each.law == "own":
-            moved[k] = FLOOR * sizes[each.name][list(each.links)].mean() / each.derivative(float(x[k]))
-    return moved
-
-
-def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str]:
-    """Return by what part of its value a free resistance may change if another one is free too, and that one's name.
-
-    The size of the shift, with the standard deviation that comes on top since both are hard to tell apart. (0, "")
-    where residuals are white, no resistance is free or none was tested.
-    """
-    parameters, information = basis.plant.parameters, basis.information
-    own = [k for k, each in enumerate(parameters.all) if each.name in LAWS and basis.fit.x[k] > parameters.lower[k]]
-    own = [k for k in own if parameters.all[k].kind.unit != "N m/rad"]
-    if not own or information.whiteness >= CHANCE:
-        return 0.0, ""
-    x = basis.fit.x[own]
-    parts = [
-        (float(np.max(np.hypot(each.shift, each.open)[own] / x)), each.name)
-        for each in tests
-        if each.name.partition(":")[0] in LAWS and each.shift.size
-    ]
-    return max(parts, default=(0.0, ""))
 
 
 def _words(plant: Plant) -> list[list[str]]:

@@ -1,0 +1,67 @@
+"""What a model leaves out, as an error of its parameters."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification.diagnosis.score_tests import LAWS, ScoreTest
+from hyperflex.identification.model.parameters import Parameters, lumped
+from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.identification.uncertainty.whiteness import CHANCE
+
+ASKED = 0.67  # of a gain that noise does not explain: three times what chance gains, one in 25 right fits of a law
+FLOOR = 5e-4  # relative: no clock, length or weight of a real rope is known better; 0.06 % was seen of a good pendulum
+
+
+def with_model_error(basis: Basis, tests: Sequence[ScoreTest]) -> Basis:
+    """Return a fit whose information counts what the model leaves out, beside noise.
+
+    Each resistance that was left out and that the data ask for would move the parameters by its `shift`: that is taken
+    as a standard deviation, in proportion to how far noise does not explain what it gains. Where residuals are white,
+    or most goes away, everything else that was held or declared counts as well; where they are not, a wrong clock,
+    say, gains by what the model leaves out, and no value is taken as known better than FLOOR.
+    """
+    information, x = basis.information, basis.fit.x
+    model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
+    for each in tests:
+        law = each.name.partition(":")[0] in LAWS
+        if each.surplus > ASKED and not each.slight and (white or law or each.believed):
+            model += each.surplus * np.outer(each.shift, each.shift)
+    if not white:
+        model += np.diag(_floor(basis.plant.parameters, x) ** 2)
+    return replace(basis, information=replace(information, model=model))
+
+
+def _floor(parameters: Parameters, x: Array) -> Array:
+    """Return the changes of x (P,) that move moments, masses or lengths by the part FLOOR."""
+    rope = parameters.rope(x)
+    moments, inertia = lumped(rope)
+    places = np.abs(moments) / np.where(rope.mass > 0.0, rope.mass, np.inf)
+    sizes = {"inertia": inertia, "com": places, "mass": rope.mass, "length": rope.length}
+    moved = np.zeros(x.size)
+    for k, each in enumerate(parameters.all):
+        if each.name in sizes and each.law == "own":
+            moved[k] = FLOOR * sizes[each.name][list(each.links)].mean() / each.derivative(float(x[k]))
+    return moved
+
+
+def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str]:
+    """Return by what part of its value a free resistance may change if another one is free too, and that one's name.
+
+    The size of the shift, with the standard deviation that comes on top since both are hard to tell apart. (0, "")
+    where residuals are white, no resistance is free or none was tested.
+    """
+    parameters, information = basis.plant.parameters, basis.information
+    own = [k for k, each in enumerate(parameters.all) if each.name in LAWS and basis.fit.x[k] > parameters.lower[k]]
+    own = [k for k in own if parameters.all[k].kind.unit != "N m/rad"]
+    if not own or information.whiteness >= CHANCE:
+        return 0.0, ""
+    x = basis.fit.x[own]
+    parts = [
+        (float(np.max(np.hypot(each.shift, each.open)[own] / x)), each.name)
+        for each in tests
+        if each.name.partition(":")[0] in LAWS and each.shift.size
+    ]
+    return max(parts, default=(0.0, ""))
