@@ -48,40 +48,37 @@ def assemble_result(
     parameters = plant.parameters
     x = parameters.rounded(found.x)
     rope, slopes = parameters.rope(x), parameters.derivatives(x)
-    spreads = information.deviations(slopes)
-    residuals = _residuals(basis)
-    unit = "rad" if isinstance(plant.sensor, Angles) else "m"
-    torque = None
+    residuals, torque = _residuals(basis), None
     if plant.motor is not None:
         residuals, torque = residuals[:, :-1], residuals[:, -1]
-    rms = np.sqrt(np.nanmean(residuals**2, axis=0))
     gradients, known = ratio_gradients(parameters, information.x), ratios(rope, parameters.names)
     ratio_std = {name: information.spread(gradient) for name, gradient in gradients.items()}
     moves = {name: information.model_spread(gradient) for name, gradient in gradients.items()}
     message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
-    poor = (
+    unit, declared = "rad" if isinstance(plant.sensor, Angles) else "m", settings["noise"] == "declared"
+    warnings = (
+        not_converged(message),
         poor_fit(windows, residuals, unit, found.loss, white=information.whiteness >= CHANCE),
         poor_torque(windows, torque, found.loss),
     )
     words = [
-        not_converged(message),
+        warnings[0],
         *verdict(parameters, information, ratio_std),
-        *poor,
+        *warnings[1:],
         not_noise(information.correlation, information.whiteness),
         noise_not_modelled(information.agrees, information.freedom),
         failed_predictions(held_out),
         remark,
-        too_large(information.variance, information.freedom) if settings["noise"] == "declared" else "",
+        too_large(information.variance, information.freedom) if declared else "",
         *(each.remark for each in (intervals or {}).values()),
     ]
-    warnings = (not_converged(message), *poor)
-    said = too_small(windows, residuals, found.loss) if settings["noise"] == "declared" else ""
+    said = too_small(windows, residuals, found.loss) if declared else ""
     if intervals is not None:
         intervals = intervals | of_ratios(known, ratio_std, information.freedom)
     result = Identification(
         rope=rope,
         values=_by_name(plant, rope, parameters.values(x)),
-        std=_by_name(plant, None, spreads),
+        std=_by_name(plant, None, information.deviations(slopes)),
         ratios=known,
         ratio_std=ratio_std,
         model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
@@ -91,7 +88,7 @@ def assemble_result(
         score_tests=tests,
         verdict=tuple(consistent(words)),
         identifiable=information.unknown.shape[1] == 0,
-        residual_rms=rms,
+        residual_rms=np.sqrt(np.nanmean(residuals**2, axis=0)),
         residual_t=np.concatenate([w.t for w in windows]),
         residuals=residuals,
         held_out=held_out,

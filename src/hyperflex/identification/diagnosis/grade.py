@@ -163,14 +163,14 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
 
 
 def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
-    """Return what seems declared wrongly by so little that ratios hardly move, or that something else may explain it."""
+    """Return what seems declared wrongly, but so little that ratios hardly move or something else may explain it."""
     said = []
     for each in tests:
         if each.slight and each.believed:
             said.append(
                 f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that, if "
-                f"{' and '.join(repr(name) for name in each.beside)} {'is' if len(each.beside) == 1 else 'are'} free as "
-                f"well; ratios would move by up to {100.0 * each.moved:.2g} %."
+                f"{' and '.join(repr(name) for name in each.beside)} {'is' if len(each.beside) == 1 else 'are'} free "
+                f"as well; ratios would move by up to {100.0 * each.moved:.2g} %."
             )
         if not each.believed or each.matters or each.name not in ("gravity_angle", "delay"):
             continue

@@ -138,7 +138,7 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
         freed.append(hiding)
         tests = _refitted_tests(now)
         for each in tests:
-            each = _within(each, basis.fit.x.size, freed)  # noqa: PLW2901
+            each = _within(each, basis.fit.x.size, freed)
             if each.believed and (each.matters or each.slight) and each.name.partition(":")[0] not in LAWS:
                 later.setdefault(each.name, each)
     known = {each.name for each in found if each.believed}
