@@ -98,7 +98,7 @@ class ScoreTest:
         """Whether lengths seem hardly off, and only if something else is free as well."""
         if self.name != "gravity_scale" or not (self.beside and self.refitted):
             return False
-        return abs(np.log(max(float(self.values[0]), 1e-9))) <= SLIGHT
+        return bool(abs(np.log(max(float(self.values[0]), 1e-9))) <= SLIGHT)
 
     @property
     def hides(self) -> bool:
