@@ -276,10 +276,12 @@ class Camera:
         by_adjustment[:, :, 2:] = slopes[:, :, :2]
         return Projection(pixels, by_point, by_adjustment)
 
-    def place_slopes(self, places: Array) -> tuple[Array, Array]:
+    def place_slopes(self, places: Array, adjustment: PlaneAdjustment = AS_CALIBRATED) -> tuple[Array, Array]:
         """Return the pixels (K, 2) of places (K, 2) in the swing plane, m, and the derivatives (K, 2, 2), px/m."""
-        pixels, slopes = self._project(adjusted(places, AS_CALIBRATED))
-        return pixels, slopes[:, :, :2]
+        pixels, slopes = self._project(adjusted(places, adjustment))
+        if adjustment is AS_CALIBRATED:
+            return pixels, slopes[:, :, :2]
+        return pixels, slopes[:, :, :2] @ (adjustment.scale * turn(adjustment.roll)[:2, :2])
 
     def locate(self, pixels: npt.ArrayLike, adjustment: PlaneAdjustment = AS_CALIBRATED) -> Array:
         """Return places (K, 2) in the swing plane, m, of pixels (K, 2); NaN where a pixel shows no point of it.
