@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.core.image import blobs
-from hyperflex.core.image.discriminant import discriminant
+from hyperflex.core.image import blobs, pairs
+from hyperflex.core.image.discriminant import discriminant, wall_sums
 from hyperflex.core.image.exposure import Capsules, RowTimes, expose
 
 COLOUR = np.array([[10.0, 100.0, 200.0]], np.float32)
@@ -115,3 +115,40 @@ def test_discriminant_is_fishers():
     assert out[:3] @ [60, 40, 210] + out[3] == pytest.approx(1.0)
     assert noise == pytest.approx(np.sqrt(want @ covariance @ want))
     assert discriminant(image, axes, axes @ [120.0, 130.0, 141.0], np.array([15.0, 1.5]), out) == 0.0
+
+
+def test_sums_over_the_wall():
+    """Against numpy, over a number of pixels that no SIMD register divides: rounding only."""
+    rng = np.random.default_rng(1)
+    x, y = rng.normal(100.0, 20.0, (2, 1003))
+    px, py = x - 101.0, y - 98.0
+    wall = 0.01 * px + 0.02 * py < 0.15
+    want = [wall.sum(), *(each[wall].sum() for each in (px, py, px * px, px * py, py * py))]
+    assert np.allclose(wall_sums(x, y, 101.0, 98.0, 0.01, 0.02, 0.15), want, rtol=1e-12)
+
+
+def test_costs_of_pairs_and_swaps_are_those_of_their_innovations():
+    """Against the joint innovation written out: d' S^-1 d + log det S of each pair, and the whole cost of each swap."""
+    rng = np.random.default_rng(2)
+    places, mean, unseen = rng.uniform(0.0, 9.0, (3, 2)), rng.uniform(0.0, 9.0, (3, 2)), rng.normal(size=3)
+    root = rng.normal(size=(6, 6))
+    prior, wide = (
+        root @ root.T + np.eye(6),
+        np.array([[[2.0, 0.3], [0.3, 1.0]]]) * np.array([1.0, 2.0, 3.0])[:, None, None],
+    )
+    cost = np.empty((3, 3))
+    pairs.pair_costs(places, wide, mean, prior, unseen, 4.0, 1e9, cost)
+    for k in range(3):
+        for j in range(3):
+            S, off = prior[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] + wide[j], places[j] - mean[k]
+            far = off @ np.linalg.solve(S, off)
+            assert cost[k, j] == pytest.approx(1e9 if far > 4.0 else far + np.log(np.linalg.det(S)) + unseen[j])
+    assert 0 < (cost == 1e9).sum() < 9
+    precision = np.linalg.inv(prior + np.kron(np.eye(3), wide[0]))
+    off, dearer = (places - mean).ravel(), np.zeros((3, 3))
+    pairs.swap_costs(places, precision, precision @ off, dearer)
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        order = np.arange(3)
+        order[[a, b]] = b, a
+        swapped = (places[order] - mean).ravel()
+        assert dearer[a, b] == pytest.approx(swapped @ precision @ swapped - off @ precision @ off)

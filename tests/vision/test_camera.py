@@ -45,6 +45,22 @@ def test_projection_by_hand():
     assert np.abs(camera.project(POINTS) - want).max() < 1e-9
 
 
+@pytest.mark.parametrize("count", [4, 5, 8])
+def test_projection_is_opencvs(count):
+    """With each kind of distortion, on and off the plane: rounding only. And the way back."""
+    values = np.array([0.1, -0.2, 0.001, -0.002, 0.05, 0.03, -0.02, 0.01])[:count]
+    camera, points = replace(tilted(), distortion=values), np.column_stack([POINTS, 0.1 * POINTS[:, 0]])
+    want, slopes = cv2.projectPoints(points, camera.rotation, camera.translation, camera.matrix, values)
+    got = camera.linearize(points)
+    assert np.abs(got.pixels - want[:, 0]).max() < 1e-9
+    assert np.abs(got.by_point - (slopes[:, 3:6] @ camera.axes[0]).reshape(-1, 2, 3)).max() < 1e-8
+    assert np.abs(camera.locate(camera.project(POINTS)) - POINTS).max() < 1e-10
+    pixels, by_place = camera.place_slopes(POINTS, ADJUSTED)
+    adjusted = camera.linearize(POINTS, ADJUSTED)
+    assert np.abs(pixels - adjusted.pixels).max() == 0.0
+    assert np.abs(by_place - adjusted.by_point).max() < 1e-9
+
+
 @pytest.mark.parametrize("size", [2, 3])
 def test_derivatives_are_those_of_the_projection(size):
     """Central differences of step 1e-6: rounding of 1e-10 px over 1e-6, so 1e-3 is loose and 1e-5 is what is left."""

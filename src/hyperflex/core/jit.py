@@ -4,6 +4,7 @@ import functools
 import hashlib
 import sys
 from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -66,8 +67,13 @@ def non_allocating(function: _F) -> _F:
     return _compiled(function, counts=False)
 
 
-def _compiled(function: _F, counts: bool = True) -> _F:
-    options: dict[str, Any] = {"error_model": "numpy", "fastmath": _FASTMATH, "nogil": True}
+def summing(function: _F) -> _F:
+    """Compile a kernel whose sums are taken in any order, so that they turn into SIMD code. It must call no sines."""
+    return _compiled(function, more={"reassoc"})
+
+
+def _compiled(function: _F, counts: bool = True, more: AbstractSet[str] = frozenset()) -> _F:
+    options: dict[str, Any] = {"error_model": "numpy", "fastmath": _FASTMATH | more, "nogil": True}
     if numba.config.DISABLE_JIT:
         return function
     KERNELS.append((function.__module__, function.__qualname__))

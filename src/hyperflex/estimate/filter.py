@@ -149,8 +149,9 @@ class RopeFilter:
         carried = [self.factor, *self._by_noise.rows]
         with np.errstate(over="ignore", invalid="ignore"):
             if self._detector is None:
-                x, rows = self.process.carry(self.x, np.concatenate(carried), begin, end)
-                transition = np.zeros((0, 0))
+                shares, transition = self._by_noise.shares(self.factor, self._least), np.zeros((0, 0))
+                x, moved = self.process.carry(self.x, self.factor, begin, end)
+                rows = np.concatenate([moved, shares @ moved])
             else:
                 x, columns = self.process.carry(self.x, np.eye(self.x.size), begin, end)
                 transition, rows = columns.T, np.concatenate(carried) @ columns

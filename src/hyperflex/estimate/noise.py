@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg.lapack import dposv
 
 from hyperflex.checks import Array
 from hyperflex.estimate import square_root as sr
@@ -14,6 +15,7 @@ LEAST, MOST = 1e-4, 1e4  # times the first guess of a noise level
 QUIET = 0.02  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
 AT_REST = 0.5  # of the declared noise of places: where a rope rests, it is the same in each frame, and does not show
 LATELY = 10.0  # frames over which the information of one is averaged: it falls with the level
+TINY = 1e-2  # of what is negligible, squared: so much rows that depend on each other are kept apart
 LONGEST = 1.0  # largest change of a logarithm in one frame
 
 
@@ -105,6 +107,16 @@ class NoiseDerivatives:
     def rows(self) -> list[Array]:
         """What a prediction carries on: rows (r, N) of each kind's covariance, and those of the state (kinds, N)."""
         return [*self._covariance, self._x]
+
+    def shares(self, factor: Array, least: Array) -> Array:
+        """Return C (sum of r, s), for which C factor are the `rows` but for what is negligible.
+
+        No noise ever added what the filter's covariance has not, so they lie where its rows (s, N) do.
+        """
+        even = factor / least
+        grown = even @ even.T
+        grown.flat[:: len(grown) + 1] += TINY
+        return np.asarray(dposv(grown, even @ (np.concatenate(self.rows) / least).T)[1].T)
 
     def reset(self) -> None:
         """Begin anew."""

@@ -122,6 +122,8 @@ class ParameterStates:
         rows : (r, N) float64
             Their squares are its covariance.
         """
+        if not self.names:
+            return {}
         first = x.size - len(self)
         std, known = np.linalg.norm(rows[:, first:], axis=0), (self.std > 0.0) | (x[first:] != 0.0)
         least = np.hypot(std, self.least(x[first:]))
@@ -148,6 +150,8 @@ class ParameterStates:
 
     def arc_lengths(self, arc_lengths: Array, values: Array) -> Array:
         """Return where on the rope markers sit (K,), m, at values (P,); `arc_lengths` where all values are 0."""
+        if not any(name == "length" or name.startswith("arc[") for name in self.names):
+            return arc_lengths
         moved = [self.value(f"arc[{k}]", values) for k in range(len(arc_lengths))]
         return np.asarray(arc_lengths * (1.0 + self.value("length", values)) + moved)
 

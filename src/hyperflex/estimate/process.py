@@ -1,6 +1,7 @@
 """The motion of rope and parameters from one time to another, with its derivatives and its noise."""
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -70,8 +71,10 @@ class Process:
         self._moment, self._base = np.nan, np.zeros((3, 2))  # when the first joint was looked at last, and where it was
         beyond = (np.cumsum(rope.length[::-1])[::-1] - 0.5 * rope.length) / rope.total_length
         end = (END / (beyond + END)) ** 1.5
-        self._shapes = smooth_shapes(rope, CORRELATION), smooth_shapes(rope, END_CORRELATION, end)
-        self.noise_ends = np.cumsum([2 * len(each) for each in self._shapes])
+        shapes = smooth_shapes(rope, CORRELATION), smooth_shapes(rope, END_CORRELATION, end)
+        self.noise_ends = np.cumsum([2 * len(each) for each in shapes])
+        self._kind = np.repeat([0, 1], [2 * len(each) for each in shapes])
+        self._turning, self._moving = _disturbances(shapes, 2 * rope.n_links + len(parameters))
 
     def copy(self) -> "Process":
         """Return another one, for other values of the parameters."""
@@ -184,13 +187,13 @@ class Process:
             Of the links' angular accelerations, rad/s^2 per square root of Hz: of disturbances along the whole rope,
             and of those at its free end (one number: for both). The rows of both end at `noise_ends`.
         """
-        n, last = self.rope.n_links, self.noise_ends[-1]
-        rows = np.zeros((last + self._walk.size * int(self._walk.any()), 2 * n + self._walk.size))
-        for end, level, shapes in zip(self.noise_ends, np.broadcast_to(density, (2,)), self._shapes, strict=True):
-            moved, turned = rows[end - 2 * len(shapes) : end - len(shapes)], rows[end - len(shapes) : end]
-            moved[:, n : 2 * n] = level * np.sqrt(dt) * shapes
-            moved[:, :n], turned[:, :n] = 0.5 * dt * moved[:, n : 2 * n], dt / np.sqrt(12.0) * moved[:, n : 2 * n]
-        np.fill_diagonal(rows[last:, 2 * n :], self._walk * np.sqrt(dt))
+        last = self.noise_ends[-1]
+        level = math.sqrt(dt) * (np.asarray(density) * np.ones(2))[self._kind]
+        disturbed = level[:, None] * (self._turning + dt * self._moving)
+        if not self._walk.any():
+            return np.asarray(disturbed)
+        rows = np.concatenate([disturbed, np.zeros((self._walk.size, disturbed.shape[1]))])
+        np.fill_diagonal(rows[last:, 2 * self.rope.n_links :], self._walk * math.sqrt(dt))
         return rows
 
     def kicks(self, q: Array, arms: Array) -> Array:
@@ -251,6 +254,22 @@ def smooth_shapes(rope: Rope, correlation: float, size: npt.ArrayLike = 1.0) -> 
     values, vectors = np.linalg.eigh(scale[:, None] * likeness * scale)
     large = values > NEGLIGIBLE * values[-1]
     return np.asarray(np.sqrt(values[large])[:, None] * vectors[:, large].T)
+
+
+def _disturbances(kinds: Sequence[Array], size: int) -> tuple[Array, Array]:
+    """Return rows A, B (r, size): A + dt B, times sqrt(dt), is what white accelerations of each shape do in dt.
+
+    Of each shape (n,) there are two rows, those of all shapes of a kind (s, n) one after the other: of the rates and
+    the half of the angles that goes with them, and of the rest of the angles.
+    """
+    turning, moving = np.zeros((2, 2 * sum(map(len, kinds)), size))
+    first = 0
+    for shapes in kinds:
+        middle, n = first + len(shapes), shapes.shape[1]
+        turning[first:middle, n : 2 * n], moving[first:middle, :n] = shapes, 0.5 * shapes
+        moving[middle : middle + len(shapes), :n] = shapes / math.sqrt(12.0)
+        first = middle + len(shapes)
+    return turning, moving
 
 
 def turning_rate(rope: Rope) -> float:

@@ -275,7 +275,7 @@ class RopeTracker(CameraTracker):
         if not np.isfinite(predicted).all():
             return None
         adjustment, (relative, absolute) = self.adjustment, self._doubt_of_lengths()
-        slopes = self.camera.linearize(self.camera.locate(predicted, adjustment), adjustment).by_point
+        slopes = self.camera.place_slopes(self.camera.locate(predicted, adjustment), adjustment)[1]
         (a, b), (c, d) = slopes.transpose(1, 2, 0)
         scale = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))  # the greater singular value
         rope = (1.0 + relative) * np.abs(np.diff(self._arc_lengths())) + absolute
@@ -286,6 +286,8 @@ class RopeTracker(CameraTracker):
         """Return where on the rope markers sit (K,), m, as far as that is estimated and can be."""
         declared = self.estimator.model.arc_lengths
         found = self.estimator.parameters.arc_lengths(declared, self.values)
+        if found is declared:
+            return declared
         return found if (np.diff(found, prepend=0.0)[declared > 0.0] > 0.0).all() else declared
 
     def _doubt_of_lengths(self) -> tuple[float, float]:
@@ -311,7 +313,7 @@ class RopeTracker(CameraTracker):
         slopes = before[:, None, :] * steps
         wide = np.zeros((n, n)) if state.covariance is None else state.covariance[:n, :n]
         places = base + before @ np.stack([steps[1], -steps[0]], axis=1)
-        pixels, by_place, _ = self.camera.linearize(places, self.adjustment)
+        pixels, by_place = self.camera.place_slopes(places, self.adjustment)
         seen = by_place @ slopes
         return pixels, seen @ wide @ seen.transpose(0, 2, 1)
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.core.image import pairs
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.markers import Observations
 
@@ -85,8 +86,10 @@ def assign_markers(
     swapped pair is nearly as likely get the mean and covariance over both explanations (a joint probabilistic data
     association of pairs; Bar-Shalom, Fortmann 1988).
     """
-    mean = checks.array("predicted", predicted, (-1, 2), unit="px")
+    mean = checks.array("predicted", predicted, (-1, 2), unit="px").copy()
     count = mean.shape[0]
+    places, covariances = (np.array(each, np.float64, order="C") for each in (seen.places, seen.covariances))
+    seen = seen._replace(places=places, covariances=covariances)
     prior = _joint(covariance, count)
     p = checks.number("gate_probability", gate_probability, sign="positive")
     if p >= 1.0:
@@ -110,7 +113,7 @@ def assign_markers(
 
 def _joint(covariance: npt.ArrayLike, count: int) -> Array:
     """Return the covariance of all predictions together (2 K, 2 K)."""
-    given = np.asarray(covariance, dtype=np.float64)
+    given = np.array(covariance, dtype=np.float64, order="C")
     if given.shape == (2 * count, 2 * count):
         return given
     each = checks.array("covariance", given, (count, 2, 2), unit="px^2")
@@ -191,11 +194,12 @@ def _settle(
         full[:, :many] = cost
         full[np.arange(count), many + np.arange(count)] = 0.0  # not seen
         rows, columns = linear_sum_assignment(full)
-        pairs = np.column_stack([rows, columns])[columns < many]
-        if not len(pairs):
+        rows, columns = rows[columns < many], columns[columns < many]
+        if not rows.size:
             break
-        margins = _margins(cost)[pairs[:, 0], pairs[:, 1]]
-        k, j = pairs[margins > CLEAR if margins.max() > CLEAR else [int(np.argmax(margins))]].T
+        margins = _margins(cost)[rows, columns]
+        clear = margins > CLEAR if margins.max() > CLEAR else [int(np.argmax(margins))]
+        k, j = rows[clear], columns[clear]
         indices[k], taken[j] = j, True
         if (indices >= 0).all() or taken.all():
             break
@@ -211,15 +215,9 @@ def _settle(
 
 def _costs(seen: Observations, mean: Array, P: Array, gate: float, unseen: Array) -> Array:
     """Return the cost (K, M) of each pair against marker unseen and blob of clutter; outside the gate: forbidden."""
-    count = len(mean)
-    own = P.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
-    S = own[:, None] + seen.covariances[None]
-    off = seen.places[None] - mean[:, None]
-    a, b, d = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
-    determinant = a * d - b * b
-    squared = (d * off[..., 0] ** 2 - 2.0 * b * off[..., 0] * off[..., 1] + a * off[..., 1] ** 2) / determinant
-    cost = squared + np.log(determinant) + unseen
-    return np.where(squared > gate, _FORBIDDEN, cost)
+    cost = np.empty((len(mean), len(seen.places)))
+    pairs.pair_costs(seen.places, seen.covariances, mean, P, unseen, gate, _FORBIDDEN, cost)
+    return cost
 
 
 def _margins(cost: Array) -> Array:
@@ -267,16 +265,11 @@ def _spread_swaps(
     if found.size < 2:
         return swappable
     off, S, _ = _innovation(seen, mean, prior, indices, found)
-    precision = np.linalg.inv(S)
-    pull = (precision @ off).reshape(-1, 2)
-    blocks = precision.reshape(found.size, 2, found.size, 2).transpose(0, 2, 1, 3)
-    own = blocks[np.arange(found.size), np.arange(found.size)]
-    between = seen.places[indices[found]][None] - seen.places[indices[found]][:, None]
-    stiffness = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
-    bent = (stiffness @ between[..., None])[..., 0]
-    dearer = ((2.0 * (pull[:, None] - pull[None]) + bent) * between).sum(axis=2)  # the swapped pair than this one
-    for a, b in np.argwhere(np.triu(dearer < UNSURE, 1)).tolist():
-        one, two, step = found[a], found[b], between[a, b]
+    precision, dearer = np.linalg.inv(S), np.full((found.size, found.size), np.inf)  # the swapped pair than this one
+    there = seen.places[indices[found]]
+    pairs.swap_costs(there, precision, precision @ off, dearer)
+    for a, b in np.argwhere(dearer < UNSURE).tolist():
+        one, two, step = found[a], found[b], there[b] - there[a]
         swappable[[one, two]] = True
         share = 1.0 / (1.0 + math.exp(0.5 * max(float(dearer[a, b]), 0.0)))  # probability of the swapped pair
         spread = share * (1.0 - share) * np.outer(step, step)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
+from hyperflex.core.image import projection
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.vision.plane import (
@@ -31,7 +32,6 @@ DIRECTIONS = ("down", "up", "right", "left")  # in which rows or columns are rea
 TIMING = ("exposure", "readout", "readout_direction", "delay")
 _DISTORTION_SIZES = (4, 5, 8)
 _FACING = np.diag([1.0, -1.0, -1.0])  # plane: x right, y up, z to the viewer; camera: x right, y down, z forward
-_NEWTON_STEPS, _NEWTON_TOLERANCE = 12, 1e-9  # px
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,6 +224,14 @@ class Camera:
         rotation, translation = self.axes
         return np.linalg.inv(np.column_stack([rotation[:, :2], translation]))
 
+    @cached_property
+    def _lens(self) -> Array:
+        """Pose, matrix and distortion (24,) as kernels take them."""
+        lens, (rotation, translation) = np.zeros(projection.LENS), self.axes
+        lens[:9], lens[9:12], lens[12:16] = rotation.ravel(), translation, self.matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
+        lens[16 : 16 + self.distortion.size] = self.distortion
+        return lens
+
     @property
     def pixels_per_metre(self) -> float:
         """Scale at the plane's origin, px/m: the root of the area that a square metre has there."""
@@ -268,37 +276,21 @@ class Camera:
         by_adjustment[:, :, 2:] = slopes[:, :, :2]
         return Projection(pixels, by_point, by_adjustment)
 
-    def place_slopes(self, places: Array) -> tuple[Array, Array]:
+    def place_slopes(self, places: Array, adjustment: PlaneAdjustment = AS_CALIBRATED) -> tuple[Array, Array]:
         """Return the pixels (K, 2) of places (K, 2) in the swing plane, m, and the derivatives (K, 2, 2), px/m."""
-        pixels, slopes = self._project(adjusted(places, AS_CALIBRATED))
-        return pixels, slopes[:, :, :2]
+        pixels, slopes = self._project(adjusted(places, adjustment))
+        if adjustment is AS_CALIBRATED:
+            return pixels, slopes[:, :, :2]
+        return pixels, slopes[:, :, :2] @ (adjustment.scale * turn(adjustment.roll)[:2, :2])
 
     def locate(self, pixels: npt.ArrayLike, adjustment: PlaneAdjustment = AS_CALIBRATED) -> Array:
         """Return places (K, 2) in the swing plane, m, of pixels (K, 2); NaN where a pixel shows no point of it.
 
-        Newton's method on :meth:`linearize` from the undistorted pixel; its derivative is the inverse of ``by_point``.
+        The derivative is the inverse of ``by_point`` of :meth:`linearize`.
         """
-        import cv2
-
-        seen = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-        if not len(seen):  # OpenCV takes no empty arrays
-            return np.empty((0, 2))
-        ideal = cv2.undistortPoints(np.ascontiguousarray(seen)[:, None], self.matrix, self.distortion)
-        rays: Array = cv2.convertPointsToHomogeneous(ideal)[:, 0] @ self._to_plane.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            places = rays[:, :2] / rays[:, 2:]
-        error = np.full(len(seen), np.nan)
-        for _ in range(_NEWTON_STEPS):
-            found, slopes = self._project(adjusted(places, AS_CALIBRATED))
-            missed = seen - found
-            error = np.abs(missed).max(axis=1, initial=0.0)
-            if not (error > _NEWTON_TOLERANCE).any():
-                break
-            a, b, c, d = slopes[:, 0, 0], slopes[:, 0, 1], slopes[:, 1, 0], slopes[:, 1, 1]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                step = np.stack([d * missed[:, 0] - b * missed[:, 1], a * missed[:, 1] - c * missed[:, 0]], axis=1)
-                places = places + step / (a * d - b * c)[:, None]
-        places[~(error <= 1e-6)] = np.nan
+        seen = np.array(pixels, dtype=np.float64, order="C").reshape(-1, 2)
+        places = np.empty_like(seen)
+        projection.locate(seen, self._lens, self._to_plane, places)
         if adjustment is AS_CALIBRATED:
             return places
         offset = np.asarray(adjustment.offset, dtype=np.float64)
@@ -335,15 +327,6 @@ class Camera:
 
     def _project(self, places: Array) -> tuple[Array, Array]:
         """Return pixels (K, 2) of places (K, 3), and their derivatives by these (K, 2, 3)."""
-        import cv2
-
-        rotation, translation = self.axes
-        if not len(places):
-            return np.zeros((0, 2)), np.zeros((0, 2, 3))
-        pixels, jacobian = cv2.projectPoints(places, self.rotation, translation, self.matrix, self.distortion)
-        slopes = (jacobian[:, 3:6] @ rotation).reshape(-1, 2, 3)  # by the translation, so by what the point moves
-        pixels = pixels.reshape(-1, 2)
-        before = places @ rotation[2] + translation[2] > 0.0
-        if not before.all():
-            pixels[~before], slopes[~before] = np.nan, np.nan
+        pixels, slopes = np.empty((len(places), 2)), np.empty((len(places), 2, 3))
+        projection.project(places, self._lens, pixels, slopes)
         return pixels, slopes

@@ -9,6 +9,7 @@ COLUMNS = COLOUR + 3
 LARGEST = 64  # blobs in one picture, 255 at most
 GROWTH = 2  # px beyond the threshold that still count
 FAINT = 0.2  # of a blob's greatest weight: less is no part of it
+PIECE = 32  # pixels that are looked at together, whether any is above the threshold
 FULLY = 0.85  # weight from which a pixel shows the marker alone
 
 
@@ -16,9 +17,9 @@ FULLY = 0.85  # weight from which a pixel shows the marker alone
 def weigh(image, functional, weights):  # type: ignore[no-untyped-def]
     """Set weights (h, w) to functional[:3] . colour + functional[3] of image (h, w, 3), uint8."""
     a, b, c, d = functional[0], functional[1], functional[2], functional[3]
-    for v in range(image.shape[0]):
-        for u in range(image.shape[1]):
-            weights[v, u] = a * image[v, u, 0] + b * image[v, u, 1] + c * image[v, u, 2] + d
+    channels, flat = image.reshape(-1), weights.reshape(-1)
+    for i in range(flat.size):
+        flat[i] = a * channels[3 * i] + b * channels[3 * i + 1] + c * channels[3 * i + 2] + d
 
 
 @kernel
@@ -48,7 +49,7 @@ def blob_moments(image, weights, threshold, out):  # type: ignore[no-untyped-def
     their shares, and the mean is not displaced.
     """
     h, w = weights.shape
-    label, members = np.zeros((h, w), np.uint8), np.empty(h * w, np.int64)
+    label, members = np.zeros((h, w), np.uint8), np.empty((h * w, 2), np.int32)
     _, size = label_blobs(weights, threshold, label, members, out.shape[0])
     sure = weights.copy()
     drop_faint(sure, label, members, size)
@@ -58,7 +59,7 @@ def blob_moments(image, weights, threshold, out):  # type: ignore[no-untyped-def
         size = grow(label, members, size)
     out[:] = 0.0
     for i in range(size):
-        v, u = members[i] // w, members[i] % w
+        v, u = members[i, 0], members[i, 1]
         x, row = weights[v, u], out[label[v, u] - 1]
         row[AREA] += x
         row[MEAN_U] += x * u
@@ -78,7 +79,7 @@ def blob_moments(image, weights, threshold, out):  # type: ignore[no-untyped-def
         for c in range(3):
             row[COLOUR + c] /= max(row[FULL], 1.0)
     for i in range(size):
-        v, u = members[i] // w, members[i] % w
+        v, u = members[i, 0], members[i, 1]
         row = out[label[v, u] - 1]
         du, dv, share = u - row[MEAN_U], v - row[MEAN_V], weights[v, u] / row[AREA]
         row[COV_UU] += share * du * du
@@ -92,30 +93,34 @@ def blob_moments(image, weights, threshold, out):  # type: ignore[no-untyped-def
 def label_blobs(weights, threshold, label, members, most):  # type: ignore[no-untyped-def]
     """Number connected components above a threshold from 1 on.
 
-    `label` (h, w), zeros on entry, and `members` (h w,), the indices of their pixels, are set. Returns how many
-    components, `most` at most, and how many pixels.
+    `label` (h, w), zeros on entry, and `members` (h w, 2), row and column of each of their pixels, are set.
+    Returns how many components, `most` at most, and how many pixels.
     """
     h, w = weights.shape
+    flat, labels = weights.reshape(-1), label.reshape(-1)
     count, size = 0, 0
-    for y in range(h):
-        for x in range(w):
-            if weights[y, x] <= threshold or label[y, x] != 0:
+    for first in range(0, h * w, PIECE):
+        piece, above = flat[first : first + PIECE], 0
+        for k in range(piece.size):
+            above += piece[k] > threshold
+        for i in range(first, first + piece.size if above else first):  # most pieces show nothing
+            if flat[i] <= threshold or labels[i] != 0:
                 continue
             if count == most:
                 return count, size
             count += 1
             done = size
-            members[size] = y * w + x
+            members[size, 0], members[size, 1] = i // w, i % w
             size += 1
-            label[y, x] = count
+            labels[i] = count
             while done < size:
-                v, u = members[done] // w, members[done] % w
+                v, u = members[done, 0], members[done, 1]
                 done += 1
                 for b in range(max(v - 1, 0), min(v + 2, h)):
                     for a in range(max(u - 1, 0), min(u + 2, w)):
                         if label[b, a] == 0 and weights[b, a] > threshold:
                             label[b, a] = count
-                            members[size] = b * w + a
+                            members[size, 0], members[size, 1] = b, a
                             size += 1
     return count, size
 
@@ -123,13 +128,12 @@ def label_blobs(weights, threshold, label, members, most):  # type: ignore[no-un
 @kernel
 def drop_faint(weights, label, members, size):  # type: ignore[no-untyped-def]
     """Set to zero what is much fainter than the greatest weight of its component: a rope that touches a marker, say."""
-    w = weights.shape[1]
     peak = np.zeros(size + 1)
     for i in range(size):
-        v, u = members[i] // w, members[i] % w
+        v, u = members[i, 0], members[i, 1]
         peak[label[v, u]] = max(peak[label[v, u]], weights[v, u])
     for i in range(size):
-        v, u = members[i] // w, members[i] % w
+        v, u = members[i, 0], members[i, 1]
         if weights[v, u] < FAINT * peak[label[v, u]]:
             weights[v, u] = 0.0
 
@@ -140,11 +144,11 @@ def grow(label, members, size):  # type: ignore[no-untyped-def]
     h, w = label.shape
     before = size
     for i in range(before):
-        v, u = members[i] // w, members[i] % w
+        v, u = members[i, 0], members[i, 1]
         for b in range(max(v - 1, 0), min(v + 2, h)):
             for a in range(max(u - 1, 0), min(u + 2, w)):
                 if label[b, a] == 0:
                     label[b, a] = label[v, u]
-                    members[size] = b * w + a
+                    members[size, 0], members[size, 1] = b, a
                     size += 1
     return size

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hyperflex.core.jit import kernel
+from hyperflex.core.jit import kernel, summing
 
 PASSES = (0.3, 0.15)  # shares below which pixels count as wall, first roughly and then finely
 LEAST_WALL = 20  # pixels
@@ -32,11 +32,7 @@ def discriminant(image, axes, target, contrast, out):  # type: ignore[no-untyped
     """
     h, w = image.shape[0], image.shape[1]
     x, y = np.empty(h * w), np.empty(h * w)
-    for v in range(h):
-        for u in range(w):
-            b, g, r = float(image[v, u, 0]), float(image[v, u, 1]), float(image[v, u, 2])
-            x[v * w + u] = axes[0, 0] * b + axes[0, 1] * g + axes[0, 2] * r
-            y[v * w + u] = axes[1, 0] * b + axes[1, 1] * g + axes[1, 2] * r
+    along(image.reshape(-1), axes, x, y)
     wall_x, wall_y = border_median(x, h, w), border_median(y, h, w)
     dx, dy = target[0] - wall_x, target[1] - wall_y
     size = dx * dx + dy * dy
@@ -46,16 +42,7 @@ def discriminant(image, axes, target, contrast, out):  # type: ignore[no-untyped
     gx, gy = dx / size, dy / size
     noise = 0.0
     for least in PASSES:
-        count, sx, sy, sxx, sxy, syy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for i in range(h * w):
-            px, py = x[i] - wall_x, y[i] - wall_y
-            if px * gx + py * gy < least:
-                count += 1
-                sx += px
-                sy += py
-                sxx += px * px
-                sxy += px * py
-                syy += py * py
+        count, sx, sy, sxx, sxy, syy = wall_sums(x, y, wall_x, wall_y, gx, gy, least)
         if count < LEAST_WALL:
             return 0.0
         mx, my = sx / count, sy / count
@@ -77,6 +64,33 @@ def discriminant(image, axes, target, contrast, out):  # type: ignore[no-untyped
         out[c] = gx * axes[0, c] + gy * axes[1, c]
     out[3] = -gx * wall_x - gy * wall_y
     return noise
+
+
+@kernel
+def along(channels, axes, x, y):  # type: ignore[no-untyped-def]
+    """Set x and y (P,) to what pixels (3 P,), uint8, have along two axes (2, 3)."""
+    a, b, c = axes[0, 0], axes[0, 1], axes[0, 2]
+    d, e, f = axes[1, 0], axes[1, 1], axes[1, 2]
+    for i in range(x.size):
+        blue, green, red = float(channels[3 * i]), float(channels[3 * i + 1]), float(channels[3 * i + 2])
+        x[i] = a * blue + b * green + c * red
+        y[i] = d * blue + e * green + f * red
+
+
+@summing
+def wall_sums(x, y, wall_x, wall_y, gx, gy, least):  # type: ignore[no-untyped-def]
+    """Return number and first and second moments about a point of the pixels (P,) whose share is less than `least`."""
+    count, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(x.size):
+        px, py = x[i] - wall_x, y[i] - wall_y
+        wall = 1.0 if px * gx + py * gy < least else 0.0
+        count += wall
+        sx += wall * px
+        sy += wall * py
+        sxx += wall * px * px
+        sxy += wall * px * py
+        syy += wall * py * py
+    return count, sx, sy, sxx, sxy, syy
 
 
 @kernel
