@@ -16,7 +16,8 @@ from typing import Any, ParamSpec, TypeVar
 
 from hyperflex.errors import Interrupted
 
-_P, _R = ParamSpec("_P"), TypeVar("_R")
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 _USUAL: dict[int, object] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 
 
@@ -40,11 +41,11 @@ def number() -> int:
 
 def look() -> None:
     """Raise KeyboardInterrupt, in any thread, if a signal has come and nobody has caught it yet."""
-    if _State.pending:
+    if _State.pending and not _State.deferred:
         raise KeyboardInterrupt
 
 
-class noticing:  # noqa: N801 used as a function
+class noticing:
     """Context in which signals are noticed: Ctrl-C, and further `numbers`.
 
     A signal that came in the block is raised at its end, if it is still pending, also in place of another error: a
@@ -122,7 +123,7 @@ def caught() -> Iterator[Caught]:
             _State.pending = False
 
 
-def interruptible(kind: type = type(None)) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
+def interruptible(kind: type | None = None) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
     """Decorate a function that may take long: an interrupt comes out of it as Interrupted.
 
     Its ``partial`` is what the function delivers of `kind`, by :class:`Caught`, or None. With ``throw=False`` a result
@@ -146,7 +147,7 @@ def interruptible(kind: type = type(None)) -> Callable[[Callable[_P, _R]], Calla
     return decorate
 
 
-def _own(stop: KeyboardInterrupt, kind: type) -> Any:
-    """Return the partial result of an interrupted call if it is of this kind; a call within it may have left another."""
+def _own(stop: KeyboardInterrupt, kind: type | None) -> Any:
+    """Return the partial result of an interrupted call if it is of this kind: a call within may have left another."""
     partial = getattr(stop, "partial", None)
-    return partial if isinstance(partial, kind) else None
+    return partial if kind is not None and isinstance(partial, kind) else None

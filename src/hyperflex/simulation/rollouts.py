@@ -125,14 +125,9 @@ def lever(chain: Chain) -> Array:
     return np.maximum(chain.length, np.where(chain.mass > 0.0, np.minimum(gyration, 1e3 * chain.length), 0.0))
 
 
-def steps_at_once(budget: int, chain: Chain) -> int:
-    """Return how many steps of a chain take no longer than a `budget` of them takes with SHORT links."""
-    return max(1, budget * SHORT // max(SHORT, chain.length.size))
-
-
-def rollout_limits(setup: Setup, chain: Chain, stop: float, until: Until = NEVER) -> Limits:
+def rollout_limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until: Until = NEVER) -> Limits:
     """Return the bounds of a run until `stop`, s, or what ends it before; refuses an unstable Runge-Kutta step."""
-    budget = steps_at_once(BUDGET, chain)
+    budget = max(1, budget * SHORT // max(SHORT, chain.length.size))
     weight, reach = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy), float(chain.length.sum())
     scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
     bounds = Limits(

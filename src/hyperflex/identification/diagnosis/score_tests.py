@@ -138,7 +138,7 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
         freed.append(hiding)
         tests = _refitted_tests(now)
         for each in tests:
-            each = _within(each, basis.fit.x.size, freed)  # noqa: PLW2901
+            each = _within(each, basis.fit.x.size, freed)
             if each.believed and (each.matters or each.slight) and each.name.partition(":")[0] not in LAWS:
                 later.setdefault(each.name, each)
     known = {each.name for each in found if each.believed}
@@ -294,12 +294,9 @@ def _some(basis: Basis) -> tuple[list[Window], list[Array]]:
 
 def _fit(plant: Plant, windows: list[Window], x: Array, states: list[Array], basis: Basis) -> Fit | None:
     try:
-        found = fit(plant, windows, x, states, loss=basis.fit.loss, rounds=ROUNDS)
+        return fit(plant, windows, x, states, loss=basis.fit.loss, rounds=ROUNDS)
     except InvalidInput:
         return None
-    if found.interrupted:
-        raise KeyboardInterrupt
-    return found
 
 
 def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:

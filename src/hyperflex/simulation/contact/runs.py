@@ -24,7 +24,7 @@ from hyperflex.interruption import look
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refine_rope
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.contact.turning_pegs import coast, spin_energy, starting_spin
-from hyperflex.simulation.rollouts import Rollout, starting_clock, steps_at_once
+from hyperflex.simulation.rollouts import Rollout, starting_clock
 from hyperflex.trajectory import State
 
 SHORTEST_FLIGHT = 0.01  # s; for less the hand-over does not pay
@@ -156,7 +156,7 @@ class ContactRun:
         forced = run.time < least
         stop = min(run.limits.stop, least) if forced else run.limits.stop
         clear = np.inf if always or forced else self.clear
-        bounds = at.Bounds(stop, self.longest, rate, clear, SLACK, steps_at_once(BUDGET, run.chain))
+        bounds = at.Bounds(stop, self.longest, rate, clear, SLACK, BUDGET)
         code = int(core.run(run.chain, run.drive, self.contacts, self.pull, bounds, contact, run.t, run.y, run.seen))
         index = contact.clock[at.INDEX]
         clock[:MARK] = starting_clock(float(contact.clock[at.T]))
