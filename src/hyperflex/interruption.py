@@ -91,7 +91,7 @@ def deferred() -> Iterator[None]:
 class Caught:
     """Whether a block was interrupted, and by what."""
 
-    error: KeyboardInterrupt | None = None
+    error: BaseException | None = None
 
     @property
     def met(self) -> bool:
@@ -112,12 +112,17 @@ class Caught:
 
 @contextmanager
 def caught() -> Iterator[Caught]:
-    """Catch an interrupt of the block, so that what was done can be kept; what follows may take long again."""
+    """Catch an interrupt of the block, also one that a library reports as another error, to keep what was done.
+
+    What follows may take long again. The block must not return: what came at its end would be lost.
+    """
     stop = Caught()
     try:
         yield stop
         look()
-    except KeyboardInterrupt as error:
+    except (KeyboardInterrupt, Exception) as error:
+        if not (_State.pending or isinstance(error, KeyboardInterrupt)):
+            raise
         stop.error = error
         if threading.current_thread() is threading.main_thread():  # others are to end as well
             _State.pending = False

@@ -20,13 +20,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from hyperflex.errors import Interrupted
+
 PATIENCE = 120.0  # s, after which a trial hangs
 _TICKS = os.sysconf("SC_CLK_TCK")
 
 
 @dataclass(frozen=True)
 class Ended:
-    """How a forked process ended: what it told, and what it took from the signal on, s (of the clock, of processors)."""
+    """How a forked process ended: what it told, and the time from the signal on, s of the clock and of processors."""
 
     told: Any
     seconds: float
@@ -94,6 +98,13 @@ def _processor_time(process: int) -> float:
 
 
 # ---- calls
+
+
+def left_by(work: Callable[[], Any]) -> Any:
+    """Return the partial result of a call that must be interrupted."""
+    with pytest.raises(Interrupted) as stop:
+        work()
+    return stop.value.partial
 
 
 def call(work: Callable[[], Any]) -> Callable[[], dict[str, Any]]:
@@ -219,7 +230,8 @@ def main() -> None:
         if chosen.only and name not in chosen.only:
             continue
         for ended in trials(call(work), range(chosen.seeds), signal.SIGINT, 30.0 if name == "simulate long" else None):
-            print(name, json.dumps(vars(ended)), flush=True)
+            sys.stdout.write(f"{name} {json.dumps(vars(ended))}\n")
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":
