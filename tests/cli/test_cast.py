@@ -10,6 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import files, planning
+from hyperflex.interruption import _USUAL
 from hyperflex.planning import FallbackTarget
 from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
 from hyperflex.planning.robust.uncertainty import Uncertainty

@@ -1,6 +1,6 @@
 """Calls and commands that a signal ends at a chosen time, each in a forked process, and what came of each.
 
-``python -m tests.faults.interrupting --seeds 3 --only calls simulate`` prints one JSON object a trial.
+``python -m tests.faults.interrupting --seeds 3 --calls simulate --commands cast`` prints one JSON object a trial.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import random
 import select
 import signal
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -157,7 +158,7 @@ def fingerprint(result: Any) -> str:
     return digest.hexdigest()[:16]
 
 
-def calls(folder: Path) -> dict[str, Callable[[], Any]]:
+def calls() -> dict[str, Callable[[], Any]]:
     """Return calls of the API that take a second or more each; what they need is made here."""
     import numpy as np
 
@@ -208,6 +209,105 @@ def calls(folder: Path) -> dict[str, Callable[[], Any]]:
     }
 
 
+# ---- commands
+
+
+@dataclass(frozen=True)
+class Left:
+    """What a command has left: exit code, output, and the files in its folder."""
+
+    code: int | str
+    out: str
+    err: str
+    files: dict[str, bytes]
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the exit code says so."""
+        return self.code in {128 + signal.SIGINT, 128 + signal.SIGTERM}
+
+
+def run_command(words: list[str], folder: Path, after: float | None, number: int = signal.SIGINT) -> tuple[Left, Ended]:
+    """Run a command in a forked process, in a new folder, with a signal `after` so many seconds."""
+    folder.mkdir()
+
+    def work() -> int | str:
+        os.chdir(folder)
+        for name, stream in (("out", sys.stdout), ("err", sys.stderr)):
+            os.dup2(os.open(f"{folder}.{name}", os.O_CREAT | os.O_WRONLY, 0o600), stream.fileno())
+        from hyperflex.cli import main
+
+        sys.argv = ["hyperflex", *words]
+        try:
+            main()
+        except SystemExit as stop:
+            code = stop.code
+        sys.stdout.flush()
+        return int(code or 0)
+
+    sys.stdout.flush()
+    ended = forked(work, after, number)
+    files = {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    out, err = (Path(f"{folder}.{name}").read_text("utf-8") for name in ("out", "err"))
+    return Left(ended.told, out, err, files), ended
+
+
+def faults(left: Left, whole: Left) -> list[str]:
+    """Return what is wrong with what a command has left, beside what the same one leaves undisturbed."""
+    wrong = [f"left {name}" for name in left.files if ".part" in name]
+    if "Traceback" in left.err or "Exception ignored" in left.err:
+        wrong.append(left.err)
+    if not left.interrupted:
+        if left.code != whole.code or left.files.keys() != whole.files.keys():
+            wrong.append(f"ended with {left.code} and {sorted(left.files)}: {left.err}")
+        return wrong
+    told = json.loads(left.out.splitlines()[-1]) if left.out else {}
+    if told.get("error") != "interrupted" or "hyperflex: Interrupted" not in left.err:
+        wrong.append(f"says {told} and {left.err!r}")
+    for name, content in left.files.items():
+        complete = content == whole.files.get(name) or "missing" in told
+        if not complete and b"interrupted" not in content and b"interrupted" not in left.files.get("cast.toml", b""):
+            wrong.append(f"{name} is marked nowhere")
+    return wrong
+
+
+def commands(folder: Path) -> dict[str, list[str]]:
+    """Return commands that take some seconds, each with ``--json``; what they read is written to `folder`."""
+    import numpy as np
+
+    import hyperflex as hf
+    from hyperflex.demo import twin
+
+    cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    arm = hf.Arm(length=0.105)
+    cable.to_toml(folder / "cable.toml")
+    hf.Setup(cable, hf.arm_swings(t_move=0.73, t_rest=0.53), arm, duration=200.0).to_toml(folder / "swing.toml")
+    rods = hf.Rope(length=[0.3, 0.3], mass=[0.1, 0.1], friction=2e-4)
+    t = np.linspace(0.0, 8.0, 401)
+    clean = hf.simulate(rods, duration=8.0, t_eval=t, q0=[0.8, 0.5]).q
+    noisy = hf.Recording(t, clean + np.random.default_rng(1).normal(0.0, 2e-3, clean.shape), noise=2e-3)
+    noisy.to_netcdf(folder / "swing.nc")
+    rods.replace(friction=1e-3).to_toml(folder / "guess.toml")
+    twin.guess().to_toml(folder / "rope.toml")
+    twin.camera().write(folder / "camera.toml")
+    arcs = ["--arc-lengths", ",".join(f"{each:g}" for each in twin.ARC_LENGTHS)]
+    seen = ["--rope", f"{folder}/rope.toml", *arcs]
+    task = ["--rope", f"{folder}/cable.toml", "--arm-length", "0.105"]
+    each = {
+        "simulate": ["simulate", f"{folder}/swing.toml", "-o", "run.nc", "--horizon", "0.01"],
+        "identify": ["identify", f"{folder}/swing.nc", "--guess", f"{folder}/guess.toml", "-o", "found"],
+        "cast": ["cast", *task, "--target", "-0.8", "-1.0", "--radius", "0.04", "-o", "."],
+        "whip": ["whip", *task, "--target", "0.3", "-2.05", "-o", "."],
+        "track": ["track", str(twin.BUNDLED), *seen, "--camera", f"{folder}/camera.toml", "-o", "markers.nc"],
+        "watch": ["watch", "--camera", str(twin.BUNDLED), *seen, "--calibration", f"{folder}/camera.toml"],
+        "reproduce": ["reproduce", "fig10", "fig12", "-o", "."],
+        "demo": ["demo", "-o", "."],
+        "warm": ["warm", "--jobs", "1"],
+    }
+    each["watch"] += ["-o", "log.nc"]
+    return {name: [*words, "--json"] for name, words in each.items()}
+
+
 # ---- trials
 
 
@@ -223,15 +323,31 @@ def main() -> None:
     """Interrupt what is named at random times, and print what came of it."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--only", nargs="*", default=[])
+    parser.add_argument("--calls", nargs="*", default=[])
+    parser.add_argument("--commands", nargs="*", default=[])
     chosen = parser.parse_args()
-    every = calls(Path())
-    for name, work in every.items():
-        if chosen.only and name not in chosen.only:
-            continue
-        for ended in trials(call(work), range(chosen.seeds), signal.SIGINT, 30.0 if name == "simulate long" else None):
-            sys.stdout.write(f"{name} {json.dumps(vars(ended))}\n")
-            sys.stdout.flush()
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        every = calls() if chosen.calls else {}
+        for name in chosen.calls:
+            for ended in trials(call(every[name]), range(chosen.seeds), signal.SIGINT):
+                _tell(name, vars(ended))
+        asked = commands(folder) if chosen.commands else {}
+        for name in chosen.commands:
+            whole, undisturbed = run_command(asked[name], folder / name, None)
+            _tell(name, {"code": whole.code, "length": undisturbed.length, "files": sorted(whole.files)})
+            for seed in range(chosen.seeds):
+                after = random.Random(seed).uniform(0.02, 1.0) * undisturbed.length
+                number = (signal.SIGINT, signal.SIGTERM)[seed % 2]
+                left, ended = run_command(asked[name], folder / f"{name}-{seed}", after, number)
+                told = {"after": after, "seconds": ended.seconds, "processor": ended.processor_seconds}
+                told |= {"code": left.code, "files": sorted(left.files), "err": left.err}
+                _tell(name, told | {"faults": faults(left, whole)})
+
+
+def _tell(name: str, told: dict[str, Any]) -> None:
+    sys.stdout.write(f"{name} {json.dumps(told)}\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":
