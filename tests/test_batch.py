@@ -17,6 +17,7 @@ from hyperflex.core.batch import members
 from hyperflex.core.batch import rollouts as core
 from hyperflex.errors import InvalidInput
 from hyperflex.simulation.batch import batch as simulation_batch
+from tests.faults.interrupting import left_by
 
 ARM = hf.Arm(length=0.1)
 
@@ -193,7 +194,7 @@ def test_ctrl_c_keeps_finished_members(monkeypatch: pytest.MonkeyPatch) -> None:
         return run(self, low, high)
 
     monkeypatch.setattr(simulation_batch._Work, "block", interrupted)
-    batch = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.3, threads=1)
+    batch = left_by(lambda: hf.simulate_batch(ropes, motions, arm=ARM, duration=0.3, threads=1))
     assert batch.status[:32] == ("ok",) * 32
     assert batch.status[32:] == ("interrupted",) * 32
     np.testing.assert_array_equal(batch.tip[:32], whole.tip[:32])
@@ -211,7 +212,7 @@ def test_ctrl_c_ends_a_block_at_work() -> None:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
     try:
         clock.start()
-        batch = hf.simulate_batch([soft] * 8 + [stiff] * 56, duration=10.0, q0=q0, threads=1)
+        batch = left_by(lambda: hf.simulate_batch([soft] * 8 + [stiff] * 56, duration=10.0, q0=q0, threads=1))
         clock.join()
     finally:
         signal.signal(signal.SIGINT, before)

@@ -1,5 +1,6 @@
 """Exceptions of hyperflex. Every message says what was wrong, the value got, what is allowed and what to do."""
 
+import functools
 from typing import Any
 
 
@@ -67,13 +68,18 @@ class Interrupted(KeyboardInterrupt):
 
     Parameters
     ----------
-    result : Any
-        What had been done by then, of the kind that the interrupted function returns.
+    partial : Any
+        What had been done by then, or a function of no arguments that makes it when it is first asked for.
     """
 
-    def __init__(self, result: Any) -> None:
-        self.result = result
+    def __init__(self, partial: Any = None) -> None:
+        self._partial = partial
         super().__init__("interrupted")
+
+    @functools.cached_property
+    def partial(self) -> Any:
+        """What had been done by then, of the kind that the interrupted function returns; None if there is nothing."""
+        return self._partial() if callable(self._partial) else self._partial
 
 
 def _short(value: object, limit: int = 120) -> str:

@@ -8,6 +8,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import moving_pivot
 from hyperflex.simulation import simulate
@@ -196,6 +197,7 @@ def slid(rope: Rope, peg: Peg, q: Array, joints: Array, turned: Array | float = 
     return np.where(held[rows, least], way[rows, least], np.inf if held[0].any() else np.nan)
 
 
+@interruptible()
 def tug_test(
     run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float | None = None, allowed: float = 5e-3
 ) -> TugTest:

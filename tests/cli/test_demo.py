@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from hyperflex import demo
+from hyperflex.errors import Interrupted
 
 
 @pytest.fixture
@@ -69,7 +70,9 @@ def test_a_bug_is_one_json_object_and_a_traceback_on_standard_error(hyperflex, m
 
 
 def test_a_fit_that_was_interrupted_is_no_demo(hyperflex, monkeypatch, tmp_path):
-    half = SimpleNamespace(message="interrupted")
-    monkeypatch.setattr("hyperflex.demo.run.identify", lambda *_, **__: half)
+    def half(*_, **__):
+        raise Interrupted(SimpleNamespace(message="interrupted"))
+
+    monkeypatch.setattr("hyperflex.demo.run.identify", half)
     assert hyperflex("demo", "-o", tmp_path)[:2] == (130, "")
     assert list(tmp_path.iterdir()) == []

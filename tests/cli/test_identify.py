@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import signal
@@ -13,6 +12,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import files, identification
 from hyperflex.cli import identify, output
+from hyperflex.errors import Interrupted
 
 
 @pytest.fixture
@@ -73,9 +73,11 @@ def test_ctrl_c_keeps_the_best_so_far_and_exits_with_130(hyperflex_json, swing, 
     whole = identification.identify
 
     def interrupted(*arguments, **options):
-        with contextlib.suppress(KeyboardInterrupt):
+        found = whole(*arguments, **options)
+        try:
             signal.raise_signal(signal.SIGINT)
-        return dataclasses.replace(whole(*arguments, **options), message="interrupted")
+        except KeyboardInterrupt:
+            raise Interrupted(dataclasses.replace(found, message="interrupted")) from None
 
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
@@ -110,7 +112,7 @@ def test_ctrl_c_prints_the_best_so_far(hyperflex, swing, monkeypatch):
     whole = identification.identify
 
     def interrupted(*arguments, **options):
-        return dataclasses.replace(whole(*arguments, **options), message="interrupted")
+        raise Interrupted(dataclasses.replace(whole(*arguments, **options), message="interrupted"))
 
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
@@ -212,7 +214,7 @@ def test_an_interrupted_fit_leaves_a_whole_folder_marked_as_such(hyperflex, swin
     whole = identification.identify
 
     def interrupted(*arguments, **options):
-        return dataclasses.replace(whole(*arguments, **options), message="interrupted")
+        raise Interrupted(dataclasses.replace(whole(*arguments, **options), message="interrupted"))
 
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--guess", swing / "guess.toml", "--free", "friction", *DECLARED)

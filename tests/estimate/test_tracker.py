@@ -64,12 +64,12 @@ def test_ctrl_c_carries_what_was_tracked(video: tuple[Path, Truth], tmp_path: Pa
 
     with pytest.raises(Interrupted) as stopped:
         track_video(video[0], tracker(*video), preview=tmp_path / "seen.mp4", progress=hit)
-    assert stopped.value.result.frames == 12
-    assert 2 <= len(stopped.value.result.recording.t) <= 12
+    assert stopped.value.partial.frames == 12
+    assert 2 <= len(stopped.value.partial.recording.t) <= 12
     assert list(tmp_path.iterdir()) == []
-    with pytest.raises(KeyboardInterrupt) as early:  # before there is anything to keep
+    with pytest.raises(Interrupted) as early:  # before there is anything to keep
         track_video(video[0], tracker(*video), progress=lambda count: hit(count + 11))
-    assert not isinstance(early.value, Interrupted)
+    assert early.value.partial is None
 
 
 def test_markers_are_followed_through_clutter_and_a_blackout(video: tuple[Path, Truth], tmp_path: Path) -> None:

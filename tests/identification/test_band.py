@@ -15,6 +15,7 @@ from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import PredictionUncertainty, prediction_std
+from tests.faults.interrupting import left_by
 
 ROPE = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
 NOISE = 2e-3
@@ -157,7 +158,7 @@ def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch: pytest.MonkeyPatch) 
         raise KeyboardInterrupt
 
     monkeypatch.setattr(_identify, "predict", interrupted)
-    result = identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], train=5.0)
+    result = left_by(lambda: identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], train=5.0))
     assert result.message == "interrupted"
     assert result.held_out is None
     assert (np.abs(result.values["friction"] - ROPE.friction) < 5.0 * result.std["friction"]).all()

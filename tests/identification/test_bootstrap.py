@@ -16,6 +16,7 @@ from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
+from tests.faults.interrupting import left_by
 from tests.identification.linear import autoregressive, fitted, waves
 
 ROPE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
@@ -69,7 +70,7 @@ def test_ctrl_c_keeps_what_is_done(found: Identification, monkeypatch: pytest.Mo
         return fit(*args, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(_bootstrap, "fit", some)
-    result = bootstrap(found, 10)
+    result = left_by(lambda: bootstrap(found, 10))
     assert result.interrupted
     assert result.samples.shape == (2, 2)
 

@@ -24,6 +24,7 @@ from hyperflex.identification.uncertainty.whiteness import whiteness
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
+from tests.faults.interrupting import left_by
 
 NOISE = 2e-3  # rad
 DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
@@ -200,7 +201,7 @@ def test_ctrl_c_keeps_the_candidates_that_are_done(monkeypatch: pytest.MonkeyPat
         return identify(*arguments, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(_choice, "identify", second_stops)
-    found = compare_models(swing(DOUBLE), GUESS, MODELS)
+    found = left_by(lambda: compare_models(swing(DOUBLE), GUESS, MODELS))
     assert found.message == "interrupted"
     assert [model.name for model in found.models] == ["viscous"]
     assert found.preferred == "viscous"

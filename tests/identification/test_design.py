@@ -13,6 +13,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.experiment_design import choice as _design
 from hyperflex.identification.experiment_design.experiments import default_experiments, variations
 from hyperflex.identification.experiment_design.fisher_information import expected_information
+from tests.faults.interrupting import left_by
 
 SINGLE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
 DOUBLE = Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
@@ -159,7 +160,7 @@ def test_ctrl_c_keeps_what_was_looked_at(monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.setattr(_design, "expected_information", second_stops)
     second = Experiment("second", q0=0.5)
-    found = design_experiment(SINGLE, "friction", [SHORT, second])
+    found = left_by(lambda: design_experiment(SINGLE, "friction", [SHORT, second]))
     assert found.message == "interrupted"
     assert [plan.experiment.name for plan in found.plans] == ["short"]
     with pytest.raises(KeyboardInterrupt):

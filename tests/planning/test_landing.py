@@ -163,7 +163,8 @@ def test_a_run_that_is_too_deep_in_the_peg_to_go_on_counts_little(monkeypatch: p
 def test_a_batch_that_ctrl_c_cut_short_is_no_result(monkeypatch: pytest.MonkeyPatch, what: str) -> None:
     """It would count what was cut off as lost."""
     strike = simulated_strikes(CAST_SETUP, PEG, [WINDS])
-    monkeypatch.setattr(rollouts, "simulate_batch", lambda *_, **__: SimpleNamespace(status=("interrupted",)))
+    part = SimpleNamespace(status=("interrupted",))
+    monkeypatch.setattr(rollouts, "simulate_batch", lambda *_, **__: (_ for _ in ()).throw(hf.Interrupted(part)))
     work = {
         "swings": lambda: simulated_strikes(CAST_SETUP, PEG, [WINDS]),
         "landings": lambda: contact_scores(CAST_SETUP, PEG, [WINDS], (strike.t, strike.q, strike.qd)),

@@ -16,9 +16,10 @@ from hyperflex.planning import CastSetup, MotorLimits, check_feasibility
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.throw import ThrowParametrization
-from hyperflex.planning.wind import fallback_targets
+from hyperflex.planning.wind import casting, fallback_targets
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.remedies import find_remedies
+from tests.faults.interrupting import left_by
 from tests.planning.known import CABLE, PEG, WINDS, cast_setup, late, planned, stopped, unreachable
 
 CAST_SETUP = cast_setup()
@@ -201,14 +202,14 @@ def test_a_finer_run_that_took_too_long_is_not_the_targets_fault() -> None:
 class Planner:
     """Plans for other places, of which the number `good` stands; remembers them."""
 
-    def __init__(self, good: int, interrupted: bool = False) -> None:
-        self.good, self.interrupted, self.asked = good, interrupted, []  # type: ignore[var-annotated]
+    def __init__(self, good: int) -> None:
+        self.good, self.asked = good, []  # type: ignore[var-annotated]
 
     def __call__(self, peg: hf.Peg) -> CastPlan:
         self.asked.append(peg)
         if len(self.asked) == self.good:
             return replace(planned(), target=peg)
-        return replace(planned(), target=peg, message="it slips", interrupted=self.interrupted)
+        return replace(planned(), target=peg, message="it slips")
 
 
 def failed(peg: hf.Peg) -> CastPlan:
@@ -267,11 +268,13 @@ def test_a_throw_at_hand_counts_where_it_stands(monkeypatch: pytest.MonkeyPatch)
     assert plan.fallback.failed_plans == 0
 
 
-def test_an_interrupt_ends_the_search_for_a_place() -> None:
-    again = Planner(good=0, interrupted=True)
-    plan = fallback_targets.plan_fallback(failed(FAR), ThrowSearch(CAST_SETUP, FAR), 1.0, again)
+def test_an_interrupt_ends_the_search_for_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(casting, "plan_fallback", stop)
+    plan = left_by(lambda: hf.plan_cast(CAST_SETUP.rope, CAST_SETUP.arm, FAR, fallback=True))
     assert plan.interrupted
-    assert len(again.asked) == 1
     assert plan.fallback is not None
     assert plan.fallback.plan is None
 

@@ -16,6 +16,7 @@ from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.wind import casting
 from hyperflex.planning.wind import planner as cast_planner
 from hyperflex.planning.wind.planner import LONGER
+from tests.faults.interrupting import left_by
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 ARM = hf.Arm(length=0.105)
@@ -97,7 +98,7 @@ def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(ThrowSearch, "evolve_swings", swing)
     monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: None)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
-    found = hf.plan_cast(CABLE, ARM, EASY)
+    found = left_by(lambda: hf.plan_cast(CABLE, ARM, EASY))
     assert found.interrupted
     assert found.throw == "a throw"
     assert found.message == "it slips"
@@ -325,7 +326,7 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
     monkeypatch.setattr(cast_planner.RobustRefinement, "halve", race)
     monkeypatch.setattr(cast_planner.RobustRefinement, "run", lambda self, report=None: None)
-    found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty())
+    found = left_by(lambda: hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty()))
     assert found.interrupted
     assert (found.throw, found.success_probability) == ("nominal", None)
 

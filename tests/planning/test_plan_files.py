@@ -16,7 +16,7 @@ from hyperflex.planning.outcome import SETTLING_TIME, WATCH_TIME
 from hyperflex.planning.plan import to_table
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.throw_search import ThrowSearch
-from hyperflex.planning.wind import planner as cast_planner
+from tests.faults.interrupting import left_by
 from tests.planning.known import PEG, WINDS, cast_setup, late, planned, stopped, unreachable
 
 
@@ -164,21 +164,15 @@ def test_the_motors_table_of_a_throw_that_stands_bears_no_mark(tmp_path):
 
 
 def test_an_interrupt_leaves_the_best_throw_that_was_not_verified(tmp_path, monkeypatch):
-    """Ctrl-C in the search, and again while its best throw is verified."""
-
     def swing(self):
         if self.candidates:
             raise KeyboardInterrupt
         self.candidates.append(Candidate(2.0, 2.0, -1, np.zeros(3), WINDS))
         return 1.0
 
-    def check(self, found):
-        raise KeyboardInterrupt
-
     monkeypatch.setattr(ThrowSearch, "evolve_swings", swing)
     monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: None)
-    monkeypatch.setattr(cast_planner.CastPlanner, "check", check)
-    plan = hf.plan_cast(cast_setup().rope, cast_setup().arm, PEG)
+    plan = left_by(lambda: hf.plan_cast(cast_setup().rope, cast_setup().arm, PEG))
     assert plan.interrupted
     assert (plan.throw, plan.outcome) == (WINDS, None)
     plan.to_csv(tmp_path / "motion.csv")

@@ -15,9 +15,9 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import divided
 from hyperflex.planning import CastSetup, MotorLimits, TipTarget, WhipMap, build_whip_map, plan_whip, time_budget
 from hyperflex.planning.search import rollouts
-from hyperflex.planning.search.rollouts import not_interrupted
 from hyperflex.planning.whip import planner
 from hyperflex.planning.whip.planner import PLANS, Verified, WhipPlanner, failure
+from tests.faults.interrupting import left_by
 from tests.planning.known_whip import ROPE, planned_whip
 
 ARM = hf.Arm(length=0.1)
@@ -70,25 +70,16 @@ def test_ctrl_c_while_the_map_is_made_is_a_plan(monkeypatch: pytest.MonkeyPatch)
 
     def cut(*args: Any, **options: Any) -> Any:
         batch = whole(*args, **options)
-        return replace(batch, status=(*batch.status[:-1], "interrupted"))
+        raise hf.Interrupted(replace(batch, status=(*batch.status[:-1], "interrupted")))
 
     monkeypatch.setattr(rollouts, "simulate_batch", cut)
     monkeypatch.setattr(planner, "build_whip_map", lambda cast_setup, **_: build_whip_map(cast_setup, swings=2))
-    plan = plan_whip(ROPE, ARM, [0.3, -0.9], [1.0, 0.0], time_limit=1.0)
+    plan = left_by(lambda: plan_whip(ROPE, ARM, [0.3, -0.9], [1.0, 0.0], time_limit=1.0))
     assert plan.interrupted
     assert not plan.success
     assert plan.message == "interrupted before the map of swings was made"
     assert plan.strokes is None
     assert plan.feasibility.distance == pytest.approx(np.hypot(0.3, 0.9))
-
-
-def test_a_batch_that_failed_is_finished_all_the_same() -> None:
-    batch = hf.simulate_batch(ROPE, [hf.hold_arm(0.0)] * 2, arm=ARM, duration=0.01)
-    assert not_interrupted(batch) is batch
-    failed = replace(batch, status=("ok", "energy"))
-    assert not_interrupted(failed) is failed
-    with pytest.raises(KeyboardInterrupt):
-        not_interrupted(replace(batch, status=("interrupted", "ok")))
 
 
 def test_a_map_of_an_equal_rope_will_do(known: WhipMap) -> None:
@@ -142,10 +133,11 @@ def test_whips_are_verified_until_one_stands(
         return Verified(aim, None, None, "" if stands[len(looked) - 1] else f"fault {len(looked)}")
 
     monkeypatch.setattr(planner, "verify_both", verify_both)
-    best, interrupted = work.verified()
+    work.verify()
+    best = work.best
     assert best is not None
     assert best.aim is work.aims[taken]
-    assert (len(looked), interrupted) == (looks, False)
+    assert len(looked) == looks
     assert bool(best.message) == (not stands[taken])
 
 
@@ -163,15 +155,18 @@ def test_ctrl_c_while_whips_are_verified_keeps_the_best(
         return Verified(args[-1], None, None, "it misses")
 
     monkeypatch.setattr(planner, "verify_both", verify_both)
-    best, interrupted = work.verified()
-    assert interrupted
+    with pytest.raises(KeyboardInterrupt):
+        work.verify()
+    best = work.best
     assert best is not None
     assert best.aim is work.aims[0]
     assert best.message == ("it misses" if after else "interrupted before it was verified")
 
 
 def test_no_whip_is_none(known: WhipMap) -> None:
-    assert course(known).verified() == (None, False)
+    work = course(known)
+    work.verify()
+    assert work.best is None
 
 
 def test_a_motor_that_is_too_weak_is_a_reason() -> None:

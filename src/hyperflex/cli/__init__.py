@@ -1,5 +1,6 @@
 """The command line: each command parses its arguments, makes one call and prints the result, or prints it as JSON."""
 
+import signal
 import sys
 
 
@@ -9,9 +10,10 @@ def main() -> None:
         from hyperflex.cli.app import run
 
         code = run(sys.argv[1:])
-    except KeyboardInterrupt:  # while the program was still being loaded
-        sys.stderr.write("hyperflex: Interrupted before any work began.\n")
+    except KeyboardInterrupt:  # while the program was still being loaded, or for the second time
+        sys.stderr.write("hyperflex: Interrupted.\n")
         if "--json" in sys.argv:
             sys.stdout.write('{"error": "interrupted", "type": "Interrupted"}\n')
         code = 130
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is said: nothing is left to be interrupted
     sys.exit(code)

@@ -1,6 +1,7 @@
 """The command-line application: all commands, and the exit codes of errors."""
 
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from hyperflex.cli.warm import warm
 from hyperflex.cli.watch import watch
 from hyperflex.cli.whip import whip
 from hyperflex.errors import HyperflexError
+from hyperflex.interruption import noticing
 
 # the common base of what the parser raises: BadParameter <- UsageError <- ClickException
 _PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
@@ -57,7 +59,8 @@ def hyperflex(
     """Robots that use a rope as an arm: simulate it, identify it, cast it.
 
     Exit codes: 0 done, 1 a bug in hyperflex, 2 refused or failed with a message, 3 the fit did not converge, 4 no
-    cast that winds and holds, or whip that meets its target, was found, 5 the fit is not to be used, 130 interrupted.
+    cast that winds and holds, or whip that meets its target, was found, 5 the fit is not to be used, 130 ended by
+    Ctrl-C, 143 by SIGTERM.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
@@ -107,7 +110,7 @@ def _invoke(arguments: Sequence[str]) -> int:
     """Run one command without the parser's own handling of errors, which swallows Ctrl-C; return its exit code."""
     command = typer.main.get_command(app)
     try:
-        with output.noticing_ctrl_c(), command.make_context("hyperflex", list(arguments)) as context:
+        with noticing(signal.SIGTERM), command.make_context("hyperflex", list(arguments)) as context:
             command.invoke(context)
     except typer.Exit as stop:
         return int(stop.exit_code)

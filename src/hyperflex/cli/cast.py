@@ -60,8 +60,8 @@ def cast(
     and of a third of the length. Writes a page, pictures, a film, the motion for the motor (CSV), the verified run
     (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
 
-    Ctrl-C ends the search; the best so far is written, and marked as such. While page and pictures are drawn, it
-    leaves the plan's other files, which are written before.
+    Ctrl-C ends the search; the best so far is written, and marked as such, without pictures. While page and pictures
+    are drawn, it leaves the plan's other files, which are written before.
 
     The exit code is 4 if no cast that winds and holds was found; the best throw is written all the same, with the
     reason and with the nearest target that should work.
@@ -73,23 +73,25 @@ def cast(
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
     uncertainty = Uncertainty.from_rope_file(rope or setup or Path()) if robust else None
-    plan = plan_cast(
-        task.rope,
-        task.arm,
-        planner.peg_of(task, target, radius, mu),
-        task.limits,
-        time_limit=time_limit,
-        holding_force=holding_force,
-        uncertainty=uncertainty,
-        time_budget=time_budget,
-        skip_feasibility=skip_feasibility,
-        fallback=fallback,
-        seed=seed,
-        progress=output.watched(json),
+    plan = output.partial_of(
+        lambda: plan_cast(
+            task.rope,
+            task.arm,
+            planner.peg_of(task, target, radius, mu),
+            task.limits,
+            time_limit=time_limit,
+            holding_force=holding_force,
+            uncertainty=uncertainty,
+            time_budget=time_budget,
+            skip_feasibility=skip_feasibility,
+            fallback=fallback,
+            seed=seed,
+            progress=output.watched(json),
+        )
     )
     with planner.writing(CastReport(plan, None), out, rate=rate, as_json=json) as (files, progress):
         progress("tugging at the rope")
-        held = plan.measure_holding_force()
+        held = None if plan.interrupted else plan.measure_holding_force()
         report = CastReport(plan, held)
         files |= report.add_page(out, progress=progress)
     notes = [report.warning] if report.warning else []

@@ -105,18 +105,20 @@ def identify(
     )
     first = Rope.from_toml(guess)
     with _bar(json) as report:
-        result = run(
-            measured,
-            first,
-            output.words(free) or None,
-            window=window,
-            train=train,
-            arc_lengths=places,
-            origin=seen,
-            loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
-            intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
-            progress=report,
-            **driven,
+        result = output.partial_of(
+            lambda: run(
+                measured,
+                first,
+                output.words(free) or None,
+                window=window,
+                train=train,
+                arc_lengths=places,
+                origin=seen,
+                loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
+                intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
+                progress=report,
+                **driven,
+            )
         )
     summary = result.ending() | {"output": out, **result.summary()}
     files = _write(out, measured, result, first, summary, json)

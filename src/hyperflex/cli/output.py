@@ -1,19 +1,17 @@
 """Output of the commands: results to standard output, everything else to standard error."""
 
 import re
-import signal
 import sys
-import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast
 
 import typer
 
-from hyperflex import files
+from hyperflex import files, interruption
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import caught
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,7 +19,14 @@ if TYPE_CHECKING:
     from hyperflex.estimate import ChangeTests, EstimatedParameter
     from hyperflex.vision import Image, MarkerColour
 
-FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, NOT_USABLE, INTERRUPTED = 1, 2, 3, 4, 5, 130  # exit codes
+_T = TypeVar("_T")
+FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, NOT_USABLE = (
+    1,
+    2,
+    3,
+    4,
+    5,
+)  # exit codes; interrupted: 128 and the number of the signal
 _ADVICE = re.compile(  # an argument with its value, as errors advise it
     r"\b(?P<name>kind|columns|time_unit|time|unit|frame_rate|y_axis|scale|zero|sense|angles|wrapped|noise|arc_lengths|origin|"
     r"window|train|loss|intervals|max_rate)=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|[\w.]+)"
@@ -79,61 +84,42 @@ def with_options(message: str) -> str:
 
 
 def interrupted(message: str, left: Mapping[str, Any], *, as_json: bool) -> int:
-    """Say on standard error that Ctrl-C was met, and as JSON, with what was `left`, if asked for; return the code."""
+    """Say on standard error that Ctrl-C or SIGTERM was met, and as JSON, with what was `left`; return the exit code."""
     sys.stderr.write(f"hyperflex: {message}\n")
     if as_json:
         print_json({**left, "error": "interrupted", "type": "Interrupted", "message": message}, one_line=True)
-    return INTERRUPTED
+    return 128 + interruption.number()
 
 
-class _CtrlC:
-    """Handler of the signal: raises KeyboardInterrupt, and knows that it did, whatever becomes of that."""
+def partial_of(work: Callable[[], _T]) -> _T:
+    """Return what `work` returns, or what it leaves when it is interrupted; KeyboardInterrupt if that is nothing."""
+    with caught() as stop:
+        result = work()
+    if not stop.met:
+        return result
+    if stop.partial is None:
+        raise KeyboardInterrupt
+    return cast(_T, stop.partial)
 
-    met = False
 
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        self.met = True
-        signal.default_int_handler(number, frame)
-
-
-@contextmanager
-def noticing_ctrl_c() -> Iterator[None]:
-    """Raise KeyboardInterrupt for whatever error comes out of the block after Ctrl-C.
-
-    Compiled libraries that call back into Python may meet the interrupt there and report it as a failed conversion.
-    """
-    before, here = signal.getsignal(signal.SIGINT), _CtrlC()
-    ours = before is signal.default_int_handler or isinstance(before, _CtrlC)  # not ignored, nor somebody else's
-    if not ours or threading.current_thread() is not threading.main_thread():  # signals are the main thread's alone
-        yield
-        return
-    signal.signal(signal.SIGINT, here)
-    try:
-        yield
-    except typer.Exit:  # the command has met the interrupt itself and said so
-        raise
-    except Exception as error:
-        if here.met:
-            raise KeyboardInterrupt from error
-        raise
-    finally:
-        signal.signal(signal.SIGINT, before)
+def partial_path(out: Path) -> Path:
+    """Return the file that a partial result is written to, so that a whole one of an earlier run stands."""
+    return out.with_stem(f"{out.stem}-interrupted")
 
 
 @contextmanager
 def keeping(written: Mapping[str, Path], missing: str, result: Mapping[str, Any], *, as_json: bool) -> Iterator[None]:
-    """Exit with INTERRUPTED where Ctrl-C is met in the block, and say which files are `written` and what is `missing`.
+    """Exit where Ctrl-C is met in the block, and say which files are `written` and what is `missing`.
 
     `result` is what JSON tells beside it.
     """
-    try:
-        with noticing_ctrl_c():
-            yield
-    except KeyboardInterrupt:
+    with caught() as stop:
+        yield
+    if stop.met:
         there = ", ".join(str(path) for path in written.values()) or "nothing"
         left = {**result, "files": written, "missing": missing}
         message = f"Interrupted. Written: {there}. Missing: {missing}."
-        raise typer.Exit(interrupted(message, left, as_json=as_json)) from None
+        raise typer.Exit(interrupted(message, left, as_json=as_json))
 
 
 def check_destination(out: Path | None, suffix: str, inputs: Sequence[Path]) -> None:

@@ -154,7 +154,7 @@ def writing(
 ) -> Iterator[tuple[dict[str, Path], Progress]]:
     """Write a plan's files; yield them by kind, and the progress callable of what is then drawn beside them.
 
-    Ctrl-C in the block leaves them, says what is missing and exits with INTERRUPTED.
+    Ctrl-C in the block leaves them, says what is missing and exits.
     """
     written = report.write_plan(out, rate=rate)
     result = report.plan.summary() | {"verdict": report.verdict}
@@ -173,8 +173,8 @@ def finish(
 ) -> None:
     """Print what a planner found, with sentences after the verdict, or print `result` as JSON, and exit with its code.
 
-    `files` are those that were written, by kind. Raises typer.Exit with NO_PLAN or INTERRUPTED unless the plan
-    succeeds.
+    `files` are those that were written, by kind. Raises typer.Exit with NO_PLAN, or as interrupted, unless the
+    plan succeeds.
     """
     result = {**result, "files": files}
     if not as_json:

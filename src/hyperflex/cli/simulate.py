@@ -1,7 +1,7 @@
 """``hyperflex simulate``: a set-up in, a trajectory out."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -10,6 +10,7 @@ from hyperflex.cli import output
 
 if TYPE_CHECKING:
     from hyperflex.model import Setup
+    from hyperflex.trajectory import Trajectory
 
 
 def simulate(
@@ -22,17 +23,23 @@ def simulate(
     ] = None,
     json: output.Json = False,
 ) -> None:
-    """Simulate a set-up and write the motion to NetCDF."""
+    """Simulate a set-up and write the motion to NetCDF.
+
+    After Ctrl-C, what has been simulated is in a file of its own, cast-interrupted.nc.
+    """
     import numpy as np
 
     from hyperflex.model import Setup
+    from hyperflex.simulation import INTERRUPTED
     from hyperflex.simulation import simulate as run
 
     output.check_destination(out, ".nc", [setup])
     if horizon is not None:
         checks.number("--horizon", horizon, sign="positive", unit="m")
     wanted = Setup.from_toml(setup)
-    trajectory = run(wanted, duration=duration, progress=output.watched(json))
+    trajectory = output.partial_of(lambda: run(wanted, duration=duration, progress=output.watched(json)))
+    if trajectory.status == INTERRUPTED:
+        _leave(trajectory, output.partial_path(out), json)
     trajectory.to_netcdf(out)
     worked = float(np.ptp(trajectory.motor_work) + np.ptp(trajectory.kinetic_energy + trajectory.potential_energy))
     result = {
@@ -65,6 +72,14 @@ def simulate(
         ],
         as_json=json,
     )
+
+
+def _leave(part: "Trajectory", out: Path, as_json: bool) -> NoReturn:
+    """Write what Ctrl-C has left of a run, and exit."""
+    part.to_netcdf(out)
+    left = {"output": out, "status": part.status, "samples": part.t.size, "end_s": part.state.t}
+    message = f"Interrupted at t = {part.state.t:.6g} s; what was simulated until then is in {out}."
+    raise typer.Exit(output.interrupted(message, left, as_json=as_json))
 
 
 def _trust(setup: "Setup", duration: float | None, allowed: float) -> dict[str, Any]:

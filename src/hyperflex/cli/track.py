@@ -11,7 +11,8 @@ import typer
 
 from hyperflex.checks import number
 from hyperflex.cli import output
-from hyperflex.errors import Interrupted, InvalidInput
+from hyperflex.errors import InvalidInput
+from hyperflex.interruption import caught
 
 if TYPE_CHECKING:
     from hyperflex.estimate import RopeFilter, VideoTrack
@@ -99,14 +100,17 @@ def track(
 @contextmanager
 def _keeping(out: Path, as_json: bool) -> Iterator[None]:
     """Write what Ctrl-C has left of the tracking in the block, under a name that says so, and exit."""
-    try:
+    with caught() as stop:
         yield
-    except Interrupted as stop:
-        kept = out.with_stem(f"{out.stem}-interrupted")
-        stop.result.to_netcdf(kept)
-        left = {"output": kept, "frames": stop.result.frames, "duration_s": stop.result.recording.duration}
-        message = f"Interrupted after {stop.result.frames} frames; what was tracked until then is in {kept}."
-        raise typer.Exit(output.interrupted(message, left, as_json=as_json)) from None
+    if not stop.met:
+        return
+    if (part := stop.partial) is None:
+        raise KeyboardInterrupt
+    kept = output.partial_path(out)
+    part.to_netcdf(kept)
+    left = {"output": kept, "frames": part.frames, "duration_s": part.recording.duration}
+    message = f"Interrupted after {part.frames} frames; what was tracked until then is in {kept}."
+    raise typer.Exit(output.interrupted(message, left, as_json=as_json))
 
 
 def _show(found: "VideoTrack", estimator: "RopeFilter", out: Path, as_json: bool) -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +16,7 @@ import typer
 from hyperflex import checks
 from hyperflex.cli import output
 from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.interruption import caught
 
 if TYPE_CHECKING:
     from hyperflex.estimate import Change, FrameThread, LiveEstimate, RopeTracker, Watch
@@ -94,12 +94,11 @@ def watch(
             sys.stderr.write(f"hyperflex: pictures at {pictures.address}\n")
         shown = _Pictures(tracker, preview, pictures)
         tally = _Tally()
-        with _noticing_termination(), WatchLog(out, line.n_links, len(arcs), camera) as log, shown:
-            try:
+        with WatchLog(out, line.n_links, len(arcs), camera) as log, shown:
+            with caught() as stop:
                 _run(follow, until, [log.note, tally.note, shown.draw], json)
                 log.ending = frames.ended or f"stopped after {duration:g} s"
-            except KeyboardInterrupt:
-                log.interrupted = True
+            log.interrupted = stop.met
     result = {"output": out, "ending": log.ending, "interrupted": log.interrupted, **tally.summary(tracker)}
     if log.interrupted:
         raise typer.Exit(output.interrupted(f"Interrupted; the log is kept in {out}.", result, as_json=json))
@@ -246,17 +245,3 @@ def _images(frames: FrameThread, patience: float) -> Iterator[Image]:
         frames.take(0.0)
     if not count and frames.ended:
         raise FileProblem(frames.ended)
-
-
-@contextmanager
-def _noticing_termination() -> Iterator[None]:
-    """Make of the signal that asks a program to end what Ctrl-C is."""
-    try:
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    except ValueError:  # signals are the main thread's alone
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

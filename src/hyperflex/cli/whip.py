@@ -58,8 +58,8 @@ def whip(
     peg at the target is simulated too. Writes a page, pictures, a film, the motion for the motor (CSV), the verified
     run (NetCDF) and a set-up that simulate runs; files of an earlier whip in the folder are replaced.
 
-    Ctrl-C ends the search; the best so far is written, and marked as such. While page and pictures are drawn, it
-    leaves the plan's other files, which are written before.
+    Ctrl-C ends the search; the best so far is written, and marked as such, without pictures. While page and pictures
+    are drawn, it leaves the plan's other files, which are written before.
 
     The exit code is 4 if no whip that meets the target was found; the best is written all the same, with the reason.
     """
@@ -74,23 +74,25 @@ def whip(
     options = {"direction": direction, "angle_tolerance": angle_tolerance, "least_speed": least_speed}
     asked = _target(task, target, options)
     angle = asked.get("direction")
-    plan = plan_whip(
-        task.rope,
-        task.arm,
-        (asked["x"], asked["y"]),
-        None if angle is None else (math.cos(angle), math.sin(angle)),
-        task.limits,
-        least_speed=asked.get("least_speed", 5.0),
-        angle_tolerance=asked.get("angle_tolerance", math.radians(20.0)),
-        time_limit=time_limit,
-        skip_feasibility=skip_feasibility,
-        time_budget=time_budget,
-        seed=seed,
-        progress=output.watched(json),
+    plan = output.partial_of(
+        lambda: plan_whip(
+            task.rope,
+            task.arm,
+            (asked["x"], asked["y"]),
+            None if angle is None else (math.cos(angle), math.sin(angle)),
+            task.limits,
+            least_speed=asked.get("least_speed", 5.0),
+            angle_tolerance=asked.get("angle_tolerance", math.radians(20.0)),
+            time_limit=time_limit,
+            skip_feasibility=skip_feasibility,
+            time_budget=time_budget,
+            seed=seed,
+            progress=output.watched(json),
+        )
     )
     with planner.writing(WhipReport(plan, None), out, rate=rate, as_json=json) as (files, progress):
         progress("striking a small peg")
-        impact = None if plan.outcome is None else plan.impact()
+        impact = None if plan.outcome is None or plan.interrupted else plan.impact()
         report = WhipReport(plan, impact)
         files |= report.add_page(out, progress=progress)
     result = plan.summary() | ({} if impact is None else {"impact": asdict(impact)})

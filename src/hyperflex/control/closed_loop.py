@@ -10,6 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.control.swing_model import SwingModel
 from hyperflex.control.timing import Rule
 from hyperflex.interfaces import StateSource
+from hyperflex.interruption import interruptible
 from hyperflex.motion import Motion
 
 
@@ -22,6 +23,7 @@ class ClosedLoopRun:
     decisions: int
 
 
+@interruptible()
 def run_closed_loop(
     source: StateSource, rule: Rule, model: SwingModel, *, duration: float, recheck_time: float = math.inf
 ) -> ClosedLoopRun:

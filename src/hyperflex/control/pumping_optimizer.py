@@ -11,6 +11,7 @@ from hyperflex.control.state_source import hanging_state
 from hyperflex.control.swing_model import SwingModel, arrival_time
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
+from hyperflex.interruption import caught, interruptible
 
 MEMBERS = 60  # of a generation
 SPREAD = 0.08  # s, of the first generation about constant rests
@@ -33,6 +34,7 @@ class PumpingPlan:
     rollouts: int
 
 
+@interruptible(PumpingPlan)
 def optimize_pumping(
     model: SwingModel, target: float, *, longest: float = 16.0, rounds: int = 40, seed: int = 0
 ) -> PumpingPlan:
@@ -53,12 +55,13 @@ def optimize_pumping(
     Returns
     -------
     PumpingPlan
-        If Ctrl-C ends the search, the best so far.
 
     Raises
     ------
     InvalidInput
         No constant rest reaches the amplitude.
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the best plan until then.
 
     Notes
     -----
@@ -88,14 +91,12 @@ def optimize_pumping(
         constants.size,
     )
     low, high = found.arrival_time - 0.6 * model.period, found.arrival_time
-    try:
+    with caught() as stop:
         while rounds and high - low > MIN_GAIN:
             deadline = 0.5 * (low + high)
             found, met = _before(deadline, model, want, rest, found, rounds, seed)
             low, high = (low, found.arrival_time) if met else (deadline, high)
-    except KeyboardInterrupt:
-        pass
-    return found
+    return stop.deliver(found)
 
 
 def _from_first(later: Array) -> Array:

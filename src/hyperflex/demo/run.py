@@ -76,8 +76,6 @@ def run_demo(progress: Progress = silent, preview: Path | None = None) -> Demo:
         progress(f"identifying, windows of {entry['window']:.2g} s, round {entry['round'] + 1:.0f}")
 
     found = identify(recording, guess, twin.FREE, train=twin.TRAIN, window=twin.WINDOW, progress=report)
-    if found.message == "interrupted":  # identify hands back the best so far; a demo of half a fit would mislead
-        raise KeyboardInterrupt
     mapped, cut = twin.mapped_truth(), twin.coarse_rope()
     parameters = tuple(
         Parameter(
@@ -110,8 +108,6 @@ def _wind(rope: Rope, progress: Progress) -> tuple[CastPlan, HoldingForce | None
     """Plan with the identified rope, tug at it, and throw the one that made the recording likewise."""
     progress("planning how to wind it round a target")
     plan = plan_cast(rope, casting_arm(), TARGET, time_budget=TIME_BUDGET)
-    if plan.interrupted:
-        raise KeyboardInterrupt
     progress("tugging at the rope")
     held = plan.measure_holding_force()
     if plan.motion is None:

@@ -14,6 +14,7 @@ from hyperflex.estimate.changes import Change
 from hyperflex.estimate.parameters import OPTICAL
 from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, draw_frame
 from hyperflex.files import PathLike
+from hyperflex.interruption import caught, interruptible
 from hyperflex.recording import Recording
 from hyperflex.vision import Camera, VideoReader, VideoWriter
 
@@ -73,6 +74,7 @@ class _Sighting(NamedTuple):
     changes: tuple[Change, ...]
 
 
+@interruptible(VideoTrack)
 def track_video(
     video: PathLike,
     tracker: RopeTracker,
@@ -105,23 +107,19 @@ def track_video(
         If the rope is found in no frame, the frames have another size than the camera's, or follow each other faster
         than the camera exposes or reads them.
     Interrupted
-        By Ctrl-C; its ``result`` is the VideoTrack until then, where the rope had been found. No preview is kept.
+        By Ctrl-C; its ``partial`` is the VideoTrack until then, where the rope had been found. No preview is kept.
     """
     from threadpoolctl import threadpool_limits
 
     found: list[_Sighting] = []
     count = 0
 
-    def result() -> VideoTrack:
-        """Return what has been tracked until now."""
-        return _result(tracker, found, count, str(video), reader.notes)
-
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))  # matrices are small: threads would wait for each other
         reader = stack.enter_context(VideoReader(video))
         _check_timing(tracker.camera, reader)
         writer = None if preview is None else stack.enter_context(VideoWriter(preview, reader.image_size))
-        try:
+        with caught() as stop:
             for frame in reader:
                 tracked = tracker.look(frame)
                 count += 1
@@ -131,18 +129,17 @@ def track_video(
                     writer.write(draw_frame(frame.image, tracker, tracked), frame.time)
                 if progress is not None:
                     progress(count)
-        except KeyboardInterrupt:
-            if sum(_any_seen(each) for each in found) < 2:
-                raise
-            raise Interrupted(result()) from None
-        if sum(_any_seen(each) for each in found) < 2:
+        seen = sum(_any_seen(each) for each in found)
+        if stop.met:
+            raise Interrupted(_result(tracker, found, count, str(video), reader.notes) if seen > 1 else None)
+        if seen < 2:
             raise InvalidInput(
                 "the rope was not found in the video",
                 got=f"{count} frames",
                 allowed="two frames or more in which markers are seen in an order that the rope allows",
                 fix="Check the markers' colour, their arc lengths, and the camera's swing plane",
             )
-    return result()
+        return _result(tracker, found, count, str(video), reader.notes)
 
 
 def _check_timing(camera: Camera, reader: VideoReader) -> None:

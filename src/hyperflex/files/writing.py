@@ -1,20 +1,26 @@
 """Writing wholly or not at all: temporary name in the same folder, forced to the disk, then renamed."""
 
 import errno
+import glob
 import os
 import re
 import secrets
+import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, Literal
 
 from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
+from hyperflex.interruption import deferred
 
 PathLike = str | os.PathLike[str]
 
+LEFT_BEHIND = 3600.0  # s without a change after which nobody is still writing
+_TOKEN = "[0-9a-f]" * 8
 _NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_SPACE_TEXT = re.compile(r"No space left|File too large|quota exceeded", re.IGNORECASE)
 
@@ -34,16 +40,28 @@ def atomic_path(path: PathLike) -> Iterator[Path]:
     """
     target = _target(path)
     part = target.with_name(f".{target.stem[:40]}.{secrets.token_hex(4)}.part{target.suffix}")
+    remove_left_behind(target.parent, f".{glob.escape(target.stem[:40])}.{_TOKEN}.part{glob.escape(target.suffix)}")
     try:
         os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield part
-        _replace(part, target)
+        with deferred():
+            _replace(part, target)
     except HyperflexError:
         raise
     except OSError as error:
         raise _write_problem(target, part, error) from error
     finally:
-        part.unlink(missing_ok=True)
+        with deferred():
+            part.unlink(missing_ok=True)
+
+
+def remove_left_behind(folder: Path, pattern: str) -> None:
+    """Remove files and folders that processes which were killed have left half written, by a pattern of names."""
+    for path in folder.glob(pattern):
+        with suppress(OSError):
+            newest = max(each.stat().st_mtime for each in (path, *(path.iterdir() if path.is_dir() else ())))
+            if time.time() - newest > LEFT_BEHIND:
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 @contextmanager

@@ -11,13 +11,14 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.identification.assembly import assemble_result
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, scaled_angles, suspicious
 from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
 from hyperflex.identification.diagnosis.grade import misdeclared
 from hyperflex.identification.diagnosis.model_error import with_model_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests
+from hyperflex.identification.ending import INTERRUPTED
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
 from hyperflex.identification.fit.multiple_shooting import Report, one_thread
@@ -31,6 +32,7 @@ from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, estimate_covariance
 from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
 from hyperflex.identification.verdict import POOR, other_lengths, uneven_scale
+from hyperflex.interruption import caught, deferred, interruptible
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
@@ -39,6 +41,7 @@ from hyperflex.sensors import Markers
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
 
 
+@interruptible(Identification)
 @one_thread()
 def identify(
     recording: Recording,
@@ -116,8 +119,8 @@ def identify(
         fit the rope.
     IdentificationError
         When no window can be simulated at all.
-    KeyboardInterrupt
-        When Ctrl-C comes before anything was fitted. Later the best so far is returned, ``message == "interrupted"``.
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the best so far, with ``message == "interrupted"``, if anything was fitted.
 
     Notes
     -----
@@ -171,7 +174,10 @@ def identify(
         trial, remark = choose_parameters(problem.fit, rope_guess)
     else:
         trial = problem.fit(free)
-    return problem.complete(trial, intervals, remark, began)
+    result = problem.complete(trial, intervals, remark, began)
+    if result.message == INTERRUPTED:
+        raise Interrupted(result)
+    return result
 
 
 @dataclass(frozen=True)
@@ -211,44 +217,53 @@ class _Problem:
             plant = with_delay(plant, delay["delay_from"])
         length = min(usual if self.window is None else self.window, 1.001 * self.fitted.channels.duration)
         found, windows, settings = fit_in_stages(plant, self.fitted, length, usual, self.report, self.loss)
-        basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
         tests: tuple[ScoreTest, ...] = ()
-        try:
-            if found.converged:
+        with caught() as stop:  # what was fitted is worth more than its tests
+            with deferred():
+                basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
+            if found.converged and not found.interrupted:
                 tests = score_tests(basis)
                 basis = with_model_error(basis, tests)
-        except KeyboardInterrupt:  # what was fitted is worth more than its tests
-            found.interrupted = True
+        found.interrupted = found.interrupted or stop.met
         return Trial(list(free), basis, tests, settings | delay)
 
     def complete(self, trial: Trial, intervals: How | None, remark: str, began: float) -> Identification:
         """Return a fit as a result, with intervals, predictions of what was held out, and a grade."""
         basis, tests, found, fitted = trial.basis, trial.tests, trial.basis.fit, self.fitted.channels
-        ranges = self._intervals(trial, intervals)
+        ranges: dict[str, Interval] | None = None
         held_out: HeldOut | None = None
-        try:
+        with caught() as stop:  # what was fitted is worth more than its intervals and its trial
+            ranges = self._intervals(trial, intervals)
             if self.rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
                 spread = prediction_uncertainty(basis, self.untorqued.channels.data.shape[1])
                 plant = basis.plant.without_torque()  # what is held out is predicted without force or torque
                 held_out = predict(plant, found.x, self.rest, self.lead, self.ahead, self.loss, spread)
-        except KeyboardInterrupt:  # what was fitted is worth more than its trial
-            found.interrupted = True
+        if stop.met:
+            ranges, found.interrupted = stop.partial if ranges is None else ranges, True
         settings = trial.settings | {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
         settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
         settings |= _fit_settings(basis.plant, trial.free, self.loss.name, self.origin)
         settings["noise"] = "not declared" if self.recording.noise is None else "declared"
         lengths = "" if self.arc_lengths is not None else other_lengths(self.recording, self.guess)
-        result = assemble_result(basis, held_out, settings, lengths, ranges, tests)
-        if found.interrupted:
-            return result.with_remark(remark) if remark else result
+        with caught() as stop:
+            with deferred():
+                result = assemble_result(basis, held_out, settings, lengths, ranges, tests)
+            if not found.interrupted:
+                result = self._doubted(result, trial)
+        if stop.met:
+            found.interrupted = True
+            result = assemble_result(basis, held_out, settings, lengths, ranges, tests)
+        return result.with_remark(remark) if remark else result
+
+    def _doubted(self, result: Identification, trial: Trial) -> Identification:
+        """Return a result with what looks wrong in what was declared of the recording, as far as short fits tell."""
         short = ShortFit(self.guess, trial.free, self.arc_lengths, self.origin, self.motion, self.arm, self.loss)
         if result.grade.name != "do not use":
             result = result.with_suspicion(scaled_angles(self.recording, short))
         if result.grade.doubtful or suspicious(self.fitted.shape):
-            result = result.with_reason(explained(self.recording, self.origin, short, named=bool(misdeclared(tests))))
-        if self.arc_lengths is None:
-            result = result.with_reason(uneven_scale(self.recording))
-        return result.with_remark(remark) if remark else result
+            named = bool(misdeclared(trial.tests))
+            result = result.with_reason(explained(self.recording, self.origin, short, named=named))
+        return result.with_reason(uneven_scale(self.recording)) if self.arc_lengths is None else result
 
     def _intervals(self, trial: Trial, how: How | None) -> dict[str, Interval] | None:
         if how is None:

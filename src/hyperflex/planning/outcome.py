@@ -8,6 +8,7 @@ import numpy.typing as npt
 from hyperflex import checks, winding
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
@@ -91,6 +92,7 @@ class CastOutcome:
         return self.max_bend > np.pi
 
 
+@interruptible()
 def verify_cast(
     cast_setup: CastSetup,
     peg: Peg,
@@ -223,6 +225,7 @@ class HoldingForce:
         return float(self.tail_weight * np.exp(self.mu * self.contact_angle))
 
 
+@interruptible()
 def measure_holding_force(run: Trajectory, peg: Peg) -> HoldingForce | None:
     """Tug at the rope from the end of a run with a peg; None if it is not on the peg or the tug cannot be simulated."""
     wound = winding.measure_winding(run, peg)

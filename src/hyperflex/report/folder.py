@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from hyperflex import files
 from hyperflex.errors import FileProblem
+from hyperflex.interruption import deferred
 
 Progress = Callable[[str], None]  # called with a message on what is being done
 
@@ -39,20 +41,25 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
     FileProblem
         There is a file of that name, no permission, no space, or a folder in the way of one of the files.
     """
-    target = Path(os.path.realpath(directory))
-    stage = _stage(target)
+    target, stage = Path(os.path.realpath(directory)), None
     try:
+        with deferred():
+            stage = _stage(target)
         yield stage
-        _move(stage, target, own)
+        with deferred():
+            _move(stage, target, own)
     except FileProblem as error:
-        raise FileProblem(str(error).replace(str(stage), str(target))) from error
+        raise FileProblem(str(error).replace(str(stage or target), str(target))) from error
     finally:
-        shutil.rmtree(stage, ignore_errors=True)
+        if stage is not None:
+            with deferred():
+                shutil.rmtree(stage, ignore_errors=True)
 
 
 def check_folder(directory: str | Path) -> None:
     """Refuse, before any work, a folder that cannot be made or filled now: FileProblem as of :func:`whole_folder`."""
-    _stage(Path(os.path.realpath(directory))).rmdir()
+    with deferred():
+        _stage(Path(os.path.realpath(directory))).rmdir()
 
 
 def _stage(target: Path) -> Path:
@@ -61,6 +68,7 @@ def _stage(target: Path) -> Path:
         base = next(path for path in (target, *target.parents) if path.exists())
         if not base.is_dir():
             raise FileProblem(f"{target} is or lies under a file, not a folder. Give the name of a folder.")
+        files.remove_left_behind(base, f".hyperflex.{'[0-9a-f]' * 8}.part")
         stage = base / f".hyperflex.{secrets.token_hex(4)}.part"
         stage.mkdir()
     except FileProblem:

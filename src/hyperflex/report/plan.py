@@ -105,8 +105,11 @@ class PlanReport(ABC, Generic[PlanT]):
         return {kind: Path(directory) / path.name for kind, path in drawn.items()} | {"page": page}
 
     def draw(self, folder: Path, progress: Progress = silent) -> dict[str, Path]:
-        """Draw figures and film of the run, if there is one, to files in `folder`; return them by name."""
-        if self.plan.run is None:
+        """Draw figures and film of the run to files in `folder`; return them by name.
+
+        None if there is no run, or if the plan was interrupted: who stops a search waits for nothing more.
+        """
+        if self.plan.run is None or self.plan.interrupted:
             return {}
         progress("drawing")
         figures = self.figures()

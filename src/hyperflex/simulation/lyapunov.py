@@ -9,6 +9,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import setup_of
@@ -95,6 +96,7 @@ class Predictability:
         return float(self.t[late - 1] + part * (self.t[late] - self.t[late - 1]))
 
 
+@interruptible()
 def predictability(
     rope: Rope | Setup,
     motion: Motion | None = None,

@@ -6,12 +6,15 @@ from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.integrate import dense_output as output
 from hyperflex.errors import SimulationError
+from hyperflex.interruption import look
 from hyperflex.model import Setup
 from hyperflex.simulation.contact.runs import split_samples
 from hyperflex.simulation.contact.turning_pegs import shown, spin_energy
 from hyperflex.simulation.restart import final_state, state_of
 from hyperflex.simulation.rollouts import Rollout, balanced, least_scale, starting_clock, stored
 from hyperflex.trajectory import State, Trajectory
+
+AT_ONCE = 1_000_000  # numbers of states that are observed between two looks at Ctrl-C
 
 
 def failure(code: int, run: Rollout) -> SimulationError:
@@ -70,13 +73,22 @@ def _balanced_rows(run: Rollout, setup: Setup) -> tuple[int, float | None]:
     t = np.append(run.t[: run.done], run.time)
     y = np.concatenate([run.y[: run.done], run.progress.y[None]])
     scalars = np.empty((t.size, 5))
-    output.observe(run.chain, run.drive, t, y, np.empty((t.size, n)), np.empty((t.size, 9)), scalars)
+    _observe(run, t, y, np.empty((t.size, n)), np.empty((t.size, 9)), scalars)
     held = stored(run.chain, y[:, :n])
     if run.seen is not None and run.spin is not None:
         rates = np.concatenate([split_samples(run.seen[: run.done], n).spin, run.spin[None]])[:, 1]
         scalars[:, 0] += spin_energy(setup, rates)
     good = int(balanced(least_scale(setup.rope), scalars[:, 0], scalars[:, 1], held, y[:, 2 * n], y[:, 2 * n + 1]))
     return min(good, run.done), None if good == t.size else float(t[good])
+
+
+def _observe(run: Rollout, t: Array, y: Array, *seen: Array) -> None:
+    """Fill in what is `seen` at given states, see ``dense_output.observe``; Ctrl-C is looked at now and then."""
+    at_once = max(1, AT_ONCE // y.shape[1])
+    for first in range(0, t.size, at_once):
+        rows = slice(first, first + at_once)
+        look()
+        output.observe(run.chain, run.drive, t[rows], y[rows], *(each[rows] for each in seen))
 
 
 def _state_at(run: Rollout, setup: Setup, count: int) -> State:
@@ -92,7 +104,7 @@ def _trajectory(run: Rollout, setup: Setup, skip: int, count: int, name: str, me
     t, y = run.t[skip:count], run.y[skip:count]
     count = t.size
     qdd, base, scalars = np.empty((count, n)), np.empty((count, 9)), np.empty((count, 5))
-    output.observe(run.chain, run.drive, t, y, qdd, base, scalars)
+    _observe(run, t, y, qdd, base, scalars)
     q, qd = y[:, :n], y[:, n : 2 * n]
     contact = None if run.seen is None else split_samples(run.seen[skip : skip + count], n)
     if contact is not None:  # in free flight what (1) gives stands

@@ -22,6 +22,7 @@ from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import scheme
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import caught, look
 from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
 
@@ -31,7 +32,7 @@ LEAST_ORDER, MOST_ORDER = 7, 8
 TABLES = tuple(scheme(order) for order in range(LEAST_ORDER - 1, MOST_ORDER + 1))
 # A run is refused when its energy balance is off by more than this part of the energy that went through it.
 ENERGY_ALLOWANCE = 0.02
-BUDGET = 2000  # steps between two looks at progress and Ctrl-C
+BUDGET, SHORT = 2000, 100  # steps between two looks at progress and Ctrl-C, of a rope of so many links or fewer
 
 Control = Callable[[float, float, float, Array, Array], float]
 
@@ -48,7 +49,7 @@ class Rollout:
     t : (T,) float64
         Output times, s.
     y : (T, 2 n + 2) float64
-        States at those times: angles, rates, work, dissipation; rows are filled as the run goes on.
+        States at those times: angles, rates, work, dissipation; the first `done` rows are filled.
     seen : (T, 3 n + 4 + 2 m) float64, optional
         Beside m obstacles: what ``contact_run.run`` saw at each time; NaN in free flight, but for pegs that turn.
     spin : (2, m) float64, optional
@@ -96,7 +97,7 @@ def prepare_rollout(
     noted = np.empty((0, 3)) if log is None else log
     progress = Progress(y, y.copy(), np.ones(n), np.ones(n), clock, noted)
     # A copy of the times, which may be read-only or not: the kernels are compiled for one kind.
-    return Rollout(chain, drive, limits, progress, np.array(t), np.full((t.size, 2 * n + 2), np.nan))
+    return Rollout(chain, drive, limits, progress, np.array(t), np.empty((t.size, 2 * n + 2)))
 
 
 def starting_clock(t: float) -> Array:
@@ -126,6 +127,7 @@ def lever(chain: Chain) -> Array:
 
 def rollout_limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET, until: Until = NEVER) -> Limits:
     """Return the bounds of a run until `stop`, s, or what ends it before; refuses an unstable Runge-Kutta step."""
+    budget = max(1, budget * SHORT // max(SHORT, chain.length.size))
     weight, reach = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy), float(chain.length.sum())
     scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
     bounds = Limits(
@@ -161,6 +163,7 @@ def finish_rollout(run: Rollout, report: Callable[[float], None] | None = None) 
     run.progress.clock[MARK] = -np.inf
     while code == status.RUNNING:
         code = run.advance()
+        look()
         if report is not None:
             report(run.time)
     return code
@@ -190,25 +193,26 @@ def controlled(
     """Run with a torque that `control` sets every `period`, s.
 
     The run is driven by the interval's drive; `go` runs until ``run.limits.stop`` and returns the status code. Returns
-    the last of these, when the torque was set (m,), s, and what it was (m,), N m.
+    the last of these (RUNNING after Ctrl-C), when the torque was set (m,), s, and what it was (m,), N m.
     """
     n, limit = run.chain.length.size, run.drive.torque_limit
     begin, stop, code, count = run.time, run.limits.stop, status.OK, 0
     times, torques = [], []
-    while run.time < stop and code == status.OK:
-        y = run.progress.y
-        now = run.time
-        answer = control(now, float(y[0]), float(y[n]), y[1:n].copy(), y[n + 1 : 2 * n].copy())
-        wanted = checks.number(f"torque callback at t = {now:g} s", answer, unit="N m")
-        times.append(now)
-        torques.append(float(np.clip(wanted, -limit, limit)))
-        count += 1
-        until = min(begin + count * period, stop)
-        interval.set(now, until, TORQUE, [torques[-1], 0.0, 0.0, 0.0, 0.0, 0.0])
-        run.limits = run.limits._replace(stop=until)
-        code = go()
-        restart(run.progress.clock)
-    return code, np.array(times), np.array(torques)
+    with caught() as interrupt:
+        while run.time < stop and code == status.OK:
+            y = run.progress.y
+            now = run.time
+            answer = control(now, float(y[0]), float(y[n]), y[1:n].copy(), y[n + 1 : 2 * n].copy())
+            wanted = checks.number(f"torque callback at t = {now:g} s", answer, unit="N m")
+            times.append(now)
+            torques.append(float(np.clip(wanted, -limit, limit)))
+            count += 1
+            until = min(begin + count * period, stop)
+            interval.set(now, until, TORQUE, [torques[-1], 0.0, 0.0, 0.0, 0.0, 0.0])
+            run.limits = run.limits._replace(stop=until)
+            code = go()
+            restart(run.progress.clock)
+    return status.RUNNING if interrupt.met else code, np.array(times), np.array(torques)
 
 
 def stored(chain: Chain, q: Array) -> Array:

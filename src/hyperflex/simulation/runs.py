@@ -14,7 +14,8 @@ from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.drive import TORQUE
 from hyperflex.core.integrate.end_conditions import NEVER, Until
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import Interrupted, InvalidInput
+from hyperflex.interruption import caught, interruptible
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, checked_obstacles
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.simulation.arguments import chosen, needed, output_times, whole_setup
@@ -37,6 +38,7 @@ from hyperflex.simulation.time_budget import INTERRUPTED, OUT_OF_TIME, TimeBudge
 from hyperflex.trajectory import State, Trajectory
 
 
+@interruptible(Trajectory)
 def simulate(
     rope: Rope | Setup,
     motion: Motion | None = None,
@@ -120,8 +122,8 @@ def simulate(
         `state` may then be those of either rope). The trajectory's rope is the finer one. A whole set-up is taken as it
         is.
     throw : bool
-        False returns the part that holds, with its ``status`` and ``message``, where True raises. Ctrl-C then ends the
-        run with the status "interrupted".
+        False returns the part that holds, with its ``status`` and ``message``, where True raises; also after Ctrl-C,
+        with the status "interrupted".
     time_budget : float, optional
         Processor time, s, after which the run ends as a failure ("time budget exceeded"). It is looked at between some
         hundred steps; with a torque callback not at all. By default a run takes as long as it takes.
@@ -140,6 +142,8 @@ def simulate(
         If an argument cannot be used.
     SimulationError
         If the run diverges, cannot meet `tol`, or does not keep its energy balance; says when and what to try.
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the trajectory until then, to go on from.
 
     Notes
     -----
@@ -180,24 +184,24 @@ def simulate(
     run = prepare_rollout(chain, setup.drive(), setup.start(), np.append(begin, t) if skip else t, bounds)
     if state is not None:
         resume(run, state, setup)
-    try:
-        if control is not None and control_rate is not None:
-            code, setup = _controlled(run, setup, state, control, control_rate)
-        else:
-            code = _finished(run, setup, state, (begin, begin + length), time_budget, progress)
-        name = status.NAMES[code]
-    except KeyboardInterrupt:
-        if throw:
-            raise
-        code, name = status.RUNNING, INTERRUPTED
-    except TimeBudgetExceeded:
-        if throw:
-            raise budget_error(run.time) from None
-        code, name = status.RUNNING, OUT_OF_TIME
+    code, name = status.RUNNING, INTERRUPTED
+    with caught():
+        try:
+            if control is not None and control_rate is not None:
+                code, setup = _controlled(run, setup, state, control, control_rate)
+            else:
+                code = _finished(run, setup, state, (begin, begin + length), time_budget, progress)
+        except TimeBudgetExceeded:
+            if throw:
+                raise budget_error(run.time) from None
+            name = OUT_OF_TIME
+    if code == status.RUNNING and name == INTERRUPTED and throw:
+        raise Interrupted(partial(conclude, run, setup, code, name, throw=False, skip=skip))
     event = None
     if code == status.REACHED and until is not None:
         code, event = status.OK, (until.name, run.time)
         end_at_event(run)
+    name = name if code == status.RUNNING else status.NAMES[code]
     return replace(conclude(run, setup, code, name, throw=throw, skip=skip), event=event)
 
 
@@ -257,7 +261,7 @@ def angles(
     """
     setup = Setup(rope, motion, arm, tol=tol)
     chain = rope.chain()
-    run = prepare_rollout(chain, setup.drive(), (q0, qd0), t, rollout_limits(setup, chain, float(t[-1]), 1_000_000))
+    run = prepare_rollout(chain, setup.drive(), (q0, qd0), t, rollout_limits(setup, chain, float(t[-1])))
     refuse_failure(finish_rollout(run), run)
     n = chain.length.size
     return run.y[:, :n], run.y[:, n : 2 * n]
@@ -296,6 +300,8 @@ def _controlled(run: Rollout, setup: Setup, state: State | None, control: Contro
     interval, stop = Interval(run.drive), run.limits.stop
     run.drive = interval.drive
     code, times, torques = controlled(run, interval, control, 1.0 / rate, runner(run, setup, state))
+    if not times.size:
+        return code, setup
     setup = replace(setup, torque=_constant_torques(times, torques, stop + 1.0 / rate))
     run.drive = setup.drive()
     return code, setup

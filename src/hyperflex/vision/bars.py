@@ -12,6 +12,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.files import PathLike
+from hyperflex.interruption import caught, interruptible
 from hyperflex.recording import Recording
 from hyperflex.vision.colour import surface
 from hyperflex.vision.video import Image, VideoReader, VideoWriter
@@ -171,6 +172,7 @@ class BarTrack:
         self.recording.to_netcdf(path)
 
 
+@interruptible(BarTrack)
 def track_bars(
     video: PathLike,
     detector: BarDetector,
@@ -205,7 +207,7 @@ def track_bars(
     InvalidInput
         If a link is seen in fewer than two frames.
     Interrupted
-        By Ctrl-C; its ``result`` is the BarTrack until then, where each link had been seen twice. No preview is kept.
+        By Ctrl-C; its ``partial`` is the BarTrack until then, where each link had been seen twice. No preview is kept.
 
     Notes
     -----
@@ -219,7 +221,7 @@ def track_bars(
     with ExitStack() as stack:
         reader = stack.enter_context(VideoReader(video))
         writer = None if preview is None else stack.enter_context(VideoWriter(preview, reader.image_size))
-        try:
+        with caught() as stop:
             for frame in reader:
                 seen = detector.find(frame.image)
                 angles.append(link_angles(seen, start, expected_angles(times, angles, frame.time)))
@@ -229,11 +231,11 @@ def track_bars(
                     writer.write(_drawn(frame.image, seen, angles[-1], frame.time), frame.time)
                 if progress is not None:
                     progress(len(times))
-        except KeyboardInterrupt:
-            with suppress(InvalidInput):
-                raise Interrupted(_bar_track(times, angles, stds, reader)) from None
-            raise
-        return _bar_track(times, angles, stds, reader)
+        if not stop.met:
+            return _bar_track(times, angles, stds, reader)
+        with suppress(InvalidInput):
+            raise Interrupted(_bar_track(times, angles, stds, reader))
+        raise Interrupted
 
 
 def _bar_track(times: list[float], angles: list[Array], stds: list[Array], reader: VideoReader) -> BarTrack:

@@ -12,6 +12,7 @@ from hyperflex.estimate.observations import Observations, lever_arms
 from hyperflex.estimate.smoothing.interval import InputFrame, Interval
 from hyperflex.estimate.smoothing.moving_horizon import MovingHorizon
 from hyperflex.interfaces import RopeState
+from hyperflex.interruption import interruptible
 
 WHOLE_ROUNDS = 30  # of Gauss-Newton
 EARLIER = 0.1  # s by which a change may have happened before the moment that was told
@@ -39,6 +40,7 @@ class SmoothedTrack:
     log_likelihood: float
 
 
+@interruptible()
 def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> SmoothedTrack:
     """Estimate the states of all frames of a recording from all of it.
 

@@ -10,7 +10,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.dynamics import bias, mass_matrix
-from hyperflex.errors import IdentificationError, InvalidInput
+from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.baselines.regression import fit_regression
 from hyperflex.identification.baselines.simplex import (
     MAX_EVALUATIONS,
@@ -23,6 +23,7 @@ from hyperflex.identification.baselines.simplex import (
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.identification.fit.multiple_shooting import one_thread
+from hyperflex.interruption import caught, interruptible
 from hyperflex.model import Rope, Setup
 from hyperflex.recording import Recording
 from hyperflex.simulation import AngleJacobian, angles
@@ -111,6 +112,7 @@ class IterativeRevision(Ended):
 
 
 @one_thread()
+@interruptible(IterativeRevision)
 def iterative_revision(
     recording: Recording,
     rope_guess: Rope,
@@ -153,13 +155,15 @@ def iterative_revision(
         If the recording does not fit the rope, or shows no motion beyond noise.
     IdentificationError
         If the rope cannot be simulated from the guess.
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the best round so far; None in the first one.
 
     Notes
     -----
     Paper III A-B. A calculated profile fulfils (4) with its own J and eta, so with ``"calculated"`` nothing ever moves.
     With ``"measured"`` the errors of the angles, multiplied by gravity, outweigh J's torque a hundredfold and the
     rounds diverge; with ``"measured rates"`` they creep, and the noise of the rates biases eta. Only the default
-    settles at the least error. Ctrl-C returns the best so far, marked as interrupted.
+    settles at the least error.
     """
     began = time.perf_counter()
     measured = matching_angles(recording, rope_guess)
@@ -170,31 +174,29 @@ def iterative_revision(
     done: list[Round] = []
     message, std = NOT_CONVERGED, {"inertia": float("inf"), "friction": float("inf")}
     values = np.array([rope_guess.inertia.mean(), rope_guess.friction.mean()])
-    try:
-        for _ in range(checks.count("rounds", rounds) + 1):
-            found = revision.state(values, done[-1] if done else None, began)
-            done.append(found)
-            if revision.interrupted:
-                message = INTERRUPTED
-                break
-            if progress is not None:
-                progress(found)
-            if len(done) > 1 and _unchanged(done[-2], found, std):
-                message = CONVERGED
-                break
-            values, spread = revision.parameters(found)
-            std = {"inertia": float(spread[0]), "friction": float(spread[1])}
-    except KeyboardInterrupt:
+    with caught() as stop:
+        try:
+            for _ in range(checks.count("rounds", rounds) + 1):
+                found = revision.state(values, done[-1] if done else None, began)
+                done.append(found)
+                if progress is not None:
+                    progress(found)
+                if len(done) > 1 and _unchanged(done[-2], found, std):
+                    message = CONVERGED
+                    break
+                values, spread = revision.parameters(found)
+                std = {"inertia": float(spread[0]), "friction": float(spread[1])}
+        except IdentificationError:
+            if not done:
+                raise
+    if stop.met:
         if not done:
-            raise
+            raise Interrupted
         message = INTERRUPTED
-    except IdentificationError:
-        if not done:
-            raise
     best = done[-1] if message == CONVERGED else min(done, key=lambda each: each.error)
     samples = int(np.isfinite(measured.data).sum())
     rope = revision.rope(np.array([best.inertia, best.friction]))
-    return IterativeRevision(rope, best, std, tuple(done), message, samples, profile, rates)
+    return stop.deliver(IterativeRevision(rope, best, std, tuple(done), message, samples, profile, rates))
 
 
 def _unchanged(before: Round, now: Round, std: dict[str, float]) -> bool:
@@ -208,7 +210,6 @@ class _Revision:
 
     def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: RevisionProfile, limit: int) -> None:
         self.measured, self.guess, self.rates, self.profile, self.limit = measured, guess, rates, profile, limit
-        self.interrupted = False
         self.jacobian = None
         if profile == "response":
             names = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
@@ -227,7 +228,6 @@ class _Revision:
             raise IdentificationError(f"{what}: {error}") from error
         start = None if before is None else (before.q, before.qd)
         found = estimate_initial_state(self.measured, rope, rates=self.rates, start=start, max_evaluations=self.limit)
-        self.interrupted = found.message == INTERRUPTED
         plain = squared_error(self.measured, rope, first_state(self.measured, self.rates))
         seconds = time.perf_counter() - began
         inertia, friction = float(values[0]), float(values[1])

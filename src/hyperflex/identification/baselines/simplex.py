@@ -10,6 +10,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput, SimulationError
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
+from hyperflex.interruption import caught, interruptible
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import angles
@@ -47,6 +48,7 @@ class InitialState(Ended):
     message: str
 
 
+@interruptible(InitialState)
 def estimate_initial_state(
     recording: Recording,
     rope: Rope,
@@ -76,10 +78,12 @@ def estimate_initial_state(
         If the recording does not fit the rope.
     IdentificationError
         If the rope cannot be simulated from the start.
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the best so far.
 
     Notes
     -----
-    Paper III B, step 2 of Fig. 4. Ctrl-C returns the best so far, marked as interrupted.
+    Paper III B, step 2 of Fig. 4.
     """
     measured = matching_angles(recording, rope)
     n = rope.n_links
@@ -95,13 +99,11 @@ def estimate_initial_state(
             "The rope cannot be simulated from the start. Give another start or other parameters."
         )
     message = INTERRUPTED
-    try:
+    with caught() as stop:
         converged = [descent.descend(checks.count("max_evaluations", max_evaluations)) for _ in range(2)][-1]
         message = CONVERGED if converged else NOT_CONVERGED
-    except KeyboardInterrupt:
-        pass
     best = descent.best
-    return InitialState(best[:n].copy(), best[n:].copy(), descent.least, descent.evaluations, message)
+    return stop.deliver(InitialState(best[:n].copy(), best[n:].copy(), descent.least, descent.evaluations, message))
 
 
 class _Descent:

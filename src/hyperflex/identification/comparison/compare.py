@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex import checks
-from hyperflex.errors import HyperflexError, InvalidInput
+from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
 from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend
 from hyperflex.identification.comparison.result import FittedModel, ModelComparison
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED
@@ -18,6 +18,7 @@ from hyperflex.identification.model.names import scales
 from hyperflex.identification.model.parameters import GRAVITY
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
+from hyperflex.interruption import caught, interruptible
 from hyperflex.model import DAMPING, FREE_PROPERTIES, MOST_LINKS, RESISTANCES, Rope, parse_label, recut
 from hyperflex.recording import Recording
 from hyperflex.simulation import progress_bar
@@ -49,6 +50,7 @@ class Candidate:
 Done = tuple[Candidate, Identification | str]  # a fit, or why it failed
 
 
+@interruptible(ModelComparison)
 @one_thread()
 def compare_models(
     recording: Recording,
@@ -86,8 +88,8 @@ def compare_models(
     ------
     InvalidInput
         For candidates that cannot be read, or numbers of links without markers.
-    KeyboardInterrupt
-        When Ctrl-C comes before any candidate was fitted; later those done are compared.
+    Interrupted
+        By Ctrl-C. Its ``partial`` compares the candidates fitted until then; None before any was.
 
     Notes
     -----
@@ -107,35 +109,23 @@ def compare_models(
     if links and options.get("arc_lengths") is None:
         options["arc_lengths"] = np.append(0.0, np.cumsum(rope_guess.length))
     todo = candidates(rope_guess, free, models, links)
-    with progress_bar(0.0, float(len(todo)), progress, "comparing models") as report:
-        done, stopped = _fit_all(recording, todo, options, report)
-    return _compared(todo[: len(done)], done, stopped)
-
-
-def _fit_all(
-    recording: Recording, todo: Sequence[Candidate], options: dict[str, Any], report: Any
-) -> tuple[list[Identification | str], bool]:
-    """Return each candidate's fit, or why it failed; and whether Ctrl-C cut the rest."""
     done: list[Identification | str] = []
-    fit: Callable[..., Identification] = partial(identify, recording, intervals=None, progress=False, **options)
-    for number, each in enumerate(todo):
-        try:
-            found = fit(each.guess, each.free)
-            found = _refit_from_nested(fit, each, found, zip(todo, done, strict=False))
-        except HyperflexError as failure:
-            done.append(str(failure))
-        except KeyboardInterrupt:
-            if all(isinstance(one, str) for one in done):
-                raise
-            return done, True
-        else:
-            done.append(found)
-            fit = partial(fit, window=found.settings["window"])  # the same for all
-            if found.message == INTERRUPTED:
-                return done, True
-        if report is not None:
-            report(number + 1.0)
-    return done, False
+    with caught() as stop, progress_bar(0.0, float(len(todo)), progress, "comparing models") as report:
+        fit: Callable[..., Identification] = partial(identify, recording, intervals=None, progress=False, **options)
+        for number, each in enumerate(todo):
+            try:
+                found = fit(each.guess, each.free)
+                found = _refit_from_nested(fit, each, found, zip(todo, done, strict=False))
+            except HyperflexError as failure:
+                done.append(str(failure))
+            else:
+                done.append(found)
+                fit = partial(fit, window=found.settings["window"])  # the same for all
+            if report is not None:
+                report(number + 1.0)
+    if stop.met and all(isinstance(one, str) for one in done):
+        raise Interrupted
+    return stop.deliver(_compared(todo[: len(done)], done, stop.met))
 
 
 def _refit_from_nested(
@@ -143,12 +133,12 @@ def _refit_from_nested(
 ) -> Identification:
     """Return a fit no worse than those of models nested in it: where one is better, fitted again from there."""
     for other, before in simpler:
-        if isinstance(before, str) or not other.nested_in(candidate) or found.message == INTERRUPTED:
+        if isinstance(before, str) or not other.nested_in(candidate):
             continue
         if before.residual_t.size == found.residual_t.size and WORSE * before.basis.fit.cost < found.basis.fit.cost:
             start = other.starting_guess(candidate, before.rope)
             again = fit(start, candidate.free, window=found.settings["window"])
-            if again.message == INTERRUPTED or again.basis.fit.cost < found.basis.fit.cost:
+            if again.basis.fit.cost < found.basis.fit.cost:
                 found = again
     return found
 

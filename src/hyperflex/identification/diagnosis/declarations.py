@@ -131,8 +131,6 @@ class ShortFit:
                 continue
             states = [each.guess for each in windows]
             found = fit(plant, windows, x, states, loss=self.loss, rounds=ROUNDS, enough=HARDLY)
-            if found.interrupted:
-                raise KeyboardInterrupt
             x = found.x
         if found is None or lumped(plant.parameters.rope(x))[0][0] <= 0.0:
             return np.inf, x

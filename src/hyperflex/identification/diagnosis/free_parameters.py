@@ -7,6 +7,7 @@ import numpy as np
 
 from hyperflex.identification.diagnosis.score_tests import FEW, LAWS, ScoreTest
 from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.interruption import caught
 from hyperflex.model import Rope
 
 MOST = 3  # that are added
@@ -45,7 +46,11 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
         asked = [each for each in trial.tests if _asked(each)]
         if not asked or not trial.basis.fit.converged or trial.basis.fit.interrupted:
             break
-        richer = fit([*trial.free, asked[0].name])
+        with caught() as stop:
+            richer = fit([*trial.free, asked[0].name])
+        if stop.met:
+            trial.basis.fit.interrupted = True
+            break
         if not (richer.basis.fit.converged or richer.basis.fit.interrupted):
             break
         trial = richer

@@ -294,12 +294,9 @@ def _some(basis: Basis) -> tuple[list[Window], list[Array]]:
 
 def _fit(plant: Plant, windows: list[Window], x: Array, states: list[Array], basis: Basis) -> Fit | None:
     try:
-        found = fit(plant, windows, x, states, loss=basis.fit.loss, rounds=ROUNDS)
+        return fit(plant, windows, x, states, loss=basis.fit.loss, rounds=ROUNDS)
     except InvalidInput:
         return None
-    if found.interrupted:
-        raise KeyboardInterrupt
-    return found
 
 
 def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 
 from hyperflex import checks, files
-from hyperflex.errors import HyperflexError, InvalidInput
+from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, Ended
 from hyperflex.identification.experiment_design.experiments import Experiment, default_experiments, variations
 from hyperflex.identification.experiment_design.fisher_information import ExpectedInformation, expected_information
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.scale import common_factor
+from hyperflex.interruption import caught, interruptible
 from hyperflex.model import Arm, Rope
 from hyperflex.simulation import progress_bar
 
@@ -120,6 +121,7 @@ class ExperimentDesign(Ended):
         return "\n".join([*lines, f"  {self.advice}"])
 
 
+@interruptible(ExperimentDesign)
 def design_experiment(
     rope: Rope,
     want: str | Sequence[str],
@@ -155,8 +157,8 @@ def design_experiment(
     ------
     InvalidInput
         For names in `want` that are not free, or an unknown word in `free`.
-    KeyboardInterrupt
-        When Ctrl-C comes before any candidate was simulated; later those done are ranked.
+    Interrupted
+        By Ctrl-C. Its ``partial`` ranks the candidates simulated until then; None before any was.
 
     Notes
     -----
@@ -179,19 +181,19 @@ def design_experiment(
     parse(rope, free, np.array([0.0, rope.total_length]), moved=True, arm=arm or Arm())  # wrong for one, wrong for all
     plans: list[Plan] = []
     seen: list[ExpectedInformation] = []
-    message = CONVERGED
-    with progress_bar(0.0, len(todo) + (0.0 if candidates is not None else 6.0), progress, "designing") as report:
-        try:
-            for experiment in _in_turn(todo, plans, vary=candidates is None):
-                plans.append(_plan(asked, experiment, seen))
-                if report is not None:
-                    report(float(len(plans)))
-        except KeyboardInterrupt:
-            if not plans:
-                raise
-            message = INTERRUPTED
+    with (
+        caught() as stop,
+        progress_bar(0.0, len(todo) + (0.0 if candidates is not None else 6.0), progress, "designing") as report,
+    ):
+        for experiment in _in_turn(todo, plans, vary=candidates is None):
+            plans.append(_plan(asked, experiment, seen))
+            if report is not None:
+                report(float(len(plans)))
+    if stop.met and not plans:
+        raise Interrupted
+    message = INTERRUPTED if stop.met else CONVERGED
     ranked = tuple(sorted(plans, key=lambda plan: (plan.score, bool(plan.reason))))
-    return ExperimentDesign(ranked, words, _advice(asked, ranked, seen), message)
+    return stop.deliver(ExperimentDesign(ranked, words, _advice(asked, ranked, seen), message))
 
 
 def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) -> list[Experiment]:

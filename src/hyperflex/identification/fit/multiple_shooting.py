@@ -17,6 +17,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.plant import Plant
+from hyperflex.interruption import caught
 
 LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
 ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their std
@@ -113,10 +114,12 @@ def fit(
     """Fit parameters and all states together, or the states alone, from first guesses; parameters `held` stay.
 
     It ends with a round that gains less than the part `enough` of the cost; by default less than parameters move by
-    chance. Ctrl-C returns the best so far, marked ``interrupted``.
+    chance.
 
     Raises
     ------
+    Interrupted
+        By Ctrl-C, with the best so far, marked ``interrupted``.
     InvalidInput
         When the guess cannot be simulated.
     """
@@ -129,7 +132,7 @@ def fit(
     lower = np.empty(0) if states_only else plant.parameters.lower
     least = min(1e-4, ENOUGH / count) if enough is None else enough
     damping, stalled = 1e-3, 0
-    try:
+    with caught() as stop:
         for number in range(rounds):
             best.loss = best.loss.scaled(best.residuals)
             before = best.cost
@@ -152,9 +155,8 @@ def fit(
             best.converged = stalled > 0 and (free or promised < max(least, ROUGH) * before)
             if best.converged or stalled == STALLS:
                 break
-    except KeyboardInterrupt:
-        best.interrupted = True
-    return best
+    best.interrupted = stop.met
+    return stop.deliver(best)
 
 
 def fit_state(
@@ -165,8 +167,6 @@ def fit_state(
         found = fit(plant, [window], x, [state], loss=loss, states_only=True, rounds=rounds)
     except InvalidInput:
         return None
-    if found.interrupted:
-        raise KeyboardInterrupt
     return found.states[0], found.residuals[0]
 
 

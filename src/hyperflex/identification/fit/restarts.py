@@ -22,8 +22,8 @@ def refit_poor_windows(
 ) -> Fit:
     """Fit again from other states of the windows that fit badly; return the better fit.
 
-    Outliers and gaps spoil first guesses of states, and a sticking joint has no gradient. `found` has not been
-    interrupted. With `known_noise` the weights are of declared noise: a value should cost about 1.
+    Outliers and gaps spoil first guesses of states, and a sticking joint has no gradient. With `known_noise` the
+    weights are of declared noise: a value should cost about 1.
     """
     for _ in range(AGAIN):
         states, gained = list(found.states), False
@@ -35,9 +35,8 @@ def refit_poor_windows(
             return found
         again = fit(plant, windows, found.x, states, loss=found.loss, report=report)
         again.history[:0] = found.history
-        if again.interrupted or again.cost >= found.cost:
-            found.interrupted = again.interrupted
-            return found if again.cost >= found.cost else again
+        if again.cost >= found.cost:
+            return found
         found = again
     return found
 
@@ -90,7 +89,7 @@ def fit_from_starts(
     States are fitted to each start first, window after window, so that no start is lost by a bad guess of states. It is
     bad if values cost twice what known noise does, or it leaves a large part of the motion.
     """
-    if found.interrupted or not _is_bad(windows, found, known_noise):
+    if not _is_bad(windows, found, known_noise):
         return found, 1, 1
     costs, best = [found.cost], found
     for number, x in enumerate(starts):
@@ -106,9 +105,6 @@ def fit_from_starts(
         if tried.cost < best.cost:
             tried.history[:] = found.history
             best = tried
-        if tried.interrupted:
-            best.interrupted = True
-            break
     return best, len(costs), sum(cost <= ALIKE * best.cost for cost in costs)
 
 

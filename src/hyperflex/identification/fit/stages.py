@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.errors import IdentificationError, InvalidInput
+from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state, with_entries
 from hyperflex.identification.fit.restarts import fit_from_starts, refit_poor_windows
 from hyperflex.identification.fit.windows import FEWEST, Window, cut_windows, decimation_step
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
+from hyperflex.interruption import caught
 from hyperflex.recording import Recording
 
 FIRST = 8  # windows so many times shorter come first
@@ -63,32 +64,35 @@ def fit_in_stages(
             if not _enough(plant, windows):
                 continue
         stage = {"window": part, "stage": number, "stages": len(lengths)}
-        try:
+        usable: list[Window] = []
+        found: Fit | None = None
+        with caught() as stop:
             known = {} if not done else {w.t[0]: s for w, s in zip(done[-1][1], done[-1][0].states, strict=True)}
             usable, states = _starts(plant, windows, x, known, loss, refine=bool(done))
             enough = None if part == length else HARDLY
             heard = with_entries(report, stage)
             found = fit(plant, usable, x, states, loss=loss, enough=enough, report=heard)
-            if part == length and not found.interrupted:
+            if part == length:
                 known_noise = measured.channels.noise is not None
                 found = refit_poor_windows(plant, usable, found, known_noise=known_noise, report=heard)
                 starts = [plant.parameters.start, *(each.x for each, _, _ in done)]
                 found, tried, agree = fit_from_starts(
                     plant, usable, found, starts, known_noise=known_noise, report=heard
                 )
-        except KeyboardInterrupt:
+        if found is None and usable:
+            found = stop.partial
+        if found is not None:
+            history += [entry | stage for entry in found.history]
+            left_out = dropped + len(windows) - len(usable)
+            settings = {"window": part, "windows": len(usable), "left_out": left_out, "decimation": step}
+            if part == length and tried > 1:
+                settings |= {"starts": tried, "starts_agree": agree}
+            done.append((found, usable, settings))
+            x = found.x
+        if stop.met:
             if not done:
-                raise
+                raise Interrupted
             done[-1][0].interrupted = True
-            break
-        history += [entry | stage for entry in found.history]
-        left_out = dropped + len(windows) - len(usable)
-        settings = {"window": part, "windows": len(usable), "left_out": left_out, "decimation": step}
-        if part == length and tried > 1:
-            settings |= {"starts": tried, "starts_agree": agree}
-        done.append((found, usable, settings))
-        x = found.x
-        if found.interrupted:
             break
     done[-1][0].history[:] = history
     return done[-1]

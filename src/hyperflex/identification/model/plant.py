@@ -153,7 +153,7 @@ class Plant:
         return moved, shared
 
     def _limits(self, at: _Evaluation, t: Array) -> Limits:
-        return rollout_limits(self._setup, at.chain, float(t[-1]), 1_000_000)
+        return rollout_limits(self._setup, at.chain, float(t[-1]))
 
     def _run(self, at: _Evaluation, t: Array, state: Array) -> Array | None:
         """Return the rollout's states at t (m,) from `state` (2n,), or None where it fails."""

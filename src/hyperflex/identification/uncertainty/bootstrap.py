@@ -13,6 +13,7 @@ from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level, ratios
+from hyperflex.interruption import caught, interruptible
 from hyperflex.simulation import progress_bar
 
 
@@ -74,6 +75,7 @@ class Bootstrap:
         return self.samples[:, which] if which < count else self.ratio_samples[:, which - count]
 
 
+@interruptible(Bootstrap)
 @one_thread()
 def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progress: bool = False) -> Bootstrap:
     """Simulate recordings like the one that was fitted, and fit each (parametric bootstrap).
@@ -95,13 +97,15 @@ def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progres
         For a result without its fit (read from a file).
     IdentificationError
         When the fit itself cannot be simulated.
+    Interrupted
+        By Ctrl-C. Its ``partial`` holds the fits until then.
 
     Notes
     -----
     The fitted windows are simulated from the fitted states and parameters, at the same times, with the same gaps.
     Squares: normal noise of the residuals' variance and autoregression is added. Robust losses: residuals are drawn
-    with replacement and taken as white. Each fit starts from the optimum, so other minima are not found. Ctrl-C
-    returns what is done. Cost: `count` fits of a few rounds.
+    with replacement and taken as white. Each fit starts from the optimum, so other minima are not found. Cost: `count`
+    fits of a few rounds.
     """
     basis = found.basis
     count, seed = checks.count("count", count), checks.count("seed", seed, least=0)
@@ -111,25 +115,21 @@ def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progres
     if len(clean) < len(seen):
         raise IdentificationError("The fit cannot be simulated any more: nothing can be drawn from it.")
     noise = _Noise(basis)
-    samples, told, failed, interrupted = [], [], 0, False
-    with progress_bar(0.0, float(count), progress, "simulated recordings") as report:
-        try:
-            for number in range(count):
-                windows = noise.add(clean, np.random.default_rng([seed, number]))
-                x = _refitted(basis, windows)
-                if x is None:
-                    failed += 1
-                else:
-                    samples.append(plant.parameters.values(x))
-                    told.append(_ratios(plant.parameters, x))
-                if report is not None:
-                    report(number + 1.0)
-        except KeyboardInterrupt:
-            interrupted = True
-    table = np.array(samples).reshape(len(samples), len(plant.parameters))
+    done, failed = [], 0
+    with caught() as stop, progress_bar(0.0, float(count), progress, "simulated recordings") as report:
+        for number in range(count):
+            windows = noise.add(clean, np.random.default_rng([seed, number]))
+            x = _refitted(basis, windows)
+            if x is None:
+                failed += 1
+            else:
+                done.append((plant.parameters.values(x), list(_ratios(plant.parameters, x).values())))
+            if report is not None:
+                report(number + 1.0)
     names = tuple(_ratios(plant.parameters, fitted.x))
-    numbers = np.array([list(each.values()) for each in told]).reshape(len(told), len(names))
-    return Bootstrap(plant.parameters.labels, table, failed, interrupted, names, numbers)
+    table = np.array([values for values, _ in done]).reshape(len(done), len(plant.parameters))
+    numbers = np.array([ratios for _, ratios in done]).reshape(len(done), len(names))
+    return stop.deliver(Bootstrap(plant.parameters.labels, table, failed, stop.met, names, numbers))
 
 
 def _ratios(parameters: Parameters, x: Array) -> dict[str, float]:
@@ -146,8 +146,6 @@ def _refitted(basis: Basis, windows: list[Window]) -> Array | None:
         found = fit(basis.plant, windows, basis.fit.x, basis.fit.states, loss=Loss(basis.fit.loss.name))
     except InvalidInput:
         return None
-    if found.interrupted:
-        raise KeyboardInterrupt
     return found.x if found.converged else None
 
 

@@ -10,6 +10,7 @@ from hyperflex.identification.fit.multiple_shooting import Report, with_entries
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, End, Interval, from_covariance
 from hyperflex.identification.uncertainty.profile import BETTER, Profile, profiled
 from hyperflex.identification.uncertainty.threshold import near_bounds, quantile
+from hyperflex.interruption import caught
 
 How = Literal["auto", "covariance", "profile"]
 HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
@@ -23,14 +24,14 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Repor
 
     ``auto`` profiles up to four parameters whose covariance is skewed: within four standard deviations of a bound,
     correlated with such a one, or with squares that do not rise as a parabola; of more, those nearest to their bounds.
-    `report` gets each round of each profile, with its ``parameter`` and ``phase="profile"``. Ctrl-C leaves what was not
-    profiled yet with intervals from the covariance.
+    `report` gets each round of each profile, with its ``parameter`` and ``phase="profile"``. Ctrl-C raises Interrupted;
+    in its ``partial`` what was not profiled yet has intervals from the covariance.
     """
     result = {label: from_covariance(basis, which, level) for which, label in enumerate(basis.plant.parameters.labels)}
     labels = list(result)
     if how == "covariance":
         return result
-    try:
+    with caught() as stop:
         chosen = _skewed_parameters(basis) if how == "auto" else list(range(len(labels)))
         chosen = [k for k in chosen if result[labels[k]].kind != "unknown"]
         length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
@@ -39,9 +40,7 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Repor
             found = profiled(basis, k, level, report=None if report is None else with_entries(report, at))
             interval = Interval(found.low, found.high, found.kind, found.ends, level, _remark(found))
             result[labels[k]] = _with_model_error(basis, k, interval) if found.kind == "profile" else interval
-    except KeyboardInterrupt:
-        pass
-    return result
+    return stop.deliver(result)
 
 
 def _with_model_error(basis: Basis, which: int, interval: Interval) -> Interval:

@@ -13,6 +13,7 @@ from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis, End, checked_level, from_covariance
 from hyperflex.identification.uncertainty.threshold import quantile, threshold
+from hyperflex.interruption import interruptible
 from hyperflex.model import Rope
 
 FINISH = 1e-2  # gain of a round, in units of the residual variance, below which a point of the profile has settled
@@ -79,6 +80,7 @@ class _Point:
         return float(np.sqrt(max(self.rise, 0.0)) - np.sqrt(self.limit))
 
 
+@interruptible(Profile)
 def profile(
     found: Identification, name: str, level: float = 0.95, points: int = 0, *, progress: Report | None = None
 ) -> Profile:
@@ -182,10 +184,7 @@ class _ProfileSearch:
         """Return a fit from there, all other than `held` free."""
         plant, windows = self.basis.plant, self.basis.windows
         loss, enough, report = self.loss, self.enough, report or self.report
-        found = fit(plant, windows, x, states, loss=loss, enough=enough, rounds=rounds, report=report, held=held)
-        if found.interrupted:
-            raise KeyboardInterrupt
-        return found
+        return fit(plant, windows, x, states, loss=loss, enough=enough, rounds=rounds, report=report, held=held)
 
     def at(self, value: float) -> _Point | None:
         """Return the fit with the parameter at `value`, from the nearest one known; None where none can be found."""

@@ -10,6 +10,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.control import hanging_state
 from hyperflex.interfaces import Motor, RopeState, StateSource
+from hyperflex.interruption import interruptible
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.feedback.matching import Goal, features, match
@@ -100,6 +101,7 @@ class FollowResult:
         return f"aborted at {last.t:.2f} s: it succeeds in {100 * last.after:.0f} % of the likely scenarios"
 
 
+@interruptible()
 def follow_plan(
     plan: CastPlan,
     source: StateSource,

@@ -9,6 +9,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
@@ -141,6 +142,7 @@ class SuccessProbability:
         return f"{100 * self.estimate:.0f} % ({100 * low:.0f} to {100 * high:.0f} %, {counts})"
 
 
+@interruptible()
 def estimate_success_probability(
     cast_setup: CastSetup,
     peg: Peg,

@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.simulation import INTERRUPTED, Batch, simulate_batch
+from hyperflex.simulation import Batch, simulate_batch
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +52,8 @@ class RolloutBatch:
         return RolloutBatch(ropes, pegs, motions, self.q[list(rows)], self.qd[list(rows)], self.since)
 
     def run(self, arm: Arm, t: Array, **options: Any) -> Batch:
-        """Simulate to the last of the times t (T,), s, with samples there; `options` as for ``simulate_batch``.
-
-        Raises KeyboardInterrupt if Ctrl-C ended the batch.
-        """
-        batch = simulate_batch(
+        """Simulate to the last of the times t (T,), s, with samples there; `options` as for ``simulate_batch``."""
+        return simulate_batch(
             list(self.ropes),
             list(self.motions),
             arm=arm,
@@ -66,11 +63,3 @@ class RolloutBatch:
             t_eval=t,
             **options,
         )
-        return not_interrupted(batch)
-
-
-def not_interrupted(batch: Batch) -> Batch:
-    """Return a batch; raise KeyboardInterrupt if Ctrl-C ended it, since a search must not go on with a part of it."""
-    if INTERRUPTED in batch.status:
-        raise KeyboardInterrupt
-    return batch

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import caught, interruptible
 from hyperflex.model import Arm, Rope, divided
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.time_budget import Clock
@@ -60,6 +61,7 @@ class WhipPlanner:
         self.finer = replace(self.cast_setup, rope=divided(self.cast_setup.rope, FINER))
         self.clock, self.runs = Clock(), 0
         self.aims: list[AimedPeak] = []
+        self._best: Verified | None = None
 
     def run(self, report: Callable[[float], None] | None) -> None:
         """Aim until there are enough whips, or no time is left; `report` gets the time spent, s."""
@@ -93,24 +95,26 @@ class WhipPlanner:
         slow = max(0.0, 1.0 - aim.speed / self.target.least_speed)
         return max(0.0, miss - MAX_MISS) + beyond + slow, aim.position_std
 
-    def verified(self) -> tuple[Verified | None, bool]:
+    def verify(self) -> None:
         """Verify the best whip, and while none succeeds those after it that meet the target by the search.
 
-        Return the first that succeeds, else the first, None if no whip was found, and whether Ctrl-C came.
+        The best is then the first that succeeds, else the first.
         """
-        best = Verified(self.aims[0], None, None, "interrupted before it was verified") if self.aims else None
-        try:
-            for number, aim in enumerate(self.aims[:PLANS]):
-                if number and self.rank(aim)[0] > 0.0:
-                    break
-                seen = verify_both(self.cast_setup, self.finer, self.target, aim)
-                if number == 0 or not seen.message:
-                    best = seen
-                if not seen.message:
-                    break
-        except KeyboardInterrupt:
-            return best, True
-        return best, False
+        for number, aim in enumerate(self.aims[:PLANS]):
+            if number and self.rank(aim)[0] > 0.0:
+                break
+            seen = verify_both(self.cast_setup, self.finer, self.target, aim)
+            if number == 0 or not seen.message:
+                self._best = seen
+            if not seen.message:
+                break
+
+    @property
+    def best(self) -> Verified | None:
+        """The best whip, verified or not yet; None if no whip was found."""
+        if self._best is None and self.aims:
+            return Verified(self.aims[0], None, None, "interrupted before it was verified")
+        return self._best
 
 
 def verify_both(cast_setup: CastSetup, finer: CastSetup, target: TipTarget, aim: AimedPeak) -> Verified:
@@ -138,6 +142,7 @@ def failure(cast_setup: CastSetup, outcome: TipStrike | None, finer: TipStrike |
     return ""
 
 
+@interruptible(WhipPlan)
 def plan_whip(
     rope: Rope,
     arm: Arm,
@@ -181,10 +186,11 @@ def plan_whip(
     Returns
     -------
     WhipPlan
-        Ctrl-C ends map, search and verification; the plan is the best until then.
 
     Raises
     ------
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the best plan until then; what was not verified before is not verified any more.
     InvalidInput
         If an argument is out of range or of another class, or a link's centre of mass is not in its middle: the second
         verification cuts it in two.
@@ -197,37 +203,26 @@ def plan_whip(
         time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
     cast_setup = _cast_setup(rope, arm, limits, time_limit, whip_map)
 
-    def plan(
-        known: WhipFeasibility, message: str, runs: int = 0, interrupted: bool = False, **found: object
-    ) -> WhipPlan:
-        told = {"message": message, "runs": runs, "seconds": clock.elapsed, "interrupted": interrupted}
-        return WhipPlan(cast_setup, target, known, **told | found)  # type: ignore[arg-type]
-
-    if whip_map is None:
-        try:
+    distance = pivot_distance(cast_setup, target)
+    known = WhipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
+    planner = None
+    with caught() as stop:
+        if whip_map is None:
             whip_map = build_whip_map(cast_setup, threads=threads)
-        except KeyboardInterrupt:
-            distance = pivot_distance(cast_setup, target)
-            known = WhipFeasibility(distance, math.inf, "interrupted before that was known")
-            return plan(known, "interrupted before the map of swings was made", interrupted=True)
-    known = check_whip_feasibility(whip_map, target)
-    if not math.isfinite(known.cost) or not (known.feasible or skip_feasibility):
-        return plan(known, known.message)
-    planner = WhipPlanner(whip_map, target, time_budget, seed, threads)
-    interrupted = False
-    with progress_bar(0.0, time_budget, progress, "planning") as report:
-        try:
-            planner.run(report)
-        except KeyboardInterrupt:
-            interrupted = True
-    best, again = planner.verified()
-    interrupted = interrupted or again
-    if best is None:
-        message = "interrupted before any whip was found" if interrupted else "no peak of the tip's speed comes near it"
-        return plan(known, message, planner.runs, interrupted)
-    aim, outcome, finer, message = best
-    found = {"strokes": aim.strokes, "position_std": aim.position_std}
-    return plan(known, message, planner.runs, interrupted, outcome=outcome, finer_outcome=finer, **found)
+        known = check_whip_feasibility(whip_map, target)
+        if math.isfinite(known.cost) and (known.feasible or skip_feasibility):
+            planner = WhipPlanner(whip_map, target, time_budget, seed, threads)
+            with progress_bar(0.0, time_budget, progress, "planning") as report:
+                planner.run(report)
+            planner.verify()
+    found: dict[str, Any] = {"seconds": clock.elapsed, "interrupted": stop.met}
+    if planner is None:
+        return stop.deliver(WhipPlan(cast_setup, target, known, message=known.message, **found))
+    message = "interrupted before any whip was found" if stop.met else "no peak of the tip's speed comes near it"
+    if (best := planner.best) is not None:
+        aim, outcome, finer, message = best
+        found |= {"strokes": aim.strokes, "position_std": aim.position_std, "outcome": outcome, "finer_outcome": finer}
+    return stop.deliver(WhipPlan(cast_setup, target, known, message=message, runs=planner.runs, **found))
 
 
 def _cast_setup(

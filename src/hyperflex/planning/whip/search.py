@@ -9,6 +9,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.search.evolution import cma_es
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -119,6 +120,7 @@ def simulate_peaks(cast_setup: CastSetup, strokes: list[Strokes], threads: int |
     return find_peaks(t, batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate))
 
 
+@interruptible()
 def build_whip_map(cast_setup: CastSetup, swings: int = SWINGS, threads: int | None = None) -> WhipMap:
     """Simulate random swings, the same ones each time, and find the peaks of the tip's speed.
 
@@ -133,8 +135,6 @@ def build_whip_map(cast_setup: CastSetup, swings: int = SWINGS, threads: int | N
     ------
     InvalidInput
         If the time of the set-up is too short for a peak.
-    KeyboardInterrupt
-        If Ctrl-C ended the batch.
     """
     if cast_setup.time < MIN_TIME:
         raise InvalidInput(

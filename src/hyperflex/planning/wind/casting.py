@@ -1,11 +1,12 @@
 """Plan a cast: check the target, search for a throw that winds and holds, verify it, and look for fallbacks."""
 
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from hyperflex import checks
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import Interrupted, InvalidInput
+from hyperflex.interruption import caught, interruptible
 from hyperflex.model import Arm, Peg, Rope, Setup
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
@@ -21,6 +22,7 @@ from hyperflex.simulation import progress_bar
 TIME_BUDGET = 60.0  # s
 
 
+@interruptible(CastPlan)
 def plan_cast(
     rope: Rope,
     arm: Arm,
@@ -73,12 +75,13 @@ def plan_cast(
     Returns
     -------
     CastPlan
-        Ctrl-C ends the search; the plan is the best until then.
 
     Raises
     ------
     InvalidInput
         If an argument is out of range or of another class.
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the best plan until then; what was not verified before is not verified any more.
 
     Examples
     --------
@@ -108,25 +111,18 @@ def plan_cast(
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:
         plan = _search(search, known, uncertainty, time_budget, progress, longer=time_limit is None)
-    if plan.success:
-        return plan
-    plan = replace(plan, remedies=find_remedies(cast_setup, target, holding_force=holding_force))
-    if not fallback or plan.interrupted:
-        return replace(plan, fallback=expected_fallback(plan, holding_force))
-    plan_for = partial(
-        plan_cast,
-        rope,
-        arm,
-        limits=limits,
-        time_limit=time_limit,
-        holding_force=holding_force,
-        uncertainty=uncertainty,
-        time_budget=time_budget,
-        seed=seed,
-        threads=threads,
-        progress=progress,
-    )
-    return plan_fallback(plan, search, time_budget, plan_for)
+    with caught() as stop:
+        if not (plan.success or plan.interrupted):
+            plan = replace(plan, remedies=find_remedies(cast_setup, target, holding_force=holding_force))
+            plan = replace(plan, fallback=expected_fallback(plan, holding_force))
+            if fallback:
+                given: dict[str, Any] = {"limits": limits, "time_limit": time_limit, "holding_force": holding_force}
+                given |= {"uncertainty": uncertainty, "time_budget": time_budget, "seed": seed, "threads": threads}
+                plan_for = partial(plan_cast, rope, arm, **given, progress=progress)
+                plan = plan_fallback(plan, search, time_budget, plan_for)
+    if plan.interrupted or stop.met:
+        raise Interrupted(replace(plan, interrupted=True))
+    return plan
 
 
 def _search(
@@ -140,24 +136,12 @@ def _search(
 ) -> CastPlan:
     """Search for a throw, verify it, and estimate its success probability."""
     planner = CastPlanner(search, time_budget if uncertainty is None else NOMINAL * time_budget, longer=longer)
-    interrupted = False
-    with progress_bar(0.0, time_budget, progress, "planning") as report:
-        try:
-            planner.run(report)
-        except KeyboardInterrupt:
-            interrupted = True
-            with suppress(KeyboardInterrupt):
-                planner.verify_best()
-        if uncertainty is not None and not interrupted:
-            try:
-                planner.refine_robustly(uncertainty, report)
-            except KeyboardInterrupt:
-                interrupted = True
-    throw, probability = planner.best[0], None
-    if uncertainty is not None and throw is not None and not interrupted:
-        given = (search.cast_setup, search.peg, throw, uncertainty)
-        try:
-            probability = estimate_success_probability(*given, seed=search.seed, threads=search.threads)
-        except KeyboardInterrupt:
-            interrupted = True
-    return replace(planner.plan(known, interrupted), success_probability=probability)
+    probability = None
+    with caught() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
+        planner.run(report)
+        if uncertainty is not None:
+            planner.refine_robustly(uncertainty, report)
+            if (throw := planner.best[0]) is not None:
+                given = (search.cast_setup, search.peg, throw, uncertainty)
+                probability = estimate_success_probability(*given, seed=search.seed, threads=search.threads)
+    return replace(planner.plan(known, stop.met), success_probability=probability)

@@ -51,10 +51,7 @@ def plan_fallback(
     `search` is the one that the plan came from, `time_budget` its time, s, and `plan_for` plans for another peg.
     """
     force = search.holding_force
-    try:
-        near = _with_existing_throws(plan, search, time_budget)
-    except KeyboardInterrupt:
-        return replace(plan, fallback=expected_fallback(plan, force), interrupted=True)
+    near = _with_existing_throws(plan, search, time_budget)
     if near is not None:
         return replace(plan, fallback=near)
     tried: list[Peg] = []
@@ -66,9 +63,8 @@ def plan_fallback(
         if number == len(MARGINS) - 1:
             return replace(plan, fallback=near)
         other = plan_for(near.target)
-        if other.success or other.interrupted:
-            near = replace(near, plan=other if other.success else None)
-            return replace(plan, fallback=near, interrupted=other.interrupted)
+        if other.success:
+            return replace(plan, fallback=replace(near, plan=other))
         tried.append(near.target)
     return plan
 

@@ -1,6 +1,6 @@
 """The planner of casts: rounds of free swings, then of throws in contact; the best candidates are verified."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -194,13 +194,15 @@ class CastPlanner:
             if self.best[0] is None or _rank(outcome, finer) > _rank(*self.best[1:]):
                 self.best = (throw, outcome, finer)
 
-    def outcomes(self, some: Sequence[Candidate]) -> Iterator[Verified]:
+    def outcomes(self, some: Sequence[Candidate]) -> list[Verified]:
         """Verify candidates at once."""
         self.checked += some
         with ThreadPoolExecutor(max(1, len(some))) as pool:
-            for one, found in zip(some, pool.map(self.verify, some), strict=True):
-                self.verified.append((one.throw, *found))
-                yield self.verified[-1]
+            found: list[Verified] = [
+                (one.throw, *seen) for one, seen in zip(some, pool.map(self.verify, some), strict=True)
+            ]
+        self.verified += found
+        return found
 
     def verify(self, found: Candidate) -> tuple[CastOutcome, CastOutcome | None]:
         """Verify a throw on the rope as given; then, if it winds and holds, with shorter and shorter links.

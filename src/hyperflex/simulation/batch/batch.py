@@ -15,6 +15,7 @@ from hyperflex.core.batch import rollouts as core
 from hyperflex.core.batch.members import LENGTH, Members, Terms, observe_block
 from hyperflex.core.chain.lanes import MEMBERS
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import output_times
@@ -118,6 +119,7 @@ class Batch:
         return xr.Dataset(variables, coords, attrs={"source": "simulated"})
 
 
+@interruptible(Batch)
 def simulate_batch(
     ropes: Rope | Sequence[Rope],
     motions: Motion | Sequence[Motion] | None = None,
@@ -172,13 +174,14 @@ def simulate_batch(
     Returns
     -------
     Batch
-        A member that fails is reported in ``status``; the others stand. After Ctrl-C the finished members are there
-        and the others have the status "interrupted".
+        A member that fails is reported in ``status``; the others stand.
 
     Raises
     ------
     InvalidInput
         If an argument cannot be used, or the members do not fit together.
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the batch with the finished members; others have the status "interrupted".
 
     Examples
     --------
@@ -202,8 +205,8 @@ def simulate_batch(
             )
         t = _outputs(t_eval, setups[0].duration)
         shapes = {name: KEPT[name][0] for name in keep}
-        values, names, reached = run_members(setups, t, shapes, time_budget, workers, progress)
-        return Batch(t, values, tuple(names), reached)
+        values, names, reached, interrupt = run_members(setups, t, shapes, time_budget, workers, progress)
+        return interrupt.deliver(Batch(t, values, tuple(names), reached))
     if time_budget is not None:
         raise InvalidInput(
             "time_budget is for members with pegs or with joint limits, and there are none", got=time_budget
@@ -286,9 +289,9 @@ class _Work:
         states = self.t.size * (2 * self.members.links.shape[2] + 2)
         held = int(STATES / states) // len(MEMBERS) * len(MEMBERS)
         size = max(len(MEMBERS), min(even, LARGEST_BLOCK, held))
-        run_blocks(self.block, size, count, workers, progress, self.stop)
+        interrupt = run_blocks(self.block, size, count, workers, progress, self.stop)
         names = tuple(status.NAMES[int(code)] if code >= 0 else INTERRUPTED for code in self.codes)
-        return Batch(self.t, self.values, names, self.reached)
+        return interrupt.deliver(Batch(self.t, self.values, names, self.reached))
 
 
 def _outputs(t_eval: npt.ArrayLike | None, duration: float) -> Array:

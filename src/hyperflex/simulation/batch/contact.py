@@ -1,12 +1,13 @@
 """Contact batch: members with pegs or joint limits, one by one on threads."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
+from hyperflex.interruption import Caught, caught
 from hyperflex.model import Setup
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.rollouts import progress_bar
@@ -24,7 +25,7 @@ def run_members(
     time_budget: float | None,
     threads: int,
     progress: bool,
-) -> tuple[dict[str, Array], list[str], Array]:
+) -> tuple[dict[str, Array], list[str], Array, Caught]:
     """Run all members with outputs at t (T,), s; Ctrl-C keeps those that are finished.
 
     `keep` names what to keep, with the dimensions of one sample: "link", "axis" or "peg".
@@ -37,6 +38,7 @@ def run_members(
         "ok", the name of the failure, or INTERRUPTED.
     reached : (M,) float64
         Time that each member reached, s.
+    interrupt : Caught
     """
     for m, setup in enumerate(setups):
         check_start(setup, who=f"the rope of member {m}")
@@ -52,8 +54,8 @@ def run_members(
             target[m][whole] = found
         reached[m], names[m] = run.state.t, run.status
 
-    run_blocks(one, 1, len(setups), threads, progress)
-    return values, names, reached
+    interrupt = run_blocks(one, 1, len(setups), threads, progress)
+    return values, names, reached, interrupt
 
 
 def run_blocks(
@@ -63,15 +65,21 @@ def run_blocks(
     threads: int,
     progress: bool,
     stop: npt.NDArray[np.int64] | None = None,
-) -> None:
+) -> Caught:
     """Run a function for the members low..high - 1 of each block of `size`, until all `count` are done.
 
     After Ctrl-C blocks that have not begun are left out, and `stop` (1,), if given, is set to 1 for those at work.
+    Returns whether that was so.
     """
-    with ThreadPoolExecutor(threads) as pool, progress_bar(0, count, progress, "members") as report:
+    with (
+        caught() as interrupt,
+        ThreadPoolExecutor(threads) as pool,
+        progress_bar(0, count, progress, "members") as report,
+    ):
         spans = [(low, min(low + size, count)) for low in range(0, count, size)]
-        futures = [pool.submit(block, *span) for span in spans]
+        futures: list[Future[None]] = []
         try:
+            futures += (pool.submit(block, *span) for span in spans)
             for (_, high), future in zip(spans, futures, strict=True):
                 future.result()
                 if report is not None:
@@ -81,6 +89,8 @@ def run_blocks(
                 stop[0] = 1
             for future in futures:
                 future.cancel()
+            raise
+    return interrupt
 
 
 def _kept(run: Trajectory, name: str) -> Array:

@@ -20,6 +20,7 @@ from hyperflex.core.contact import run as core
 from hyperflex.core.contact.arrays import STICK
 from hyperflex.core.contact.step import new_contact_memory
 from hyperflex.core.integrate.progress import INDEX, MARK, T
+from hyperflex.interruption import look
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refine_rope
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.contact.turning_pegs import coast, spin_energy, starting_spin
@@ -78,6 +79,7 @@ class ContactRun:
             code = self._fly()
             if code == status.LEFT:
                 code = self._touch()
+            look()
             if report is not None:
                 report(self.run.time)
         self.run.progress.clock[MARK] = -np.inf  # where the run stands is where it goes on from
@@ -106,6 +108,7 @@ class ContactRun:
         code = status.RUNNING
         while code == status.RUNNING:
             code = self._advance()
+            look()
         run.limits = run.limits._replace(stop=stop)
         if code not in (status.OK, status.LIMIT):
             return code

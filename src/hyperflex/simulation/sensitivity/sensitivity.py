@@ -18,6 +18,7 @@ from hyperflex.core.tangent import forward_sensitivity as core
 from hyperflex.core.tangent.dense_output import acceleration_derivatives
 from hyperflex.core.tangent.directions import Directions, place_changes
 from hyperflex.core.tangent.extrapolation import new_tangent_workspace
+from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import output_times, setup_of
@@ -90,6 +91,7 @@ class Sensitivities:
         return xr.Dataset(variables, coords, attrs={"source": "simulated"})
 
 
+@interruptible()
 def sensitivities(
     rope: Rope | Setup,
     motion: Motion | None = None,

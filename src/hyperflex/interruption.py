@@ -1,0 +1,158 @@
+"""Interruption: how Ctrl-C, and in the command line SIGTERM, end what is at work. The one place that says so.
+
+The first signal raises KeyboardInterrupt where Python code runs, and is remembered. What a library that is called back
+swallows, and what no thread but the main one hears, is raised again by the next :func:`look`, and at the end of the
+call at the latest. Who has something to keep catches it (:func:`caught`) and raises it again as
+:class:`~hyperflex.errors.Interrupted` with that. A second signal ends what is then still being made of it.
+"""
+
+import functools
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType, TracebackType
+from typing import Any, ParamSpec, TypeVar
+
+from hyperflex.errors import Interrupted
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+_USUAL: dict[int, object] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+
+
+class _State:
+    """What has come: the first signal's number (0: none); whether it still has to end something; who defers it."""
+
+    number, pending, deferred = 0, False, 0
+
+
+def _notice(number: int, frame: FrameType | None) -> None:
+    """Handle a signal."""
+    _State.number, _State.pending = _State.number or number, True
+    if not _State.deferred:
+        raise KeyboardInterrupt
+
+
+def number() -> int:
+    """Return the number of the signal that has ended what was at work last; SIGINT where none was noticed."""
+    return _State.number or signal.SIGINT
+
+
+def look() -> None:
+    """Raise KeyboardInterrupt, in any thread, if a signal has come and nobody has caught it yet."""
+    if _State.pending and not _State.deferred:
+        raise KeyboardInterrupt
+
+
+class noticing:
+    """Context in which signals are noticed: Ctrl-C, and further `numbers`.
+
+    A signal that came in the block is raised at its end, if it is still pending, also in place of another error: a
+    library may report the interrupt as one. Signals are the main thread's; those that somebody else handles are theirs.
+    """
+
+    def __init__(self, *numbers: int) -> None:
+        self._numbers = (signal.SIGINT, *numbers)
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> None:
+        if threading.current_thread() is not threading.main_thread():
+            return
+        free = {each: _USUAL[each] for each in self._numbers if signal.getsignal(each) is _USUAL[each]}
+        if signal.SIGINT in free:  # nobody notices yet
+            _State.number, _State.pending, _State.deferred = 0, False, 0
+        self._before = free
+        for each in free:
+            signal.signal(each, _notice)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        pending = _State.pending
+        for each, handler in self._before.items():
+            signal.signal(each, handler)
+        if self._before:
+            pending, _State.pending = _State.pending, False
+        if pending and (kind is None or issubclass(kind, Exception)):
+            raise KeyboardInterrupt from error
+
+
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Let a short block come to its end before it is interrupted: one that puts files in place, say."""
+    with noticing():
+        own = threading.current_thread() is threading.main_thread()
+        _State.deferred += own
+        try:
+            yield
+        finally:
+            _State.deferred -= own
+
+
+class Caught:
+    """Whether a block was interrupted, and by what."""
+
+    error: BaseException | None = None
+
+    @property
+    def met(self) -> bool:
+        """Whether the block was interrupted."""
+        return self.error is not None
+
+    @property
+    def partial(self) -> Any:
+        """The partial result of the call that was interrupted in the block; None if it left none."""
+        return getattr(self.error, "partial", None)
+
+    def deliver(self, result: _R) -> _R:
+        """Return a result; if the block was interrupted, raise Interrupted with it instead."""
+        if self.met:
+            raise Interrupted(result)
+        return result
+
+
+@contextmanager
+def caught() -> Iterator[Caught]:
+    """Catch an interrupt of the block, also one that a library reports as another error, to keep what was done.
+
+    What follows may take long again. The block must not return: what came at its end would be lost.
+    """
+    stop = Caught()
+    try:
+        yield stop
+        look()
+    except (KeyboardInterrupt, Exception) as error:
+        if not (_State.pending or isinstance(error, KeyboardInterrupt)):
+            raise
+        stop.error = error
+        if threading.current_thread() is threading.main_thread():  # others are to end as well
+            _State.pending = False
+
+
+def interruptible(kind: type | None = None) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
+    """Decorate a function that may take long: an interrupt comes out of it as Interrupted.
+
+    Its ``partial`` is what the function delivers of `kind`, by :class:`Caught`, or None. With ``throw=False`` a result
+    that is marked as interrupted is returned.
+    """
+
+    def decorate(function: Callable[_P, _R]) -> Callable[_P, _R]:
+        @functools.wraps(function)
+        def call(*args: _P.args, **named: _P.kwargs) -> _R:
+            with noticing():
+                try:
+                    result = function(*args, **named)
+                except KeyboardInterrupt as stop:
+                    raise Interrupted(functools.partial(_own, stop, kind)) from None
+                if _State.pending and named.get("throw", True):
+                    raise Interrupted(result)
+                return result
+
+        return call
+
+    return decorate
+
+
+def _own(stop: KeyboardInterrupt, kind: type | None) -> Any:
+    """Return the partial result of an interrupted call if it is of this kind: a call within may have left another."""
+    partial = getattr(stop, "partial", None)
+    return partial if kind is not None and isinstance(partial, kind) else None
