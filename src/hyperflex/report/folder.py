@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from hyperflex import files
 from hyperflex.errors import FileProblem
 
+LEAST_SPACE = 8.0 * 2**20  # bytes that a report with a film takes, or more
 Progress = Callable[[str], None]  # called with a message on what is being done
 
 
@@ -53,6 +55,7 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
 def check_folder(directory: str | Path) -> None:
     """Refuse, before any work, a folder that cannot be made or filled now: FileProblem as of :func:`whole_folder`."""
     _stage(Path(os.path.realpath(directory))).rmdir()
+    files.check_space(Path(directory) / "report.html", LEAST_SPACE)
 
 
 def _stage(target: Path) -> Path:

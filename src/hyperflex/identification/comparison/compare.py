@@ -19,8 +19,8 @@ from hyperflex.identification.model.parameters import GRAVITY
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
 from hyperflex.model import DAMPING, FREE_PROPERTIES, MOST_LINKS, RESISTANCES, Rope, parse_label, recut
+from hyperflex.progress import progress_bar
 from hyperflex.recording import Recording
-from hyperflex.simulation import progress_bar
 
 WORSE = 1.001  # ratio of costs: within it fits have met the same optimum, as far as they go
 SLIGHT = 0.1  # of its scale, what a guess has none of at the start
@@ -107,7 +107,7 @@ def compare_models(
     if links and options.get("arc_lengths") is None:
         options["arc_lengths"] = np.append(0.0, np.cumsum(rope_guess.length))
     todo = candidates(rope_guess, free, models, links)
-    with progress_bar(0.0, float(len(todo)), progress, "comparing models") as report:
+    with progress_bar(0.0, float(len(todo)), progress, "comparing", "models") as report:
         done, stopped = _fit_all(recording, todo, options, report)
     return _compared(todo[: len(done)], done, stopped)
 

@@ -15,7 +15,7 @@ from hyperflex.identification.experiment_design.fisher_information import Expect
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.scale import common_factor
 from hyperflex.model import Arm, Rope
-from hyperflex.simulation import progress_bar
+from hyperflex.progress import progress_bar
 
 WEIGHED = ("mass", "com", "tip_mass")  # what a pair of scales can tell
 TORQUE_NOISE = 0.01  # part of the torque that holds arm and rope out level, all mass at the tip
@@ -180,7 +180,9 @@ def design_experiment(
     plans: list[Plan] = []
     seen: list[ExpectedInformation] = []
     message = CONVERGED
-    with progress_bar(0.0, len(todo) + (0.0 if candidates is not None else 6.0), progress, "designing") as report:
+    with progress_bar(
+        0.0, len(todo) + (0.0 if candidates is not None else 6.0), progress, "designing", "experiments"
+    ) as report:
         try:
             for experiment in _in_turn(todo, plans, vary=candidates is None):
                 plans.append(_plan(asked, experiment, seen))

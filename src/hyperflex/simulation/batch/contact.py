@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.model import Setup
+from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact.start import check_start
-from hyperflex.simulation.rollouts import progress_bar
 from hyperflex.simulation.runs import simulate
 from hyperflex.simulation.time_budget import INTERRUPTED
 from hyperflex.trajectory import Trajectory, swept
@@ -68,7 +68,7 @@ def run_blocks(
 
     After Ctrl-C blocks that have not begun are left out, and `stop` (1,), if given, is set to 1 for those at work.
     """
-    with ThreadPoolExecutor(threads) as pool, progress_bar(0, count, progress, "members") as report:
+    with ThreadPoolExecutor(threads) as pool, progress_bar(0, count, progress, unit="members") as report:
         spans = [(low, min(low + size, count)) for low in range(0, count, size)]
         futures = [pool.submit(block, *span) for span in spans]
         try:
