@@ -43,13 +43,24 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
     """
     target = Path(os.path.realpath(directory))
     stage = _stage(target)
+    kept = False  # the stage holds earlier files that no longer stand in their place
     try:
         yield stage
         _move(stage, target, own)
+    except _NotPutBackError:
+        kept = True
+        raise
     except FileProblem as error:
         raise FileProblem(str(error).replace(str(stage), str(target))) from error
+    except OSError as error:
+        raise _problem(target, error) from error
     finally:
-        shutil.rmtree(stage, ignore_errors=True)
+        if not kept:
+            shutil.rmtree(stage, ignore_errors=True)
+
+
+class _NotPutBackError(FileProblem):
+    """A folder could neither be filled nor be made as it was."""
 
 
 def check_folder(directory: str | Path) -> None:
@@ -94,7 +105,13 @@ def _move(stage: Path, target: Path, own: Sequence[str]) -> None:
             if (target / name).is_file():
                 (target / name).rename(stage / "earlier" / name)
     except BaseException as error:
-        _put_back(names, old, stage, target)
+        try:
+            _put_back(names, old, stage, target)
+        except OSError as problem:
+            raise _NotPutBackError(
+                f"The folder {target} could not be filled, and not all its earlier files could be put back: "
+                f"{problem.strerror}. They are in {stage / 'earlier'}; move them back."
+            ) from error
         if isinstance(error, OSError):
             raise _problem(target, error) from error
         raise
