@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import signal
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 import hyperflex as hf
-from hyperflex import files, identification
-from hyperflex.cli import identify, output
+from hyperflex import files, identification, progress
+from hyperflex.cli import identify
 from hyperflex.errors import Interrupted
 
 
@@ -314,8 +316,8 @@ def test_the_bar_moves_forward_and_tells_stage_and_round(monkeypatch, capsys):
     assert parts[9] > 0.5
     assert parts[-1] < 1.0
     assert identify._message(entries[10]) == "stage 2 of 2, windows of 0.25 s: round 2 gained 50 %"
-    monkeypatch.setattr(output, "watched", lambda as_json: True)
-    with identify._bar(False) as hear:
+    monkeypatch.setattr(progress, "terminal", lambda: Console(file=io.StringIO(), force_terminal=True))
+    with identify._bar() as hear:
         for entry in entries:
             hear(entry)
     assert capsys.readouterr().out == ""

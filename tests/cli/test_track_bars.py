@@ -34,7 +34,7 @@ def test_a_video_becomes_angles(hyperflex, tmp_path):
 
 def test_ctrl_c_keeps_what_was_tracked_under_a_name_that_says_so(hyperflex, tmp_path, monkeypatch):
     @contextmanager
-    def hit_at_frame_8(_as_json):
+    def hit_at_frame_8():
         def said(words):
             if words == "frame 8":
                 raise KeyboardInterrupt

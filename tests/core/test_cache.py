@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import subprocess
@@ -135,8 +136,65 @@ def test_damaged_files_are_compiled_again(package: Path, tmp_path: Path, spoil: 
     assert run(package, root) == ALL
     for file in root.rglob("*.nbc"):
         file.write_bytes(spoil(file.read_bytes()))
-    assert run(package, root) == ALL
+    numbers, compiled, said = end(start(package, root))
+    assert (numbers, compiled) == ALL
+    assert len(said) == 1
+    assert "damaged" in said[0]
     assert run(package, root) == NONE
+
+
+def test_a_bit_that_flipped_anywhere_is_noticed(package: Path, tmp_path: Path) -> None:
+    root = tmp_path / "cache"
+    assert run(package, root) == ALL
+    places = itertools.cycle([0.0, 0.001, 0.005, 0.5, 1.0])  # in the checksum, the key, what was compiled
+    for file, place in zip(sorted(root.rglob("*.nbc")), places, strict=False):
+        content = bytearray(file.read_bytes())
+        content[int(place * (len(content) - 1))] ^= 1 << 3
+        file.write_bytes(content)
+    numbers, compiled, said = end(start(package, root))
+    assert (numbers, compiled) == ALL
+    assert len(said) == 1
+
+
+def test_files_that_are_missing_are_made_again_and_it_is_said(package: Path, tmp_path: Path) -> None:
+    root = tmp_path / "cache"
+    assert run(package, root) == ALL
+    for file in root.rglob("scaled-*.nbc"):
+        file.unlink()
+    process = start(package, root)
+    out, err = process.communicate()
+    assert "compiling kernels for this machine" in err
+    assert out.split() == ["7.0", "9.0", "6.0"]
+    assert run(package, root) == NONE
+
+
+READ_ONLY = """
+import errno, os
+made, low = os.mkdir, os.open
+def mkdir(path, *given, **named):
+    if "cache" in str(path) and not os.path.isdir(path): raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+    return made(path, *given, **named)
+def low_open(path, flags, *given, **named):
+    if "cache" in str(path) and flags & (os.O_WRONLY | os.O_RDWR): raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+    return low(path, flags, *given, **named)
+os.mkdir, os.open = mkdir, low_open
+"""
+
+
+def test_a_filled_cache_on_a_read_only_disk_is_used(package: Path, tmp_path: Path, monkeypatch) -> None:
+    root, temporary = tmp_path / "cache", tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    assert run(package, root) == ALL
+    assert run(package, root, READ_ONLY + ASK) == NONE
+    for file in root.rglob("scaled-*.nbc"):
+        file.unlink()
+    numbers, compiled, said = end(start(package, root, READ_ONLY + ASK))
+    assert numbers == ALL[0]
+    assert "scaled" in compiled
+    assert len(said) == 1
+    assert "Read-only file system" in said[0]
+    assert list(temporary.iterdir()) == []
 
 
 def test_a_file_of_another_kernel_is_not_taken(package: Path, tmp_path: Path) -> None:

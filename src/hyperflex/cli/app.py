@@ -85,10 +85,17 @@ def run(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return output.interrupted("Interrupted; nothing was left half written.", {}, as_json=as_json)
     except HyperflexError as error:
-        message = output.with_options(str(error)) if "identify" in arguments[:1] else str(error)
+        message = output.with_options(str(error)) if {"identify", "simulate"} & set(arguments[:1]) else str(error)
         return output.complain(message, type(error).__name__, output.REFUSED, as_json=as_json)
     except _PARSER_ERROR as error:
         return output.complain(_misused(error), "UsageError", output.REFUSED, as_json=as_json)
+    except MemoryError as error:
+        what = f"The memory is full ({error})" if str(error) else "The memory is full"
+        message = f"{what}. Make it smaller: a shorter duration, fewer links, samples or outputs."
+        return output.complain(message, "MemoryError", output.REFUSED, as_json=as_json)
+    except RecursionError:
+        message = "Something that was given is nested too deep. Look at the files that were named."
+        return output.complain(message, "RecursionError", output.REFUSED, as_json=as_json)
     except BrokenPipeError:  # whoever read standard output went away: nothing is left to be said to them
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return output.FAILED

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hyperflex import files
 from hyperflex.checks import number
 from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
@@ -69,7 +70,7 @@ def calibrate(
     }
     picture, known = (None if plane is None else read_image(plane)), (None if points is None else _known_points(points))
     board = Board(squares, square, marker, dictionary)
-    with output.spinner(json) as progress:
+    with output.spinner() as progress:
         found = calibrate_camera(
             read_pictures(pictures),
             board,
@@ -84,7 +85,7 @@ def calibrate(
         misfit = float(np.sqrt(np.mean(np.sum((camera.project(known[0]) - known[1]) ** 2, axis=1))))
     if origin is not None:
         camera = camera.with_origin(origin)
-    camera.write(out)
+    files.rescued(camera.write, out)
     view = None if camera.rotation is None else camera.plane_view
     result = {
         "output": out,

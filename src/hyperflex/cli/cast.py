@@ -86,7 +86,7 @@ def cast(
             skip_feasibility=skip_feasibility,
             fallback=fallback,
             seed=seed,
-            progress=output.watched(json),
+            progress=True,
         )
     )
     with planner.writing(CastReport(plan, None), out, rate=rate, as_json=json) as (files, progress):

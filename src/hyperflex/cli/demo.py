@@ -23,7 +23,7 @@ def demo(
     """
     from hyperflex.demo import write_demo
 
-    with output.spinner(json) as progress:
+    with output.spinner() as progress:
         report = write_demo(out, progress)
     if json:
         output.print_json(_figures(report))

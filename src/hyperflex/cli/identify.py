@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hyperflex import files, progress
 from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
 
@@ -104,7 +105,7 @@ def identify(
         **fastest,
     )
     first = Rope.from_toml(guess)
-    with _bar(json) as report:
+    with _bar() as report:
         result = output.partial_of(
             lambda: run(
                 measured,
@@ -176,13 +177,13 @@ def _write(
 ) -> dict[str, Path]:
     """Write the folder, or the one file; return the files by what they are."""
     if not _folder(out):
-        found.to_toml(out)
+        files.rescued(found.to_toml, out)
         return {"rope": out}
     from hyperflex.report import identification_page, write_found
 
-    written = write_found(out, found)
-    with output.keeping(written, "the page", summary, as_json=as_json), output.spinner(as_json) as progress:
-        progress("drawing the report")
+    written = files.rescued(lambda folder: write_found(folder, found), out)
+    with output.keeping(written, "the page", summary, as_json=as_json), output.spinner() as said:
+        said("drawing the report")
         return written | identification_page(out / "report.html", measured, found, guess)
 
 
@@ -225,15 +226,17 @@ def _message(entry: dict[str, float]) -> str:
 
 
 @contextmanager
-def _bar(as_json: bool) -> Iterator[Callable[[dict[str, float]], None]]:
-    """Show a bar on standard error, if somebody watches; yields the progress callable of the fit."""
-    if not output.watched(as_json):
-        yield lambda entry: None
+def _bar() -> Iterator[Callable[[dict[str, float]], None]]:
+    """Show a bar on standard error, or lines where nobody watches; yields the progress callable of the fit."""
+    begin = "first states (Ctrl-C keeps the best so far)"
+    if (watched := progress.terminal()) is None:
+        with progress.lines() as say:
+            say(begin)
+            yield lambda entry: say(_message(entry))
         return
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), BarColumn(bar_width=24), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("first states (Ctrl-C keeps the best so far)", total=1.0)
-        yield lambda entry: progress.update(task, completed=_part_done(entry), description=_message(entry))
+    with Progress(*columns, console=watched, transient=True) as bar:
+        task = bar.add_task(begin, total=1.0)
+        yield lambda entry: bar.update(task, completed=_part_done(entry), description=_message(entry))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast
 
 import typer
 
-from hyperflex import files, interruption
+from hyperflex import files, interruption, progress
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import caught
 
@@ -29,7 +29,7 @@ FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, NOT_USABLE = (
 )  # exit codes; interrupted: 128 and the number of the signal
 _ADVICE = re.compile(  # an argument with its value, as errors advise it
     r"\b(?P<name>kind|columns|time_unit|time|unit|frame_rate|y_axis|scale|zero|sense|angles|wrapped|noise|arc_lengths|origin|"
-    r"window|train|loss|intervals|max_rate)=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|[\w.]+)"
+    r"window|train|loss|intervals|max_rate|time_budget)=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|[\w.]+)"
 )
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
 
@@ -255,18 +255,12 @@ def show(
         print_pairs(title, pairs)
 
 
-def watched(as_json: bool) -> bool:
-    """Whether somebody watches standard error who may want to see progress."""
-    return not as_json and sys.stderr.isatty()
-
-
 @contextmanager
-def spinner(as_json: bool) -> Iterator[Any]:
-    """Show on standard error what is being done, if somebody watches; yields a function that takes the words."""
-    if not watched(as_json):
-        yield lambda words: None
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status("starting") as status:
-        yield status.update
+def spinner() -> Iterator[Any]:
+    """Show on standard error what is being done; yields a function that takes the words."""
+    if (watched := progress.terminal()) is None:
+        with progress.lines() as say:
+            yield say
+    else:
+        with watched.status("starting") as status:
+            yield status.update

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from hyperflex import checks
+from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
 
@@ -30,6 +30,13 @@ def positive(unit: str) -> Callable[[typer.CallbackParam, float | None], float |
         return None if value is None else checks.number(option.opts[0], value, sign="positive", unit=unit)
 
     return check
+
+
+def _rate(option: typer.CallbackParam, value: float) -> float:
+    """Refuse, before the search, a rate that would give too few rows, or too many, of whatever is found."""
+    if not 10.0 <= checks.number(option.opts[0], value, sign="positive", unit="Hz") <= 1e5:
+        raise InvalidInput("--rate suits no motor", got=value, allowed="10 to 100,000 rows a second")
+    return value
 
 
 Setup = Annotated[
@@ -54,7 +61,7 @@ Torque = Annotated[float | None, typer.Option(help="Greatest torque, N m. [defau
 SkipFeasibility = Annotated[
     bool, typer.Option("--skip-feasibility", help="Search even for a target that is called out of reach.")
 ]
-Rate = Annotated[float, typer.Option(callback=positive("Hz"), help="Rows a second in the motor's file, Hz.")]
+Rate = Annotated[float, typer.Option(callback=_rate, help="Rows a second in the motor's file, Hz, 10 to 100,000.")]
 TimeBudget = Annotated[
     float,
     typer.Option(callback=positive("s"), help="Processor time of the search, s; a plan that succeeds ends it."),
@@ -87,7 +94,6 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
 
     `limits` are arguments of MotorLimits; those that are not given are None.
     """
-    from hyperflex import files
     from hyperflex.model import PLAN, Arm, Rope, Setup
     from hyperflex.planning import MotorLimits
 
@@ -156,10 +162,10 @@ def writing(
 
     Ctrl-C in the block leaves them, says what is missing and exits.
     """
-    written = report.write_plan(out, rate=rate)
+    written = files.rescued(lambda folder: report.write_plan(folder, rate=rate), out)
     result = report.plan.summary() | {"verdict": report.verdict}
     missing = "the page, its figures and the film"
-    with output.keeping(written, missing, result, as_json=as_json), output.spinner(as_json) as progress:
+    with output.keeping(written, missing, result, as_json=as_json), output.spinner() as progress:
         yield written, progress
 
 

@@ -30,7 +30,7 @@ def reproduce(
     check_folder(out)
     written: dict[str, Path] = {}
     missing = "the figures not named here, the claims and the page"
-    with output.keeping(written, missing, {}, as_json=json), output.spinner(json) as progress:
+    with output.keeping(written, missing, {}, as_json=json), output.spinner() as progress:
         result = run(figures, out, progress=progress, written=lambda path: written.update({path.name: path}))
     claims = [_plain(claim) for claim in result.claims]
     if json:

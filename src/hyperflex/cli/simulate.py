@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from hyperflex import checks
+from hyperflex import checks, files
 from hyperflex.cli import output
 
 if TYPE_CHECKING:
@@ -21,6 +21,10 @@ def simulate(
         float | None,
         typer.Option(help="Tell, too, until when an error of tol made on the way stays below this, m (some 20 runs)."),
     ] = None,
+    time_budget: Annotated[
+        float | None,
+        typer.Option(help="Processor time, s; inf: any. [default: half an hour, which is judged after ten seconds]"),
+    ] = None,
     json: output.Json = False,
 ) -> None:
     """Simulate a set-up and write the motion to NetCDF.
@@ -30,17 +34,18 @@ def simulate(
     import numpy as np
 
     from hyperflex.model import Setup
-    from hyperflex.simulation import INTERRUPTED
+    from hyperflex.simulation import INTERRUPTED, file_size
     from hyperflex.simulation import simulate as run
 
     output.check_destination(out, ".nc", [setup])
     if horizon is not None:
         checks.number("--horizon", horizon, sign="positive", unit="m")
     wanted = Setup.from_toml(setup)
-    trajectory = output.partial_of(lambda: run(wanted, duration=duration, progress=output.watched(json)))
+    files.check_space(out, file_size(wanted, wanted.duration if duration is None else duration))
+    trajectory = output.partial_of(lambda: run(wanted, duration=duration, time_budget=time_budget, progress=True))
     if trajectory.status == INTERRUPTED:
         _leave(trajectory, output.partial_path(out), json)
-    trajectory.to_netcdf(out)
+    files.rescued(trajectory.to_netcdf, out)
     worked = float(np.ptp(trajectory.motor_work) + np.ptp(trajectory.kinetic_energy + trajectory.potential_energy))
     result = {
         "output": out,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hyperflex import files
 from hyperflex.checks import number
 from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
@@ -86,14 +87,14 @@ def track(
         parameters=output.parameters(estimate),
         tests=output.change_tests(changes, false_alarm_interval),
     )
-    with _keeping(out, json), output.spinner(json) as said:
+    with _keeping(out, json), output.spinner() as said:
         found = track_video(
             video,
             RopeTracker(estimator, MarkerDetector(colour)),
             preview=preview,
             progress=lambda count: said(f"frame {count}"),
         )
-    found.to_netcdf(out)
+    files.rescued(found.to_netcdf, out)
     _show(found, estimator, out, json)
 
 
@@ -107,7 +108,7 @@ def _keeping(out: Path, as_json: bool) -> Iterator[None]:
     if (part := stop.partial) is None:
         raise KeyboardInterrupt
     kept = output.partial_path(out)
-    part.to_netcdf(kept)
+    files.rescued(part.to_netcdf, kept)
     left = {"output": kept, "frames": part.frames, "duration_s": part.recording.duration}
     message = f"Interrupted after {part.frames} frames; what was tracked until then is in {kept}."
     raise typer.Exit(output.interrupted(message, left, as_json=as_json))
@@ -160,9 +161,9 @@ def _track_bars(
     output.check_destination(out, ".nc", [video])
     output.check_destination(preview, ".mp4", [video])
     detector = _clicked(video, [output.numbers("--bar", [each], "213,140") for each in clicks], since)
-    with _keeping(out, json), output.spinner(json) as said:
+    with _keeping(out, json), output.spinner() as said:
         found = track_bars(video, detector, pivot, preview=preview, progress=lambda count: said(f"frame {count}"))
-    found.to_netcdf(out)
+    files.rescued(found.to_netcdf, out)
     result: dict[str, Any] = {
         "output": out,
         "frames": found.frames,

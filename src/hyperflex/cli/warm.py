@@ -17,6 +17,7 @@ import typer
 from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.errors import FileProblem, HyperflexError
+from hyperflex.progress import progress_bar
 
 OLD = 90 * 86_400.0  # s, after which kernels of other versions are removed
 POLL = 0.2  # s, between two looks at what has been compiled
@@ -48,7 +49,7 @@ def warm(
     before = cache.compiled(kernels)
     if not _is_whole(stamp):
         _check_folder(cache.folder())
-        spent = _compile(kernels, count, json)
+        spent = _compile(kernels, count)
         _stamp(stamp, kernels)
     _remove_old({cache.module_folder(module) for module, _ in kernels}, cache.folder())
     now = cache.compiled(kernels)
@@ -121,11 +122,8 @@ def _check_folder(folder: Path) -> None:
         ) from error
 
 
-def _compile(kernels: list[tuple[str, str]], count: int, as_json: bool) -> float:
+def _compile(kernels: list[tuple[str, str]], count: int) -> float:
     """Run the lanes in `count` processes, and return the processor time that they took, s."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
     from hyperflex.core import cache
 
     lanes = [[name for lane in LANES[k::count] for name in lane] for k in range(min(count, len(LANES)))]
@@ -134,17 +132,14 @@ def _compile(kernels: list[tuple[str, str]], count: int, as_json: bool) -> float
         subprocess.Popen([*command, *lane], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         for lane in lanes
     ]
-    columns = TextColumn("kernel {task.completed:.0f} of {task.total:.0f}"), BarColumn(), TimeElapsedColumn()
     begin = _children_time()
     try:
-        with Progress(*columns, console=Console(stderr=True), disable=not output.watched(as_json)) as bar:
-            task = bar.add_task("", total=len(kernels))
+        with progress_bar(0.0, len(kernels), True, "compiling", "kernels") as report:
             while any(worker.poll() is None for worker in workers):
-                bar.update(task, completed=cache.compiled(kernels))
+                report(cache.compiled(kernels))  # type: ignore[misc]  # it is wanted
                 if any(worker.poll() for worker in workers):
                     break
                 time.sleep(POLL)
-            bar.update(task, completed=cache.compiled(kernels))
     finally:
         failed = [worker for worker in workers if worker.poll()]
         for worker in workers:

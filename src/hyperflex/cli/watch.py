@@ -108,7 +108,7 @@ def watch(
 def _run(follow: Watch, until: float, takers: list[Callable[[LiveEstimate], None]], as_json: bool) -> None:
     """Hand each estimate to all who take it, until the source or the time ends."""
     begin = time.monotonic()
-    with output.spinner(as_json) as said:
+    with output.spinner() as said:
         for estimate in follow:
             for take in takers:
                 take(estimate)

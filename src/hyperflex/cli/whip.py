@@ -87,7 +87,7 @@ def whip(
             skip_feasibility=skip_feasibility,
             time_budget=time_budget,
             seed=seed,
-            progress=output.watched(json),
+            progress=True,
         )
     )
     with planner.writing(WhipReport(plan, None), out, rate=rate, as_json=json) as (files, progress):

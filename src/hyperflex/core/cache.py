@@ -6,7 +6,7 @@ Numba's own cache does not notice an edit in *another* file. Here a kernel's fol
 of every module of this package which that one imports, directly or through others: an edit recompiles what depends on
 it, and nothing else, and checkouts that differ share one cache. A file is written whole or not at all, and is read
 only if its checksum is right. So a cache that is read-only, full, damaged or filled by several processes at once costs
-time and never a wrong run.
+time and never a wrong run; damage and what cannot be kept are told on standard error.
 
 ``HYPERFLEX_CACHE_DIR`` names the cache; without it, it is ``hyperflex`` in the user's cache folder.
 """
@@ -109,13 +109,18 @@ def compiled(kernels: Sequence[tuple[str, str]]) -> int:
 
 
 def load(place: Path, name: str, key: str) -> bytes | None:
-    """Return what was kept of a kernel under a key, None if there is nothing, or nothing that is whole."""
+    """Return what was kept of a kernel under a key, None if there is nothing, or nothing that is whole.
+
+    Of damage it is said once on standard error that kernels are compiled again for it.
+    """
     path, head = _place(place, name, key)
     try:
         content = path.read_bytes()
     except OSError:
         return None
     whole = content[:_CHECKSUM] == hashlib.sha256(content[_CHECKSUM:]).digest()
+    if not whole:
+        _tell_damage(folder())
     return content[_CHECKSUM + len(head) :] if whole and content.startswith(head, _CHECKSUM) else None
 
 
@@ -153,6 +158,11 @@ def _complain(reason: str) -> None:
         f"hyperflex: cannot keep compiled kernels in {reason}. Each process compiles its own. "
         "HYPERFLEX_CACHE_DIR names another folder.\n"
     )
+
+
+@functools.cache
+def _tell_damage(place: Path) -> None:
+    sys.stderr.write(f"hyperflex: compiled kernels in {place} are damaged; they are made again.\n")
 
 
 def fingerprint(modules: Iterable[str]) -> str:

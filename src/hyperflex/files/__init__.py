@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from hyperflex.files.json import dumps_json, plain, write_json
     from hyperflex.files.netcdf import NetCDF, Variable, read_netcdf, write_netcdf
     from hyperflex.files.reading import read_bytes, read_text
+    from hyperflex.files.rescue import rescued
     from hyperflex.files.tables import read_notes, read_table, write_table
     from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, write_toml
     from hyperflex.files.writing import (
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
         as_path,
         atomic,
         atomic_path,
+        check_space,
         check_writable,
         remove_left_behind,
         write_bytes,

@@ -58,7 +58,7 @@ def write_netcdf(path: PathLike, content: NetCDF) -> None:
         file.attrs.update(content.attributes)
         for name, variables in content.groups.items():
             _put(file.create_group(name), variables)
-    write_bytes(path, buffer.getvalue())
+    write_bytes(path, buffer.getbuffer())
 
 
 def read_netcdf(path: PathLike) -> NetCDF:

@@ -16,6 +16,7 @@ from typing import IO, Any, Literal
 
 from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
 from hyperflex.interruption import deferred
+from hyperflex.memory import in_words
 
 PathLike = str | os.PathLike[str]
 
@@ -51,7 +52,7 @@ def atomic_path(path: PathLike) -> Iterator[Path]:
     except OSError as error:
         raise _write_problem(target, part, error) from error
     finally:
-        with deferred():
+        with deferred(), suppress(OSError):  # a disk that takes no files lets none be removed; an error says so already
             part.unlink(missing_ok=True)
 
 
@@ -101,13 +102,25 @@ def check_writable(path: PathLike) -> None:
         raise _write_problem(target, target, error) from error
 
 
+def check_space(path: PathLike, size: float) -> None:
+    """Refuse, before any work, a file or folder that will take about `size` bytes where there is less: FileProblem."""
+    target = Path(os.path.realpath(path))
+    base = next(folder for folder in target.parents if folder.is_dir())
+    free = shutil.disk_usage(base).free
+    if size > free:
+        raise FileProblem(
+            f"{target} will take some {in_words(size)}, and {in_words(free)} are free there. Nothing was "
+            "written. Free some space, or give a path on another disk."
+        )
+
+
 def write_text(path: PathLike, text: str) -> None:
     """Write `text` (UTF-8) to `path`, wholly or not at all. Raises FileProblem as :func:`atomic_path` does."""
     with atomic(path) as file:
         file.write(text)
 
 
-def write_bytes(path: PathLike, content: bytes) -> None:
+def write_bytes(path: PathLike, content: bytes | memoryview) -> None:
     """Write `content` to `path`, wholly or not at all. Raises FileProblem as :func:`atomic_path` does."""
     with atomic(path, "wb") as file:
         file.write(content)
@@ -155,5 +168,7 @@ def _write_problem(target: Path, part: Path, error: OSError) -> FileProblem:
         return FileProblem(
             f"{target} could not be written: its folder takes no new files. {stands}. Give another path."
         )
+    if getattr(error, "errno", None) == errno.EROFS:
+        return FileProblem(f"{target} could not be written: the disk is read-only. {stands}. Give a path on another.")
     reason = (ours and getattr(error, "strerror", None)) or str(error).replace(part.name, target.name)
     return FileProblem(f"{target} could not be written: {reason}. {stands}.")

@@ -15,6 +15,7 @@ from hyperflex.model.rope import Rope, bend_limits, bend_ratios
 from hyperflex.model.stretch import across, uniform
 
 FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
+MOST_PIECES = 10_000  # that a rope is cut into: with more of them a run takes hours
 
 
 def refine_rope(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> Rope:
@@ -38,7 +39,7 @@ def refine_rope(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None,
     Raises
     ------
     InvalidInput
-        If a link that is to be cut is not uniform.
+        If a link that is to be cut is not uniform, or the peg so thin that there would be more than MOST_PIECES.
 
     Notes
     -----
@@ -141,6 +142,13 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
         near = far >= np.hypot(peg.x - x, peg.y - y) - axis
         pieces = np.where(near, np.maximum(pieces, np.ceil(rope.length / (ratio * axis) - 1e-9)), pieces).astype(
             np.int64
+        )
+    if (total := float(pieces.sum(dtype=np.float64))) > max(MOST_PIECES, rope.n_links):
+        raise InvalidInput(
+            "the rope would have to be cut into too many links to wind round a peg so thin",
+            got=f"{total:.3g} links",
+            allowed=f"up to {MOST_PIECES}",
+            fix="Check the radii of peg and rope, which are in m",
         )
     return pieces
 

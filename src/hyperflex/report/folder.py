@@ -11,6 +11,7 @@ from hyperflex import files
 from hyperflex.errors import FileProblem
 from hyperflex.interruption import deferred
 
+LEAST_SPACE = 8.0 * 2**20  # bytes that a report with a film takes, or more
 Progress = Callable[[str], None]  # called with a message on what is being done
 
 
@@ -42,24 +43,35 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
         There is a file of that name, no permission, no space, or a folder in the way of one of the files.
     """
     target, stage = Path(os.path.realpath(directory)), None
+    kept = False  # the stage holds earlier files that no longer stand in their place
     try:
         with deferred():
             stage = _stage(target)
         yield stage
         with deferred():
             _move(stage, target, own)
+    except _NotPutBackError:
+        kept = True
+        raise
     except FileProblem as error:
         raise FileProblem(str(error).replace(str(stage or target), str(target))) from error
+    except OSError as error:
+        raise _problem(target, error) from error
     finally:
-        if stage is not None:
+        if stage is not None and not kept:
             with deferred():
                 shutil.rmtree(stage, ignore_errors=True)
+
+
+class _NotPutBackError(FileProblem):
+    """A folder could neither be filled nor be made as it was."""
 
 
 def check_folder(directory: str | Path) -> None:
     """Refuse, before any work, a folder that cannot be made or filled now: FileProblem as of :func:`whole_folder`."""
     with deferred():
         _stage(Path(os.path.realpath(directory))).rmdir()
+    files.check_space(Path(directory) / "report.html", LEAST_SPACE)
 
 
 def _stage(target: Path) -> Path:
@@ -99,7 +111,13 @@ def _move(stage: Path, target: Path, own: Sequence[str]) -> None:
             if (target / name).is_file():
                 (target / name).rename(stage / "earlier" / name)
     except BaseException as error:
-        _put_back(names, old, stage, target)
+        try:
+            _put_back(names, old, stage, target)
+        except OSError as problem:
+            raise _NotPutBackError(
+                f"The folder {target} could not be filled, and not all its earlier files could be put back: "
+                f"{problem.strerror}. They are in {stage / 'earlier'}; move them back."
+            ) from error
         if isinstance(error, OSError):
             raise _problem(target, error) from error
         raise

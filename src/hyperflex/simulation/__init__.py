@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
+    from hyperflex.simulation.arguments import file_size
     from hyperflex.simulation.batch.batch import Batch, simulate_batch
     from hyperflex.simulation.batch.stepper import BatchState, BatchStepper
     from hyperflex.simulation.commands import arm_polynomials, set_commands, setup_for, state_directions
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
         finish_rollout,
         link_accelerations,
         prepare_rollout,
-        progress_bar,
         rollout_limits,
     )
     from hyperflex.simulation.runs import angles, simulate

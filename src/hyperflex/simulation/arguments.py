@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
+from hyperflex import checks, memory
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope, Setup
 
 SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose
+# Numbers for each link and output, without contact and with it: in memory while a run is written, and in its file
+IN_MEMORY, IN_FILE = (11, 15), (5.5, 7.5)
 MOST_OUTPUTS = 1e7  # of a run whose user has not chosen; more of them would fill the memory first
 
 
@@ -47,6 +49,21 @@ def needed(duration: float | None) -> float:
     if duration is None:
         raise InvalidInput("duration is missing", allowed="a number > 0, in s", fix="Give duration=10.0, say")
     return duration
+
+
+def check_memory(setup: Setup, samples: int) -> None:
+    """Refuse a run whose result of so many samples would not fit into the memory."""
+    links = setup.rope.n_links
+    memory.check(
+        8.0 * IN_MEMORY[setup.touches] * (links + 2) * samples,
+        f"a run of {links} links with {samples} outputs",
+        "Ask for fewer outputs (t_eval=[...]), a shorter duration or fewer links",
+    )
+
+
+def file_size(setup: Setup, duration: float) -> float:
+    """Return about how large the file of a run is, bytes, that lasts `duration`, s, with the usual outputs."""
+    return 8.0 * IN_FILE[setup.touches] * setup.rope.n_links * duration / SAMPLE_TIME
 
 
 def output_times(t_eval: npt.ArrayLike | None, begin: float, end: float) -> Array:

@@ -1,8 +1,7 @@
-"""Rollouts of a set-up: kernel arrays, step control, progress, torque callbacks."""
+"""Rollouts of a set-up: kernel arrays, step control, torque callbacks."""
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -259,19 +258,3 @@ def balanced(
     scale = peak(work) + peak(dissipated) + peak(kinetic + held) + peak(change)
     bad = ~(np.abs(error) <= ENERGY_ALLOWANCE * (scale + floor) + 1e-300)
     return np.asarray(np.where(bad.any(axis=-1), bad.argmax(axis=-1), bad.shape[-1]))
-
-
-@contextmanager
-def progress_bar(
-    begin: float, end: float, wanted: bool, what: str = "simulating"
-) -> Iterator[Callable[[float], None] | None]:
-    """Show a bar from begin to end on standard error, if wanted; yields the function that sets it."""
-    if not wanted:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import Progress as Bar
-
-    with Bar(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=end - begin)
-        yield lambda t: bar.update(task, completed=t - begin)

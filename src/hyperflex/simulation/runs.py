@@ -18,7 +18,8 @@ from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.interruption import caught, interruptible
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, checked_obstacles
 from hyperflex.motion import Motion, hold_arm
-from hyperflex.simulation.arguments import chosen, needed, output_times, whole_setup
+from hyperflex.progress import progress_bar
+from hyperflex.simulation.arguments import check_memory, chosen, needed, output_times, whole_setup
 from hyperflex.simulation.contact.runs import contact_run, refine_arguments
 from hyperflex.simulation.events import Event
 from hyperflex.simulation.outcome import conclude, refuse_failure
@@ -31,7 +32,6 @@ from hyperflex.simulation.rollouts import (
     end_at_event,
     finish_rollout,
     prepare_rollout,
-    progress_bar,
     rollout_limits,
 )
 from hyperflex.simulation.time_budget import INTERRUPTED, OUT_OF_TIME, TimeBudgetExceeded, budget_error, enforce_budget
@@ -126,7 +126,8 @@ def simulate(
         with the status "interrupted".
     time_budget : float, optional
         Processor time, s, after which the run ends as a failure ("time budget exceeded"). It is looked at between some
-        hundred steps; with a torque callback not at all. By default a run takes as long as it takes.
+        hundred steps; with a torque callback not at all. By default a run that would take more than half an hour, as
+        its first ten seconds promise, ends there; inf lets it take as long as it takes.
     progress : bool
         Show a progress bar on standard error.
 
@@ -139,7 +140,7 @@ def simulate(
     Raises
     ------
     InvalidInput
-        If an argument cannot be used.
+        If an argument cannot be used, or the result would not fit into the memory.
     SimulationError
         If the run diverges, cannot meet `tol`, or does not keep its energy balance; says when and what to try.
     Interrupted
@@ -178,6 +179,7 @@ def simulate(
     length = setup.duration if duration is None else checks.number("duration", duration, sign="positive", unit="s")
     begin = _begin(state)
     t = output_times(t_eval, begin, begin + length)
+    check_memory(setup, t.size)
     skip = int(t[0] > begin)  # the energy account starts where the run does, whether or not that is asked for
     chain = setup.chain()
     bounds = rollout_limits(setup, chain, begin + length, until=_ending(until, setup))
@@ -193,7 +195,7 @@ def simulate(
                 code = _finished(run, setup, state, (begin, begin + length), time_budget, progress)
         except TimeBudgetExceeded:
             if throw:
-                raise budget_error(run.time) from None
+                raise budget_error(run.time, time_budget) from None
             name = OUT_OF_TIME
     if code == status.RUNNING and name == INTERRUPTED and throw:
         raise Interrupted(partial(conclude, run, setup, code, name, throw=False, skip=skip))
@@ -235,7 +237,7 @@ def _finished(
 ) -> int:
     """Run to the end of a span, s, and return the status code."""
     with progress_bar(*span, progress) as bar:
-        return runner(run, setup, state)(enforce_budget(bar, time_budget))
+        return runner(run, setup, state)(enforce_budget(bar, time_budget, span))
 
 
 def runner(run: Rollout, setup: Setup, state: State | None) -> Callable[..., int]:

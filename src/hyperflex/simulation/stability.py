@@ -7,6 +7,9 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import Chain, mass_matrix
+from hyperflex.errors import InvalidInput
+
+RK4_LINKS = 1000  # beyond, eigenvalues of dense matrices take minutes
 
 
 def runge_kutta_limit(chain: Chain) -> float:
@@ -16,8 +19,17 @@ def runge_kutta_limit(chain: Chain) -> float:
     factor |1 + hz + (hz)^2 / 2 + (hz)^3 / 6 + (hz)^4 / 24| stays below 1 for all of them. Aligned links have the least
     inertia against relative motion of neighbours, so no other posture has a faster friction mode. For a uniform
     friction-bound cable this is 2.785 m l^2 / (48 eta). Infinite for a chain without gravity and joint torques.
+
+    Raises InvalidInput for more than RK4_LINKS links.
     """
     n = chain.length.size
+    if n > RK4_LINKS:
+        raise InvalidInput(
+            "method='rk4', a check, is not there for so many links",
+            got=n,
+            allowed=f"up to {RK4_LINKS}",
+            fix="Take method='extrapolation', whose step does not shrink with the links",
+        )
     mass = np.empty((n, n))
     mass_matrix(chain, np.zeros(n), mass)
     relative = np.eye(n) - np.eye(n, k=-1)

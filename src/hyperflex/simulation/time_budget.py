@@ -1,4 +1,4 @@
-"""Time budget of a run: processor time, and Ctrl-C."""
+"""Time budget of a run: processor time, what is left to do, and Ctrl-C."""
 
 import time
 from collections.abc import Callable
@@ -9,40 +9,55 @@ from hyperflex.errors import SimulationError
 
 OUT_OF_TIME = "time budget exceeded"  # status of a run that took too long
 INTERRUPTED = "interrupted"  # and of one that Ctrl-C ended
+# s of processor time: of a run without a time budget, and after which it is judged whether it will keep to that
+PATIENCE, JUDGED = 1800.0, 10.0
 
 
 class TimeBudgetExceeded(Exception):
     """Raised within a run when its time budget is spent; never leaves the library."""
 
 
-def enforce_budget(report: Callable[[float], None] | None, seconds: float | None) -> Callable[[float], None] | None:
-    """Return what a run reports to: `report`, and TimeBudgetExceeded once its thread has worked for `seconds`.
+def enforce_budget(
+    report: Callable[[float], None] | None, seconds: float | None, span: tuple[float, float]
+) -> Callable[[float], None]:
+    """Return what a run over a `span`, s, reports to: `report`, and TimeBudgetExceeded once its time is over.
+
+    That is so once its thread has worked for `seconds`, or, if these are None, for JUDGED s of what would become more
+    than PATIENCE s if it went on like that.
 
     What passes between two reports does not count if kernels were compiled meanwhile: that is no fault of the run.
 
-    `report` is called with the simulated time. `seconds` are of processor time, so that a busy machine ends no run;
-    None waits for ever.
+    `report` is called with the simulated time. `seconds` are of processor time, so that a busy machine ends no run.
     """
-    if seconds is None:
-        return report
-    left = checks.number("time_budget", seconds, sign="positive", unit="s")
-    last, compiled = time.thread_time(), compiling()
+    if seconds is not None:
+        seconds = checks.number("time_budget", seconds, sign="positive", unit="s", infinite=True)
+    worked, last, compiled = 0.0, time.thread_time(), compiling()
 
     def heard(t: float) -> None:
-        nonlocal left, last, compiled
+        nonlocal worked, last, compiled
         if report is not None:
             report(t)
         now, before, compiled = time.thread_time(), compiled, compiling()
         if compiled == before:
-            left -= now - last
+            worked += now - last
         last = now
-        if left < 0.0:
+        if seconds is None:
+            over = worked > JUDGED and worked * (span[1] - t) > PATIENCE * (t - span[0])
+        else:
+            over = worked > seconds
+        if over:
             raise TimeBudgetExceeded
 
     return heard
 
 
-def budget_error(t: float) -> SimulationError:
-    """Return the error of a run that had come to `t`, s, when its time was over."""
-    message = f"stopped at t = {t:.6g} s ({OUT_OF_TIME}): its processor time was over. Allow more, or loosen tol."
+def budget_error(t: float, seconds: float | None) -> SimulationError:
+    """Return the error of a run that had come to `t`, s, when its time budget of `seconds` was over."""
+    why = "its processor time was over. Allow more, or loosen tol"
+    if seconds is None:
+        why = (
+            f"it would take more than {PATIENCE / 60.0:g} minutes in all. Check units and gravity, loosen tol, make it "
+            "shorter, or let it take its time: time_budget=inf"
+        )
+    message = f"stopped at t = {t:.6g} s ({OUT_OF_TIME}): {why}."
     return SimulationError(message, status=OUT_OF_TIME, time=t)

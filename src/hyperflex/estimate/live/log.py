@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex import __version__
 from hyperflex.errors import FileProblem
 from hyperflex.estimate.live.watch import LiveEstimate
-from hyperflex.files import NetCDF, PathLike, Variable, as_path, write_netcdf
+from hyperflex.files import NetCDF, PathLike, Variable, as_path, rescued, write_netcdf
 
 # name -> dimensions beyond time, unit, what it is
 _COLUMNS = {
@@ -130,4 +130,5 @@ class WatchLog:
             "news": "\n".join(f"{t:.3f} s: {words}" for t, words in self._news),
             "hyperflex": __version__,
         }
-        write_netcdf(self.path, NetCDF(variables, attributes))
+        content = NetCDF(variables, attributes)
+        rescued(lambda path: write_netcdf(path, content), self.path)

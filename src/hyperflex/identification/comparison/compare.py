@@ -20,8 +20,8 @@ from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
 from hyperflex.interruption import caught, interruptible
 from hyperflex.model import DAMPING, FREE_PROPERTIES, MOST_LINKS, RESISTANCES, Rope, parse_label, recut
+from hyperflex.progress import progress_bar
 from hyperflex.recording import Recording
-from hyperflex.simulation import progress_bar
 
 WORSE = 1.001  # ratio of costs: within it fits have met the same optimum, as far as they go
 SLIGHT = 0.1  # of its scale, what a guess has none of at the start
@@ -110,7 +110,7 @@ def compare_models(
         options["arc_lengths"] = np.append(0.0, np.cumsum(rope_guess.length))
     todo = candidates(rope_guess, free, models, links)
     done: list[Identification | str] = []
-    with caught() as stop, progress_bar(0.0, float(len(todo)), progress, "comparing models") as report:
+    with caught() as stop, progress_bar(0.0, float(len(todo)), progress, "comparing", "models") as report:
         fit: Callable[..., Identification] = partial(identify, recording, intervals=None, progress=False, **options)
         for number, each in enumerate(todo):
             try:

@@ -16,7 +16,7 @@ from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.scale import common_factor
 from hyperflex.interruption import caught, interruptible
 from hyperflex.model import Arm, Rope
-from hyperflex.simulation import progress_bar
+from hyperflex.progress import progress_bar
 
 WEIGHED = ("mass", "com", "tip_mass")  # what a pair of scales can tell
 TORQUE_NOISE = 0.01  # part of the torque that holds arm and rope out level, all mass at the tip
@@ -181,10 +181,8 @@ def design_experiment(
     parse(rope, free, np.array([0.0, rope.total_length]), moved=True, arm=arm or Arm())  # wrong for one, wrong for all
     plans: list[Plan] = []
     seen: list[ExpectedInformation] = []
-    with (
-        caught() as stop,
-        progress_bar(0.0, len(todo) + (0.0 if candidates is not None else 6.0), progress, "designing") as report,
-    ):
+    last = len(todo) + (0.0 if candidates is not None else 6.0)
+    with caught() as stop, progress_bar(0.0, last, progress, "designing", "experiments") as report:
         for experiment in _in_turn(todo, plans, vary=candidates is None):
             plans.append(_plan(asked, experiment, seen))
             if report is not None:

@@ -14,7 +14,7 @@ from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level, ratios
 from hyperflex.interruption import caught, interruptible
-from hyperflex.simulation import progress_bar
+from hyperflex.progress import progress_bar
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -116,7 +116,7 @@ def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progres
         raise IdentificationError("The fit cannot be simulated any more: nothing can be drawn from it.")
     noise = _Noise(basis)
     done, failed = [], 0
-    with caught() as stop, progress_bar(0.0, float(count), progress, "simulated recordings") as report:
+    with caught() as stop, progress_bar(0.0, float(count), progress, "fitting", "simulated recordings") as report:
         for number in range(count):
             windows = noise.add(clean, np.random.default_rng([seed, number]))
             x = _refitted(basis, windows)

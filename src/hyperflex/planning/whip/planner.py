@@ -27,7 +27,7 @@ from hyperflex.planning.whip.search import (
 )
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.planning.whip.whip_plan import WhipPlan
-from hyperflex.simulation import progress_bar
+from hyperflex.progress import progress_bar
 
 TIME_BUDGET, PERIODS = 30.0, 3.0  # s; swing periods within which the tip strikes by default
 DIRECT = 8  # peaks of the map that are aimed as they are

@@ -7,7 +7,7 @@ from typing import Any
 from hyperflex import checks
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.interruption import caught, interruptible
-from hyperflex.model import Arm, Peg, Rope, Setup
+from hyperflex.model import Arm, Peg, Rope, Setup, cuts
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
 from hyperflex.planning.robust.uncertainty import Uncertainty
@@ -17,7 +17,7 @@ from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fal
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
 from hyperflex.planning.wind.planner import NOMINAL, CastPlanner
 from hyperflex.planning.wind.remedies import find_remedies
-from hyperflex.simulation import progress_bar
+from hyperflex.progress import progress_bar
 
 TIME_BUDGET = 60.0  # s
 
@@ -103,6 +103,7 @@ def plan_cast(
     time_budget = checks.number("time_budget", time_budget, sign="positive", unit="s")
     cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, time_limit or 0.0)
     Setup(cast_setup.rope, arm=cast_setup.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
+    cuts(cast_setup.rope, (target,), arm=cast_setup.arm)  # or not be wound round it
     if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
         raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
     known = check_feasibility(cast_setup, target, holding_force=holding_force)

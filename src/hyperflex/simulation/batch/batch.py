@@ -1,5 +1,6 @@
 """Batch rollouts: members in SIMD lanes, blocks of members on threads."""
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
+from hyperflex import checks, memory
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
@@ -179,7 +180,7 @@ def simulate_batch(
     Raises
     ------
     InvalidInput
-        If an argument cannot be used, or the members do not fit together.
+        If an argument cannot be used, the members do not fit together, or the results do not fit into the memory.
     Interrupted
         By Ctrl-C. Its ``partial`` is the batch with the finished members; others have the status "interrupted".
 
@@ -198,12 +199,13 @@ def simulate_batch(
     setups = setups_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, **others)
     if not pegs and any("peg" in KEPT[name][0] for name in keep):
         raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
+    t = _outputs(t_eval, setups[0].duration)
+    _check_memory(setups, t.size, keep)
     if any(setup.touches for setup in setups):
         if step is not None:
             raise InvalidInput(
                 "step is not there with pegs or with joint limits", got=step, fix="Give contact_step or tol"
             )
-        t = _outputs(t_eval, setups[0].duration)
         shapes = {name: KEPT[name][0] for name in keep}
         values, names, reached, interrupt = run_members(setups, t, shapes, time_budget, workers, progress)
         return interrupt.deliver(Batch(t, values, tuple(names), reached))
@@ -214,7 +216,6 @@ def simulate_batch(
     chains = [setup.chain() for setup in setups]
     drives = [setup.drive() for setup in setups]
     starts = starts_of(setups)
-    t = _outputs(t_eval, setups[0].duration)
     members = members_of(chains, drives, starts)
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
     terms = terms_of(setups[0], chains[0], chosen)
@@ -300,6 +301,17 @@ def _outputs(t_eval: npt.ArrayLike | None, duration: float) -> Array:
     if t[-1] == 0.0:
         raise InvalidInput("t_eval is the start alone", got=t.tolist(), allowed="also a time after it, in s")
     return t
+
+
+def _check_memory(setups: list[Setup], samples: int, keep: tuple[str, ...]) -> None:
+    """Refuse a batch whose results would not fit into the memory."""
+    sizes = {"link": max(setup.rope.n_links for setup in setups), "axis": 2, "peg": len(setups[0].round_pegs)}
+    numbers = sum(math.prod(sizes[dim] for dim in KEPT[name][0]) for name in keep)
+    memory.check(
+        8.0 * numbers * len(setups) * samples,
+        f"a batch of {len(setups)} members with {samples} outputs of {', '.join(keep)}",
+        "Ask for fewer outputs (t_eval=[...]), keep less of them (keep=[...]), or take fewer members at once",
+    )
 
 
 def _columns(name: str, n: int) -> slice | int:

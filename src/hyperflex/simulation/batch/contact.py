@@ -9,8 +9,8 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.interruption import Caught, caught
 from hyperflex.model import Setup
+from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact.start import check_start
-from hyperflex.simulation.rollouts import progress_bar
 from hyperflex.simulation.runs import simulate
 from hyperflex.simulation.time_budget import INTERRUPTED
 from hyperflex.trajectory import Trajectory, swept
@@ -74,7 +74,7 @@ def run_blocks(
     with (
         caught() as interrupt,
         ThreadPoolExecutor(threads) as pool,
-        progress_bar(0, count, progress, "members") as report,
+        progress_bar(0, count, progress, unit="members") as report,
     ):
         spans = [(low, min(low + size, count)) for low in range(0, count, size)]
         futures: list[Future[None]] = []

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperflex import memory
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import Drive, base_state, segment
@@ -166,6 +167,12 @@ def sensitivities(
     directions = parameter_directions(setup, wrt)
     t = output_times(t_eval, 0.0, setup.duration)
     chain, drive = directions.with_faint_terms(setup.chain()), setup.drive()
+    links, count = chain.length.size, len(directions.names)
+    memory.check(
+        8.0 * 5 * (links + 1) * (count + 1) * t.size,
+        f"derivatives of {links} links by {count} parameters at {t.size} outputs",
+        "Ask for fewer outputs (t_eval=[...]) or parameters (wrt=[...])",
+    )
     run = record_steps(chain, drive, setup.start(), rollout_limits(setup, chain, setup.duration))
     refuse_unbalanced(run, setup)
     y, dy = forward_derivatives(run, directions, setup.start(), t)

@@ -1,0 +1,80 @@
+"""Memory: what a result will need is compared with what there is, before the work."""
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+from hyperflex.errors import InvalidInput
+
+SMALL = 2.0**26  # bytes that are not asked for
+
+_INFO, _CGROUPS, _SIZE = Path("/proc/meminfo"), Path("/sys/fs/cgroup"), Path("/proc/self/statm")
+# limit and use of a control group, version 2 and 1
+_GROUPS = (("memory.max", "memory.current"), ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"))
+
+
+def available() -> float:
+    """Return the memory that can still be had, bytes: the least of the machine's, the container's and the process's."""
+    return min(_of_machine(), _of_container(), _of_process())
+
+
+def check(size: float, what: str, fix: str) -> None:
+    """Refuse, before it is begun, what would need more memory than there is.
+
+    Parameters
+    ----------
+    size : float
+        Estimate of what is needed at once, bytes.
+    what : str
+        What needs it, for the message.
+    fix : str
+        What makes it less.
+
+    Raises
+    ------
+    InvalidInput
+        There is too little.
+    """
+    if size > SMALL and size > (there := available()):
+        raise InvalidInput(
+            f"{what} would fill the memory", got=in_words(size), allowed=f"{in_words(there)} here", fix=fix
+        )
+
+
+def in_words(size: float) -> str:
+    """Return a size, bytes, as people read it."""
+    return f"{size / 2**30:.3g} GiB" if size >= 2**30 else f"{size / 2**20:.3g} MiB"
+
+
+def _of_machine() -> float:
+    with suppress(OSError, ValueError, StopIteration):
+        line = next(line for line in _INFO.read_text().splitlines() if line.startswith("MemAvailable:"))
+        return 1024.0 * float(line.split()[1])
+    with suppress(OSError, ValueError, AttributeError):  # not Linux: all there is, in use or not
+        return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    return float("inf")
+
+
+def _of_container() -> float:
+    for limit, used in _GROUPS:
+        with suppress(OSError, ValueError):  # there is no such group, or its limit is the word "max"
+            return float((_CGROUPS / limit).read_text()) - float((_CGROUPS / used).read_text()) + _cache()
+    return float("inf")
+
+
+def _cache() -> float:
+    """Return what a control group counts as used and gives back when asked: files that were read, bytes."""
+    with suppress(OSError, ValueError, StopIteration):
+        line = next(each for each in (_CGROUPS / "memory.stat").read_text().splitlines() if "inactive_file" in each)
+        return float(line.split()[1])
+    return 0.0
+
+
+def _of_process() -> float:
+    with suppress(ImportError, OSError, ValueError):  # Windows knows no such limit
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit != resource.RLIM_INFINITY:
+            return float(limit) - float(_SIZE.read_text().split()[0]) * resource.getpagesize()
+    return float("inf")

@@ -1,0 +1,68 @@
+"""Progress of long work on standard error: a bar where somebody watches, else a line every ten seconds."""
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+EVERY = 10.0  # s between two lines where nobody watches
+
+
+@contextmanager
+def progress_bar(
+    begin: float, end: float, wanted: bool, what: str = "simulating", unit: str = "s"
+) -> Iterator[Callable[[float], None] | None]:
+    """Show on standard error how far work has come from `begin` to `end`, in `unit`, if wanted.
+
+    Yields the function that sets it. The bar is for a terminal; elsewhere there is a line every EVERY s.
+    """
+    if not wanted:
+        yield None
+        return
+    if (console := terminal()) is None:
+        with lines() as say:
+            yield lambda t: say(f"{what}: {t - begin:.4g} of {end - begin:.4g} {unit}")
+        return
+    from rich.progress import Progress as Bar
+
+    with Bar(console=console, transient=True) as bar:
+        task = bar.add_task(what, total=end - begin)
+        yield lambda t: bar.update(task, completed=t - begin)
+
+
+def terminal() -> Any:
+    """Return a rich console on standard error where somebody watches it, a terminal or a notebook; else None."""
+    if not sys.stderr.isatty() and "ipykernel" not in sys.modules:
+        return None
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+@contextmanager
+def lines() -> Iterator[Callable[[str], None]]:
+    """Write every EVERY s to standard error what was said last, and for how long the work has been going on.
+
+    Yields the function that takes the words. Work that is shorter is not told of.
+    """
+    newest, over, began = [""], threading.Event(), time.monotonic()
+
+    def write() -> None:
+        while not over.wait(EVERY):
+            with suppress(OSError, ValueError):  # whoever read it went away
+                if newest[0]:
+                    sys.stderr.write(f"hyperflex: {newest[0]} ({time.monotonic() - began:.0f} s so far)\n")
+                    sys.stderr.flush()
+
+    def say(words: str) -> None:
+        newest[0] = words
+
+    writer = threading.Thread(target=write, name="hyperflex progress", daemon=True)
+    writer.start()
+    try:
+        yield say
+    finally:
+        over.set()
+        writer.join()
