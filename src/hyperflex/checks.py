@@ -29,6 +29,8 @@ def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infi
         result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         raise InvalidInput(f"{name} is not a number", got=value, allowed=allowed) from None
+    except OverflowError:
+        raise InvalidInput(f"{name} is too large", got=value, allowed=allowed) from None
     if not math.isfinite(result) and not (infinite and result > 0.0):
         raise InvalidInput(f"{name} is not finite", got=result, allowed=allowed)
     if (sign == "positive" and result <= 0.0) or (sign == "nonnegative" and result < 0.0):
@@ -78,10 +80,10 @@ def array(
     """
     want = "x".join("any" if k < 0 else str(k) for k in shape)
     try:
-        if np.asarray(value).dtype.kind in "SU":  # which numpy would read as numbers
+        if np.asarray(value).dtype.kind not in "fiubO":  # numpy would read texts, drop imaginary parts, count times
             raise ValueError
         result = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError, RecursionError):
         raise InvalidInput(f"{name} is not an array of numbers", got=value, allowed=f"numbers, shape {want}") from None
     if scalar and result.ndim == 0 and -1 not in shape:
         result = np.full(shape, result)

@@ -1,5 +1,7 @@
 """Exceptions of hyperflex. Every message says what was wrong, the value got, what is allowed and what to do."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -30,6 +32,17 @@ class InvalidInput(HyperflexError, ValueError):
         if fix:
             parts.append(fix)
         super().__init__(". ".join(part.rstrip(".") for part in parts) + ".")
+
+
+@contextmanager
+def located(where: str) -> Iterator[None]:
+    """Begin each InvalidInput of the block with `where`, mostly a file's name, unless it names it already."""
+    try:
+        yield
+    except InvalidInput as error:
+        if where in error.what:
+            raise
+        raise InvalidInput(f"{where}: {error.what}", got=error.got, allowed=error.allowed, fix=error.fix) from None
 
 
 class FileProblem(HyperflexError, OSError):
@@ -77,5 +90,10 @@ class Interrupted(KeyboardInterrupt):
 
 
 def _short(value: object, limit: int = 120) -> str:
-    text = " ".join(repr(value).split())
+    if isinstance(value, (list, tuple, str, bytes)):
+        value = value[:limit]
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # noqa: BLE001 nested too deep, more digits than Python writes, or a faulty class of somebody's
+        text = f"a value of type {type(value).__name__} that cannot be shown"
     return text if len(text) <= limit else text[: limit - 3] + "..."

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex import checks, files
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, located
 from hyperflex.motion import profiles
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 from hyperflex.motion.sequence import arm_moves, arm_strokes
@@ -25,10 +25,11 @@ def read_motion(path: str | Path) -> Motion:
     InvalidInput
         If the columns are others, or a value is missing or not a number.
     """
-    names, table = files.read_table(path)
-    if list(names) != ["t", "angle"]:
-        raise InvalidInput(f"columns of {path} are not those of a motion", got=list(names), allowed="t,angle (s, rad)")
-    return profiles.sampled_motion(table[:, 0], table[:, 1])
+    table = files.read_table(path)
+    if table.names != ["t", "angle"]:
+        raise InvalidInput(f"columns of {path} are not those of a motion", got=table.names, allowed="t,angle (s, rad)")
+    with located(str(path)):
+        return profiles.sampled_motion(table.times("t"), table.values[:, 1])
 
 
 def from_spec(spec: Mapping[str, Any], folder: Path | None = None) -> Motion:
