@@ -3,8 +3,10 @@
 Each returns the value in the form that the package works with, or raises :class:`hyperflex.errors.InvalidInput`.
 """
 
+import difflib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -121,6 +123,29 @@ def times(name: str, value: object, *, least: int = 1) -> Array:
             fix="Sort the samples by time and drop repeated ones",
         )
     return t
+
+
+def keys(
+    what: str,
+    given: Iterable[str],
+    known: Iterable[str],
+    *,
+    needed: Iterable[str] = (),
+    elsewhere: Mapping[str, Iterable[str]] = MappingProxyType({}),
+) -> None:
+    """Refuse names that are not known, or that `what` lacks; `elsewhere` says which names are known in other places."""
+    known, given = sorted(set(known)), list(given)
+    for key in given:
+        if key in known:
+            continue
+        places = [place for place, names in elsewhere.items() if key in names]
+        close = difflib.get_close_matches(key[:80], known, 1, 0.7)
+        advice = [f"perhaps {close[0]!r} is meant"] if close else []
+        advice += [f"it belongs {' or '.join(places)}"] if places else []
+        fix = ", or ".join(advice).capitalize() or "Correct its name, or remove it"
+        raise InvalidInput(f"{what} does not know this key", got=key, allowed=", ".join(known), fix=fix)
+    if missing := [key for key in needed if key not in given]:
+        raise InvalidInput(f"{what} lacks {', '.join(missing)}", got=given, allowed=", ".join(known), fix="Add it")
 
 
 def choice(name: str, value: object, options: Sequence[str]) -> str:

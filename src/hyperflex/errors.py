@@ -1,6 +1,6 @@
 """Exceptions of hyperflex. Every message says what was wrong, the value got, what is allowed and what to do."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -35,14 +35,17 @@ class InvalidInput(HyperflexError, ValueError):
 
 
 @contextmanager
-def located(where: str) -> Iterator[None]:
-    """Begin each InvalidInput of the block with `where`, mostly a file's name, unless it names it already."""
+def located(where: str, words: Callable[[str], str] = str) -> Iterator[None]:
+    """Begin each InvalidInput of the block with `where`, mostly a file's name, unless it names it already.
+
+    `words` puts what it says into the language of that place.
+    """
     try:
         yield
     except InvalidInput as error:
-        if where in error.what:
-            raise
-        raise InvalidInput(f"{where}: {error.what}", got=error.got, allowed=error.allowed, fix=error.fix) from None
+        what, allowed, fix = map(words, (error.what, error.allowed, error.fix))
+        what = what if where in what else f"{where}: {what}"
+        raise InvalidInput(what, got=error.got, allowed=allowed, fix=fix) from None
 
 
 class FileProblem(HyperflexError, OSError):

@@ -98,8 +98,7 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
         if not isinstance(content.get(name, {}), Mapping):
             raise InvalidInput(f"{name} of {setup} is not a table", got=content[name], allowed=f"[{name}]")
     given = content.get("limits", {}) | {name: value for name, value in limits.items() if value is not None}
-    if unknown := set(given) - {field.name for field in fields(MotorLimits)}:
-        raise InvalidInput("the table [limits] does not fit", got=sorted(unknown), allowed="arguments of MotorLimits")
+    checks.keys("the table [limits]", given, [field.name for field in fields(MotorLimits)])
     tables = {name: content[name] for name in _TABLES if name in content}
     if rope is not None:
         tables["rope"] = Rope.from_toml(rope).table()

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from hyperflex.files.netcdf import NetCDF, Variable, read_netcdf, write_netcdf
     from hyperflex.files.reading import read_bytes, read_text, regular_file
     from hyperflex.files.tables import Table, read_table, write_table
-    from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, write_toml
+    from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, toml_words, write_toml
     from hyperflex.files.writing import PathLike, as_path, atomic, atomic_path, check_writable, write_bytes, write_text
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

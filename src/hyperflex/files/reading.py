@@ -51,7 +51,7 @@ def read_bytes(path: PathLike, what: str = "file", most: int = LARGEST) -> bytes
     """Return the content of a file. Raises FileProblem and InvalidInput as :func:`regular_file` does."""
     try:
         with regular_file(path, what, most).open("rb") as file:
-            return file.read(most)
+            return file.read()
     except FileProblem:
         raise
     except OSError as error:

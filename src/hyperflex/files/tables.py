@@ -43,7 +43,7 @@ class Table(NamedTuple):
     path: str
 
     def times(self, name: str) -> Array:
-        """Return a column of times (T,); InvalidInput, with line and value, for a gap, or times that do not increase."""
+        """Return a column of times (T,); InvalidInput, with line and value, for a gap or times that do not increase."""
         t = self.values[:, self.names.index(name)]
         bad = np.isnan(t)
         bad[1:] |= t[1:] <= t[:-1]

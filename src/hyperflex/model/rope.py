@@ -12,7 +12,7 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
 from hyperflex.core.read_only import read_only
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, located
 from hyperflex.model.properties import LINK_NAMES, LINK_PROPERTIES
 from hyperflex.model.rope_table import MOST_LINKS, from_table, to_table
 
@@ -302,7 +302,8 @@ class Rope:
         content = files.read_toml(path)
         if not isinstance(content.get("rope"), Mapping):
             raise InvalidInput(f"{path} has no [rope] table", got=sorted(content), allowed="a table named rope")
-        return cls.from_table(content["rope"])
+        with located(str(path), files.toml_words):
+            return cls.from_table(content["rope"])
 
 
 def bend_ratios(max_bend: Array) -> Array:

@@ -74,8 +74,9 @@ def _check_size(raw: Raw) -> None:
         bad = np.argwhere(np.abs(values) > HUGE) if values is not None else np.empty((0, 0))
         if values is not None and bad.size:
             place = tuple(int(k) for k in bad[0])
+            line = f", line {raw.lines[place[0]]}" if raw.lines else ""
             raise InvalidInput(
-                f"{raw.source}{f', line {raw.lines[place[0]]}' if raw.lines else ''}: {name}{list(place)} cannot be used",
+                f"{raw.source}{line}: {name}{list(place)} cannot be used",
                 got=float(values[place]),
                 allowed=f"finite numbers up to {HUGE:g} in size (NaN marks a gap)",
             )
@@ -224,7 +225,8 @@ def _check_rates(recording: Recording, rates: Array) -> None:
         slope = float(seen @ told / (told @ told))
         if not 0.5 < slope < 2.0:
             raise InvalidInput(
-                f"{recording.source}: the rates of link {k} are not the slope of its angles, which change {slope:.4g} times as fast",
+                f"{recording.source}: the rates of link {k} are not the slope of its angles, which change {slope:.4g} "
+                "times as fast",
                 allowed="a factor near 1",
                 fix="About 57 or 0.017 tells of degrees in one and radians in the other, a power of 1000 of times in "
                 "another unit, a negative one of another sense. Declare the right unit, or leave the rates out",

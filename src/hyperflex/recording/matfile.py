@@ -74,9 +74,7 @@ def _load(path: PathLike) -> dict[str, Any]:
     try:
         content: dict[str, Any] = loadmat(io.BytesIO(raw))
     except (*_DAMAGE, MatReadError, NotImplementedError, zlib.error, struct.error) as error:
-        raise FileProblem(
-            f"The MATLAB file {path} is damaged or cut off ({type(error).__name__}: {error}). Get it again."
-        ) from error
+        raise FileProblem(f"The MATLAB file {path} cannot be read: it is damaged or cut off. Get it again.") from error
     return content
 
 
