@@ -25,7 +25,9 @@ def regular_file(path: PathLike, what: str = "file", most: float = LARGEST) -> P
     except FileNotFoundError:
         raise FileProblem(f"There is no {what} {path}. Check the name and the folder.") from None
     except OSError as error:
-        raise FileProblem(f"The {what} {path} cannot be read: {error.strerror}.") from error
+        raise FileProblem(
+            f"The {what} {str(path)[:200]} cannot be read: {error.strerror}. Give another path."
+        ) from error
     except ValueError:  # half of a surrogate pair, say
         raise InvalidInput(
             f"the path of the {what} is no path", got=path, allowed="a name that can be encoded"

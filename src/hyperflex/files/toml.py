@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.files.reading import read_text
 from hyperflex.files.writing import PathLike, write_text
@@ -24,6 +25,7 @@ def read_toml(path: PathLike) -> dict[str, Any]:
 
 def loads_toml(text: str, name: str = "the text") -> dict[str, Any]:
     """Return the content of a TOML text; `name` stands for it in the message of the InvalidInput it may raise."""
+    checks.text(f"{name}, as TOML,", text)
     if deep := _LONG_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
         raise InvalidInput(f"{name}, line {line}: a key has too many parts", got=deep[0], allowed=f"up to {_PARTS}")

@@ -36,7 +36,7 @@ def from_table(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]
     Length and mass are arrays with one entry a link, or ``total_length`` and ``total_mass`` of the whole rope, or
     ``link_length`` and ``link_mass`` of each of ``n_links`` equal links.
     """
-    content = dict(table)
+    content = dict(checks.mapping("the rope table", table))
     checks.keys("the rope table", content, keys_of(names))
     sizes = [np.size(content[name]) for name in LINK_NAMES if np.ndim(content.get(name, 0.0)) == 1]
     if "n_links" not in content and not sizes:

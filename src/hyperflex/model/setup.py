@@ -83,9 +83,8 @@ class Setup:
 
     def __post_init__(self) -> None:
         for name, kind in (("rope", Rope), ("motion", Motion), ("arm", Arm), ("torque", Motion)):
-            value = getattr(self, name)
-            if not isinstance(value, kind) and (value is not None or name == "rope"):
-                raise InvalidInput(f"{name} is not of its class", got=value, allowed=f"hyperflex.{kind.__name__}")
+            if getattr(self, name) is not None or name == "rope":
+                checks.instance(name, getattr(self, name), kind)
         n = self.rope.n_links
         values: dict[str, Any] = {
             "duration": checks.number("duration", self.duration, sign="positive", unit="s"),

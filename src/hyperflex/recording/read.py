@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike, as_path, read_bytes, read_netcdf
+from hyperflex.files import PathLike, as_path, read_netcdf, regular_file
 from hyperflex.recording import csv as _csv
 from hyperflex.recording import matfile as _matfile
 from hyperflex.recording.declare import FASTEST, Raw, to_recording
@@ -100,8 +100,7 @@ def read_recording(
         if kind not in (None, raw.kind):
             raise InvalidInput(f"{path} holds {raw.kind}", got=kind, fix="Leave kind out")
     else:
-        if not file.is_file():
-            read_bytes(file, "recording")  # tells of one that is not there
+        regular_file(file, "recording")  # tells of one that is not there
         raise InvalidInput(f"{path} has no known suffix", got=suffix, allowed=".csv, .txt, .nc, .mat")
     given: dict[str, object] = {"time_unit": time_unit, "unit": unit, "frame_rate": frame_rate}
     given |= {"y_axis": y_axis, "scale": scale}
