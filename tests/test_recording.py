@@ -268,15 +268,18 @@ def test_csv_columns_by_name_and_noise_columns(tmp_path: Path) -> None:
 def test_what_is_not_declared_is_refused_by_name(tmp_path: Path) -> None:
     t, data, _ = swing(n=1)
     angles = csv(tmp_path, "t,th1", np.column_stack([t, data]))
-    with pytest.raises(InvalidInput, match=r"does not declare time_unit, unit\..*nothing is guessed"):
+    with pytest.raises(
+        InvalidInput,
+        match=r"not all .* is declared\. Pass time_unit=\.\.\. \(s .*, unit=\.\.\. \(rad .*nothing is guessed",
+    ):
         read_recording(angles)
-    with pytest.raises(InvalidInput, match=r"declare frame_rate\."):
+    with pytest.raises(InvalidInput, match=r"Pass frame_rate=\.\.\. \(frames/s\)"):
         read_recording(angles, time_unit="frame", unit="rad")
     (tmp_path / "m").mkdir()
     markers = csv(tmp_path / "m", "t,x0,y0,x1,y1", np.column_stack([t, places(data, np.array([0.2]))]))
     with pytest.raises(InvalidInput, match="declare time_unit, unit, y_axis"):
         read_recording(markers)
-    with pytest.raises(InvalidInput, match=r"declare scale\."):
+    with pytest.raises(InvalidInput, match=r"Pass scale="):
         read_recording(markers, time_unit="s", unit="px", y_axis="up")
 
 

@@ -49,9 +49,16 @@ CALLS: dict[str, tuple[Callable[..., Any], Callable[[], dict[str, Any]]]] = {
     "Rope": (
         hf.Rope,
         lambda: {
-            "length": [0.1, 0.1], "mass": [0.1, 0.1], "com": [0.05, 0.05], "inertia": [1e-5, 1e-5], "name": "rope",
+            "length": [0.1, 0.1],
+            "mass": [0.1, 0.1],
+            "com": [0.05, 0.05],
+            "inertia": [1e-5, 1e-5],
+            "name": "rope",
             **dict.fromkeys(("friction", "dry_friction", "stiffness", "rest_angle", "drag", "tip_mass"), 1e-3),
-            "max_bend": 1.0, "gravity": [0.0, -9.81], "friction_model": "relative", "radius": 0.001,
+            "max_bend": 1.0,
+            "gravity": [0.0, -9.81],
+            "friction_model": "relative",
+            "radius": 0.001,
         },
     ),
     "Rope.uniform": (

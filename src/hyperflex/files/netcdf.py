@@ -30,7 +30,7 @@ class Variable(NamedTuple):
         try:
             return np.asarray(self.values, dtype=np.float64)
         except (ValueError, TypeError):
-            raise InvalidInput(f"variable {name!r} holds no numbers", got=self.values) from None
+            raise InvalidInput(f"variable {name!r} holds no numbers", got=self.values, allowed="numbers") from None
 
 
 class NetCDF(NamedTuple):

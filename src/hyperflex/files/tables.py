@@ -16,6 +16,7 @@ from hyperflex.files.writing import PathLike, atomic
 
 LARGEST = 256_000_000  # bytes of a table: text is read into memory
 _CUT = "The file ends within this line: it was probably cut off; get it again"
+_MEND = "Mend or remove the line"
 _EXAMPLE = "a number such as 0.5 or 1e-3, or nothing, NA, nan or - for a gap"
 
 
@@ -198,14 +199,14 @@ def _names(path: PathLike, number: int, line: str) -> list[str]:
     try:
         return _cells.names_in(line)
     except ValueError as error:
-        raise InvalidInput(f"{path}, line {number}, cannot be read ({error})", got=line.strip()) from None
+        raise InvalidInput(f"{path}, line {number}, cannot be read ({error})", got=line.strip(), fix=_MEND) from None
 
 
 def _split(path: PathLike, number: int, line: str, mark: str) -> list[str]:
     try:
         return _cells.cells(line, mark)
     except ValueError as error:
-        raise InvalidInput(f"{path}, line {number}, cannot be read ({error})", got=line.strip()) from None
+        raise InvalidInput(f"{path}, line {number}, cannot be read ({error})", got=line.strip(), fix=_MEND) from None
 
 
 def _is_data(path: PathLike, row: tuple[int, str]) -> bool:
@@ -226,7 +227,7 @@ def _row(path: PathLike, number: int, row: list[str], names: list[str], comma: b
     if len(row) == len(names) + 1 and not row[-1]:
         row = row[:-1]  # a separator ends the line
     if len(row) != len(names):
-        why = _CUT if cut else "Mend or remove the line"
+        why = _CUT if cut else _MEND
         if len(row) > len(names):
             why = "If numbers have decimal commas, separate the cells by semicolons or tabs, or write points"
         raise InvalidInput(

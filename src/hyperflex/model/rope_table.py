@@ -60,5 +60,7 @@ def from_table(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]
             value = np.full(n, single / n if given[0].startswith("total") else single)
         content[name] = value
     if np.size(content["length"]) != n:
-        raise InvalidInput("rope n_links differs from its arrays", got=[n, np.size(content["length"])])
+        raise InvalidInput(
+            "rope n_links differs from its arrays", got=n, allowed=f"{np.size(content['length'])}, as length has"
+        )
     return content

@@ -32,7 +32,9 @@ def read(path: PathLike, time: str, kind: str | None, columns: Sequence[str] | N
     declared = _notes(path, table.notes)
     plain, units = _units(table.names)
     if len(set(plain)) < len(plain):
-        raise InvalidInput(f"{path} has columns that differ only in their unit", got=table.names)
+        raise InvalidInput(
+            f"{path} has columns that differ only in their unit", got=table.names, fix="Remove one of them"
+        )
     at = {name: k for k, name in enumerate(plain)}
     time = _time(path, plain, time)
     if time == FRAME:
@@ -90,9 +92,9 @@ def _notes(path: PathLike, notes: Mapping[str, str]) -> dict[str, object]:
 
 def _number(what: str, text: str) -> float:
     try:
-        return float(text)
+        return float(text.replace("_", "?"))  # 1_000 is a number to Python alone
     except ValueError:
-        raise InvalidInput(f"{what} is not a number", got=text) from None
+        raise InvalidInput(f"{what} is not a number", got=text, allowed="a number such as 0.5") from None
 
 
 def _looks_like_declaration(key: str) -> bool:
@@ -189,7 +191,9 @@ def _declare_units(
             raise InvalidInput(f"{path} does not give one unit to all columns", got=units, allowed=", ".join(known))
         unit = checks.choice(f"{path}: the unit of {names[0]}", said.pop(), known)
         if declared.get(key, unit) != unit:
-            raise InvalidInput(f"{path}: header and notes disagree on {key}", got=[unit, declared[key]])
+            raise InvalidInput(
+                f"{path}: header and notes disagree on {key}", got=[unit, declared[key]], fix="Mend one of them"
+            )
         declared[key] = unit
     for name in rates:
         match = _RATE_UNIT.match(units.get(name, ""))

@@ -126,10 +126,10 @@ def _require_all(raw: Raw, declared: Mapping[str, object]) -> None:
     if declared.get("unit") == "px" and "scale" not in declared:
         missing.append("scale")
     if missing:
-        words = {key: f"{key} ({' | '.join(options)})" for key, options in wanted.items()}
-        words |= {"frame_rate": "frame_rate (frames/s)", "scale": "scale (m per pixel)"}
+        words = {key: f"{key}=... ({' | '.join(options)})" for key, options in wanted.items()}
+        words |= {"frame_rate": "frame_rate=... (frames/s)", "scale": "scale=... (m per pixel)"}
         raise InvalidInput(
-            f"{raw.source} holds {raw.kind} but does not declare {', '.join(missing)}",
+            f"{raw.source} holds {raw.kind}, but not all that is needed to read them is declared",
             fix=f"Pass {', '.join(words[key] for key in missing)}; nothing is guessed",
         )
 
@@ -156,7 +156,8 @@ def _angles(raw: Raw, declared: Mapping[str, object], noise: Array | None) -> Co
     zero, sense, kind = (checks.choice(key, declared.get(key), OPTIONS[key]) for key in ("zero", "sense", "angles"))
     for key in ("y_axis", "scale"):
         if declared.get(key) is not None:
-            raise InvalidInput(f"{key} is for markers, but {raw.source} holds angles", got=declared.get(key))
+            fix = f"Leave {key} out"
+            raise InvalidInput(f"{key} is for markers, but {raw.source} holds angles", got=declared[key], fix=fix)
     factor = RADIANS[unit] * (1.0 if sense == "+x" else -1.0)
     data = raw.data * factor
     rates = None if raw.rates is None else raw.rates * factor
@@ -180,7 +181,8 @@ def _markers(raw: Raw, declared: Mapping[str, object], noise: Array | None) -> C
     if unit == "px":
         factor = checks.number("scale", declared.get("scale"), sign="positive", unit="m per pixel")
     elif declared.get("scale") is not None:
-        raise InvalidInput(f"scale is for pixels, but the positions are in {unit}", got=declared.get("scale"))
+        fix = "Leave scale out, or declare unit='px'"
+        raise InvalidInput(f"scale is for pixels, but the positions are in {unit}", got=declared["scale"], fix=fix)
     else:
         factor = METRES[unit]
     flip = np.where(np.arange(raw.data.shape[1]) % 2 == 1, -1.0 if y_axis == "down" else 1.0, 1.0)

@@ -95,7 +95,7 @@ def read_recording(
         raw = _csv.read(path, time, kind, columns)
     elif suffix in (".nc", ".mat"):
         if columns is not None or time != "t":
-            raise InvalidInput(f"time and columns are for CSV files, {path} names its own")
+            raise InvalidInput(f"time and columns are for CSV files, {path} names its own", fix="Leave them out")
         raw = _netcdf(path) if suffix == ".nc" else _matfile.read(path)
         if kind not in (None, raw.kind):
             raise InvalidInput(f"{path} holds {raw.kind}", got=kind, fix="Leave kind out")
@@ -130,7 +130,7 @@ def _netcdf(path: PathLike) -> Raw:
     rank = {"time": 1, "rate": 2, name: 2 if kind == "angles" else 3}
     for key, (values, _) in held.items():
         if values.ndim != rank.get(key, rank[name]) or values.shape[0] != samples:
-            raise InvalidInput(f"{path}: variable {key!r} has the wrong shape", got=values.shape)
+            raise InvalidInput(f"{path}: variable {key!r} has the wrong shape", got=values.shape, fix="Write it again")
     declared: dict[str, object] = {key: attrs[key] for key in ("zero", "sense", "angles", "y_axis") if key in attrs}
     for key, variable in (("time_unit", "time"), ("unit", name)):
         if "units" in held[variable][1]:
