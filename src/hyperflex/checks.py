@@ -3,9 +3,11 @@
 Each returns the value in the form that the package works with, or raises :class:`hyperflex.errors.InvalidInput`.
 """
 
+import difflib
 import math
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +16,9 @@ from hyperflex.errors import InvalidInput
 
 Array = npt.NDArray[np.float64]
 Sign = Literal["any", "positive", "nonnegative"]
+T = TypeVar("T")
+
+LARGEST = 1e100  # of any quantity in SI units; squares and products of larger ones overflow
 
 _ALLOWED = {"any": "finite", "positive": "finite and > 0", "nonnegative": "finite and >= 0"}
 
@@ -29,8 +34,12 @@ def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infi
         result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         raise InvalidInput(f"{name} is not a number", got=value, allowed=allowed) from None
+    except OverflowError:
+        raise InvalidInput(f"{name} is too large", got=value, allowed=allowed) from None
     if not math.isfinite(result) and not (infinite and result > 0.0):
         raise InvalidInput(f"{name} is not finite", got=result, allowed=allowed)
+    if LARGEST < abs(result) < math.inf:
+        raise InvalidInput(f"{name} is too large", got=result, allowed=f"{allowed}, up to {LARGEST:g} in size")
     if (sign == "positive" and result <= 0.0) or (sign == "nonnegative" and result < 0.0):
         raise InvalidInput(f"{name} has the wrong sign", got=result, allowed=allowed)
     return result
@@ -48,7 +57,7 @@ def count(name: str, value: object, *, least: int = 1, most: int | None = None) 
 def array(
     name: str,
     value: object,
-    shape: tuple[int, ...],
+    shape: tuple[int, ...] | None,
     *,
     sign: Sign = "any",
     unit: str = "",
@@ -60,8 +69,8 @@ def array(
 
     Parameters
     ----------
-    shape : tuple of int
-        Wanted shape; -1 leaves that axis free.
+    shape : tuple of int, or None
+        Wanted shape; -1 leaves that axis free, None all.
     sign : {"any", "positive", "nonnegative"}
         Sign that every element must have.
     scalar : bool
@@ -76,13 +85,15 @@ def array(
     InvalidInput
         Naming the first bad element with its index.
     """
-    want = "x".join("any" if k < 0 else str(k) for k in shape)
+    want = "any" if shape is None else "x".join("any" if k < 0 else str(k) for k in shape)
     try:
-        if np.asarray(value).dtype.kind in "SU":  # which numpy would read as numbers
+        if np.asarray(value).dtype.kind not in "fiubO":  # numpy would read texts, drop imaginary parts, count times
             raise ValueError
         result = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError, RecursionError):
         raise InvalidInput(f"{name} is not an array of numbers", got=value, allowed=f"numbers, shape {want}") from None
+    if shape is None:
+        shape = result.shape
     if scalar and result.ndim == 0 and -1 not in shape:
         result = np.full(shape, result)
     if result.ndim != len(shape) or any(w >= 0 and w != s for w, s in zip(shape, result.shape, strict=True)):
@@ -90,6 +101,7 @@ def array(
     bad = np.isinf(result) if gaps else ~np.isfinite(result)
     if infinite:
         bad &= result != np.inf
+    bad |= (np.abs(result) > LARGEST) & np.isfinite(result)
     if sign == "positive":
         bad |= result <= 0.0
     elif sign == "nonnegative":
@@ -97,7 +109,7 @@ def array(
     if bad.any():
         index = tuple(int(k) for k in np.argwhere(bad)[0])
         also = " (NaN marks a gap)" if gaps else " (or inf)" if infinite else ""
-        allowed = _ALLOWED[sign] + also + (f", in {unit}" if unit else "")
+        allowed = f"{_ALLOWED[sign]}, up to {LARGEST:g} in size{also}" + (f", in {unit}" if unit else "")
         raise InvalidInput(f"{name}{list(index)} cannot be used", got=float(result[index]), allowed=allowed)
     result.setflags(write=False)
     return result
@@ -119,6 +131,50 @@ def times(name: str, value: object, *, least: int = 1) -> Array:
             fix="Sort the samples by time and drop repeated ones",
         )
     return t
+
+
+def keys(
+    what: str,
+    given: Iterable[str],
+    known: Iterable[str],
+    *,
+    needed: Iterable[str] = (),
+    elsewhere: Mapping[str, Iterable[str]] = MappingProxyType({}),
+) -> None:
+    """Refuse names that are not known, or that `what` lacks; `elsewhere` says which names are known in other places."""
+    known, given = sorted(set(known)), list(given)
+    for key in given:
+        if key in known:
+            continue
+        places = [place for place, names in elsewhere.items() if key in names]
+        close = difflib.get_close_matches(key[:80], known, 1, 0.7)
+        advice = [f"perhaps {close[0]!r} is meant"] if close else []
+        advice += [f"it belongs {' or '.join(places)}"] if places else []
+        fix = ", or ".join(advice).capitalize() or "Correct its name, or remove it"
+        raise InvalidInput(f"{what} does not know this key", got=key, allowed=", ".join(known), fix=fix)
+    if missing := [key for key in needed if key not in given]:
+        raise InvalidInput(f"{what} lacks {', '.join(missing)}", got=given, allowed=", ".join(known), fix="Add it")
+
+
+def mapping(name: str, value: object) -> Mapping[str, Any]:
+    """Return `value` if it is a mapping whose keys are text."""
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise InvalidInput(f"{name} is not a table", got=value, allowed="a mapping of names to values")
+    return value
+
+
+def text(name: str, value: object) -> str:
+    """Return `value` if it is text."""
+    if not isinstance(value, str):
+        raise InvalidInput(f"{name} is not text", got=value, allowed="text (str)")
+    return value
+
+
+def instance(name: str, value: object, kind: type[T]) -> T:
+    """Return `value` if it is of a class of this package, such as Rope."""
+    if not isinstance(value, kind):
+        raise InvalidInput(f"{name} is not of its class", got=value, allowed=f"hyperflex.{kind.__name__}")
+    return value
 
 
 def choice(name: str, value: object, options: Sequence[str]) -> str:

@@ -1,6 +1,8 @@
 """Exceptions of hyperflex. Every message says what was wrong, the value got, what is allowed and what to do."""
 
 import functools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -31,6 +33,20 @@ class InvalidInput(HyperflexError, ValueError):
         if fix:
             parts.append(fix)
         super().__init__(". ".join(part.rstrip(".") for part in parts) + ".")
+
+
+@contextmanager
+def located(where: str, words: Callable[[str], str] = str) -> Iterator[None]:
+    """Begin each InvalidInput of the block with `where`, mostly a file's name, unless it names it already.
+
+    `words` puts what it says into the language of that place.
+    """
+    try:
+        yield
+    except InvalidInput as error:
+        what, allowed, fix = map(words, (error.what, error.allowed, error.fix))
+        what = what if where in what else f"{where}: {what}"
+        raise InvalidInput(what, got=error.got, allowed=allowed, fix=fix) from None
 
 
 class FileProblem(HyperflexError, OSError):
@@ -83,5 +99,10 @@ class Interrupted(KeyboardInterrupt):
 
 
 def _short(value: object, limit: int = 120) -> str:
-    text = " ".join(repr(value).split())
+    if isinstance(value, (list, tuple, str, bytes)):
+        value = value[:limit]
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # noqa: BLE001 nested too deep, more digits than Python writes, or a faulty class of somebody's
+        text = f"a value of type {type(value).__name__} that cannot be shown"
     return text if len(text) <= limit else text[: limit - 3] + "..."

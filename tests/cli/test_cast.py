@@ -108,7 +108,7 @@ def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, rope_file, read
     [
         ("", "no rope is given"),
         ("ROPE", "--target and --radius missing"),
-        ("ROPE\n[limits]\npace = 3.0\n", "[limits] does not fit"),
+        ("ROPE\n[limits]\npace = 3.0\n", "[limits] does not know this key: got 'pace'"),
         ("ROPE\n[pegs]\nx = [0.0, 1.0]\ny = [1.0, 1.0]\nradius = [0.1, 0.1]\n", "more than a target"),
     ],
 )
@@ -236,7 +236,7 @@ def test_a_throw_that_was_not_verified_has_no_numbers(hyperflex, hyperflex_json,
         assert ended == code
         assert told.get("outcome", {"n_links": 0})["n_links"] == 0
         assert "fallback" not in told
-        assert files.read_notes(tmp_path / name / "motion.csv")["not verified"] == plan.message
+        assert files.read_table(tmp_path / name / "motion.csv").notes["not verified"] == plan.message
         assert hf.read_motion(tmp_path / name / "motion.csv").breaks[-1] == pytest.approx(told["stop"], abs=5e-3)
         _, out, err = hyperflex(*arguments(rope_file, tmp_path / name))
         words = " ".join(out.split())

@@ -61,7 +61,7 @@ def test_what_is_not_declared_is_refused(hyperflex_json, swing):
 
 
 def test_columns_can_be_named(hyperflex_json, swing):
-    names, values = files.read_table(swing / "swing.csv")
+    names, values, *_ = files.read_table(swing / "swing.csv")
     files.write_table(swing / "other.csv", ["clock", "hinge", "note"], np.column_stack([values, values[:, 0]]))
     assert names == ["t", "th1"]
     arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)

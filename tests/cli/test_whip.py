@@ -93,7 +93,7 @@ def test_a_set_up_file_gives_rope_arm_and_target(hyperflex, ready, tmp_path):
     setup.write_text(setup.read_text() + "pace = 3.0\n")
     code, _, err = hyperflex("whip", setup, "-o", tmp_path / "out")
     assert code == 2
-    assert "[target] does not fit" in err
+    assert "[target] does not know this key" in err
 
 
 def test_file_and_options_have_the_same_names_and_units(hyperflex, ready, tmp_path):

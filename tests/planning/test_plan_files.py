@@ -23,7 +23,7 @@ from tests.planning.known import PEG, WINDS, cast_setup, late, planned, stopped,
 def test_the_motors_table_holds_the_planned_angles(tmp_path):
     plan = planned()
     plan.to_csv(tmp_path / "motion.csv", rate=250.0)
-    names, rows = files.read_table(tmp_path / "motion.csv")
+    names, rows, *_ = files.read_table(tmp_path / "motion.csv")
     assert names == ["t", "angle"]
     np.testing.assert_array_equal(rows[:, 1], plan.motion.angle(rows[:, 0]))
     np.testing.assert_allclose(np.diff(rows[:, 0]), 1.0 / 250.0, rtol=1e-9)  # rounding of k / 250
@@ -151,13 +151,13 @@ def test_the_motors_table_says_whether_its_throw_was_verified(tmp_path, made, ma
     plan = made()
     plan.to_csv(tmp_path / "motion.csv")
     assert f"# {mark}: {plan.message}\n" in (tmp_path / "motion.csv").read_text()
-    assert files.read_notes(tmp_path / "motion.csv")[mark] == plan.message
+    assert files.read_table(tmp_path / "motion.csv").notes[mark] == plan.message
     assert hf.read_motion(tmp_path / "motion.csv").breaks[-1] == pytest.approx(plan.motion.breaks[-1], abs=5e-3)
 
 
 def test_the_motors_table_of_a_throw_that_stands_bears_no_mark(tmp_path):
     planned().to_csv(tmp_path / "motion.csv")
-    notes = files.read_notes(tmp_path / "motion.csv")
+    notes = files.read_table(tmp_path / "motion.csv").notes
     assert not {"not verified", "fails"} & set(notes)
     assert notes["target"] == f"x {PEG.x:g} m, y {PEG.y:g} m, radius 0.04 m, mu 0.3"
     assert notes["arm"] == "0.105 m, begins at -1.5708 rad"
@@ -176,7 +176,7 @@ def test_an_interrupt_leaves_the_best_throw_that_was_not_verified(tmp_path, monk
     assert plan.interrupted
     assert (plan.throw, plan.outcome) == (WINDS, None)
     plan.to_csv(tmp_path / "motion.csv")
-    assert files.read_notes(tmp_path / "motion.csv")["not verified"] == plan.message
+    assert files.read_table(tmp_path / "motion.csv").notes["not verified"] == plan.message
 
 
 def test_a_plan_without_a_throw_has_nothing_to_write(tmp_path):

@@ -63,7 +63,7 @@ def test_the_set_up_is_simulated_as_it_stands(tmp_path):
 def test_the_motors_table_holds_the_planned_angles(tmp_path):
     plan = planned_whip()
     plan.to_csv(tmp_path / "motion.csv", rate=250.0)
-    names, rows = files.read_table(tmp_path / "motion.csv")
+    names, rows, *_ = files.read_table(tmp_path / "motion.csv")
     assert names == ["t", "angle"]
     np.testing.assert_array_equal(rows[:, 1], plan.motion.angle(rows[:, 0]))
 
@@ -71,10 +71,10 @@ def test_the_motors_table_holds_the_planned_angles(tmp_path):
 def test_the_motors_table_says_that_a_whip_does_not_stand(tmp_path):
     for plan, noted in ((planned_whip(), None), (planned_whip(meets=False), planned_whip(meets=False).message)):
         plan.to_csv(tmp_path / "motion.csv")
-        assert files.read_notes(tmp_path / "motion.csv").get("fails") == noted
+        assert files.read_table(tmp_path / "motion.csv").notes.get("fails") == noted
     missed = replace(planned_whip(meets=False), outcome=None)
     missed.to_csv(tmp_path / "motion.csv")
-    assert files.read_notes(tmp_path / "motion.csv")["not verified"] == missed.message
+    assert files.read_table(tmp_path / "motion.csv").notes["not verified"] == missed.message
 
 
 def test_what_is_no_whip_is_refused(tmp_path):

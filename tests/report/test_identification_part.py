@@ -77,10 +77,10 @@ def test_files_say_that_they_are_simulated(tmp_path):
     written = []
     done = write_part(identification.PART, ["fig5"], tmp_path, lambda _: None, written.append)
     assert written == [tmp_path / "fig5.png", tmp_path / "fig5.csv"]
-    notes = files.read_notes(tmp_path / "fig5.csv")
+    notes = files.read_table(tmp_path / "fig5.csv").notes
     assert notes["source"] == "simulated"
     assert "inferred" in notes["parameters"]
-    names, values = files.read_table(tmp_path / "fig5.csv")
+    names, values, *_ = files.read_table(tmp_path / "fig5.csv")
     assert names[0] == "t"
     assert values.shape == (81, 11)
     assert {claim.name for claim in done.claims} == {"C6", "C7"}

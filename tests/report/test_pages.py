@@ -68,10 +68,10 @@ def test_reproduce_writes_pictures_tables_claims_and_a_page(tmp_path):
     names = [path.name for path in result.files]
     assert names == ["fig9.png", "fig9.csv", "fig10.png", "fig10.csv", "claims.md", "report.html"]
     assert all(path.stat().st_size > 500 for path in result.files)
-    columns, values = files.read_table(tmp_path / "new" / "folder" / "fig10.csv")
+    columns, values, *_ = files.read_table(tmp_path / "new" / "folder" / "fig10.csv")
     assert columns[:3] == ["t", "x_under_relative_success", "y_under_relative_success"]
     assert values.shape == (1401, 17)
-    assert files.read_notes(tmp_path / "new" / "folder" / "fig10.csv")["source"] == "simulated"
+    assert files.read_table(tmp_path / "new" / "folder" / "fig10.csv").notes["source"] == "simulated"
     text = (tmp_path / "new" / "folder" / "claims.md").read_text("utf-8")
     assert text.count("| C") == 16
     assert text.count("does not hold") == sum(not each.holds for each in result.claims)

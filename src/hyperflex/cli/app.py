@@ -1,10 +1,12 @@
 """The command-line application: all commands, and the exit codes of errors."""
 
+import inspect
 import os
 import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Annotated, Any
 
 import typer
@@ -21,7 +23,7 @@ from hyperflex.cli.track import track
 from hyperflex.cli.warm import warm
 from hyperflex.cli.watch import watch
 from hyperflex.cli.whip import whip
-from hyperflex.errors import HyperflexError
+from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.interruption import noticing
 
 # the common base of what the parser raises: BadParameter <- UsageError <- ClickException
@@ -81,11 +83,12 @@ def run(arguments: Sequence[str]) -> int:
     """
     as_json = "--json" in arguments
     try:
+        _check_empty(arguments)
         return _invoke(arguments)
     except KeyboardInterrupt:
         return output.interrupted("Interrupted; nothing was left half written.", {}, as_json=as_json)
     except HyperflexError as error:
-        message = output.with_options(str(error)) if {"identify", "simulate"} & set(arguments[:1]) else str(error)
+        message = output.with_options(str(error), _options(arguments))
         return output.complain(message, type(error).__name__, output.REFUSED, as_json=as_json)
     except _PARSER_ERROR as error:
         return output.complain(_misused(error), "UsageError", output.REFUSED, as_json=as_json)
@@ -103,6 +106,29 @@ def run(arguments: Sequence[str]) -> int:
         traceback.print_exc()
         message = f"{str(error) or 'no message'}. This is a bug in hyperflex; please report it with the lines above."
         return output.complain(message, type(error).__name__, output.FAILED, as_json=as_json)
+
+
+def _check_empty(arguments: Sequence[str]) -> None:
+    """Refuse words that hold nothing: as a name of a file they would stand for the folder of now."""
+    for before, word in pairwise(["", *arguments]):
+        if not word.strip() or (word.startswith("--") and word.endswith("=")):
+            option = before if word.strip() == "" and before.startswith("-") else word.rstrip("=")
+            what = f"{option} is given nothing" if option.strip() else "an argument is empty"
+            raise InvalidInput(what, got=word, allowed="a value", fix="Give one, or leave the option out")
+
+
+def _options(arguments: Sequence[str]) -> dict[str, str]:
+    """Return the options of the command that is run, by the names of its arguments; files are named by themselves."""
+    commands: Any = typer.main.get_command(app)
+    command = commands.commands.get(next(iter(arguments), ""))
+    if command is None:
+        return {}
+    kinds = inspect.signature(command.callback).parameters
+    return {
+        each.name: max(each.opts, key=len)
+        for each in command.params
+        if each.opts[0].startswith("-") and "Path" not in str(kinds[each.name].annotation)
+    }
 
 
 def _misused(error: Any) -> str:

@@ -116,7 +116,7 @@ def _known_points(path: Path) -> tuple[Any, Any]:
     """Return places (K, 2), m, and pixels (K, 2) of a CSV table."""
     from hyperflex.files import read_table
 
-    names, rows = read_table(path)
+    names, rows, *_ = read_table(path)
     wanted = ["x", "y", "u", "v"]
     if sorted(names) != sorted(wanted):
         raise InvalidInput(f"{path}: the columns do not fit", got=names, allowed="x, y (m), u, v (px)")

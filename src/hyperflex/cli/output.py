@@ -20,17 +20,9 @@ if TYPE_CHECKING:
     from hyperflex.vision import Image, MarkerColour
 
 _T = TypeVar("_T")
-FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, NOT_USABLE = (
-    1,
-    2,
-    3,
-    4,
-    5,
-)  # exit codes; interrupted: 128 and the number of the signal
-_ADVICE = re.compile(  # an argument with its value, as errors advise it
-    r"\b(?P<name>kind|columns|time_unit|time|unit|frame_rate|y_axis|scale|zero|sense|angles|wrapped|noise|arc_lengths|origin|"
-    r"window|train|loss|intervals|max_rate|time_budget)=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|[\w.]+)"
-)
+# exit codes; interrupted: 128 and the number of the signal
+FAILED, REFUSED, NOT_CONVERGED, NO_PLAN, NOT_USABLE = 1, 2, 3, 4, 5
+_VALUE = r"=(?P<value>'[^']*'|\[[^\]]*\]|\([^)]*\)|\.+|[\w.]+)"  # of an argument, as errors advise it
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
 
 ARC_LENGTHS = typer.Option(help="How far along the rope each marker sits, m; several times or with commas.")
@@ -71,16 +63,26 @@ def complain(message: str, kind: str, code: int, *, as_json: bool) -> int:
     return code
 
 
-def with_options(message: str) -> str:
-    """Return a message of ``identify`` or ``read_recording`` with the command's options for the arguments' names."""
+def with_options(message: str, options: Mapping[str, str]) -> str:
+    """Return a message on arguments as one on options (``--time-unit`` by the argument's name) and tables of a file.
+
+    ``name=value`` becomes ``--name value`` where there is such an option; a name stands for its option where the
+    message begins with it, or where it has an underscore and so is no word.
+    """
+    if not options:
+        return files.toml_words(message)
 
     def option(found: re.Match[str]) -> str:
-        name = found["name"].replace("_", "-")
         value = found["value"].strip("'\"[]()").replace(", ", ",")
-        return f"--{name}" if found["name"] == "wrapped" else f"--{name} {value}"
+        return options[found["name"]] if value == "True" else f"{options[found['name']]} {value}"
 
-    advice = _ADVICE.sub(option, message)
-    return re.sub(r"\bmax_rate\b", "--max-rate", advice)
+    message = re.sub(rf"\b(?P<name>{'|'.join(options)}){_VALUE}", option, message)
+    plain = "|".join(name for name in options if "_" in name) or "$^"
+    message = re.sub(rf"(?<![\w/.'-])({plain})(?![\w/.'])", lambda found: options[found[1]], message)
+    message = re.sub(
+        rf"^({'|'.join(options)})(?= (?:is|has|cannot|leaves)\b|\[)", lambda found: options[found[1]], message
+    )
+    return files.toml_words(message)
 
 
 def interrupted(message: str, left: Mapping[str, Any], *, as_json: bool) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -104,8 +105,7 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
         if not isinstance(content.get(name, {}), Mapping):
             raise InvalidInput(f"{name} of {setup} is not a table", got=content[name], allowed=f"[{name}]")
     given = content.get("limits", {}) | {name: value for name, value in limits.items() if value is not None}
-    if unknown := set(given) - {field.name for field in fields(MotorLimits)}:
-        raise InvalidInput("the table [limits] does not fit", got=sorted(unknown), allowed="arguments of MotorLimits")
+    checks.keys("the table [limits]", given, [field.name for field in fields(MotorLimits)])
     tables = {name: content[name] for name in _TABLES if name in content}
     if rope is not None:
         tables["rope"] = Rope.from_toml(rope).table()
@@ -113,6 +113,9 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
         raise InvalidInput("no rope is given", fix="Give --rope FILE, or a set-up file with a table [rope]")
     read = Setup.loads(files.dumps_toml(tables), str(setup or rope))
     arm = read.arm or Arm()
+    if read.arm is None and arm_length is None:
+        words = "in place of it give --arm-length, or a table [arm] in the set-up file"
+        sys.stderr.write(f"hyperflex: no arm is given, so the paper's is taken, {arm.length:g} m long; {words}\n")
     if arm_length is not None:
         arm = replace(arm, length=arm_length)
     return Task(read.rope, arm, MotorLimits(**given), read.pegs, content.get("target", {}))

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from hyperflex.checks import Sign, number
+from hyperflex.checks import Sign, keys, number
 from hyperflex.cli import output, planner
 from hyperflex.errors import InvalidInput
 
@@ -103,8 +103,7 @@ def _target(
     task: planner.Task, place: tuple[float, float] | None, options: dict[str, float | None]
 ) -> dict[str, float]:
     """Return the target of the set-up file with what the options say, in SI units."""
-    if set(task.target) - set(_TARGET):
-        raise InvalidInput("the table [target] does not fit", got=sorted(task.target), allowed=", ".join(_TARGET))
+    keys("the table [target]", task.target, _TARGET)
     given = {name: (f"target {name}", value) for name, value in task.target.items()}
     given |= {name: ("--target", value) for name, value in zip("xy", place or (), strict=False)}
     given |= {name: (f"--{name.replace('_', '-')}", each) for name, each in options.items() if each is not None}

@@ -1,4 +1,4 @@
-"""Files: atomic writing, CSV tables of numbers, TOML settings, NetCDF.
+"""Files: atomic writing, tables of numbers as text, TOML settings, NetCDF.
 
 A file is written under a temporary name in the same folder, forced to the disk and then renamed. Whoever looks sees
 the earlier file or the complete new one, never a part, also after a full disk, a crash or Ctrl-C.
@@ -11,10 +11,10 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.files.json import dumps_json, plain, write_json
     from hyperflex.files.netcdf import NetCDF, Variable, read_netcdf, write_netcdf
-    from hyperflex.files.reading import read_bytes, read_text
+    from hyperflex.files.reading import read_bytes, read_text, regular_file
     from hyperflex.files.rescue import rescued
-    from hyperflex.files.tables import read_notes, read_table, write_table
-    from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, write_toml
+    from hyperflex.files.tables import Table, read_table, write_table
+    from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, toml_words, write_toml
     from hyperflex.files.writing import (
         PathLike,
         as_path,

@@ -1,6 +1,7 @@
 """NetCDF-4 files: variables with units and long names, attributes, and groups of variables."""
 
 import io
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -8,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.files.reading import read_bytes
+from hyperflex.files.reading import LARGEST, regular_file
 from hyperflex.files.writing import PathLike, write_bytes
 
+_DEFLATED = 1100  # bytes that one byte of a compressed file may stand for: deflate makes at most 1032 of it
 _HDF5, _NETCDF3 = b"\x89HDF\r\n\x1a\n", b"CDF"  # how such files begin
 # What h5netcdf and h5py raise on damaged files, found by cutting and altering real ones.
 _DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError)
@@ -28,7 +30,7 @@ class Variable(NamedTuple):
         try:
             return np.asarray(self.values, dtype=np.float64)
         except (ValueError, TypeError):
-            raise InvalidInput(f"variable {name!r} holds no numbers", got=self.values) from None
+            raise InvalidInput(f"variable {name!r} holds no numbers", got=self.values, allowed="numbers") from None
 
 
 class NetCDF(NamedTuple):
@@ -72,19 +74,28 @@ def read_netcdf(path: PathLike) -> NetCDF:
         It is of another format.
     """
     import h5netcdf
+    import h5py
 
-    head = read_bytes(path, "NetCDF file")[:8]
+    file = regular_file(path, "NetCDF file", math.inf)
+    with file.open("rb") as raw:
+        head = raw.read(8)
     if head.startswith(_NETCDF3):
         raise InvalidInput(f"{path} is a NetCDF-3 file", allowed="NetCDF-4", fix="Convert it with nccopy -k nc4")
     if head != _HDF5:
         raise InvalidInput(f"{path} is no NetCDF-4 file", got=head, fix="Check that the right file was given")
+    most = min(LARGEST, _DEFLATED * file.stat().st_size)
+
+    class Content(h5netcdf.File):  # type: ignore[misc]
+        _writable = False  # else one that fails to be opened is closed with a traceback of its own
+
     try:
-        with h5netcdf.File(path, "r") as file:
-            groups = {name: _variables(group) for name, group in file.groups.items()}
-            return NetCDF(_variables(file), {key: _plain(value) for key, value in file.attrs.items()}, groups)
+        with h5py.File(path, "r") as opened, Content(opened, "r") as content:
+            groups = {name: _variables(group, most) for name, group in content.groups.items()}
+            attributes = {key: _plain(value) for key, value in content.attrs.items()}
+            return NetCDF(_variables(content, most), attributes, groups)
     except _DAMAGE as error:
         raise FileProblem(
-            f"The NetCDF file {path} cannot be read: it is damaged or cut off ({error}). Get it, or write it, again."
+            f"The NetCDF file {path} cannot be read: it is damaged or cut off. Get it, or write it, again."
         ) from error
 
 
@@ -97,7 +108,10 @@ def _put(group: Any, variables: Mapping[str, Variable]) -> None:
         group.create_variable(name, dims, kind, data=data).attrs.update(attributes)
 
 
-def _variables(group: Any) -> dict[str, Variable]:
+def _variables(group: Any, most: int) -> dict[str, Variable]:
+    """Return the variables of a group; ValueError where they hold more than `most` bytes."""
+    if sum(math.prod(each.shape) * each.dtype.itemsize for each in group.variables.values()) > most:
+        raise ValueError("it says that it holds more than it can")
     return {
         name: Variable(each.dimensions, each[...], {key: _plain(value) for key, value in each.attrs.items()})
         for name, each in group.variables.items()

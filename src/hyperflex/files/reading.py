@@ -1,42 +1,76 @@
-"""Reading whole files with messages that say what to do."""
+"""Reading whole files with messages that say what to do; devices, pipes and files beyond a bound are refused."""
 
-from hyperflex.errors import FileProblem
+import stat
+from pathlib import Path
+
+from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.files.writing import PathLike, as_path
 
+LARGEST = 1 << 30  # bytes that are read into memory, unless a reader has a bound of its own
 
-def read_bytes(path: PathLike, what: str = "file") -> bytes:
-    """Return the content of a file; `what` names its kind in messages.
+
+def regular_file(path: PathLike, what: str = "file", most: float = LARGEST) -> Path:
+    """Return the path of a regular file that holds something, at most `most` bytes; `what` names its kind in messages.
 
     Raises
     ------
     FileProblem
-        When it is missing, a folder, not readable or empty.
+        When it is missing, a folder, a device, a pipe or a socket, empty, too large or not to be reached.
     InvalidInput
         When `path` is no path at all, e.g. None.
     """
+    file = as_path(path, what)
     try:
-        content = as_path(path, what).read_bytes()
+        status = file.stat()
     except FileNotFoundError:
         raise FileProblem(f"There is no {what} {path}. Check the name and the folder.") from None
-    except IsADirectoryError:
-        raise FileProblem(f"{path} is a folder, not a {what}.") from None
+    except OSError as error:
+        raise FileProblem(
+            f"The {what} {str(path)[:200]} cannot be read: {error.strerror}. Give another path."
+        ) from error
+    except ValueError:  # half of a surrogate pair, say
+        raise InvalidInput(
+            f"the path of the {what} is no path", got=path, allowed="a name that can be encoded"
+        ) from None
+    if stat.S_ISDIR(status.st_mode):
+        raise FileProblem(f"{path} is a folder, not a {what}.")
+    if not stat.S_ISREG(status.st_mode):
+        raise FileProblem(
+            f"{path} is a device, pipe or socket, not a {what}. Only regular files are read: save what comes from it "
+            "to a file, and give that."
+        )
+    if status.st_size == 0:
+        raise FileProblem(f"The {what} {path} is empty (0 bytes). It may have been cut off; get it again.")
+    if status.st_size > most:
+        raise FileProblem(
+            f"The {what} {path} has {status.st_size / 1e6:.0f} MB; at most {most / 1e6:.0f} MB are read. Check that it "
+            "is the right file, and cut it to the part that is needed."
+        )
+    return file
+
+
+def read_bytes(path: PathLike, what: str = "file", most: int = LARGEST) -> bytes:
+    """Return the content of a file. Raises FileProblem and InvalidInput as :func:`regular_file` does."""
+    try:
+        with regular_file(path, what, most).open("rb") as file:
+            return file.read()
+    except FileProblem:
+        raise
     except OSError as error:
         raise FileProblem(f"The {what} {path} cannot be read: {error.strerror}.") from error
-    if not content:
-        raise FileProblem(f"The {what} {path} is empty (0 bytes). It may have been cut off; get it again.")
-    return content
 
 
-def read_text(path: PathLike, what: str = "file") -> str:
+def read_text(path: PathLike, what: str = "file", most: int = LARGEST) -> str:
     """Return a UTF-8 text (a byte order mark is dropped). Raises FileProblem for other encodings and binary files."""
-    content = read_bytes(path, what)
+    content = read_bytes(path, what, most)
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise FileProblem(f"{path} is UTF-16 text. Save it as UTF-8 and try again.")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
         raise FileProblem(
-            f"{path} is not a text {what}: byte {error.start} is not UTF-8. Give a text file in UTF-8."
+            f"{path} is not a text {what}: byte {error.start} (line {line}) is not UTF-8. Give a text file in UTF-8."
         ) from None
     if "\x00" in text:
         raise FileProblem(f"{path} is a binary file, not a text {what}. Give a text file in UTF-8.")

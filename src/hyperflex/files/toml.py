@@ -7,24 +7,49 @@ from typing import Any
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.files.reading import read_text
 from hyperflex.files.writing import PathLike, write_text
 
+LARGEST = 64_000_000  # bytes of a TOML file: a rope of 100,000 links, each property an array, has some 20 MB
+_PARTS = 50
+_LONG_KEY = re.compile(rf"(?<![\w\"'-])(?:[\w\"'-]++\s*+\.\s*+){{{_PARTS}}}")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+\Z")
 
 
 def read_toml(path: PathLike) -> dict[str, Any]:
     """Return the content of a TOML file. Raises FileProblem (missing, empty) or InvalidInput (place named)."""
-    return loads_toml(read_text(path, "TOML file"), str(path))
+    return loads_toml(read_text(path, "TOML file", LARGEST), str(path))
 
 
 def loads_toml(text: str, name: str = "the text") -> dict[str, Any]:
     """Return the content of a TOML text; `name` stands for it in the message of the InvalidInput it may raise."""
+    checks.text(f"{name}, as TOML,", text)
+    if deep := _LONG_KEY.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        raise InvalidInput(f"{name}, line {line}: a key has too many parts", got=deep[0], allowed=f"up to {_PARTS}")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InvalidInput(f"{name} is not valid TOML ({error})", fix="Mend that place; see https://toml.io") from None
+    except RecursionError:
+        raise InvalidInput(f"{name} nests arrays or tables too deep", allowed="a few levels", fix="Mend it") from None
+    except ValueError as error:  # of a date that does not exist, or a number with thousands of digits
+        raise InvalidInput(
+            f"{name} holds a value that cannot be read ({str(error).partition(';')[0]})", fix="Mend that value"
+        ) from None
+
+
+def toml_words(advice: str) -> str:
+    """Return advice on arguments as advice on a TOML file: ``arm=Arm(length=...)`` is a table [arm] with length."""
+
+    def table(found: re.Match[str]) -> str:
+        keys = ", ".join(re.findall(r"(\w+)=", found[2]))
+        return f"a table [{found[1]}]" + (f" with {keys}" if keys else "")
+
+    advice = re.sub(r"\b(\w+)=\[?[A-Z]\w+\(([^)]*)\)\]?", table, advice)
+    return re.sub(r"\b(\w+)='([^']*)'", r'\1 = "\2"', advice)
 
 
 def write_toml(path: PathLike, content: Mapping[str, Any]) -> None:

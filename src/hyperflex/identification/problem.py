@@ -50,7 +50,7 @@ def checked_measurements(
     if recording.n_links != rope.n_links:
         raise InvalidInput(
             "the recording and the rope have different numbers of links",
-            got=[recording.n_links, rope.n_links],
+            got=f"{recording.n_links} in the recording, {rope.n_links} in the rope",
             fix="Give a guess with as many links as the recording has angles (markers less one), or arc_lengths=[...]",
         )
     if recording.kind == "markers":

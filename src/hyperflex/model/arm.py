@@ -77,9 +77,7 @@ class Arm:
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> "Arm":
         """Build an arm from an ``[arm]`` table."""
-        names = [f.name for f in fields(cls)]
-        if set(table) - set(names):
-            raise InvalidInput("arm table does not fit", got=sorted(table), allowed=", ".join(names))
+        checks.keys("the arm table", checks.mapping("the arm table", table), [f.name for f in fields(cls)])
         return cls(**table)
 
     def shaft_torque(self, gravity: Array, angle: Array, rate: Array, acceleration: Array) -> Array:

@@ -222,9 +222,7 @@ def _rows(kind: type[Obstacle], what: str, table: Mapping[str, Any]) -> Iterator
     """Yield the obstacles of a table; a number stands for one, or for all but in a field that has no default."""
     names = [f.name for f in fields(kind)]
     needed = [f.name for f in fields(kind) if f.default is MISSING]
-    if set(table) - set(names) or set(needed) - set(table):
-        allowed = f"{', '.join(needed)}; {', '.join(names[len(needed) :])}"
-        raise InvalidInput(f"{what} table does not fit", got=sorted(table), allowed=allowed)
+    checks.keys(f"the {what} table", table, names, needed=needed)
     columns = {
         name: np.atleast_1d(checks.array(f"{what} {name}", value, np.shape(value), infinite=name == "inertia"))
         for name, value in table.items()

@@ -9,11 +9,12 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
-from hyperflex.model.obstacles import Obstacle, Peg
+from hyperflex.model.obstacles import Obstacle, Peg, checked_obstacles
 from hyperflex.model.properties import LINK_PROPERTIES
 from hyperflex.model.rope import Rope, bend_limits, bend_ratios
 from hyperflex.model.stretch import across, uniform
 
+_LEAST = 1e-12  # m, of a link
 FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
 MOST_PIECES = 10_000  # that a rope is cut into: with more of them a run takes hours
 
@@ -78,9 +79,7 @@ def divided(rope: Rope, pieces: npt.ArrayLike) -> Rope:
     InvalidInput
         If a link that is to be cut is not uniform, or `pieces` does not fit.
     """
-    given = checks.array(
-        "pieces", np.broadcast_to(np.asarray(pieces, dtype=np.float64), (rope.n_links,)), (rope.n_links,)
-    )
+    given = checks.array("pieces", pieces, (rope.n_links,), scalar=True)
     if (given < 1.0).any() or (given != np.round(given)).any():
         raise InvalidInput("pieces are not whole numbers from 1 on", got=given.tolist(), allowed="1, 2, ...")
     return _divided(rope, given.astype(np.int64))
@@ -132,6 +131,9 @@ def recut(rope: Rope, n_links: int) -> Rope:
 def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> npt.NDArray[np.int64]:
     """Return the number of pieces (n,) of each link in :func:`refine_rope`; ``np.repeat(q0, cuts(...))``: angles."""
     ratio = checks.number("ratio", ratio, sign="positive")
+    rope, pegs = checks.instance("rope", rope, Rope), checked_obstacles(pegs)
+    if arm is not None:
+        checks.instance("arm", arm, Arm)
     reach, (x, y) = (0.0, (0.0, 0.0)) if arm is None else (arm.length, arm.pivot)
     far = reach + np.cumsum(rope.length)  # of each link's far joint at most
     pieces = np.ones(rope.n_links, dtype=np.int64)
@@ -140,15 +142,14 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
             continue  # nothing winds round what is straight
         axis = peg.radius + rope.radius
         near = far >= np.hypot(peg.x - x, peg.y - y) - axis
-        pieces = np.where(near, np.maximum(pieces, np.ceil(rope.length / (ratio * axis) - 1e-9)), pieces).astype(
-            np.int64
-        )
+        wanted = np.ceil(rope.length / max(ratio * axis, _LEAST) - 1e-9)
+        pieces = np.maximum(pieces, np.where(near, np.minimum(wanted, 1e15), 1.0).astype(np.int64))
     if (total := float(pieces.sum(dtype=np.float64))) > max(MOST_PIECES, rope.n_links):
         raise InvalidInput(
-            "the rope would have to be cut into too many links to wind round a peg so thin",
+            "the rope would be cut into too many links to wind round a peg so thin",
             got=f"{total:.3g} links",
             allowed=f"up to {MOST_PIECES}",
-            fix="Check the radii of peg and rope, which are in m",
+            fix="Check the radii of peg and rope, which are in m, or give a larger ratio",
         )
     return pieces
 

@@ -12,7 +12,7 @@ from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
 from hyperflex.core.read_only import read_only
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, located
 from hyperflex.model.properties import LINK_NAMES, LINK_PROPERTIES
 from hyperflex.model.rope_table import MOST_LINKS, from_table, to_table
 
@@ -127,9 +127,16 @@ class Rope:
             ("tip_mass", checks.number("tip_mass", tip_mass, sign="nonnegative", unit="kg")),
             ("gravity", checks.array("gravity", gravity, (2,), unit="m/s^2")),
             ("friction_model", checks.choice("friction_model", friction_model, FRICTION_MODELS)),
-            ("name", str(name)),
+            ("name", checks.text("rope name", name)),
         ):
             object.__setattr__(self, field, value)
+        if r > 0.5 * self.total_length:
+            raise InvalidInput(
+                "rope radius makes it thicker than it is long",
+                got=r,
+                allowed=f"up to half its length, {0.5 * self.total_length:g} m",
+                fix="Give the radius in m: 2.5 mm are 0.0025",
+            )
         empty = self.inertia + self.mass * self.com**2 <= 0.0
         empty[-1] &= self.tip_mass <= 0.0
         if empty.any():
@@ -193,12 +200,13 @@ class Rope:
         unknown = set(others) - {f.name for f in fields(cls)}
         if unknown:
             raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(cls))
+        r = checks.number("radius", radius, sign="nonnegative", unit="m")
         coefficient = checks.number("drag_coefficient", drag_coefficient, sign="nonnegative")
         if coefficient:
-            if "drag" in others or not radius:
+            if "drag" in others or not r:
                 allowed = "with a radius > 0, and without drag"
                 raise InvalidInput("drag_coefficient cannot be used", got=coefficient, allowed=allowed)
-            others["drag"] = coefficient * checks.number("air_density", air_density, sign="positive") * radius
+            others["drag"] = coefficient * checks.number("air_density", air_density, sign="positive") * r
         return cls(np.full(n, total / n), link_mass, radius=radius, inertia=inertia, friction=friction, **others)
 
     @property
@@ -302,7 +310,8 @@ class Rope:
         content = files.read_toml(path)
         if not isinstance(content.get("rope"), Mapping):
             raise InvalidInput(f"{path} has no [rope] table", got=sorted(content), allowed="a table named rope")
-        return cls.from_table(content["rope"])
+        with located(str(path), files.toml_words):
+            return cls.from_table(content["rope"])
 
 
 def bend_ratios(max_bend: Array) -> Array:

@@ -25,16 +25,19 @@ def to_table(n_links: int, values: Mapping[str, Any]) -> dict[str, Any]:
     return content
 
 
+def keys_of(names: Sequence[str]) -> list[str]:
+    """Return the keys of a table of a rope with fields of these names."""
+    return [*names, "n_links", *(f"{k}_{t}" for k in ("total", "link") for t in TOTALS)]
+
+
 def from_table(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
     """Return the fields (of those in `names`) that a table holds.
 
     Length and mass are arrays with one entry a link, or ``total_length`` and ``total_mass`` of the whole rope, or
     ``link_length`` and ``link_mass`` of each of ``n_links`` equal links.
     """
-    content = dict(table)
-    known = set(names) | {"n_links"} | {f"{k}_{t}" for k in ("total", "link") for t in TOTALS}
-    if unknown := set(content) - known:
-        raise InvalidInput("rope table does not fit", got=sorted(unknown), allowed=", ".join(sorted(known)))
+    content = dict(checks.mapping("the rope table", table))
+    checks.keys("the rope table", content, keys_of(names))
     sizes = [np.size(content[name]) for name in LINK_NAMES if np.ndim(content.get(name, 0.0)) == 1]
     if "n_links" not in content and not sizes:
         raise InvalidInput("rope table lacks n_links", allowed="n_links = 50, or arrays with one entry a link")
@@ -57,5 +60,7 @@ def from_table(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]
             value = np.full(n, single / n if given[0].startswith("total") else single)
         content[name] = value
     if np.size(content["length"]) != n:
-        raise InvalidInput("rope n_links differs from its arrays", got=[n, np.size(content["length"])])
+        raise InvalidInput(
+            "rope n_links differs from its arrays", got=n, allowed=f"{np.size(content['length'])}, as length has"
+        )
     return content

@@ -1,7 +1,6 @@
 """A simulation set-up: rope, arm, motion, obstacles, start, and its TOML file."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,9 @@ from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import TORQUE, Drive, X, Y
 from hyperflex.core.contact.gaps import Pegs
 from hyperflex.core.read_only import read_only
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, located
 from hyperflex.model.arm import Arm
+from hyperflex.model.keys import check_tables
 from hyperflex.model.obstacles import KINDS, Obstacle, Peg, checked_obstacles, obstacles_of, packed, tables
 from hyperflex.model.rope import Rope
 from hyperflex.motion import Motion, from_spec, hold_arm, to_spec
@@ -83,9 +83,8 @@ class Setup:
 
     def __post_init__(self) -> None:
         for name, kind in (("rope", Rope), ("motion", Motion), ("arm", Arm), ("torque", Motion)):
-            value = getattr(self, name)
-            if not isinstance(value, kind) and (value is not None or name == "rope"):
-                raise InvalidInput(f"{name} is not of its class", got=value, allowed=f"hyperflex.{kind.__name__}")
+            if getattr(self, name) is not None or name == "rope":
+                checks.instance(name, getattr(self, name), kind)
         n = self.rope.n_links
         values: dict[str, Any] = {
             "duration": checks.number("duration", self.duration, sign="positive", unit="s"),
@@ -219,20 +218,16 @@ class Setup:
         The tables of a planner, ``[target]``, ``[limits]`` and ``[plan]``, are left out.
         """
         content = {key: value for key, value in files.loads_toml(text, name).items() if key not in PLANNING}
-        names = {f.name for f in fields(cls)} | {"walls", "grounds"}
-        if set(content) - names or "rope" not in content:
-            raise InvalidInput(f"{name} does not fit", got=sorted(content), allowed="rope; " + ", ".join(sorted(names)))
-        for table in ("rope", "arm", "motion", "torque", "pegs", "walls", "grounds"):
-            if table in content and not isinstance(content[table], Mapping):
-                raise InvalidInput(f"{table} of {name} is not a table", got=content[table], allowed=f"[{table}]")
-        content["rope"] = Rope.from_table(content["rope"])
-        if "arm" in content:
-            content["arm"] = Arm.from_table(content["arm"])
-        content["pegs"] = obstacles_of({name: content.pop(name) for name in KINDS if name in content})
-        for motion in ("motion", "torque"):
-            if motion in content:
-                content[motion] = from_spec(content[motion], folder)
-        return cls(**content)
+        check_tables(name, content, [f.name for f in fields(cls)])
+        with located(name, files.toml_words):
+            content["rope"] = Rope.from_table(content["rope"])
+            if "arm" in content:
+                content["arm"] = Arm.from_table(content["arm"])
+            content["pegs"] = obstacles_of({kind: content.pop(kind) for kind in KINDS if kind in content})
+            for motion in ("motion", "torque"):
+                if motion in content:
+                    content[motion] = from_spec(content[motion], folder)
+            return cls(**content)
 
     def to_toml(self, path: str | Path) -> None:
         """Write the set-up to the TOML file `path`, wholly or not at all."""
@@ -247,4 +242,4 @@ class Setup:
         FileProblem, InvalidInput
             If the file cannot be read or does not describe a set-up.
         """
-        return cls.loads(files.read_text(path), str(path), Path(path).parent)
+        return cls.loads(files.read_text(path, "TOML file"), str(path), Path(path).parent)

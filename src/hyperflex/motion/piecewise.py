@@ -54,9 +54,7 @@ class Motion:
     def __post_init__(self) -> None:
         breaks = checks.times("motion breaks", self.breaks, least=2)
         coef = checks.array("motion coefficients", self.coef, (breaks.size - 1, CHANNELS, POWERS))
-        switch = np.array(self.switch, dtype=np.bool_)
-        if switch.shape != breaks.shape:
-            raise InvalidInput("motion switch has the wrong shape", got=switch.shape, allowed=f"shape {breaks.shape}")
+        switch = checks.array("motion switch", np.asarray(self.switch, object), breaks.shape).astype(np.bool_)
         loop = checks.count("motion loop", self.loop, least=-1)
         if loop >= breaks.size - 1:
             raise InvalidInput("motion loop is beyond the last piece", got=loop, allowed=f"-1 to {breaks.size - 2}")
@@ -108,7 +106,7 @@ class Motion:
         return self._evaluate(t, TORQUE, 0)
 
     def _evaluate(self, t: npt.ArrayLike, channel: int, derivative: int) -> Array:
-        time = np.asarray(t, dtype=np.float64)
+        time = checks.array("t", t, None, unit="s", infinite=True)
         start, end = self.breaks[0], self.breaks[-1]
         after = time >= end
         if self.loop >= 0:

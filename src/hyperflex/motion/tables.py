@@ -1,5 +1,6 @@
 """Motions in files: CSV samples, and tables of a TOML file."""
 
+import inspect
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex import checks, files
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, located
 from hyperflex.motion import profiles
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 from hyperflex.motion.sequence import arm_moves, arm_strokes
@@ -25,23 +26,31 @@ def read_motion(path: str | Path) -> Motion:
     InvalidInput
         If the columns are others, or a value is missing or not a number.
     """
-    names, table = files.read_table(path)
-    if list(names) != ["t", "angle"]:
-        raise InvalidInput(f"columns of {path} are not those of a motion", got=list(names), allowed="t,angle (s, rad)")
-    return profiles.sampled_motion(table[:, 0], table[:, 1])
+    table = files.read_table(path)
+    if table.names != ["t", "angle"]:
+        raise InvalidInput(f"columns of {path} are not those of a motion", got=table.names, allowed="t,angle (s, rad)")
+    with located(str(path)):
+        return profiles.sampled_motion(table.times("t"), table.values[:, 1])
 
 
 def from_spec(spec: Mapping[str, Any], folder: Path | None = None) -> Motion:
     """Build the motion that a ``[motion]`` table describes; a file that it names lies in `folder` (or where one is)."""
+    kind = checks.choice("motion kind", spec.get("kind"), tuple(MAKERS))
+    maker = MAKERS[kind]
+    arguments = inspect.signature(maker).parameters.values()
+    needed = [each.name for each in arguments if each.default is each.empty]
+    checks.keys(f"the motion table of kind {kind!r}", spec, motion_keys(kind), needed=needed)
     rest = {key: value for key, value in spec.items() if key not in ("kind", "delay")}
     if folder is not None and spec.get("kind") == "file" and isinstance(rest.get("path"), str):
         rest["path"] = folder / rest["path"]
-    maker = MAKERS[checks.choice("motion kind", spec.get("kind"), tuple(MAKERS))]
-    try:
-        motion = maker(**rest)
-    except TypeError as error:
-        raise InvalidInput(f"motion table of kind {spec['kind']!r} does not fit ({error})", got=dict(rest)) from None
+    motion = maker(**rest)
     return motion.shifted(spec["delay"]) if "delay" in spec else motion
+
+
+def motion_keys(kind: object) -> list[str]:
+    """Return the keys of a motion table of this kind, or of all kinds where it is none."""
+    makers = [MAKERS[kind]] if isinstance(kind, str) and kind in MAKERS else MAKERS.values()
+    return ["kind", "delay", *(key for maker in makers for key in inspect.signature(maker).parameters)]
 
 
 def to_spec(motion: Motion) -> dict[str, Any]:

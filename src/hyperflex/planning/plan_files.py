@@ -7,6 +7,7 @@ from hyperflex.planning.plan import from_table
 from hyperflex.planning.whip.whip_plan import WhipPlan
 from hyperflex.planning.wind.cast_plan import CastPlan
 
+_AGAIN = "Write it again with to_toml, or plan again"
 KINDS: dict[str, type[CastPlan] | type[WhipPlan]] = {kind.kind: kind for kind in (CastPlan, WhipPlan)}
 
 
@@ -34,5 +35,8 @@ def read_plan(path: files.PathLike) -> CastPlan | WhipPlan:
         raise InvalidInput(f"{path} holds no plan", got=sorted(content), allowed="a file that a plan's to_toml wrote")
     try:
         return from_table(kind, table)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InvalidInput(f"the plan in {path} is not complete", got=str(error), fix="Write it again") from None
+    except InvalidInput as error:
+        raise InvalidInput(f"the plan in {path} is not complete: {error.what}", got=error.got, fix=_AGAIN) from None
+    except (AttributeError, KeyError, IndexError, OverflowError, RecursionError, TypeError, ValueError) as error:
+        missing = f"the key {error}" if isinstance(error, KeyError) else "a value of the right kind"
+        raise InvalidInput(f"the plan in {path} is not complete: it lacks {missing}", fix=_AGAIN) from None

@@ -1,13 +1,13 @@
-"""CSV tables of angles (``t, th1, .., w1, ..``) or markers (``t, x0, y0, x1, y1, ..``), units in names or notes."""
+"""Tables of angles (``t, th1, .., w1, ..``) or markers (``t, x0, y0, x1, y1, ..``), units in names or notes."""
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import cast
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike, read_notes, read_table
+from hyperflex.files import PathLike, read_table
 from hyperflex.recording.declare import METRES, OPTIONS, RADIANS, SECONDS, Raw
 from hyperflex.recording.recording import Kind
 
@@ -21,41 +21,55 @@ _NUMBERS = {"frame_rate": "frames/s", "scale": "m per pixel"}
 _TRUTH = {"true": True, "yes": True, "false": False, "no": False}
 _WORDS = {"unit": (*RADIANS, *METRES, "px"), **OPTIONS}
 _NOTES = (*_WORDS, *_NUMBERS, "wrapped", "noise")
-_ARGUMENTS = {"kind", "columns", "max_rate"}  # only the caller can say these
+_ARGUMENTS = {"kind", "max_rate"}  # only the caller can say these
+FRAME = "frame"  # a column that counts frames: the time column where there is no other
+_COUNTERS = {FRAME, "frames", "index"}  # of rows; beside the time they tell nothing
 
 
 def read(path: PathLike, time: str, kind: str | None, columns: Sequence[str] | None) -> Raw:
     """Return the columns of a CSV file and what its notes and header declare."""
-    header, table = read_table(path)
-    declared = _notes(path)
-    plain, units = _units(header)
+    table = read_table(path)
+    declared = _notes(path, table.notes)
+    plain, units = _units(table.names)
     if len(set(plain)) < len(plain):
-        raise InvalidInput(f"{path} has columns that differ only in their unit", got=header)
-    at = {name: k for k, name in enumerate(plain)}
-    if time not in at:
         raise InvalidInput(
-            f"{path} has no time column {time!r}", got=header, fix="Pass time='NAME' with its time column's name"
+            f"{path} has columns that differ only in their unit", got=table.names, fix="Remove one of them"
         )
+    at = {name: k for k, name in enumerate(plain)}
+    time = _time(path, plain, time)
+    if time == FRAME:
+        declared.setdefault("time_unit", FRAME)  # as its name declares
     found = _named(path, columns, at, kind) if columns is not None else _known(path, plain, time, kind)
     data_kind, data, rates, noise = found
     if noise and "noise" in declared:
         raise InvalidInput(f"{path} gives its noise twice", got=[*noise, "# noise: .."], fix="Remove one of them")
     _declare_units(path, declared, units, time, data, rates)
     return Raw(
-        t=table[:, at[time]],
-        data=table[:, [at[name] for name in data]],
+        t=table.times(table.names[at[time]]),
+        data=table.values[:, [at[name] for name in data]],
         kind=data_kind,
-        rates=table[:, [at[name] for name in rates]] if rates else None,
-        noise=table[:, [at[name] for name in noise]] if noise else None,
+        rates=table.values[:, [at[name] for name in rates]] if rates else None,
+        noise=table.values[:, [at[name] for name in noise]] if noise else None,
         declared=declared,
         source=str(path),
+        lines=table.lines,
     )
 
 
-def _notes(path: PathLike) -> dict[str, object]:
-    """Return what the ``# key: value`` lines before the header declare."""
+def _time(path: PathLike, names: list[str], time: str) -> str:
+    """Return the name of the time column: `time`, or where that is the default and not there, what stands for it."""
+    others = [name for name in names if name.lower() in ("t", "time")] or [name for name in names if name == FRAME]
+    if time not in names and (time != "t" or len(others) != 1):
+        raise InvalidInput(
+            f"{path} has no time column {time!r}", got=names, fix="Pass time='NAME' with its time column's name"
+        )
+    return time if time in names else others[0]
+
+
+def _notes(path: PathLike, notes: Mapping[str, str]) -> dict[str, object]:
+    """Return what the ``# key: value`` lines declare."""
     declared: dict[str, object] = {}
-    for key, value in read_notes(path).items():
+    for key, value in notes.items():
         what = f"{path}: the note {key!r}"
         if key in _NUMBERS:
             declared[key] = checks.number(what, _number(what, value), sign="positive", unit=_NUMBERS[key])
@@ -66,7 +80,7 @@ def _notes(path: PathLike) -> dict[str, object]:
             declared[key] = _TRUTH[checks.choice(what, value.lower(), tuple(_TRUTH))]
         elif key in _WORDS:
             declared[key] = checks.choice(what, value, _WORDS[key])
-        elif _looks_like_declaration(key):
+        elif key != "columns" and _looks_like_declaration(key):
             raise InvalidInput(
                 f"{path} has a note that looks like a declaration but is none",
                 got=f"# {key}: {value}",
@@ -78,9 +92,9 @@ def _notes(path: PathLike) -> dict[str, object]:
 
 def _number(what: str, text: str) -> float:
     try:
-        return float(text)
+        return float(text.replace("_", "?"))  # 1_000 is a number to Python alone
     except ValueError:
-        raise InvalidInput(f"{what} is not a number", got=text) from None
+        raise InvalidInput(f"{what} is not a number", got=text, allowed="a number such as 0.5") from None
 
 
 def _looks_like_declaration(key: str) -> bool:
@@ -123,12 +137,13 @@ def _known(path: PathLike, names: list[str], time: str, kind: str | None) -> Fou
     angles = {int(match[1]): name for name in names if (match := _ANGLE.match(name))}
     rates = {int(match[1]): name for name in names if (match := _RATE.match(name))}
     places = {(int(match[2]), match[1]): name for name in names if (match := _PLACE.match(name))}
-    rest = set(names) - {time, *noisy.values(), *angles.values(), *rates.values(), *places.values()}
+    known = {time, *_COUNTERS, *noisy.values(), *angles.values(), *rates.values(), *places.values()}
+    rest = [name for name in names if name not in known]
     both = bool(angles) and bool(places)
     if rest or not (angles or places) or (both and kind is None):
         raise InvalidInput(
-            f"{path} does not say which columns to take",
-            got=names,
+            f"{path} does not say which columns to take" + (", and has others" if rest else ""),
+            got=rest or names,
             allowed="th1, th2, .. (and w1, w2, ..) or x0, y0, x1, y1, .. beside the time, std_.. for their noise",
             fix="Pass kind='angles' or 'markers'" if both and not rest else "Name them: columns=[..] and kind=..",
         )
@@ -176,7 +191,9 @@ def _declare_units(
             raise InvalidInput(f"{path} does not give one unit to all columns", got=units, allowed=", ".join(known))
         unit = checks.choice(f"{path}: the unit of {names[0]}", said.pop(), known)
         if declared.get(key, unit) != unit:
-            raise InvalidInput(f"{path}: header and notes disagree on {key}", got=[unit, declared[key]])
+            raise InvalidInput(
+                f"{path}: header and notes disagree on {key}", got=[unit, declared[key]], fix="Mend one of them"
+            )
         declared[key] = unit
     for name in rates:
         match = _RATE_UNIT.match(units.get(name, ""))

@@ -4,14 +4,14 @@ Nothing is guessed: what neither the file nor the caller declares is refused, an
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, located
 from hyperflex.recording.recording import Kind, Recording, per_sample, unwrap
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
@@ -49,6 +49,7 @@ class Raw:
     convention: str = ""
     name: str = ""
     source: str = ""
+    lines: Sequence[int] = ()  # of the file, one a sample, where it has lines
 
 
 def to_recording(raw: Raw, given: Mapping[str, object], max_rate: float) -> Recording:
@@ -60,7 +61,8 @@ def to_recording(raw: Raw, given: Mapping[str, object], max_rate: float) -> Reco
     noise = _noise(raw, given.get("noise"))
     convert = _angles if raw.kind == "angles" else _markers
     data, noise, rates, convention = convert(raw, declared, noise)
-    recording = Recording(t, data, raw.kind, noise, rates, raw.convention or convention, raw.name, raw.source)
+    with located(raw.source):
+        recording = Recording(t, data, raw.kind, noise, rates, raw.convention or convention, raw.name, raw.source)
     if recording.kind == "angles":
         _check_speed(recording, checks.number("max_rate", max_rate, sign="positive", unit="rad/s"))
     return recording
@@ -72,8 +74,9 @@ def _check_size(raw: Raw) -> None:
         bad = np.argwhere(np.abs(values) > HUGE) if values is not None else np.empty((0, 0))
         if values is not None and bad.size:
             place = tuple(int(k) for k in bad[0])
+            line = f", line {raw.lines[place[0]]}" if raw.lines else ""
             raise InvalidInput(
-                f"{raw.source}: {name}{list(place)} cannot be used",
+                f"{raw.source}{line}: {name}{list(place)} cannot be used",
                 got=float(values[place]),
                 allowed=f"finite numbers up to {HUGE:g} in size (NaN marks a gap)",
             )
@@ -123,10 +126,10 @@ def _require_all(raw: Raw, declared: Mapping[str, object]) -> None:
     if declared.get("unit") == "px" and "scale" not in declared:
         missing.append("scale")
     if missing:
-        words = {key: f"{key} ({' | '.join(options)})" for key, options in wanted.items()}
-        words |= {"frame_rate": "frame_rate (frames/s)", "scale": "scale (m per pixel)"}
+        words = {key: f"{key}=... ({' | '.join(options)})" for key, options in wanted.items()}
+        words |= {"frame_rate": "frame_rate=... (frames/s)", "scale": "scale=... (m per pixel)"}
         raise InvalidInput(
-            f"{raw.source} holds {raw.kind} but does not declare {', '.join(missing)}",
+            f"{raw.source} holds {raw.kind}, but not all that is needed to read them is declared",
             fix=f"Pass {', '.join(words[key] for key in missing)}; nothing is guessed",
         )
 
@@ -153,7 +156,8 @@ def _angles(raw: Raw, declared: Mapping[str, object], noise: Array | None) -> Co
     zero, sense, kind = (checks.choice(key, declared.get(key), OPTIONS[key]) for key in ("zero", "sense", "angles"))
     for key in ("y_axis", "scale"):
         if declared.get(key) is not None:
-            raise InvalidInput(f"{key} is for markers, but {raw.source} holds angles", got=declared.get(key))
+            fix = f"Leave {key} out"
+            raise InvalidInput(f"{key} is for markers, but {raw.source} holds angles", got=declared[key], fix=fix)
     factor = RADIANS[unit] * (1.0 if sense == "+x" else -1.0)
     data = raw.data * factor
     rates = None if raw.rates is None else raw.rates * factor
@@ -177,7 +181,8 @@ def _markers(raw: Raw, declared: Mapping[str, object], noise: Array | None) -> C
     if unit == "px":
         factor = checks.number("scale", declared.get("scale"), sign="positive", unit="m per pixel")
     elif declared.get("scale") is not None:
-        raise InvalidInput(f"scale is for pixels, but the positions are in {unit}", got=declared.get("scale"))
+        fix = "Leave scale out, or declare unit='px'"
+        raise InvalidInput(f"scale is for pixels, but the positions are in {unit}", got=declared["scale"], fix=fix)
     else:
         factor = METRES[unit]
     flip = np.where(np.arange(raw.data.shape[1]) % 2 == 1, -1.0 if y_axis == "down" else 1.0, 1.0)
@@ -197,32 +202,33 @@ def _check_speed(recording: Recording, fastest: float) -> None:
         if too_fast.any():
             worst = int(np.argmax(np.abs(turn) / step))
             raise InvalidInput(
-                f"link {k} turns by {turn[worst]:.4g} rad within {step[worst]:.4g} s at t = "
+                f"{recording.source}: link {k} turns by {turn[worst]:.4g} rad within {step[worst]:.4g} s at t = "
                 f"{recording.t[known][worst]:.6g} s",
                 allowed=f"at most max_rate = {fastest:g} rad/s",
                 fix="Are the angles in degrees (unit='deg'), wrapped at a whole turn (wrapped=True), or the times in "
                 "another unit (time_unit='ms')? If the link is truly that fast, pass a larger max_rate",
             )
     if recording.rates is not None:
-        _check_rates(recording.t, recording.data, recording.rates)
+        _check_rates(recording, recording.rates)
 
 
-def _check_rates(t: Array, angles: Array, rates: Array) -> None:
+def _check_rates(recording: Recording, rates: Array) -> None:
     """Refuse rates that are off from the slope of the angles by more than a factor of two, or by sign.
 
     Steps much longer than the usual one, where rows are missing, tell nothing: the rate changes meanwhile.
     """
-    turn, step = np.diff(angles, axis=0), np.diff(t)[:, None]
+    turn, step = np.diff(recording.data, axis=0), np.diff(recording.t)[:, None]
     expected = 0.5 * (rates[1:] + rates[:-1]) * step
     both = ~(np.isnan(turn) | np.isnan(expected)) & (step < LONG * np.median(step))
-    for k in range(angles.shape[1]):
+    for k in range(recording.data.shape[1]):
         seen, told = turn[both[:, k], k], expected[both[:, k], k]
         if seen.size < 10 or not told @ told > 0.0:
             continue
         slope = float(seen @ told / (told @ told))
         if not 0.5 < slope < 2.0:
             raise InvalidInput(
-                f"the rates of link {k} are not the slope of its angles, which change {slope:.4g} times as fast",
+                f"{recording.source}: the rates of link {k} are not the slope of its angles, which change {slope:.4g} "
+                "times as fast",
                 allowed="a factor near 1",
                 fix="About 57 or 0.017 tells of degrees in one and radians in the other, a power of 1000 of times in "
                 "another unit, a negative one of another sense. Declare the right unit, or leave the rates out",

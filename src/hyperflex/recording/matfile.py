@@ -18,6 +18,7 @@ from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.files import PathLike, read_bytes
 from hyperflex.recording.declare import Raw
 
+_EXPORT = "Get the file again, or export the data as CSV"
 _KEYS = ("Time_id", "Time_vad", "Y_id", "Y_vad", "dt")
 # What scipy's reader raises on damaged files, found by cutting and altering real ones.
 _DAMAGE = (ValueError, TypeError, KeyError, IndexError, OSError, EOFError, MemoryError, OverflowError, AttributeError)
@@ -45,7 +46,7 @@ def read(path: PathLike) -> Raw:
         )
     for k, (t, y) in enumerate(zip(times, states, strict=True)):
         if t.size != y.shape[1]:
-            raise InvalidInput(f"{path}: piece {k} has {t.size} times for {y.shape[1]} samples")
+            raise InvalidInput(f"{path}: piece {k} has {t.size} times for {y.shape[1]} samples", fix=_EXPORT)
     t = np.concatenate([piece.ravel() for piece in times])
     joined = np.hstack(states).T
     _check_step(path, t, content["dt"])
@@ -74,9 +75,7 @@ def _load(path: PathLike) -> dict[str, Any]:
     try:
         content: dict[str, Any] = loadmat(io.BytesIO(raw))
     except (*_DAMAGE, MatReadError, NotImplementedError, zlib.error, struct.error) as error:
-        raise FileProblem(
-            f"The MATLAB file {path} is damaged or cut off ({type(error).__name__}: {error}). Get it again."
-        ) from error
+        raise FileProblem(f"The MATLAB file {path} cannot be read: it is damaged or cut off. Get it again.") from error
     return content
 
 
@@ -85,7 +84,7 @@ def _pieces(path: PathLike, content: dict[str, Any], key: str) -> list[Array]:
     cell: npt.NDArray[Any] = content[key]
     pieces = list(cell.ravel()) if cell.dtype == object else [cell]
     if not pieces or any(np.asarray(p).ndim != 2 or np.asarray(p).dtype.kind not in "fiu" for p in pieces):
-        raise InvalidInput(f"{path}: {key} is not a cell of number arrays", got=cell.dtype)
+        raise InvalidInput(f"{path}: {key} is not a cell of number arrays", got=cell.dtype, fix=_EXPORT)
     return [np.asarray(p, dtype=np.float64) for p in pieces]
 
 
@@ -93,4 +92,4 @@ def _check_step(path: PathLike, t: Array, dt: npt.NDArray[Any]) -> None:
     """Refuse times whose usual step is not the file's own dt (another unit, or a damaged file)."""
     step = float(np.median(np.diff(t))) if t.size > 1 else 0.0
     if dt.size != 1 or not 0.99 * float(dt.ravel()[0]) < step < 1.01 * float(dt.ravel()[0]):
-        raise InvalidInput(f"{path}: its times do not step by its dt", got=[step, dt.ravel()[:3].tolist()])
+        raise InvalidInput(f"{path}: its times do not step by its dt", got=[step, dt.ravel()[:3].tolist()], fix=_EXPORT)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike, as_path, read_bytes, read_netcdf
+from hyperflex.files import PathLike, as_path, read_netcdf, regular_file
 from hyperflex.recording import csv as _csv
 from hyperflex.recording import matfile as _matfile
 from hyperflex.recording.declare import FASTEST, Raw, to_recording
@@ -95,13 +95,12 @@ def read_recording(
         raw = _csv.read(path, time, kind, columns)
     elif suffix in (".nc", ".mat"):
         if columns is not None or time != "t":
-            raise InvalidInput(f"time and columns are for CSV files, {path} names its own")
+            raise InvalidInput(f"time and columns are for CSV files, {path} names its own", fix="Leave them out")
         raw = _netcdf(path) if suffix == ".nc" else _matfile.read(path)
         if kind not in (None, raw.kind):
             raise InvalidInput(f"{path} holds {raw.kind}", got=kind, fix="Leave kind out")
     else:
-        if not file.is_file():
-            read_bytes(file, "recording")  # tells of one that is not there
+        regular_file(file, "recording")  # tells of one that is not there
         raise InvalidInput(f"{path} has no known suffix", got=suffix, allowed=".csv, .txt, .nc, .mat")
     given: dict[str, object] = {"time_unit": time_unit, "unit": unit, "frame_rate": frame_rate}
     given |= {"y_axis": y_axis, "scale": scale}
@@ -131,7 +130,7 @@ def _netcdf(path: PathLike) -> Raw:
     rank = {"time": 1, "rate": 2, name: 2 if kind == "angles" else 3}
     for key, (values, _) in held.items():
         if values.ndim != rank.get(key, rank[name]) or values.shape[0] != samples:
-            raise InvalidInput(f"{path}: variable {key!r} has the wrong shape", got=values.shape)
+            raise InvalidInput(f"{path}: variable {key!r} has the wrong shape", got=values.shape, fix="Write it again")
     declared: dict[str, object] = {key: attrs[key] for key in ("zero", "sense", "angles", "y_axis") if key in attrs}
     for key, variable in (("time_unit", "time"), ("unit", name)):
         if "units" in held[variable][1]:

@@ -78,6 +78,8 @@ class Recording:
         if self.rates is not None:
             rates = checks.array("rates", self.rates, (t.size, self.n_links), unit="rad/s", gaps=True)
             object.__setattr__(self, "rates", rates)
+        for name in ("convention", "name", "source"):
+            checks.text(f"recording {name}", getattr(self, name))
         object.__setattr__(self, "convention", self.convention or CONVENTION[kind])
 
     def __repr__(self) -> str:
@@ -110,6 +112,9 @@ class Recording:
 
     def window(self, start: float, end: float) -> "Recording":
         """Return the samples with ``start <= t < end`` (s); InvalidInput for fewer than two, or an empty channel."""
+        for name, each in (("start", start), ("end", end)):
+            if not (isinstance(each, float) and np.isinf(each)):
+                checks.number(name, each, unit="s")
         inside = (self.t >= start) & (self.t < end)
         if inside.sum() < 2:
             raise InvalidInput(
@@ -121,11 +126,12 @@ class Recording:
 
     def split(self, time: float) -> "tuple[Recording, Recording]":
         """Return the parts before and from `time` (s); InvalidInput when one would hold fewer than two samples."""
-        return self.window(-np.inf, time), self.window(time, np.inf)
+        time = checks.number("time", time, unit="s")
+        return self.window(self.t[0], time), self.window(time, np.inf)
 
     def decimate(self, step: int) -> "Recording":
         """Return every `step`-th sample, the first included (picked, not averaged)."""
-        step = checks.count("step", step)
+        step = checks.count("step", step, most=self.t.size)
         return self._pick(np.arange(0, self.t.size, step))
 
     def angles(self) -> "Recording":
@@ -236,8 +242,11 @@ def _check_columns(kind: Kind, data: Array) -> None:
 
 def per_sample(noise: object, data: Array) -> Array:
     """Return the noise of each sample (T, C) from one number, one a channel, or all of them."""
-    given = np.asarray(noise, dtype=np.float64) if not isinstance(noise, str) else np.empty((0, 0))
-    if given.ndim < 2:
-        given = checks.array("noise", noise, (data.shape[1],), sign="positive", scalar=True)
-        given = np.broadcast_to(given, data.shape)
-    return checks.array("noise", given, data.shape, sign="positive")
+    try:
+        each = np.ndim(noise) == 2  # type: ignore[arg-type]
+    except ValueError:  # ragged
+        each = True
+    if each:
+        return checks.array("noise", noise, data.shape, sign="positive")
+    given = checks.array("noise", noise, (data.shape[1],), sign="positive", scalar=True)
+    return checks.array("noise", np.broadcast_to(given, data.shape), data.shape)

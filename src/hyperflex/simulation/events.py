@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
@@ -139,10 +140,11 @@ def angle_reached(angle: float, link: int | None = None, *, sense: int = 0, afte
 
 
 def _sense(sense: int) -> int:
-    if sense not in (-1, 0, 1):
+    if not isinstance(sense, (int, float, np.number)) or sense not in (-1, 0, 1):
         raise InvalidInput("sense is not a sense", got=sense, allowed=_HINT)
     return int(sense)
 
 
 def _after(after: float) -> float:
-    return after if after == -math.inf else checks.number("after", after, unit="s")
+    ever = isinstance(after, float) and after == -math.inf
+    return -math.inf if ever else checks.number("after", after, unit="s")

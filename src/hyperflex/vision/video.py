@@ -1,5 +1,6 @@
 """Video files: frames with the times that the container gives them, and writing of MP4."""
 
+import math
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.files import PathLike, as_path, atomic_path
+from hyperflex.files import PathLike, as_path, atomic_path, regular_file
 
 Image = npt.NDArray[np.uint8]
 
@@ -146,14 +147,7 @@ class VideoReader:
         """Open the file and return its video stream."""
         import av
 
-        if self.path.is_dir():
-            raise FileProblem(f"{self.path} is a folder, not a video.")
-        try:
-            size = self.path.stat().st_size
-        except OSError as error:
-            raise FileProblem(f"There is no video {self.path} ({error.strerror}). Check the name and folder.") from None
-        if not size:
-            raise FileProblem(f"The video {self.path} is empty (0 bytes). It may have been cut off; get it again.")
+        regular_file(self.path, "video", math.inf)
         try:
             container = self._stack.enter_context(av.open(str(self.path)))
         except (av.FFmpegError, OSError, ValueError) as error:

@@ -168,11 +168,17 @@ def squared_error(measured: Recording, rope: Rope, state: Array) -> float:
 def matching_angles(recording: Recording, rope: Rope) -> Recording:
     """Return the recording's angles if they fit the rope and begin with a full sample."""
     if not isinstance(recording, Recording) or not isinstance(rope, Rope):
-        raise InvalidInput("a Recording and a Rope are needed", got=[type(recording).__name__, type(rope).__name__])
+        raise InvalidInput(
+            "a Recording and a Rope are needed",
+            got=[type(recording).__name__, type(rope).__name__],
+            allowed="a Recording, then a Rope",
+        )
     measured = recording.angles()
     if measured.n_links != rope.n_links:
         raise InvalidInput(
-            "the recording and the rope have different numbers of links", got=[measured.n_links, rope.n_links]
+            "the recording and the rope have different numbers of links",
+            got=rope.n_links,
+            allowed=f"{measured.n_links}, as recorded",
         )
     if measured.t.size < 3 or np.isnan(measured.data[:3]).any():
         raise InvalidInput(

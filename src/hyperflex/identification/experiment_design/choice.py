@@ -196,7 +196,7 @@ def design_experiment(
 
 def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) -> list[Experiment]:
     if not isinstance(rope, Rope):
-        raise InvalidInput("design takes a Rope", got=type(rope).__name__)
+        raise InvalidInput("rope is not a rope", got=rope, allowed="hyperflex.Rope")
     if candidates is None:
         return default_experiments(rope, arm)
     if len(candidates) == 0 or not all(isinstance(each, Experiment) for each in candidates):

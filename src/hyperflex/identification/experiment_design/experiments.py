@@ -11,6 +11,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion, arm_swings
 
+MOST_FRAMES = 1_000_000
+
 ANGLES = (0.3, 0.8, 1.5)  # rad, from which a straight rope is let go
 BENT = 0.8  # rad at the first joint, and as much to the other side at the tip
 RESTS = (0.34, 0.53, 0.80)  # s, of the paper's swings: its failure, its success, and a slow one
@@ -52,15 +54,18 @@ class Experiment:
 
     def __post_init__(self) -> None:
         for name, unit in (("rate", "1/s"), ("duration", "s"), ("noise", "m or rad"), ("torque_noise", "N m")):
-            if getattr(self, name) is not None:
+            if getattr(self, name) is not None or name in ("rate", "duration"):
                 checks.number(f"experiment {name}", getattr(self, name), sign="positive", unit=unit)
         if self.motion is not None and not isinstance(self.motion, Motion):
             raise InvalidInput("motion of an experiment is none", got=self.motion, allowed="a Motion, or None")
         if self.markers is not None:
             checks.count("experiment markers", self.markers, least=2)
-        if self.t.size < 3:
+        checks.text("experiment name", self.name)
+        if not 2.0 <= self.rate * self.duration + 1e-9 < MOST_FRAMES:
             raise InvalidInput(
-                "an experiment has too few frames", got=[self.rate, self.duration], allowed="three frames or more"
+                "experiment rate and duration give too few frames, or too many",
+                got=[self.rate, self.duration],
+                allowed=f"3 to {MOST_FRAMES:g} frames",
             )
 
     @property

@@ -69,9 +69,10 @@ class RopePosterior:
             covariance = np.array(table["covariance"], dtype=np.float64)
             factors = {name: float(table["values"][name]) for name in names if name.endswith(":factor")}
             undetermined = _undetermined(names, covariance, table.get("std", {}))
-        except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        except (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
+            missing = f"the key {error}" if isinstance(error, KeyError) else "a value of the right kind"
             raise InvalidInput(
-                f"the identification in {path} is not whole", got=str(error), fix="Write it again with identify"
+                f"the identification in {path} is not whole: it lacks {missing}", fix="Write it again with identify"
             ) from None
         return cls(Rope.from_toml(path), names, covariance, factors, undetermined)
 

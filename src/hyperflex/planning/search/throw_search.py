@@ -128,7 +128,11 @@ class ThrowSearch:
 
     def _check(self) -> None:
         if not self.parametrizations:
-            raise InvalidInput("the rope starts inside the target on either side of the arm", got=self.peg)
+            raise InvalidInput(
+                "the rope starts inside the target on either side of the arm",
+                got=self.peg,
+                fix="Move the target away from the arm",
+            )
 
     def _strikes(self, cast_setup: CastSetup, throws: list[Throw], threads: int | None = None) -> strikes.Strikes:
         motions = [throw.motion(cast_setup.limits) for throw in throws]

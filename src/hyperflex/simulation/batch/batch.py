@@ -211,7 +211,9 @@ def simulate_batch(
         return interrupt.deliver(Batch(t, values, tuple(names), reached))
     if time_budget is not None:
         raise InvalidInput(
-            "time_budget is for members with pegs or with joint limits, and there are none", got=time_budget
+            "time_budget is for members with pegs or with joint limits, and there are none",
+            got=time_budget,
+            fix="Leave it out",
         )
     chains = [setup.chain() for setup in setups]
     drives = [setup.drive() for setup in setups]
