@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.report.style import BLUE, INK, RED, new_figure
+from hyperflex.report.style import BLUE, INK, RED, new_figure, note
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -46,10 +46,34 @@ def time_course(
     return figure
 
 
+def room_above(axis: Any) -> None:
+    """Make room above the curves of a panel for notes."""
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high + 0.3 * (high - low))
+
+
+def event_note(axis: Any, run: Trajectory, t: float, text: str) -> None:
+    """Write a note at the top of a panel beside the line of an event at `t`, s, on the side with more room."""
+    late = t > 0.5 * (run.t[0] + run.t[-1])
+    place = {"transform": axis.get_xaxis_transform(), "va": "top", "ha": "right" if late else "left"}
+    note(axis, t, 0.97, f"{text} " if late else f" {text}", RED, **place)
+
+
 def _name(axis: Any, moves: ArmMoves) -> None:
     """Write the name of each move on the curve of the arm's angle."""
     patch = {"facecolor": "white", "edgecolor": "#b9c0c9", "linewidth": 0.7}
     places, heights = 0.5 * (moves.starts + moves.ends), 0.5 * np.degrees(moves.angles[:-1] + moves.angles[1:])
     for name, place, height in zip(moves.names, places, heights, strict=True):
         box = {"boxstyle": "circle,pad=0.2" if len(name) == 1 else "round,pad=0.25", **patch}
-        axis.text(place, height, name, fontsize=8.5, color=INK, ha="center", va="center", bbox=box)
+        aside = (0.0, 0.0) if len(name) == 1 else (16.0, 0.0)  # points: words do not hide the move
+        axis.annotate(
+            name,
+            (place, height),
+            aside,
+            textcoords="offset points",
+            fontsize=8.5,
+            color=INK,
+            ha="left" if aside[0] else "center",
+            va="center",
+            bbox=box,
+        )
