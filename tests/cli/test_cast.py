@@ -16,7 +16,7 @@ from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.report import CastReport
 from tests.planning.known import CABLE, late, planned, stopped
 
-NAMES = {"report.html", "cast.gif", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "cast.nc"}
+NAMES = {"report.html", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "cast.nc"}
 
 
 @pytest.fixture
@@ -215,7 +215,7 @@ def test_ctrl_c_while_drawing_leaves_the_plan(hyperflex, hyperflex_json, rope_fi
     code, out, err = hyperflex(*arguments(rope_file, tmp_path / "out"))
     assert (code, out) == (130, "")
     assert f"Written: {tmp_path / 'out' / 'motion.csv'}" in err
-    assert "Missing: the page, its figures and the film" in err
+    assert "Missing: the page and its figures" in err
 
 
 def test_a_folder_where_a_picture_shall_go_is_told_before_anything_is_written(hyperflex, rope_file, ready, tmp_path):

@@ -14,9 +14,11 @@ from hyperflex.cli.calibrate import calibrate
 from hyperflex.cli.cast import cast
 from hyperflex.cli.demo import demo
 from hyperflex.cli.identify import identify
+from hyperflex.cli.plot import plot
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
 from hyperflex.cli.track import track
+from hyperflex.cli.view import view
 from hyperflex.cli.warm import warm
 from hyperflex.cli.watch import watch
 from hyperflex.cli.whip import whip
@@ -28,6 +30,8 @@ _PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 for _command, _example in (
     (simulate, "simulate cast.toml -o cast.nc"),
+    (view, "view cast.nc"),
+    (plot, "plot cast.nc -o cast.png"),
     (identify, "identify swing.csv --guess guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),
@@ -39,6 +43,7 @@ for _command, _example in (
     (warm, "warm"),
 ):
     app.command(epilog=f"\b\nExample:\n  hyperflex {_example}")(_command)
+_COMMANDS = {each.callback.__name__ for each in app.registered_commands if each.callback is not None}
 
 
 def _show_version(wanted: bool) -> None:
@@ -85,7 +90,7 @@ def run(arguments: Sequence[str]) -> int:
         message = output.with_options(str(error)) if "identify" in arguments[:1] else str(error)
         return output.complain(message, type(error).__name__, output.REFUSED, as_json=as_json)
     except _PARSER_ERROR as error:
-        return output.complain(_misused(error), "UsageError", output.REFUSED, as_json=as_json)
+        return output.complain(_misused(error, arguments), "UsageError", output.REFUSED, as_json=as_json)
     except BrokenPipeError:  # whoever read standard output went away: nothing is left to be said to them
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return output.FAILED
@@ -95,12 +100,13 @@ def run(arguments: Sequence[str]) -> int:
         return output.complain(message, type(error).__name__, output.FAILED, as_json=as_json)
 
 
-def _misused(error: Any) -> str:
+def _misused(error: Any, arguments: Sequence[str]) -> str:
     """Return what the parser complains of in whole sentences, and where to look."""
     worded = getattr(error, "format_message", None)
     message = str(worded() if worded else error).rstrip(".")
     two = " Give two numbers: --target X Y." if "'--target'" in message else ""
-    return f"{message}.{two} See hyperflex --help."
+    named = arguments[0] if arguments and arguments[0] in _COMMANDS else ""
+    return f"{message}.{two} See {f'hyperflex {named}'.strip()} --help."
 
 
 def _invoke(arguments: Sequence[str]) -> int:

@@ -27,7 +27,7 @@ from hyperflex.report import (
     legend,
     new_figure,
     plain_reason,
-    player,
+    player_html,
     png,
     search_summary,
     sections_markdown,
@@ -273,7 +273,7 @@ def _sections(report: DemoReport, contents: Mapping[str, bytes], winding: Sectio
     def shown(*kinds: str) -> tuple[Picture, ...]:
         return tuple(Picture(contents[kind], _CAPTIONS[kind]) for kind in kinds)
 
-    film = Film(player(demo.cast, title="identified rope, simulated"), _CAPTIONS["film"])
+    film = Film(player_html(demo.cast, title="identified rope, simulated"), _CAPTIONS["film"])
     reaches = ("The table gives the greatest |x| of the tip in each 2 s, m.",)
     return [
         _in_short(demo),

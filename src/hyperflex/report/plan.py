@@ -12,7 +12,7 @@ from hyperflex.motion import Motion
 from hyperflex.planning import RATE, CastPlan, CastSetup, MotorLimits, WhipPlan
 from hyperflex.report.folder import Progress, silent, whole_folder
 from hyperflex.report.page import Film, Picture, Section, TextTable, write_page
-from hyperflex.report.player import player
+from hyperflex.report.player import player_html
 from hyperflex.report.style import save_png
 from hyperflex.trajectory import Trajectory
 
@@ -51,7 +51,7 @@ class PlanReport(ABC, Generic[PlanT]):
 
     @abstractmethod
     def film(self) -> dict[str, Any]:
-        """Return arguments of :func:`hyperflex.report.player.player`."""
+        """Return arguments of :func:`hyperflex.report.player.player_html`."""
 
     def write(self, directory: str | Path, *, rate: float = RATE, progress: Progress = silent) -> dict[str, Path]:
         """Write motion, set-up and run to a folder, then figures and the page, in which the run can be played.
@@ -117,7 +117,7 @@ class PlanReport(ABC, Generic[PlanT]):
     def pictures(self, drawn: Mapping[str, Path]) -> dict[str, Picture | Film]:
         """Return the player of the run, if there is one, and what :meth:`draw` drew, with captions."""
         run, captions = self.plan.run, self.captions
-        films = {} if run is None else {"film": Film(player(run, **self.film()), captions["film"])}
+        films = {} if run is None else {"film": Film(player_html(run, **self.film()), captions["film"])}
         shown = {kind: caption for kind, caption in captions.items() if kind in drawn}
         return {**films, **{kind: Picture(drawn[kind].read_bytes(), caption) for kind, caption in shown.items()}}
 

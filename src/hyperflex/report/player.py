@@ -20,6 +20,7 @@ Note = Callable[[float], str]
 FRAME_RATE = 60.0  # frames a second, unless a run is so long that these would be more than
 MOST_FRAMES = 3600
 _PLOTTED = 1500  # samples of a curve, about
+_ALIKE = 1e-6  # by which a sampling interval may be longer than a frame's
 _PRECISION = 5e-5  # m, greatest error of a position
 _NARROW, _WIDE = 2**15 - 1, 2**31 - 1
 
@@ -39,7 +40,7 @@ class Plot(NamedTuple):
     lines: tuple[Line, ...]
 
 
-def player(
+def player_html(
     run: Trajectory,
     *,
     start: float | None = None,
@@ -114,15 +115,15 @@ def player(
 
 
 def write_player(run: Trajectory, path: str | Path, **options: Any) -> None:
-    """Write the page of :func:`player`, with its options, to `path`, whole or not at all."""
-    files.write_text(path, player(run, **options))
+    """Write the page of :func:`player_html`, with its options, to `path`, whole or not at all."""
+    files.write_text(path, player_html(run, **options))
 
 
 def _frame_times(run: Trajectory, first: float, last: float, rate: float) -> Array:
     """Return the frames' times: those samples that are next to a uniform grid, or the grid if they are too few."""
     grid = np.linspace(first, last, max(round((last - first) * rate), 1) + 1)
     samples = run.t[(run.t >= first) & (run.t <= last)]
-    if samples.size < 2 or np.diff(samples, prepend=first, append=last).max() > 1.0 / rate:
+    if samples.size < 2 or np.diff(samples, prepend=first, append=last).max() > (1.0 + _ALIKE) / rate:
         return grid
     right = np.clip(samples.searchsorted(grid), 1, samples.size - 1)
     nearest = right - (grid - samples[right - 1] < samples[right] - grid)
