@@ -70,6 +70,25 @@ def test_pictures_leave_matplotlib_as_it_was_and_repeat_byte_by_byte(short_cast)
     assert dict(mpl.rcParams) == before
 
 
+def test_walls_and_grounds_are_drawn(tmp_path):
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6, radius=0.004, friction=1e-3)
+    obstacles = (hf.Wall(1.4, -0.9, 1.4, -0.5), hf.Ground(0.0, -0.9))
+    run = hf.simulate(hf.Setup(rope, duration=0.1, pegs=obstacles, q0=np.full(6, 1.5)))
+    (axis,) = strobe_figure(run).axes
+    assert any(np.array_equal(line.get_xydata(), [[1.4, -0.9], [1.4, -0.5]]) for line in axis.get_lines())
+    (ground,) = (patch for patch in axis.patches if patch.get_xy().shape[1] == 2)
+    assert ground.contains_point(axis.transData.transform((0.7, -0.92)))
+    assert not ground.contains_point(axis.transData.transform((0.7, -0.88)))
+    assert axis.get_xlim()[1] > 1.4  # the view reaches as far
+    run.animate(tmp_path / "a.gif", frame_rate=10, width=300)
+    frame = np.asarray(Image.open(io.BytesIO((tmp_path / "a.gif").read_bytes())).convert("RGB")).astype(int)
+    tall, wide = np.nonzero((frame[..., 0] > 180) & (frame[..., 1] < 120))  # the wall
+    assert np.ptp(tall) > 5 * np.ptp(wide)
+    low = frame[-2]
+    assert (np.ptp(low, axis=0) < 40).all()
+    assert low.sum(axis=1).min() > frame[2].sum(axis=1).min()  # the ground is lighter than the night
+
+
 def test_a_film_has_its_frames_in_time(short_cast, tmp_path):
     seen = []
     path = tmp_path / "cast.gif"

@@ -11,7 +11,8 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.report.shapes import NO_TARGETS, shapes, span, view
+from hyperflex.model import Peg, Wall
+from hyperflex.report.shapes import NO_TARGETS, ground_corners, shapes, span, view, wall_ends
 from hyperflex.trajectory import Trajectory
 from hyperflex.vision import VideoWriter
 
@@ -174,9 +175,14 @@ def _draw_scene(draw: Any, scene: _Scene, time: float, step: float) -> None:
     origin = view.pixels(np.zeros((1, 2)))[0]
     draw.line([(0, origin[1]), (view.width, origin[1])], fill=_GRID, width=_FINE)
     draw.line([(origin[0], 0), (origin[0], view.height)], fill=_GRID, width=_FINE)
-    for peg in run.setup.round_pegs:
-        centre = view.pixels(np.array([[peg.x, peg.y]]))[0]
-        _dot(draw, centre, max(peg.radius * view.scale, 2 * _FINE), _PEG)
+    for each in run.setup.pegs:
+        if isinstance(each, Peg):
+            centre = view.pixels(np.array([[each.x, each.y]]))[0]
+            _dot(draw, centre, max(each.radius * view.scale, 2 * _FINE), _PEG)
+        elif isinstance(each, Wall):
+            draw.line(view.pixels(np.array(wall_ends(each))), fill=_PEG, width=3 * _FINE)
+        else:
+            draw.polygon(view.pixels(ground_corners(each, 2.0 * (view.width + view.height) / view.scale)), fill=_GRID)
     for k in range(_GHOSTS):
         draw.line(view.pixels(drawn.joints[k]), fill=_blend(_ROPE, 0.40 * (k + 1) / (_GHOSTS + 1)), width=_FINE)
     past = np.linspace(max(time - scene.trail, start), time, _TRAIL_POINTS)
