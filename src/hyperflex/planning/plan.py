@@ -114,7 +114,7 @@ class Plan(ABC):
     def _repr_html_(self) -> str:
         from hyperflex.report import plan_html
 
-        return plan_html(self)
+        return plan_html(self)  # type: ignore[arg-type] # all plans are casts or whips
 
     def summary(self) -> dict[str, Any]:
         """Return success, status and all fields but the set-up as nested tables, for JSON."""
