@@ -14,11 +14,10 @@ from hyperflex.cli.calibrate import calibrate
 from hyperflex.cli.cast import cast
 from hyperflex.cli.demo import demo
 from hyperflex.cli.identify import identify
-from hyperflex.cli.plot import plot
+from hyperflex.cli.look import plot, view
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
 from hyperflex.cli.track import track
-from hyperflex.cli.view import view
 from hyperflex.cli.warm import warm
 from hyperflex.cli.watch import watch
 from hyperflex.cli.whip import whip

@@ -1,5 +1,7 @@
-"""``hyperflex plot``: a saved run in, a picture, a film, a page or a table of it out."""
+"""``hyperflex view`` and ``plot``: a saved run in the browser, and as a picture, a film, a page or a table."""
 
+import tempfile
+import webbrowser
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -42,6 +44,8 @@ def plot(
         raise InvalidInput(
             "the output has the wrong suffix", got=str(out), allowed=", ".join(SUFFIXES), fix="Change -o"
         )
+    if suffix == ".csv" and not (start is None and end is None):
+        raise InvalidInput("--start and --end do not go with a table", allowed="all samples", fix="Leave them out")
     output.check_destination(out, suffix, [run])
     shown = read_trajectory(run)
     named = run.name if kind == "course" else f"{run.name}, simulated"  # a course says so itself
@@ -54,7 +58,37 @@ def plot(
         shown.to_csv(out)
     else:
         with output.spinner(json) as progress:
-            done = lambda frame, frames: progress(f"frame {frame} of {frames}")  # noqa: E731
-            shown.animate(out, speed=speed, width=width, progress=done, **options)
+            options["progress"] = lambda done, frames: progress(f"frame {done} of {frames}")
+            shown.animate(out, speed=speed, width=width, **options)
     result = {"output": out, "bytes": out.stat().st_size, "run": run, "start_s": shown.t[0], "end_s": shown.t[-1]}
     output.show(result, repr(shown), [("written", f"{out} ({out.stat().st_size / 1e3:.0f} kB)")], as_json=json)
+
+
+def view(
+    run: Run,
+    out: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="File to write, .html. [default: one in a temporary folder]"),
+    ] = None,
+    start: Start = None,
+    end: End = None,
+    title: Title = None,
+    no_open: Annotated[bool, typer.Option("--no-open", help="Write the page, but open no browser.")] = False,
+    json: output.Json = False,
+) -> None:
+    """Play a saved run in the browser: scrub it, slow it down, read arm, speed and energy off.
+
+    The page is a single file that needs no network: it can be kept, sent, and opened anywhere.
+    """
+    from hyperflex.trajectory import read_trajectory
+
+    output.check_destination(out, ".html", [run])
+    shown = read_trajectory(run)
+    page = Path(tempfile.mkdtemp(prefix="hyperflex-")) / f"{run.stem}.html" if out is None else out
+    shown.to_html(page, start=start, end=end, title=f"{run.name}, simulated" if title is None else title)
+    opened = not no_open and webbrowser.open(page.resolve().as_uri())
+    result = {"output": page, "bytes": page.stat().st_size, "opened": opened, "run": run}
+    words = [("written", f"{page} ({page.stat().st_size / 1e3:.0f} kB)")]
+    if not (opened or no_open):
+        words.append(("no browser was found", "open the file with any browser"))
+    output.show(result, repr(shown), words, as_json=json)
