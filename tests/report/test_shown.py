@@ -42,7 +42,7 @@ def test_a_result_is_named_in_a_line(kind, found):
 
 def test_a_line_says_what_matters(found):
     assert repr(made("setup", found)) == "Setup(Rope(2 links, 0.4 m, 0.37 kg), arm of 0.1 m, motion, 0.5 s, 1 obstacle)"
-    assert "CastPlan(Peg(x=2.5" in repr(unreachable())
+    assert "CastPlan(target (2.5, 0) m, Rope(50 links" in repr(unreachable())
     assert "fails: out of reach: the rope ends" in repr(unreachable())
     assert repr(planned_whip()).endswith("succeeds)")
     assert "converged, friction of Rope(2 links" in repr(found)

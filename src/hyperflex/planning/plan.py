@@ -109,7 +109,8 @@ class Plan(ABC):
 
     def __repr__(self) -> str:
         ended = "succeeds" if self.success else f"fails: {self.message}"
-        return f"{type(self).__name__}({self.target!r}, {self.cast_setup.rope!r}, {self.runs} runs, {ended})"
+        place = f"target ({self.target.x:.4g}, {self.target.y:.4g}) m"
+        return f"{type(self).__name__}({place}, {self.cast_setup.rope!r}, {self.runs} runs, {ended})"
 
     def _repr_html_(self) -> str:
         from hyperflex.report import plan_html
